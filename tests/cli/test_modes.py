@@ -185,8 +185,10 @@ IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
         *(("--armature", "1"), ("--sag", "1deg"), ("--damping-ratio", "1")),
         *(("--repair-inertia",), ("--copy-meshes",)),
     ),
-    (*STUDY, "--dry-run"): (*(("--figures",), ("--report", "r.html")),),
-    STUDY: (("--minimise", "servo_sag"), ("--maximise", "servo_sag")),
+    (*STUDY, "--dry-run"): (
+        *(("--figures",), ("--report", "r.html")),
+        *(("--minimise", "servo_sag"), ("--maximise", "servo_sag")),
+    ),
     ("live", "v3", "--drop", "--headless"): (("--csv", "a.csv"), ("--fixed-base",)),
     ("live", "v3", "--demo", "squat", "--headless"): (("--seconds", "3"), ("--port", "1")),
     ("live", "v3", "--no-browser"): (("--headless",),),
@@ -209,7 +211,7 @@ ALWAYS = {
     "crosscheck": {"map_file", "changes", "strict", "any_coordinates", "same_mount"},
     "diff": {"changes"},
     "sync": {"take", "dry_run", "map_file", "fine", "changes"},
-    "study": {"dry_run", "workers"},
+    "study": {"dry_run", "workers", "list_metrics"},
     "walk": {"policy", "contract", "asked", "seeds", "seconds"},
     "live": {"language", "host", "port", "no_browser", "viewer", "dropped", "demo"},
 }

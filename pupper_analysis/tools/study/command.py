@@ -10,12 +10,21 @@ import click
 
 from pupper_analysis.base import kinds
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.modes import refuse_alone, refuse_idle
+from pupper_analysis.cli.modes import refuse_idle
 
 if TYPE_CHECKING:
     from pupper_analysis.present.document import Document
     from pupper_analysis.tools.study.running import Progress
     from pupper_analysis.tools.study.study import DesignStudy
+
+
+def _list_metrics(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if not asked or context.resilient_parsing:
+        return
+    from pupper_analysis.tools.study.document import metrics_document
+
+    _show(metrics_document(), "text", everything=True)
+    context.exit()
 
 
 @shared.command("study")
@@ -46,6 +55,14 @@ if TYPE_CHECKING:
     multiple=True,
     metavar="NAME",
     help="Metric or parameter to maximise on the Pareto front; e.g. leg_scale. Repeatable.",
+)
+@click.option(
+    "--list-metrics",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_list_metrics,
+    help="List what can be measured, with units, and exit.",
 )
 @shared.report_option
 @shared.json_option
@@ -83,7 +100,7 @@ def command(
     \b
     Examples:
       pupper-analysis study legs.toml -o legs/ --dry-run
-      pupper-analysis study legs.toml -o legs/
+      pupper-analysis study legs.toml -o legs/ --minimise servo_sag --maximise leg_scale
       pupper-analysis study legs.toml -o legs/ --report legs.html --maximise leg_scale
 
     \b
@@ -95,11 +112,9 @@ def command(
     from pupper_analysis.tools.study.study import estimate_study
 
     if dry_run:
-        refuse_idle("--dry-run", "figures", "report_path")
+        refuse_idle("--dry-run", "figures", "report_path", "minimise", "maximise")
     study = Study.read(file, own_metrics=not dry_run)
-    check_objectives(study, minimise, maximise)
-    if not (dry_run or figures or report_path or style == "markdown"):
-        refuse_alone(("--figures", "--report", "--format markdown"), "minimise", "maximise")
+    objectives = check_objectives(study, minimise, maximise)
     if dry_run:
         expected = estimate_study(study, folder)
         from pupper_analysis.tools.study.document import estimate_document
@@ -113,7 +128,9 @@ def command(
     if style == "text":
         from pupper_analysis.tools.study.document import measured_document
 
-        told = measured_document(file.stem, study.variables, table, rests_on(study.base))
+        told = measured_document(
+            file.stem, study.variables, table, rests_on(study.base), objectives
+        )
         _show(told, style, everything)
     if figures or report_path or style == "markdown":
         outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)

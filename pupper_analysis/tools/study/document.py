@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -20,7 +21,7 @@ from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.cells import column_label, metrics_in, standing_designs, unit_of
 from pupper_analysis.tools.study.measures import METRICS, text_key
-from pupper_analysis.tools.study.outcome import MetricSummary, StudyOutcome
+from pupper_analysis.tools.study.outcome import MetricSummary, StudyOutcome, pareto_front
 from pupper_analysis.tools.study.plots import LINES, MeansPlot, front_plot, study_plots
 from pupper_analysis.tools.study.study import Estimate
 from pupper_analysis.tools.study.tolerance import Chance
@@ -179,29 +180,42 @@ def _front(outcome: StudyOutcome) -> list[doc.Block]:
     front, objectives = outcome.front, outcome.objectives
     if not objectives or front.empty:
         return []
-    ways = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
-    title = text("designs-worth-building-no-other", objectives=ways)
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
         blocks.append(front_plot(standing_designs(outcome.table), front, objectives))
-    columns = [name for name in outcome.variables if name not in objectives]
-    measured = [one.metric for one in outcome.measured if one.metric not in objectives]
-    blocks.append(_table(title, front, [*objectives, *columns, *measured[:LINES]]))
+    blocks.append(_front_table(front, objectives, tuple(outcome.variables)))
     return blocks
+
+
+def _front_table(
+    front: pd.DataFrame, objectives: Mapping[str, str], variables: Sequence[str]
+) -> doc.Table:
+    ways = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
+    title = text("designs-worth-building-no-other", objectives=ways)
+    others = [name for name in variables if name not in objectives]
+    measured = [name for name in metrics_in(front, tuple(variables)) if name not in objectives]
+    return _table(title, front, [*objectives, *others, *measured[:LINES]])
 
 
 def _shares(outcome: StudyOutcome) -> list[doc.Block]:
     sobol = {one.metric: one for one in outcome.sobol}
     rows: list[tuple[doc.Cell, ...]] = []
     for one in outcome.measured:
-        for name, alone in one.alone.items():
+        measured = text("measured-of", count=one.designs, whole=outcome.designs)
+        shares: list[tuple[doc.Text | doc.Name, float | None, str]] = [
+            (doc.Name(name), alone, name) for name, alone in one.alone.items()
+        ]
+        if one.interaction is not None:
+            shares.append((text("interaction"), one.interaction, ""))
+        for named, share, name in shares:
             sampled = sobol.get(one.metric)
             rows.append(
                 (
                     doc.Name(one.metric),
-                    doc.Name(name),
-                    _share(alone),
-                    *(_indices(sampled, name) if sobol else []),
+                    named,
+                    _share(share),
+                    measured,
+                    *(_indices(sampled if name else None, name) if sobol else []),
                 )
             )
     if not rows:
@@ -211,6 +225,7 @@ def _shares(outcome: StudyOutcome) -> list[doc.Block]:
         doc.Column(text("metric"), left=True),
         doc.Column(text("number"), left=True),
         doc.Column(text("alone"), "1"),
+        doc.Column(text("designs"), left=True),
     ]
     if sobol:
         columns += [
@@ -403,14 +418,16 @@ def measured_document(
     variables: Mapping[str, object],
     table: pd.DataFrame,
     rests_on: Sequence[Diagnostic] = (),
+    objectives: Mapping[str, str] = MappingProxyType({}),
 ) -> doc.Document:
-    """Returns the range of each metric, and failures by kind: what is known without an outcome.
+    """Returns the range of each metric, failures by kind, and the front if one is asked for.
 
     Args:
         name: What was studied.
         variables: Of the study, by name.
         table: Of the study.
         rests_on: What its stands rest on; see ``StudyOutcome``.
+        objectives: {column: ``min`` or ``max``} of the front.
     """
     rows: list[tuple[doc.Cell, ...]] = []
     for metric in metrics_in(table, tuple(variables)):
@@ -442,7 +459,26 @@ def measured_document(
         )
         told = text("designs-kinds", designs=told, kinds=named)
     lines = (told, *map(doc.tell, rests_on))
-    return doc.Document(text("study-of-designs"), doc.Name(name), (measured,), told=lines)
+    blocks = [measured]
+    if objectives:
+        front = pareto_front(standing_designs(table), objectives)
+        blocks.append(_front_table(front, objectives, tuple(variables)))
+    return doc.Document(text("study-of-designs"), doc.Name(name), tuple(blocks), told=lines)
+
+
+def metrics_document() -> doc.Document:
+    """Returns what can be measured of a design: names, units, meanings."""
+    rows = tuple(
+        (doc.Name(one.name), doc.Name(one.unit), text(text_key(one.name)))
+        for one in METRICS.values()
+    )
+    columns = (
+        doc.Column(text("metric"), left=True),
+        doc.Column(text("unit"), left=True),
+        doc.Column(text("meaning"), left=True),
+    )
+    table = doc.Table(text("what-can-be-measured"), columns, rows)
+    return doc.Document(text("study-of-designs"), doc.Name("study"), (table,))
 
 
 # Studies on a terminal: the bar while they run.

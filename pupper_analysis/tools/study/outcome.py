@@ -79,6 +79,8 @@ class MetricSummary(Result):
         designs: Of how many it was measured.
         alone: {variable: share of its variance that the variable makes alone, among the designs of
             which it was measured}; empty of single joints.
+        interaction: The share that they make only together, on the full product of lists; None of
+            samples, and where not all designs were measured: shares overlap there.
     """
 
     metric: str
@@ -89,6 +91,7 @@ class MetricSummary(Result):
     greatest: float
     designs: int
     alone: dict[str, float]
+    interaction: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,12 +220,16 @@ def check_objectives(
     return objectives
 
 
-def main_effects(table: pd.DataFrame, variables: Iterable[str], metric: str) -> dict[str, float]:
+def main_effects(
+    table: pd.DataFrame, variables: Iterable[str], metric: str, *, sampled: bool = True
+) -> dict[str, float]:
     """Returns what share of a metric's variance each variable makes alone, in some designs.
 
-    That is the variance of the means over the variable's values, without what chance makes of so
-    few designs (Kelley's epsilon squared), in parts of the whole variance. Of the full product of
-    lists these are the main effects; designs of which it was not measured are left out.
+    That is the variance of the means over the variable's values, in parts of the whole variance. On
+    the full product of lists it is so as it stands (eta squared): with every design measured these
+    are the main effects, and what they leave of 1 is made by several variables together. Of samples
+    it is without what chance makes of so few designs (Kelley's epsilon squared), over cells of
+    values. Designs of which the metric was not measured are left out.
 
     Source: Kelley, "An unbiased correlation ratio measure", 1935.
 
@@ -230,6 +237,7 @@ def main_effects(table: pd.DataFrame, variables: Iterable[str], metric: str) -> 
         table: Of a study.
         variables: Columns.
         metric: A column.
+        sampled: Whether the designs are samples, and not the full product of lists.
     """
     known = table[np.isfinite(table[metric].to_numpy(float))]
     values = known[metric].to_numpy(float)
@@ -237,22 +245,26 @@ def main_effects(table: pd.DataFrame, variables: Iterable[str], metric: str) -> 
     whole = float(((values - values.mean()) ** 2).sum()) if varies else 0.0
     found = {}
     for name in variables:
-        index = np.unique(Cells(known[name].to_numpy(float)).index, return_inverse=True)[1]
+        column = known[name].to_numpy(float)
+        index = np.unique(Cells(column).index if sampled else column, return_inverse=True)[1]
         counts = np.bincount(index)
         free = len(values) - len(counts)
-        if whole <= 0 or free < 1 or len(counts) < 2:
+        if whole <= 0 or len(counts) < 2 or (sampled and free < 1):
             found[name] = 0.0 if whole <= 0 or len(counts) < 2 else float("nan")
             continue
         means = np.bincount(index, values) / counts
         within = float(((values - means[index]) ** 2).sum())
-        found[name] = max(0.0, 1 - within / free / (whole / (len(values) - 1)))
+        least = free / (len(values) - 1) if sampled else 1.0  # of the whole: what chance leaves
+        found[name] = max(0.0, 1 - within / least / whole)
     return found
 
 
 def _measured(
     table: pd.DataFrame, name: str, spread: Sequence[str], study: DesignStudy
 ) -> MetricSummary:
-    column = table[name].dropna()
+    column, sampled = table[name].dropna(), study.sampling.samples is not None
+    alone = {} if "." in name else main_effects(table, spread, name, sampled=sampled)
+    whole = not sampled and len(column) == len(study) and len(alone) > 1
     own = {one.name: one for one in study.metrics}
     kind = own[name if name in own else name.partition(".")[0]]
     return MetricSummary(
@@ -263,7 +275,8 @@ def _measured(
         median=float(column.median()),
         greatest=float(column.max()),
         designs=len(column),
-        alone={} if "." in name else main_effects(table, spread, name),
+        alone=alone,
+        interaction=max(0.0, 1 - sum(alone.values())) if whole and any(alone.values()) else None,
     )
 
 

@@ -13,7 +13,10 @@ import pandas as pd
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.present.document import Report
+from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.study.cells import Cells
+from pupper_analysis.tools.study.document import study_document
 from pupper_analysis.tools.study.outcome import SobolIndices, main_effects
 from pupper_analysis.tools.study.plots import MOST_LINES, colour_of_share
 from pupper_analysis.tools.study.tolerance import Certainty, Tolerance, probability_interval
@@ -96,6 +99,28 @@ def test_main_effects_are_shares_of_an_additive_function() -> None:
     assert main_effects(table, ("a", "b"), "same") == {"a": 0.0, "b": 0.0}
     table.loc[table["a"] > 0.5, "y"] = np.nan  # designs without a value do not count
     assert main_effects(table, ("a", "b"), "y")["a"] == pytest.approx(0.675, abs=0.08)
+
+
+def test_shares_on_a_full_grid_are_plain_and_leave_the_interaction(tmp_path: Path) -> None:
+    """Of y = a + 2 a b, a and b from 0 to 1: 4, 1 and what they make only together."""
+    axes = np.array([0.0, 0.5, 1.0])
+    a, b = (values.ravel() for values in np.meshgrid(axes, axes))
+    table = pd.DataFrame({"a": a, "b": b, "y": a + 2 * a * b})
+    shares = main_effects(table, ("a", "b"), "y", sampled=False)
+    # By hand: y = (a + 2 a b), means over b: 2 a; over a: 1/2 + b; variances of the axes are 1/6.
+    whole = float(table["y"].var(ddof=0))
+    assert shares == pytest.approx({"a": 4 / 6 / whole, "b": 1 / 6 / whole}, rel=1e-12)
+    assert 1 - sum(shares.values()) == pytest.approx(4 / 36 / whole, rel=1e-12)
+    study = pa.Study("v3", {"kp": [4.0, 8.0], "leg_scale": [0.9, 1.1]}, ["servo_sag"])
+    found = study_with(tmp_path, study)
+    (sag,) = found.measured
+    assert sag.interaction == pytest.approx(1 - sum(sag.alone.values()), abs=1e-12)
+    assert sag.alone["kp"] > sag.alone["leg_scale"] > 0.05
+    missing = replace(found, measured=(replace(sag, designs=3, interaction=None),))
+    rows = [write_markdown(Report("", (study_document(one),))) for one in (found, missing)]
+    assert "interaction" in rows[0]
+    assert "4 of 4" in rows[0]
+    assert "3 of 4" in rows[1]
 
 
 def test_main_effects_agree_with_sobol_s_first_indices() -> None:
