@@ -286,14 +286,6 @@ def test_a_push_is_judged_by_where_it_ends(word: str) -> None:
     assert bench._unsettled(ends)
 
 
-def test_a_tolerance_needs_samples_enough_to_tell_its_probability(tmp_path: Path) -> None:
-    """Of 64 designs none may fail if 99 % shall hold: that cannot be told from 98 %."""
-    study = pa.Study("v3", {"kp": pa.study.normal(5, 0.1)}, ["stands", "utilisation"], samples=64)
-    with pytest.raises(pa.ConfigurationError) as refused:
-        pa.study.tightest_tolerance(study, tmp_path, wanted=0.99)
-    assert refused.value.field == "samples"
-
-
 def test_workers_share_the_designs_that_are_left() -> None:
     asked = Estimate(10, there=4, seconds_each=0.5, slowest=0.7, failures=(), left_out=())
     assert asked.seconds(workers=3) == pytest.approx(1.0)

@@ -20,11 +20,11 @@ from pupper_analysis.present.terminal import make_console
 from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.cells import column_label, metrics_in, standing_designs, unit_of
+from pupper_analysis.tools.study.certainty import Chance
 from pupper_analysis.tools.study.measures import METRICS, text_key
 from pupper_analysis.tools.study.outcome import MetricSummary, StudyOutcome, pareto_front
 from pupper_analysis.tools.study.plots import LINES, MeansPlot, front_plot, study_plots
 from pupper_analysis.tools.study.study import Estimate
-from pupper_analysis.tools.study.tolerance import Chance
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,7 +69,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
 
 
 def _source() -> tuple[doc.Words, ...]:
-    return (page_of("explanation/studies.md", "Sensitivities and tolerances"),)
+    return (page_of("explanation/studies.md", "Sensitivities"),)
 
 
 def _variables(outcome: StudyOutcome) -> doc.Table:
@@ -277,8 +277,6 @@ def _sure(outcome: StudyOutcome) -> list[doc.Block]:
                 _source(),
             )
         )
-    if outcome.tolerance is not None:
-        blocks.append(_tolerance(outcome.tolerance.spreads, outcome))
     return blocks
 
 
@@ -289,40 +287,6 @@ def _chance(name: doc.Text | doc.Name, one: Chance) -> tuple[doc.Cell, ...]:
         likely,
         doc.number_cell(one.low, ".2%", scale=1.0),
         doc.number_cell(one.high, ".2%", scale=1.0),
-    )
-
-
-def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) -> doc.Table:
-    assert outcome.tolerance is not None
-    rows: list[tuple[doc.Cell, ...]] = []
-    for name, given in spreads.items():
-        ((kind, numbers),) = given.items()
-        listed = _listed(kind, numbers)
-        rows.append((doc.Name(column_label(name)), text(kind), doc.Name(listed)))
-    sure = text(
-        "with-scale-of-the-studys",
-        scale=f"{outcome.tolerance.scale:.1%}",
-        share=f"{outcome.tolerance.chance.probability:.1%}",
-        count=outcome.tolerance.chance.designs,
-    )
-    notes = [sure]
-    if outcome.tolerance.without:
-        notes.append(
-            text(
-                "these-change-none",
-                names=doc.Name(", ".join(outcome.tolerance.without)),
-            )
-        )
-    return doc.Table(
-        text("the-tightest-tolerance"),
-        (
-            doc.Column(text("number"), left=True),
-            doc.Column(text("how"), left=True),
-            doc.Column(text("range-or-values"), left=True),
-        ),
-        tuple(rows),
-        tuple(notes),
-        _source(),
     )
 
 

@@ -29,12 +29,12 @@ from pupper_analysis.tools.study.cells import (
     standing_designs,
     value_span,
 )
+from pupper_analysis.tools.study.certainty import Certainty, certainty
 from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.record import from_record
 from pupper_analysis.tools.study.running import Progress
 from pupper_analysis.tools.study.store import Store, require_library
 from pupper_analysis.tools.study.study import DesignStudy
-from pupper_analysis.tools.study.tolerance import Certainty, Tolerance, certainty
 from pupper_analysis.tools.study.variables import at_shares
 
 if TYPE_CHECKING:
@@ -115,7 +115,6 @@ class StudyOutcome(Result):
         sobol: Sobol's indices, if they were given.
         certainty: How sure the stand is, if the numbers are samples of distributions and the study
             measures it.
-        tolerance: The tightest tolerance, if it was given.
     """
 
     robot: str
@@ -131,7 +130,6 @@ class StudyOutcome(Result):
     front: pd.DataFrame
     sobol: tuple[SobolIndices, ...]
     certainty: Certainty | None
-    tolerance: Tolerance | None
 
 
 def study_outcome(
@@ -141,7 +139,6 @@ def study_outcome(
     minimise: Sequence[str] = (),
     maximise: Sequence[str] = (),
     sobol: Mapping[str, SobolIndices] | None = None,
-    tolerance: Tolerance | None = None,
 ) -> StudyOutcome:
     """Puts together what came of a study; nothing is run.
 
@@ -152,7 +149,6 @@ def study_outcome(
         maximise: Columns in which they are greatest. If neither is given, they are the first two
             metrics of which it is known which way is better.
         sobol: What ``sobol_indices`` has found.
-        tolerance: What ``tightest_tolerance`` has found.
 
     Raises:
         ConfigurationError: If a column is not there, or no design is.
@@ -162,7 +158,6 @@ def study_outcome(
     check_type("minimise", minimise, Sequence[str])
     check_type("maximise", maximise, Sequence[str])
     check_type("sobol", sobol, Mapping[str, SobolIndices] | None)
-    check_type("tolerance", tolerance, Tolerance | None)
     require_library("pandas")
     Store(Path(folder)).asked()  # that it is a study's folder
     table = study.table(folder)
@@ -187,7 +182,6 @@ def study_outcome(
         front=pareto_front(standing_designs(table), objectives) if objectives else table.iloc[:0],
         sobol=tuple((sobol or {}).values()),
         certainty=_certainty(study, table),
-        tolerance=tolerance,
     )
 
 

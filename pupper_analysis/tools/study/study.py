@@ -60,7 +60,7 @@ from pupper_analysis.tools.study.running import (
     measure_designs,
 )
 from pupper_analysis.tools.study.store import Store, design_keys, require_library
-from pupper_analysis.tools.study.variables import BLOCK, Sampling, Variable, make_variable
+from pupper_analysis.tools.study.variables import BLOCK, Sampling, make_variable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -214,13 +214,6 @@ class DesignStudy:
         """Returns the same study with other designs: points (n, variables)."""
         other = copy.copy(self)
         other._points = points
-        return other
-
-    def varying(self, variables: Mapping[str, Variable]) -> DesignStudy:
-        """Returns the same study with other values of its variables."""
-        other = copy.copy(self)
-        other.variables = dict(variables)
-        other.sampling = Sampling(variables, self.sampling.samples, self.sampling.seed)
         return other
 
     def designs(self) -> Iterator[tuple[list[str], Array]]:

@@ -16,10 +16,10 @@ import pupper_analysis as pa
 from pupper_analysis.present.document import Report
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.study.cells import Cells
+from pupper_analysis.tools.study.certainty import Certainty, probability_interval
 from pupper_analysis.tools.study.document import study_document
 from pupper_analysis.tools.study.outcome import SobolIndices, main_effects
 from pupper_analysis.tools.study.plots import MOST_LINES, colour_of_share
-from pupper_analysis.tools.study.tolerance import Certainty, Tolerance, probability_interval
 from tests.present.test_html import EVIL, written
 from tests.support.commands import answer
 from tests.support.html_page import Page, shown
@@ -50,10 +50,7 @@ def full() -> pa.study.StudyOutcome:
         probability_interval(70, 100),
         probability_interval(60, 100),
     )
-    spreads = {"kp": {"normal": [7.0, 0.25]}}
-    tolerance = Tolerance(0.375, spreads, probability_interval(199, 200), {1.0: 0.5, 0.375: 0.995},
-                          {"stands": ("kp",)}, ("friction",))  # fmt: skip
-    return replace(outcome(), sobol=(sobol,), certainty=sure, tolerance=tolerance)
+    return replace(outcome(), sobol=(sobol,), certainty=sure)
 
 
 # What came of it
@@ -203,9 +200,6 @@ def test_shares_and_certainties_are_in_their_columns() -> None:
     assert sure["knee"]["probability (–)"] == "80.00%"
     assert sure["All motors are under their limits"]["probability (–)"] == "70.00%"
     assert sure["Both"]["at least (95 %) (–)"] == "50.20%"  # Wilson's, of 60 of 100
-    (tight,) = tables["The tightest tolerance that is needed"]
-    assert tight["range or values"] == "7, 0.25"
-    assert "With spreads scaled by 37.5%" in Page(written(full(), robots=False)).shown()
 
 
 def drawing(page: Page, title: str) -> object:

@@ -1,8 +1,7 @@
-"""What is made of a study's table: fronts, figures, sensitivities, tolerances, searches."""
+"""What is made of a study's table: fronts, figures, sensitivities, certainty."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
@@ -23,6 +22,10 @@ from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.fit.write import write_randomisation
 from pupper_analysis.tools.study import figures
 from pupper_analysis.tools.study.cells import Cells, mean_map, split_panels
+from pupper_analysis.tools.study.certainty import (
+    certainty,
+    probability_interval,
+)
 from pupper_analysis.tools.study.outcome import (
     main_effects,
     pareto_front,
@@ -30,12 +33,6 @@ from pupper_analysis.tools.study.outcome import (
     study_outcome,
 )
 from pupper_analysis.tools.study.plots import end_plots, mean_plots
-from pupper_analysis.tools.study.tolerance import (
-    certainty,
-    narrow_study,
-    probability_interval,
-    tightest_tolerance,
-)
 from tests.support import study_metrics
 
 
@@ -211,7 +208,7 @@ def test_indices_need_all_designs(tmp_path: Path, thread: Executor) -> None:
         sobol_indices(study, tmp_path, ["peak_torque"], samples=5)
 
 
-# ----------------------------------------------------------------------------- tolerances
+# ----------------------------------------------------------------------------- certainty
 
 
 @pytest.mark.parametrize(("there", "designs"), [(0, 20), (19, 20), (20, 20), (990, 1000)])
@@ -239,41 +236,6 @@ def test_certainty_counts_what_fails() -> None:
         certainty(table[["stands"]])
 
 
-def test_spreads_are_narrowed_about_their_means() -> None:
-    vary = {
-        "kp": pa.study.normal(5, 0.5),
-        "payload": pa.study.uniform(0.2, 0.6),
-        "kd": pa.study.log_uniform(0.1, 10),
-        "slope": [0.0, 0.1],
-    }
-    study = narrow_study(pa.Study("v3", vary, ["sag"], samples=4), 0.5)
-    assert study.variables["kp"] == pa.study.normal(5, 0.25)
-    assert study.variables["payload"].range == pytest.approx((0.3, 0.5))
-    assert study.variables["kd"].range == pytest.approx((math.sqrt(0.1), math.sqrt(10)))
-    assert study.variables["slope"] == pa.study.values([0.0, 0.1])
-
-
-@pytest.mark.longest
-def test_the_tightest_tolerance_is_the_quantile(tmp_path: Path, thread: Executor) -> None:
-    """Motors of a normal strength, and stiff servos: it stands above the least strength, k.
-
-    With a mean m and a share p the deviation s must satisfy m - z_p s = k.
-    """
-    robot = pa.load_variant("v3")
-    least = float(pa.stance.stand_statics(robot, pa.solve_stand(robot)).motor_utilisation.max())
-    mean, wide = 1.3 * least, 0.5 * least
-    vary = {"effort:*": pa.study.normal(mean, wide), "kp": [500.0]}
-    base = pa.Study("v3", vary, ["stands", "utilisation"], samples=64)
-    found = tightest_tolerance(base, tmp_path, wanted=0.9, resolution=0.05, executor=thread)
-    spread = (mean - least) / stats.norm.ppf(0.9)
-    assert 0.4 < spread / wide < 0.5
-    assert found.scale == pytest.approx(spread / wide, abs=0.08)
-    assert found.chance.probability >= 0.9
-    assert found.spreads["effort:*"]["normal"] == pytest.approx([mean, wide * found.scale])
-    with pytest.raises(pa.ConfigurationError, match="take 100 or more"):
-        tightest_tolerance(base, tmp_path, wanted=0.99)
-
-
 def test_randomisation_as_yaml(tmp_path: Path) -> None:
     yaml = pytest.importorskip("yaml")
     vary = {
@@ -299,48 +261,3 @@ def test_randomisation_as_yaml(tmp_path: Path) -> None:
         {"name": "payload", "operation": "absolute", "distribution": "linspace", "low": 0.0,
          "high": 1.0, "count": 3.0},
     ]  # fmt: skip
-
-
-@pytest.mark.longest
-def test_tolerances_for_criteria_of_ones_own(tmp_path: Path, thread: Executor) -> None:
-    """Legs of a length between bounds: uniform about 1, kept to where it is within +-0.1."""
-    study = pa.Study("v3", {"leg_scale": pa.study.uniform(0.95, 1.05)}, ["base_height"], samples=32)
-    table = study.run(tmp_path, executor=thread)
-    middle = float(table["base_height"].median())
-    asked = {"base_height": (0.9 * middle, 1.1 * middle)}
-    found = tightest_tolerance(
-        study, tmp_path, wanted=0.95, criteria=asked, widest=6.0, resolution=0.2, executor=thread
-    )
-    assert 1.5 < found.scale < 3.5  # heights are in proportion to legs, nearly
-    wide = {"base_height": (0.0, None)}
-    assert (
-        tightest_tolerance(study, tmp_path, wanted=0.9, criteria=wide, executor=thread).scale == 1
-    )
-    with pytest.raises(pa.ConfigurationError, match="has no metric 'height'"):
-        tightest_tolerance(
-            study, tmp_path, wanted=0.9, criteria={"height": (0, 1)}, executor=thread
-        )
-
-
-def test_what_changes_no_criterion_has_no_range(tmp_path: Path, thread: Executor) -> None:
-    """Masses enter the mass; of motors' strengths only that of the one that is used most."""
-    robot = pa.load_variant("v3")
-    used = pa.stance.stand_statics(robot, pa.solve_stand(robot)).motor_utilisation
-    most = robot.joint_names[int(np.argmax(used))]
-    leg = most.rpartition("_")[0]
-    vary = {
-        "mass:each:leg_front_?_3": pa.study.uniform(0.9, 1.1),
-        "armature:*": pa.study.uniform(0.9, 1.1),
-        f"effort:each:{leg}_*": pa.study.uniform(0.999, 1.001),
-        "kp": [6.0],
-    }
-    study = pa.Study("v3", vary, ["total_mass", "peak_utilisation"], samples=16)
-    wanted = {"total_mass": (0.0, None), "peak_utilisation": (None, 1.0)}
-    found = tightest_tolerance(study, tmp_path, wanted=0.9, criteria=wanted, executor=thread)
-    masses = tuple(name for name in study.variables if name.startswith("mass"))
-    assert len(masses) == 2
-    assert found.enters["total_mass"] == masses
-    assert set(found.enters["peak_utilisation"]) == {*masses, f"effort:{most}"}
-    assert set(found.spreads) == {"mass:each:leg_front_?_3", f"effort:{most}"}
-    others = {f"effort:{leg}_{n}" for n in (1, 2, 3)} - {f"effort:{most}"}
-    assert set(found.without) == {"armature:*", *others}
