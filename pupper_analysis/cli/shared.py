@@ -395,17 +395,24 @@ def finish_command(json_path: Path | None, content: object, *, passed: bool) -> 
         click.get_current_context().exit(FAILED)
 
 
-def parse_point(option: str, text: str, size: int = 2) -> tuple[float, ...]:
-    """Returns the numbers of X,Y (or X,Y,Z), or raises ConfigurationError for the option."""
+def parse_point(
+    option: str, text: str, size: int = 2, choices: Iterable[str] = ()
+) -> tuple[float, ...]:
+    """Returns the numbers of X,Y (or X,Y,Z), or raises ConfigurationError for the option.
+
+    Args:
+        option: Its name.
+        text: What was typed.
+        size: How many numbers there are.
+        choices: Words that are valid in their place, for the message.
+    """
     try:
         numbers = tuple(parse_quantity("length", part.strip()) for part in text.split(","))
     except ValueError:
         numbers = ()
     if len(numbers) != size:
-        form = ",".join("XYZ"[:size])
-        raise ConfigurationError(
-            option, diagnose("not-of-the-form", given=text, form=f"{form} (m)")
-        )
+        form = ", ".join([",".join("XYZ"[:size]) + " (m)", *choices])
+        raise ConfigurationError(option, diagnose("not-of-the-form", given=text, form=form))
     return numbers
 
 

@@ -79,7 +79,7 @@ def to_task_value(field: Field, value: Any) -> Any:
 
 def _one(field: Field, text: str, given: str) -> Any:
     if field.axes or field.choices:
-        return shared.parse_point(field.option, text, len(field.axes or "xy"))
+        return shared.parse_point(field.option, text, len(field.axes or "xy"), field.choices)
     return shared.parse_measure(field.option, field.kind, text, given)
 
 

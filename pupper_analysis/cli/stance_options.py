@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -155,6 +155,11 @@ class RobotAndTask:
         place = shared.parse_place("payload-at", self.payload_at or "0,0,0")
         robot = with_efforts(robot, parse_efforts(self.effort, robot))
         loaded = with_payload(robot, self.payload, place)
+        if self.payload:  # in every title, figure and result
+            frame = f"{place[0]} " if isinstance(place[0], str) else ""
+            where = ", ".join(f"{1e3 * float(value):.4g}" for value in place[-3:])
+            name = f"{loaded.name} + {self.payload:.6g} kg at {frame}({where}) mm"
+            loaded = replace(loaded, name=name)
         return with_options(loaded, self.integrator, self.cone, self.impratio)
 
     def show(self, result: Result, robot: Robot) -> None:
@@ -248,11 +253,11 @@ def _matching(option: str, pattern: str, robot: Robot) -> list[bool]:
     return chosen
 
 
-def parse_efforts(texts: tuple[str, ...], robot: Robot) -> dict[str, float]:
-    """Returns {joint: its motor's limit} (N m) of what was typed for ``--effort``."""
+def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") -> dict[str, float]:
+    """Returns {joint: its motor's limit} (N m) of what was typed for ``--effort``, or another."""
     efforts: dict[str, float] = {}
-    for pattern, value in _assigned("effort", texts):
-        chosen = _matching("effort", pattern, robot)
+    for pattern, value in _assigned(option, texts):
+        chosen = _matching(option, pattern, robot)
         efforts |= {
             name: value for name, this in zip(robot.joint_names, chosen, strict=True) if this
         }

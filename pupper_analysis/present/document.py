@@ -405,6 +405,8 @@ class Document:
             not, but for a convention.
         failures: Why the verdict is not better.
         told: The key figures, and what the verdict rests on.
+        details: What else it rests on: after what is ``told``, on a terminal with -v.
+        brief: Whether its head is the answer: a terminal shows its tables with -v.
         notes: What was assumed, found or left out on the way.
     """
 
@@ -417,6 +419,8 @@ class Document:
     failures: tuple[Words, ...] = ()
     told: tuple[Words, ...] = ()
     notes: tuple[Words, ...] = ()
+    details: tuple[Words, ...] = ()
+    brief: bool = False
 
     @property
     def mark(self) -> str:

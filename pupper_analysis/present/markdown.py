@@ -80,7 +80,7 @@ def _document(document: Document, *, whole: bool) -> list[str]:
     verdict = "" if document.verdict is None else f"{_escaped(document.verdict)} "
     title = f"### {f'{sign} ' if sign else ''}{verdict}{_escaped(document.title)}"
     told = [f"- **{_escaped(one)}**" for one in document.failures]
-    told += [f"- {_escaped(one)}" for one in document.told]
+    told += [f"- {_escaped(one)}" for one in (*document.told, *document.details)]
     parts = [title, "\n".join(told)] if told else [title]
     if whole:
         for block in document.blocks:

@@ -100,11 +100,11 @@ def print_document(out: Console, document: Document, *, everything: bool = False
         document: The document.
         everything: Print what the short view leaves out, too.
     """
-    print_head(out, document)
+    print_head(out, document, everything=everything)
     place = 0
     for block in document.blocks:
         place += isinstance(block, Sides)
-        if everything or not block.detail:
+        if everything or not _left_out(document, block):
             _print_block(out, block, place, everything=everything)
     print_notes(out, document.notes, everything=everything)
     if not everything:
@@ -119,9 +119,14 @@ def print_summary(out: Console, document: Document) -> None:
         _say(out, Text(said, "dim"))
 
 
-def print_head(out: Console, document: Document) -> None:
+def _left_out(document: Document, block: Block) -> bool:
+    """Tells whether the short view leaves a block out."""
+    return block.detail or (document.brief and isinstance(block, Table))
+
+
+def print_head(out: Console, document: Document, *, everything: bool = False) -> None:
     """Prints a document's verdict with its first reason, then what else it rests on."""
-    told = [*document.failures, *document.told]
+    told = [*document.failures, *document.told, *(document.details if everything else ())]
     line = Text()
     if document.verdict is not None:
         line.append(_plain(document.verdict), f"bold {STYLES.get(document.mark, '')}".strip())
@@ -159,7 +164,7 @@ def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = Fals
 
 def _print_left_out(out: Console, document: Document) -> None:
     """Says what the short view has left out."""
-    left = [block for block in document.blocks if block.detail]
+    left = [block for block in document.blocks if _left_out(document, block)]
     tables = [_plain(block.title) for block in left if isinstance(block, Table)]
     findings = sum(isinstance(block, Sides) for block in left)
     parts = [f"{findings} more of these"] * bool(findings) + tables

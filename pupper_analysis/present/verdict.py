@@ -32,6 +32,9 @@ from pupper_analysis.simulation.verdict import (
     VerdictCode,
 )
 
+_SLOW = 600.0
+"""From here on (s) a time is said in minutes."""
+
 FEW = 3
 """Joints that are named one by one, with what the file has there."""
 
@@ -306,9 +309,12 @@ def _beyond(verdict: Verdict) -> Iterator[Clause]:
                 standing=verdict.force_error is not None,
             ),
         )
-    if math.isfinite(verdict.doubling_time):
+    fell = verdict.with_feedforward is Ending.COLLAPSES  # of a wreck it would say nothing
+    if math.isfinite(verdict.doubling_time) and not fell:
+        slow = verdict.doubling_time > _SLOW
         time = Quantity(verdict.doubling_time, "s")
-        yield Clause(False, diagnose("deviation-doubles", doubling_time=time))
+        minutes = verdict.doubling_time / 60 if slow else None
+        yield Clause(False, diagnose("deviation-doubles", doubling_time=time, minutes=minutes))
 
 
 def on_servos(servos: ServosUsed, *, good: bool) -> Clause:

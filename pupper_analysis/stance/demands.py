@@ -177,13 +177,16 @@ def differ_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -
     return bool((numbers.values != numbers.nominal).any())
 
 
-def is_unit_doubtful(
+def doubtful_number(
     robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
-) -> bool:
-    """Tells whether a task asks for so much more than is possible that its unit is in doubt."""
+) -> tuple[str, float] | None:
+    """Returns kind and value of what is so much more than is possible that its unit is in doubt."""
     asked, found = Numbers(robot, task, demands), Numbers(robot, possible, demands)
     more = np.abs(asked.values - asked.nominal) > _DOUBTFUL * np.abs(found.values - found.nominal)
-    return bool(more.any())
+    if not more.any():
+        return None
+    most = int(more.argmax())
+    return FIELDS[asked.keys[most].field].kind, float(asked.values[most])
 
 
 def give_up(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
@@ -250,10 +253,12 @@ def describe_limit(
     robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
 ) -> Diagnostic:
     """Tells how far some demands of a task can go."""
+    kind, number = doubtful_number(robot, task, possible, demands) or ("", 0.0)
     return diagnose(
         "demands-can-go",
         demands=[_told(possible, demand) for demand in demands],
-        far_off=is_unit_doubtful(robot, task, possible, demands),
+        angle=number if kind == "angle" else None,
+        length=number if kind and kind != "angle" else None,
     )
 
 

@@ -133,12 +133,14 @@ def test_a_stand_fits_80_columns_and_its_files_are_confirmed(
 ) -> None:
     paths = [str(tmp_path / name) for name in ("a.png", "a.html", "a.json")]
     options = zip(("--figure", "--report", "--json"), paths, strict=True)
-    status, out, _ = run_command(capfd, "stand", "v3", *(part for pair in options for part in pair))
+    status, out, _ = run_command(
+        capfd, "stand", "v3", "-v", *(part for pair in options for part in pair)
+    )
     assert status == 0
     lines = out.splitlines()
     assert lines[-3:] == [f"written: {path}" for path in paths]
     tables = [line for line in lines if re.search("─|^(leg_|[FR][RL] )", line)]
-    assert len(tables) == 12 + 4 + 2
+    assert len(tables) == 12 + 4 + 4 + 5
     assert max(map(len, tables)) <= 80
 
 

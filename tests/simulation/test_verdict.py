@@ -94,7 +94,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         VerdictCode.OWN_DRIVES_FAIL,
         False,
         "the file by itself, reset to its keyframe home: it COLLAPSES, its centre of mass is "
-        "0.285 m high, after 5 s 0.040 m, tilted by 0.02 rad; worst joint knee, 0.03 rad off "
+        "285 mm high, after 5 s 40 mm, tilted by 1.1 deg; worst joint knee, 1.7 deg off "
         "(position servo); HOLDS in MuJoCo",
     ),
     "nearly as published": (

@@ -15,8 +15,8 @@ from pupper_analysis.stance.demands import (
     Numbers,
     describe_limit,
     differ_from_nominal,
+    doubtful_number,
     give_up,
-    is_unit_doubtful,
     round_demands,
     round_in_radians,
 )
@@ -132,12 +132,13 @@ def test_a_com_is_given_up_for_the_middle_of_the_feet_that_carry() -> None:
 def test_a_unit_is_doubted_where_fifty_times_too_much_is_asked() -> None:
     robot = load("v3")
     possible = pa.StandTask(height=0.19, roll=0.3)
-    assert is_unit_doubtful(robot, pa.StandTask(height=190.0), possible, ["height"])
-    assert is_unit_doubtful(robot, pa.StandTask(roll=20.0 / 57), possible, ["roll"]) is False
-    assert is_unit_doubtful(robot, pa.StandTask(height=0.4), possible, ["height"]) is False
-    assert is_unit_doubtful(
-        robot, pa.StandTask(height=19.0, roll=0.4), possible, ["height", "roll"]
+    assert doubtful_number(robot, pa.StandTask(height=190.0), possible, ["height"]) == (
+        "length",
+        190.0,
     )
+    assert doubtful_number(robot, pa.StandTask(roll=20.0 / 57), possible, ["roll"]) is None
+    assert doubtful_number(robot, pa.StandTask(height=0.4), possible, ["height"]) is None
+    assert doubtful_number(robot, pa.StandTask(height=19.0, roll=0.4), possible, ["height", "roll"])
 
 
 def test_limits_that_go_together_are_true_in_degrees_and_in_radians() -> None:

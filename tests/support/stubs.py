@@ -313,6 +313,8 @@ def loaded(*unlimited: str) -> Any:
         failure=Failure.BUCKLING,
         bounds=bounds,
         unlimited=unlimited,
+        joint_torques=(1.0, 2.0),
+        continuous=(),
         trial=trial,
         beyond=beyond,
         verdict=judge_stance(run(0.0, passed=True), None, SERVOS, asked=Asked.CARRIES),

@@ -24,6 +24,7 @@ from pupper_analysis.cli.stance_options import (
 @robot_and_task
 @shared.figure_option
 @shared.json_option
+@shared.report_option
 def command(
     asked: RobotAndTask,
     objective: str,
@@ -31,6 +32,7 @@ def command(
     at: str,
     figure: Path | None,
     json_path: Path | None,
+    report_path: Path | None,
 ) -> None:
     """Search for the best stance: the base's pose and the place of each foot are free.
 
@@ -61,4 +63,5 @@ def command(
         result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
     asked.show(result, robot)
     draw_stand(robot, result.stance.stand, result.stance.statics, figure)
+    shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

@@ -44,14 +44,15 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
         verdict=verdict,
         failures=failures,
         told=told,
+        brief=False,  # where it stands is the answer, and is a table
     )
 
 
 def _search(best: BestStance) -> doc.Text:
     values: tuple[object, object] = (mass_text(best.value), mass_text(best.nominal_value))
     if best.objective is not Objective.PAYLOAD:
-        unit = " m" if best.objective is Objective.MARGIN else ""
-        values = (f"{best.value:.4g}{unit}", f"{best.nominal_value:.4g}{unit}")
+        unit, scale = (" mm", 1e3) if best.objective is Objective.MARGIN else (" %", 100.0)
+        values = (f"{scale * best.value:.4g}{unit}", f"{scale * best.nominal_value:.4g}{unit}")
     return text(
         "best-of-count-stances",
         count=best.evaluations,

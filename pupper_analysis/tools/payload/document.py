@@ -26,7 +26,7 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
         doc.Name(limit.name),
         (view_block(robot, limit.stand, None), payload_table(limit)),
         passed=limit.passed,
-        verdict=verdict_of_files("carries" if limit.passed else "FAILS", limit.verdict.converted),
+        verdict=_word(limit),
         failures=() if limit.passed else (*lines, *found),
         told=(
             payload_text(limit),
@@ -41,6 +41,22 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
         ),
         notes=robot_notes(robot),
     )
+
+
+def _word(limit: PayloadLimit) -> doc.Words:
+    """Returns the verdict: whether it carries, and if that lasts."""
+    limited = len(limit.joint_torques) - len(limit.unlimited)
+    if not limit.passed:
+        key = "FAILS"
+    elif not limited:
+        key = "carries"
+    elif not limit.continuous:
+        key = "carries-for-moments"
+    elif (count := limited - len(set(limit.continuous) - set(limit.unlimited))) > 0:
+        return text("carries-in-part", count=count)
+    else:
+        key = "carries-lastingly"
+    return verdict_of_files(key, limit.verdict.converted)
 
 
 def payload_text(limit: PayloadLimit) -> doc.Text:

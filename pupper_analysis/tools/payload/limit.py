@@ -109,6 +109,7 @@ class PayloadLimit(Result):
             that is nothing or infinite.
         trial: The simulation of the same nudged from all sides; None without one.
         beyond: The same with ``BEYOND`` of ``mass``; None where that stand is out of reach.
+        continuous: Joints whose effort limit is a torque that lasts; of the others it is the peak.
     """
 
     name: str
@@ -128,6 +129,7 @@ class PayloadLimit(Result):
     verdict: Verdict
     trial: PayloadTrial | None
     beyond: PayloadTrial | None
+    continuous: tuple[str, ...] = ()
 
     @property
     def bounds(self) -> dict[str, Bound]:
@@ -224,6 +226,7 @@ def payload_limit(
         mass=most,
         binding=binding,
         **bounds,
+        continuous=(),
         point=place.offset,
         link=place.link,
         unlimited=tuple(

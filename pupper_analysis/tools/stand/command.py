@@ -50,7 +50,8 @@ def command(
     Feet are detected; a floor, servos and a start pose are added where the files lack them, and
     notes say so.
 
-    Lengths are in m and angles in rad, unless they have a unit: 20mm, 2cm, 5deg.
+    Give lengths and angles with their unit: 20mm, 2cm, 5deg. A number without one is in m or rad;
+    one that cannot be meant is asked about.
 
     A stance that is out of reach is refused, and the message says what is possible. A stance
     that is reached but cannot be held (the robot slides or tips) is reported as such. In

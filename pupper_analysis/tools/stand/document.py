@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.documents.loads import load_blocks, view_block
 from pupper_analysis.present.documents.registry import build_document
@@ -18,7 +20,7 @@ from pupper_analysis.present.verdict import verdict_lines, verdict_word
 from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
-from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN
+from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState
 from pupper_analysis.tools.stand.stance import Stance
 
 DISAGREEMENT = 1e-4
@@ -54,9 +56,11 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         failures=() if stance.passed else tuple(line for line in verdict if line.mark != "good"),
         told=(
             task_text(stance.stand.task),
+            *_answer(stance),
             *(line for line in verdict if stance.passed or line.mark == "good"),
-            *_told(stance),
         ),
+        details=tuple(_details(stance)),
+        brief=True,
         notes=(*_disagreement(run), *robot_notes(robot)),
     )
 
@@ -70,32 +74,52 @@ def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
         )
 
 
-def _told(stance: Stance) -> Iterable[doc.Words]:
+def _answer(stance: Stance) -> Iterable[doc.Words]:
+    """Says what is asked first: how hard the motors work, and what it does without feed-forward."""
+    shares = stance.statics.motor_utilisation
+    if np.isfinite(shares).any():
+        most = int(np.nanargmax(np.where(np.isfinite(shares), shares, np.nan)))
+        share = f"{100 * float(shares[most]):.0f}"
+        yield text("load-of-motors", share=share, joint=doc.Name(stance.statics.joint_names[most]))
     settled = stance.settled
+    if settled is not None and not settled.failures:
+        yield text("sags-by", loss=f"{1e3 * settled.height_loss:z.1f}")
     if stance.unsettled is not None:
         yield text("no-sag-predicted", why=doc.tell(stance.unsettled))
-    if settled is not None:
-        settles = text(
-            "settles-at",
-            # Above the ground where the task has its height, which on a slope is not the world's z.
-            height=f"{(stance.stand.task.height or 0.0) - settled.height_loss:.5f}",
-            servo=f"{1e3 * settled.servo_sag:z.2f}",
-            contact=f"{1e3 * settled.contact_sag:z.2f}",
-        )
-        if settled.failures:
-            why = join_words(map(doc.tell, settled.failures), "semicolon")
-            settles = text("settles-but", settles=settles, why=why)
-        elif settled.release_margin < RELEASE_MARGIN:
-            settles = text(
-                "settles-if-let-down-slowly",
-                settles=settles,
-            )
-        yield settles
+    if settled is not None and (settled.failures or settled.release_margin < RELEASE_MARGIN):
+        yield _settles(stance, settled)
     if stance.minimum_stiffness is not None:
         yield text(
             "minimum-stiffness-of-servos",
             kp=f"{stance.minimum_stiffness:.2f}",
         )
+
+
+def _settles(stance: Stance, settled: SteadyState) -> doc.Words:
+    """Says where it settles without feed-forward."""
+    settles = text(
+        "settles-at",
+        # Above the ground where the task has its height, which on a slope is not the world's z.
+        height=f"{1e3 * ((stance.stand.task.height or 0.0) - settled.height_loss):.2f}",
+        loss=f"{1e3 * settled.height_loss:z.2f}",
+        servo=f"{1e3 * settled.servo_sag:z.2f}",
+        contact=f"{1e3 * settled.contact_sag:z.2f}",
+    )
+    if settled.failures:
+        why = join_words(map(doc.tell, settled.failures), "semicolon")
+        settles = text("settles-but", settles=settles, why=why)
+    elif settled.release_margin < RELEASE_MARGIN:
+        settles = text(
+            "settles-if-let-down-slowly",
+            settles=settles,
+        )
+    return settles
+
+
+def _details(stance: Stance) -> Iterable[doc.Words]:
+    settled = stance.settled
+    if settled is not None and not settled.failures and settled.release_margin >= RELEASE_MARGIN:
+        yield _settles(stance, settled)
     near, links = stance.stand.ground_clearance, stance.stand.self_clearance
     if near is not None:
         yield text(

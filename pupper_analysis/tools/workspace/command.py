@@ -14,8 +14,13 @@ from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_stance
 @robot_and_stance
 @shared.figure_option
 @shared.json_option
+@shared.report_option
 def command(
-    asked: RobotAndTask, words: tuple[str, ...], figure: Path | None, json_path: Path | None
+    asked: RobotAndTask,
+    words: tuple[str, ...],
+    figure: Path | None,
+    json_path: Path | None,
+    report_path: Path | None,
 ) -> None:
     """Find how far the base can rise, shift, roll, pitch and yaw from a stance.
 
@@ -43,4 +48,5 @@ def command(
 
         workspace_figure(robot, result, figure)
         shared.confirm_written(figure)
+    shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=True)

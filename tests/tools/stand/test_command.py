@@ -88,7 +88,7 @@ def test_sag_is_that_of_the_simulation() -> None:
     settled = result.settled
     loss = result.stand.qpos[2] - settled.base_height
     assert settled.servo_sag + settled.contact_sag == pytest.approx(loss)
-    assert f"settles at {settled.base_height:.5f} m" in printed(result)
+    assert f"the base settles {1e3 * settled.height_loss:.2f} mm lower" in printed(result)
 
 
 def test_a_robot_of_ones_own(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_servos_stiffness_margins_and_a_derived_variant(
     path = tmp_path / "all.json"
     status, out, err = run_command(
         capfd,
-        *("stand", "--leg-scale", "1.1", "--torso-mass-scale", "1.2", "--minimum-stiffness"),
+        *("stand", "-v", "--leg-scale", "1.1", "--torso-mass-scale", "1.2", "--minimum-stiffness"),
         *("--kp", "80", "--kd", "1.5", "--self-clearance", "0.002", "--ground-clearance", "0.005"),
         *("--offset", "0.01,0", "--json", str(path)),
     )
@@ -170,7 +170,8 @@ BAD = {
     "two lifted": (["v3", "--swing", "FL=0.02", "--swing", "FR=0.02"], "only 2 feet carry"),
     "no height": (["v3", "--swing", "FL"], "'FL' is not of the form NAME=VALUE"),
     "no number": (["v3", "--step", "FL=high"], "'high' in 'FL=high' is no length"),
-    "no place": (["v3", "--com", "middle"], "'middle'"),
+    "no place": (["v3", "--com", "insde"], "'insde' is not of the form X,Y (m), centre, inside"),
+    "metres for mm": (["v3", "--height", "12"], "did you mean 12 mm, 12 cm or 12 m?"),
     "one coordinate": (["v3", "--move", "FL=0.01"], "not of the form X,Y"),
     "slides": (["v3", "--slope", "0.8", "--pitch", "-0.8"], "1.030 is needed"),
     "figure in a folder": (["v3", "--figure", "."], "it is a folder"),
