@@ -203,7 +203,7 @@ SERVOS = {"kp", "kd", "integrator", "cone", "impratio"}
 ALWAYS = {
     "stand": {"minimum_stiffness", "explain", "effort", "payload", *SERVOS},
     "workspace": {"effort", "payload"},
-    "payload": {"at", "effort", "payload", *SERVOS},
+    "payload": {"at", "continuous", "effort", "payload", *SERVOS},
     "best": {"effort", "payload", *SERVOS},
     "path": {"seconds", "effort", "payload", *SERVOS},
     "push": {"directions", "resolution", "effort", "payload", *SERVOS},

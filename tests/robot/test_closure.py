@@ -374,7 +374,7 @@ def test_robots_with_closed_loops_stand_at_the_command_line(
 ) -> None:
     files = pair(tmp_path)
     status, out, err = run_command(
-        capfd, "stand", "--urdf", str(files.urdf), "--mjcf", str(files.mjcf)
+        capfd, "stand", "-v", "--urdf", str(files.urdf), "--mjcf", str(files.mjcf)
     )
     assert status == 0, err
     said = " ".join((out + err).split())
