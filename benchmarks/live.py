@@ -27,13 +27,12 @@ import numpy as np
 
 import pupper_analysis as pa
 from pupper_analysis.tools.live import render
-from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.documents import stance_document
 from pupper_analysis.tools.live.model import Answer, Model, predict_sag
 from pupper_analysis.tools.live.panels import Panels
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.server import LOOPBACK, Page
-from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.state import LiveVariants, State
 
 
 class Still:

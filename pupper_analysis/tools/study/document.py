@@ -20,10 +20,10 @@ from pupper_analysis.present.terminal import make_console
 from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.cells import column_label, metrics_in, standing_designs, unit_of
-from pupper_analysis.tools.study.certainty import Chance
 from pupper_analysis.tools.study.measures import METRICS, text_key
 from pupper_analysis.tools.study.outcome import MetricSummary, StudyOutcome, pareto_front
 from pupper_analysis.tools.study.plots import LINES, MeansPlot, front_plot, study_plots
+from pupper_analysis.tools.study.probability import Chance
 from pupper_analysis.tools.study.study import Estimate
 
 if TYPE_CHECKING:

@@ -29,8 +29,8 @@ from pupper_analysis.tools.study.cells import (
     standing_designs,
     value_span,
 )
-from pupper_analysis.tools.study.certainty import Certainty, certainty
 from pupper_analysis.tools.study.measures import METRICS
+from pupper_analysis.tools.study.probability import Certainty, certainty
 from pupper_analysis.tools.study.record import from_record
 from pupper_analysis.tools.study.running import Progress
 from pupper_analysis.tools.study.store import Store, require_library

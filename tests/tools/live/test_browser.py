@@ -20,10 +20,9 @@ import pytest
 from PIL import Image
 
 import pupper_analysis as pa
-from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.export import write_link, write_stance_file
 from pupper_analysis.tools.live.server import Page
-from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.state import LiveVariants, State
 from tests.present.test_html_browser import browser  # noqa: F401 - the fixture
 from tests.repository.test_readme import README, commands
 from tests.support.repository import ROOT

@@ -16,7 +16,6 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Diagnostic
-from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.door import (
     COOKIE,
     MOST_BYTES,
@@ -26,6 +25,7 @@ from pupper_analysis.tools.live.door import (
 )
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.server import Page
+from pupper_analysis.tools.live.state import LiveVariants
 from tests.support.stubs import problem
 
 viser = pytest.importorskip("viser", reason="viser is not installed")

@@ -23,7 +23,6 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.live import export, render
-from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.controls import fine_step, ranges_of, round_up
 from pupper_analysis.tools.live.documents import (
     brief_document,
@@ -50,7 +49,13 @@ from pupper_analysis.tools.live.scene import (
     parts_of,
     to_css,
 )
-from pupper_analysis.tools.live.state import State, load_source, parse_length, parse_state
+from pupper_analysis.tools.live.state import (
+    LiveVariants,
+    State,
+    load_source,
+    parse_length,
+    parse_state,
+)
 from tests.support.commands import answer as run_command
 from tests.support.variants import load
 

@@ -10,8 +10,8 @@ from urllib.parse import urlsplit
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.server import Page
+from pupper_analysis.tools.live.state import LiveVariants
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 websockets = pytest.importorskip("websockets.asyncio.client")

@@ -22,10 +22,6 @@ from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.fit.write import write_randomisation
 from pupper_analysis.tools.study import figures
 from pupper_analysis.tools.study.cells import Cells, mean_map, split_panels
-from pupper_analysis.tools.study.certainty import (
-    certainty,
-    probability_interval,
-)
 from pupper_analysis.tools.study.outcome import (
     main_effects,
     pareto_front,
@@ -33,6 +29,10 @@ from pupper_analysis.tools.study.outcome import (
     study_outcome,
 )
 from pupper_analysis.tools.study.plots import end_plots, mean_plots
+from pupper_analysis.tools.study.probability import (
+    certainty,
+    probability_interval,
+)
 from tests.support import study_metrics
 
 
