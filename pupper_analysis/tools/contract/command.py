@@ -1,0 +1,80 @@
+"""``pupper-analysis contract``: whether trainer, deployment, firmware and model agree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pupper_analysis.cli import shared
+
+
+@shared.command("contract")
+@click.argument("sources", nargs=-1, required=True)
+@click.option(
+    "--map",
+    "pairs",
+    multiple=True,
+    metavar="NAME=JOINT",
+    help="A source's name of a joint, and the model's, where they are not matched. Repeatable.",
+)
+@click.option(
+    "--no-stand", "unstood", is_flag=True, help="Do not stand the robot in the default poses."
+)
+@click.option(
+    "--fail-on",
+    type=click.Choice(["error", "warning", "note"]),
+    default="warning",
+    show_default=True,
+    help="Lowest severity that makes the exit status 1.",
+)
+@shared.all_option
+@shared.json_option
+@shared.report_option
+@shared.format_option
+def command(
+    sources: tuple[str, ...],
+    pairs: tuple[str, ...],
+    unstood: bool,
+    fail_on: str,
+    everything: bool,
+    json_path: Path | None,
+    report_path: Path | None,
+    style: str,
+) -> None:
+    """Find where trainer, deployment, firmware and model of a robot disagree.
+
+    SOURCES are its model (URDF, MJCF or USD) and what states numbers of its joints: configurations
+    of mjlab, Isaac Lab and legged_gym in Python, YAML of deployments and of ROS 2 controllers,
+    policies with metadata (ONNX, RTNeural's JSON). Joint order, signs, default angles, action
+    scales and offsets, gains, limits, armature, friction, rates and observations are compared; each
+    difference is shown with its line in both files and what it does.
+
+    Nothing of a source is imported or run. Of a file with several configurations FILE:NAME takes
+    one. A folder is where modules are looked for, and its deployments of this robot are read.
+
+    \b
+    Examples:
+      pupper-analysis contract go2.xml env_cfgs.py deploy.yaml
+      pupper-analysis contract go2.urdf unitree.py:UNITREE_GO2_CFG
+      pupper-analysis contract pupper_v3.urdf pupper_v3.xml config.yaml policy.json -v
+      pupper-analysis contract g1.xml env_cfgs.py deploy.yaml --format sarif
+
+    \b
+    Exit status: 0 they agree, 1 they differ, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.present import formats
+    from pupper_analysis.tools.contract.contract import read_contract
+    from pupper_analysis.tools.contract.document import contract_cases, contract_remarks
+
+    names = dict(shared.parse_assignment("map", pair) for pair in pairs)
+    with shared.show_progress("reading the sources, and standing the robot in them"):
+        result = read_contract(*sources, names=names, stand=not unstood, fail_on=fail_on)
+    if style in ("text", "markdown"):
+        shared.show_results([("", result)], style, everything=everything)
+    else:
+        suite = f"contract of {Path(result.model).name}"
+        remarks, cases = contract_remarks(result), contract_cases(result)
+        click.echo(formats.for_machines(style, suite, remarks, cases))
+    shared.write_page(report_path, result)
+    shared.finish_command(json_path, result, passed=result.passed)

@@ -1,0 +1,306 @@
+"""Reads what trainer, deployment, driver and model state of a robot: where do they differ?"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError, PupperAnalysisError
+from pupper_analysis.base.results import Result
+from pupper_analysis.models.stated.model import RobotModel
+from pupper_analysis.tools.contract.facts import (
+    QUANTITIES,
+    SETTINGS,
+    Request,
+    Role,
+    Source,
+    readers,
+)
+from pupper_analysis.tools.contract.findings import Disagreement, find_all
+from pupper_analysis.tools.contract.orders import Placed, place_source
+from pupper_analysis.tools.contract.poses import Pose, pose_effects, stand_poses
+from pupper_analysis.tools.contract.readers.models import read_stated
+
+MOST_FILES = 2_000
+"""Files of a folder that are looked at."""
+
+_PASSED_OVER = ("node_modules", "site-packages", "build", "install", "log", "logs", "thirdparty",
+                "__pycache__")  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Fact(Result):
+    """One number that a source states.
+
+    Attributes:
+        source: The source's name.
+        joint: The joint, by the model's name; "" of a setting.
+        quantity: What it is.
+        value: In SI units; None of an expression that is no constant.
+        unit: Its unit.
+        place: ``file:line``.
+        expression: What stands there, of what is no constant.
+        implied: Whether the source leaves it to its library's default.
+    """
+
+    source: str
+    joint: str
+    quantity: str
+    value: float | None
+    unit: str
+    place: str
+    expression: str
+    implied: bool
+
+
+@dataclass(frozen=True, eq=False)
+class SourceRead(Result):
+    """A source.
+
+    Attributes:
+        name: The file's name, and the configuration's in it.
+        path: The file.
+        role: trainer, policy, deployment, driver or model.
+        order: Its joints in the order in which a policy has them.
+        how: How that is known: named, motors or assumed.
+        unknown: Names in it that are of no joint of the model.
+        observations: What a policy observes, in order.
+    """
+
+    name: str
+    path: str
+    role: str
+    order: tuple[str, ...]
+    how: str
+    unknown: tuple[str, ...]
+    observations: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Contract(Result):
+    """What sources state of a robot, and where they differ.
+
+    Attributes:
+        model: The model file by whose joints all is ordered.
+        joints: Its joints.
+        sources: What was read.
+        facts: Every number, with its place.
+        findings: What differs, the worst first.
+        poses: How the robot stands in each source's default pose, with its gains.
+        notes: What was assumed, and what could not be read.
+        passed: Whether nothing differs that is as bad as ``fail_on``.
+    """
+
+    model: str
+    joints: tuple[str, ...]
+    sources: tuple[SourceRead, ...]
+    facts: tuple[Fact, ...]
+    findings: tuple[Disagreement, ...]
+    poses: tuple[Pose, ...]
+    notes: tuple[Diagnostic, ...]
+    passed: bool
+
+
+@check_arguments
+def read_contract(
+    *sources: str | Path,
+    names: Mapping[str, str] | None = None,
+    stand: bool = True,
+    fail_on: str = "warning",
+) -> Contract:
+    """Reads sources, at least one of them a model of the robot, and compares what they state.
+
+    Nothing of a source is imported or run: Python is read by its syntax.
+
+    Args:
+        *sources: Files or folders; of a file with several configurations ``FILE:NAME``. Folders
+            are also where modules are looked for that a Python file imports.
+        names: {a source's name of a joint: the model's}, where they are not matched.
+        stand: Whether the robot is stood in each source's default pose.
+        fail_on: The least severity of a finding with which it is not passed.
+
+    Raises:
+        ConfigurationError: If no model is given, or an argument is not valid.
+        ModelError: If a source cannot be read, has no joint of the robot, or several
+            configurations that fit; one line that tells where, and what would be valid.
+    """
+    if fail_on not in list(map(str, Severity)):
+        told = diagnose("one-of", names=[str(each) for each in Severity])
+        raise ConfigurationError("fail_on", told)
+    asked, folders = _asked(sources)
+    read: list[Source] = []
+    notes: list[Diagnostic] = []
+    for request in asked:
+        read += _one_of(request, _read(request))
+    models = [one for one in read if one.role is Role.MODEL]
+    if not models:
+        raise ConfigurationError("sources", diagnose("contract-without-model"))
+    # By its joints all is ordered: an MJCF's, as it is what trainers and engines go by.
+    models.sort(key=lambda one: one.path.suffix.lower() not in (".xml", ".mjcf"))
+    first, model = models[0], read_stated(Request(models[0].path))
+    for folder in folders:
+        found, said = _in_folder(folder, read, model, first.order, names or {})
+        read += found
+        notes += said
+    rest = [one for one in read if one is not first]
+    placed = [place_source(one, model, first.order, rest, names or {}) for one in (first, *rest)]
+    for one in placed:
+        if not one.facts and not (one.order and any(one.order)):
+            theirs = tuple(dict.fromkeys([*one.unknown, *_patterns(one.source)]))
+            told = diagnose("contract-no-joint", model=first.name, names=theirs[:4],
+                            joints=first.order[:4])  # fmt: skip
+            raise ModelError(one.source.path, told)
+        notes += [*one.source.notes, *one.notes]
+        if one.unknown:
+            word = "contract-names-unknown"
+            notes.append(diagnose(word, file=one.source.name, names=one.unknown))
+    placed.sort(key=lambda one: list(Role).index(one.source.role))
+    paths = list(dict.fromkeys(one.path for one in models))
+    poses, unstood = stand_poses(paths, placed, first.order) if stand else ((), [])
+    findings = pose_effects(find_all(placed, model, first.order), poses)
+    worst = Severity(fail_on).rank
+    return Contract(
+        model=str(first.path),
+        joints=first.order,
+        sources=tuple(map(_told, placed)),
+        facts=tuple(_facts(placed)),
+        findings=findings,
+        poses=poses,
+        notes=(*notes, *unstood),
+        passed=all(one.severity.rank > worst for one in findings),
+    )
+
+
+def _asked(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
+    """Returns the files that are to be read, and the folders."""
+    folders, files = [], list[tuple[Path, str]]()
+    for each in sources:
+        path, name = Path(each), ""
+        if not path.exists() and ":" in path.name:
+            file, _, name = str(each).rpartition(":")
+            path = Path(file)
+        if path.is_dir():
+            folders.append(path)
+        else:
+            files.append((path, name))
+    return [Request(path, name, tuple(folders)) for path, name in files], folders
+
+
+def _read(request: Request) -> list[Source]:
+    """Returns what a file holds."""
+    ending = request.path.suffix.lower()
+    able = [one for one in readers() if ending in one.suffixes]
+    if not able:
+        known = sorted({suffix for one in readers() for suffix in one.suffixes})
+        raise ModelError(request.path, diagnose("contract-of-no-kind", known=known))
+    found = [source for one in able for source in one.read(request)]
+    if not found:
+        word = "contract-name-unknown" if request.name else "contract-states-nothing"
+        raise ModelError(request.path, diagnose(word, name=request.name))
+    return found
+
+
+def _one_of(request: Request, found: list[Source]) -> list[Source]:
+    """Returns the configuration of a file, if there is one; several controllers are several.
+
+    Configurations that say the same are one, and one that another one holds is a part of it.
+    """
+    if found[0].role is not Role.TRAINER:
+        return _distinct(found)
+    kept = list(_distinct(found))
+    for one in list(kept):
+        mine = set(one.content[0])  # type: ignore[call-overload]
+        held = [other for other in kept if other is not one
+                and mine <= set(other.content[0])]  # type: ignore[call-overload]  # fmt: skip
+        if held:
+            kept.remove(one)
+    if len(kept) > 1:
+        names = [one.name.rpartition(":")[2] for one in kept]
+        told = diagnose("contract-several", names=names, file=request.path.name)
+        raise ModelError(request.path, told)
+    return kept
+
+
+def _distinct(found: Iterable[Source]) -> list[Source]:
+    kept: dict[object, Source] = {}
+    for one in found:
+        kept.setdefault(one.content, one)
+    return list(kept.values())
+
+
+def _in_folder(
+    folder: Path,
+    read: Sequence[Source],
+    model: RobotModel,
+    joints: tuple[str, ...],
+    names: Mapping[str, str],
+) -> tuple[list[Source], list[Diagnostic]]:
+    """Returns the deployments of a folder that name joints of the robot; not its modules.
+
+    What cannot be read, or has no joint of it, is another robot's: it is counted.
+    """
+    seen = {one.path.absolute() for one in read}
+    found, left, refused = list[Source](), 0, list[str]()
+    for path in _files(folder):
+        if path.absolute() in seen:
+            continue
+        try:
+            sources = [one for each in readers() if path.suffix.lower() in each.suffixes
+                       for one in each.read(Request(path))]  # fmt: skip
+        except PupperAnalysisError:
+            refused.append(path.name)
+            continue
+        for one in sources:
+            by_name = place_source(one, model, joints, (), names)
+            fits = set(by_name.names.values()) == set(joints) or (
+                by_name.how == "named" and all(by_name.order)
+            )
+            if fits and one.role is not Role.MODEL:
+                found.append(one)
+            else:
+                left += 1
+    notes = [diagnose("contract-folder", file=str(folder), count=len(found), left=left)]
+    if refused:
+        notes.append(diagnose("contract-folder-refused", count=len(refused), names=refused[:5]))
+    return found, notes
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Yields the files of a folder that may be a deployment's, in the order of their names."""
+    suffixes = (".yaml", ".yml", ".json", ".onnx")
+    number = 0
+    for top, folders, files in os.walk(folder):
+        folders[:] = sorted(one for one in folders if one[0] != "." and one not in _PASSED_OVER)
+        for name in sorted(files):
+            number += 1
+            if number > MOST_FILES:
+                return
+            if Path(name).suffix.lower() in suffixes:
+                yield Path(top) / name
+
+
+def _patterns(source: Source) -> list[str]:
+    return [one.joint for one in source.statements if one.joint]
+
+
+def _told(one: Placed) -> SourceRead:
+    source = one.source
+    seen = tuple(name for name, _, _ in source.observations)
+    return SourceRead(source.name, str(source.path), str(source.role), one.order, one.how,
+                      one.unknown, seen)  # fmt: skip
+
+
+def _facts(placed: Iterable[Placed]) -> Iterator[Fact]:
+    for one in placed:
+        for (quantity, joint), said in one.facts.items():
+            unit = QUANTITIES[quantity].unit if quantity in QUANTITIES else "1"
+            yield Fact(one.source.name, joint, quantity, said.value, unit, said.place.path,
+                       said.expression, said.implied)  # fmt: skip
+        for name, said in one.settings.items():
+            unit = SETTINGS[name].unit if name in SETTINGS else "1"
+            yield Fact(one.source.name, "", name, said.value, unit, said.place.path,
+                       said.expression, said.implied)  # fmt: skip

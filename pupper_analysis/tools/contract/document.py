@@ -1,0 +1,212 @@
+"""The document of a contract: what differs, both lines side by side; and all that is stated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import zip_longest
+from pathlib import Path
+
+from pupper_analysis.base.diagnostics import Severity
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.sources import page_of, quote_line
+from pupper_analysis.present.formats import Annotation, CheckedItem
+from pupper_analysis.present.words import join_words, text, word
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.contract.contract import Contract, Fact
+from pupper_analysis.tools.contract.facts import QUANTITIES, SETTINGS
+from pupper_analysis.tools.contract.findings import Disagreement
+
+MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
+LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
+
+SHOWN = 25
+"""Findings whose lines are shown side by side; the table has them all."""
+
+
+@build_document.register(Contract)
+def contract_document(contract: Contract, _: Robot | None = None) -> doc.Document:
+    """Returns what differs between sources, and what they state; see ``build_document``."""
+    told = text("contract-count", findings=len(contract.findings), facts=len(contract.facts),
+                sources=len(contract.sources))  # fmt: skip
+    found = bool(contract.findings)
+    agree = text("contract-agree") if not found else text("contract-agree-but")
+    return doc.Document(
+        text("contract"),
+        doc.Name(Path(contract.model).name),
+        tuple(_blocks(contract)),
+        passed=contract.passed,
+        verdict=agree if contract.passed else text("contract-differ"),
+        warned=contract.passed and found,
+        told=(told,),
+        notes=tuple(map(doc.tell, contract.notes)),
+    )
+
+
+def _blocks(contract: Contract) -> Iterable[doc.Block]:
+    for number, finding in enumerate(contract.findings):
+        yield _sides(finding, detail=number >= SHOWN)
+    if contract.poses:
+        yield _poses(contract)
+    yield _sources(contract)
+    for quantity in QUANTITIES:
+        stating = [one for one in contract.facts if one.quantity == quantity and one.joint]
+        if stating:
+            yield _table(contract, quantity, stating)
+    settings = [one for one in contract.facts if not one.joint]
+    if settings:
+        yield _settings(contract, settings)
+    if any(one.observations for one in contract.sources):
+        yield _observations(contract)
+
+
+def _sides(finding: Disagreement, *, detail: bool) -> doc.Sides:
+    columns = [
+        doc.FilePlace(
+            doc.Name(Path(place).name), doc.Name(quote_line(place) or _value(finding, n)), place
+        )
+        for n, place in enumerate(finding.places)
+    ]
+    tag: doc.Words = word(str(finding.severity))
+    if finding.slip:
+        tag = text("severity-rule", severity=tag, rule=finding.slip)
+    tag = tag.marked(MARKS[finding.severity]) if isinstance(tag, doc.Text) else tag
+    return doc.Sides(doc.tell(finding.diagnostic), tuple(columns),
+                     tuple(map(doc.tell, finding.effects)), tag, detail)  # fmt: skip
+
+
+def _value(finding: Disagreement, number: int) -> str:
+    value = finding.values[number]
+    return "-" if value is None else f"{value:.6g} {finding.unit}".rstrip()
+
+
+def _poses(contract: Contract) -> doc.Table:
+    columns = (doc.Column(text("contract-source"), left=True),
+               doc.Column(text("contract-height"), "m"),
+               doc.Column(text("contract-sag"), "mm"),
+               doc.Column(text("contract-utilisation"), "%"),
+               doc.Column(text("contract-moved"), "rad", detail=True),
+               doc.Column(text("contract-stays"), left=True))  # fmt: skip
+    rows = tuple(
+        (
+            doc.Name(pose.source),
+            doc.number_cell(pose.height, ".3f"),
+            doc.number_cell(pose.sag, ".1f", scale=1e3),
+            doc.number_cell(pose.utilisation, ".1f", scale=100.0),
+            doc.number_cell(pose.moved, ".3f"),
+            doc.Name("-") if pose.stays is None
+            else text("contract-stays-up") if pose.stays
+            else text("contract-falls").marked("bad"),
+        )
+        for pose in contract.poses
+    )  # fmt: skip
+    notes = tuple(
+        text("contract-pose-note", source=pose.source, why=doc.tell(pose.problem))
+        for pose in contract.poses if pose.problem is not None
+    )  # fmt: skip
+    source = (page_of("how-to/contract.md", "How it stands"),)
+    return doc.Table(text("contract-poses"), columns, rows, notes, source)
+
+
+def _sources(contract: Contract) -> doc.Table:
+    columns = (doc.Column(text("contract-source"), left=True),
+               doc.Column(text("contract-role"), left=True),
+               doc.Column(text("contract-numbers"), "1"),
+               doc.Column(text("contract-order-how"), left=True))  # fmt: skip
+    rows = tuple(
+        (
+            doc.Name(one.name),
+            word(one.role),
+            doc.number_cell(sum(fact.source == one.name for fact in contract.facts), ".0f"),
+            text(f"contract-order-{one.how or 'none'}"),
+        )
+        for one in contract.sources
+    )
+    return doc.Table(text("contract-sources"), columns, rows, detail=False)
+
+
+def _table(contract: Contract, quantity: str, facts: Sequence[Fact]) -> doc.Table:
+    """Returns a quantity: a row per joint, a column per source that states it."""
+    by = {(one.joint, one.source): one for one in facts}
+    names = [one.name for one in contract.sources if any(f.source == one.name for f in facts)]
+    differ = {(joint, one.sources[1]) for one in contract.findings if one.kind == quantity
+              for joint in one.joints}  # fmt: skip
+    rows = []
+    for joint in contract.joints:
+        said = [by.get((joint, name)) for name in names]
+        if any(said):
+            marks = ["bad" if (joint, name) in differ else "" for name in names]
+            rows.append((doc.Name(joint), *map(_cell, said, marks)))
+    unit = QUANTITIES[quantity].unit
+    columns = [doc.Column(text("joint"), left=True)]
+    columns += [doc.Column(doc.Name(name), unit) for name in names]
+    places = {name: next(one.place for one in facts if one.source == name) for name in names}
+    notes = (join_words(text("contract-first-place", source=name, place=Path(place).name)
+                        for name, place in places.items()),)  # fmt: skip
+    return doc.Table(word(quantity), tuple(columns), tuple(rows), notes, detail=True)
+
+
+def _cell(fact: Fact | None, mark: str) -> doc.Cell:
+    if fact is None:
+        return doc.Name("")
+    if fact.value is None:
+        return text("contract-no-constant", expression=fact.expression)
+    return doc.Number(f"{fact.value:.5g}", fact.value, mark)
+
+
+def _settings(contract: Contract, facts: Sequence[Fact]) -> doc.Table:
+    names = [one.name for one in contract.sources if any(f.source == one.name for f in facts)]
+    by = {(one.quantity, one.source): one for one in facts}
+    words = dict.fromkeys(one.quantity for one in facts)
+    columns = [doc.Column(text("contract-setting"), left=True)]
+    columns += [doc.Column(doc.Name(name)) for name in names]
+    rows: list[tuple[doc.Cell, ...]] = []
+    for what in words:
+        said = word(what) if what in SETTINGS else doc.Name(what)
+        rows.append((said, *(_cell(by.get((what, name)), "") for name in names)))
+    return doc.Table(text("contract-settings"), tuple(columns), tuple(rows), detail=True)
+
+
+def _observations(contract: Contract) -> doc.Table:
+    seen = {one.name: one.observations for one in contract.sources if one.observations}
+    columns = [doc.Column(text("ordinal"), "1")]
+    columns += [doc.Column(doc.Name(name), left=True) for name in seen]
+    rows: list[tuple[doc.Cell, ...]] = []
+    for number, row in enumerate(zip_longest(*seen.values(), fillvalue=""), start=1):
+        rows.append((doc.number_cell(number, ".0f"), *map(doc.Name, row)))
+    title = text("contract-observations")
+    return doc.Table(title, tuple(columns), tuple(rows), detail=True)
+
+
+# For machines.
+
+
+def contract_remarks(contract: Contract) -> list[Annotation]:
+    """Returns each finding as an annotation at the line of each source."""
+    return [
+        Annotation(
+            LEVELS[one.severity],
+            f"{one.slip or one.kind}: {', '.join(one.joints[:3]) or one.kind}",
+            f"{one.message} [{one.places[1 - number]}]",
+            place,
+            rule=f"contract/{one.kind.replace(' ', '-')}",
+            about=one.kind,
+            diagnostic=one.diagnostic,
+        )
+        for one in contract.findings
+        for number, place in dict.fromkeys(enumerate(one.places))
+    ]
+
+
+def contract_cases(contract: Contract) -> list[CheckedItem]:
+    """Returns one case per quantity that is stated; errors and warnings are its failures."""
+    kinds = dict.fromkeys([*(one.quantity for one in contract.facts),
+                           *(one.kind for one in contract.findings)])  # fmt: skip
+    cases = []
+    for kind in kinds:
+        found = [one for one in contract.findings if one.kind == kind]
+        failed = [one for one in found if one.severity is not Severity.NOTE]
+        lines = [f"{one.places[0]}, {one.places[1]}: {one.message}" for one in failed]
+        told = tuple(one.diagnostic for one in failed)
+        cases.append(CheckedItem(kind, "\n".join(lines) or None, told))
+    return cases

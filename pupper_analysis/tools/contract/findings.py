@@ -1,0 +1,375 @@
+"""What differs between sources: reads facts alone, and says nothing of how they were read."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
+from pupper_analysis.base.results import Result
+from pupper_analysis.models.stated.model import RobotModel
+from pupper_analysis.tools.contract.facts import QUANTITIES, SETTINGS, Kind, Role, Statement
+from pupper_analysis.tools.contract.orders import (
+    Placed,
+    mirror_of,
+    mirrored_sign,
+    permutation,
+)
+
+_SAME = 2e-6
+"""Relative: what single precision and seven printed digits leave of a number."""
+
+_FINE = 5
+"""Digits after the point from which on a number was worked out: others may be rounded from it."""
+
+_ROUNDED = 0.1
+"""Greatest share of a number that rounding it takes away or adds: 0.07 for 0.0745."""
+
+_UNITS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}
+"""{unit: how many of it are one of ours}."""
+
+_UNIT_TOLERANCE = 5e-3
+"""Relative: degrees are written to three digits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Disagreement(Result):
+    """One thing in which sources differ, or in which one contradicts itself.
+
+    Attributes:
+        kind: The quantity; ``order``, ``observations``, or ``expression`` of what is no constant.
+        slip: Which slip it looks like: ``sign``, ``unit``, ``order``, ``mirror``, or "".
+        joints: The joints that it is of.
+        sources: The sources' names, the one that is held to be meant first.
+        values: Of the first joint, in both; None where it is no number.
+        unit: Their unit.
+        severity: How bad it is.
+        diagnostic: What it is.
+        places: Where each value stands, ``file:line``.
+        effects: What it does.
+    """
+
+    kind: str
+    slip: str
+    joints: tuple[str, ...]
+    sources: tuple[str, ...]
+    values: tuple[float | None, ...]
+    unit: str
+    severity: Severity
+    diagnostic: Diagnostic
+    places: tuple[str, ...]
+    effects: tuple[Diagnostic, ...] = ()
+
+    _told = ("message",)
+
+    @property
+    def message(self) -> str:
+        """It in one sentence, with what it does."""
+        return "; ".join(map(str, (self.diagnostic, *self.effects)))
+
+
+def find_all(
+    placed: Sequence[Placed], model: RobotModel, joints: tuple[str, ...]
+) -> tuple[Disagreement, ...]:
+    """Returns what differs, the worst first.
+
+    Args:
+        placed: The sources, in the order in which one is held against another.
+        model: The robot.
+        joints: Its joints.
+    """
+    found = [*_orders(placed), *_settings(placed), *_observations(placed)]
+    for quantity, kind in QUANTITIES.items():
+        if kind.severity is not None:
+            found += _of_quantity(quantity, kind, placed, joints)
+            if kind.mirrored:
+                found += _mirrored(quantity, kind, placed, model, joints)
+    offsets = {one.joints for one in found if one.kind == "default angle"}
+    kept = [one for one in found if one.kind != "action offset" or one.joints not in offsets]
+    return tuple(sorted(kept, key=lambda one: one.severity.rank))
+
+
+def agree(one: Statement, two: Statement) -> bool:
+    """Whether two numbers are one: the same, or the one rounded from the other, worked out."""
+    a, b = one.value, two.value
+    if a is None or b is None:
+        return True  # nobody knows
+    if a == b or abs(a - b) <= _SAME * max(abs(a), abs(b)):
+        return True
+    for rounded, fine in ((one, two), (two, one)):
+        written = fine.decimals is None or fine.decimals >= _FINE
+        if rounded.decimals is None or not written or rounded.value is None or fine.value is None:
+            continue
+        step = 0.5 * 10.0**-rounded.decimals
+        near = abs(rounded.value - fine.value)
+        if (near <= step * (1 + 1e-9) and near <= _ROUNDED * abs(fine.value)) or near < 1e-9:
+            return True
+    return False
+
+
+def _of_quantity(
+    quantity: str, kind: Kind, placed: Sequence[Placed], joints: tuple[str, ...]
+) -> Iterator[Disagreement]:
+    """Yields in what each source differs from the first that states a joint's number."""
+    pairs: dict[tuple[int, int], list[str]] = {}
+    for joint in joints:
+        stating = [number for number, one in enumerate(placed)
+                   if (quantity, joint) in one.facts
+                   and one.facts[quantity, joint].value is not None]  # fmt: skip
+        for other in stating[1:]:
+            one, two = (placed[n].facts[quantity, joint] for n in (stating[0], other))
+            if quantity == "effort" and not math.isfinite(max(one.value or 0, two.value or 0)):
+                continue
+            if not agree(one, two):
+                pairs.setdefault((stating[0], other), []).append(joint)
+    for (first, other), differing in pairs.items():
+        yield from _grouped(quantity, kind, placed[first], placed[other], differing)
+
+
+def _grouped(
+    quantity: str, kind: Kind, first: Placed, other: Placed, joints: list[str]
+) -> Iterator[Disagreement]:
+    """Yields findings of two sources: one of an order, or one for each pair of values."""
+    one = {joint: first.facts[quantity, joint] for joint in joints}
+    two = {joint: other.facts[quantity, joint] for joint in joints}
+    swapped = _exchange(one, two)
+    if swapped:
+        pairs = tuple(f"{joint} ↔ {whose}" for joint, whose in swapped.items() if joint < whose)
+        told = diagnose("contract-exchanged", what=Term(quantity), joints=tuple(joints),
+                        pairs=pairs or tuple(f"{a} → {b}" for a, b in swapped.items()),
+                        file=other.source.name, other=first.source.name)  # fmt: skip
+        yield _finding(quantity, "order", kind, first, other, joints, told)
+        return
+    groups: dict[tuple[float, float], list[str]] = {}
+    for joint in joints:
+        a, b = one[joint].value or 0.0, two[joint].value or 0.0
+        signs = (1 if a >= 0 else -1) if quantity in _ANGLES else 1
+        groups.setdefault((round(signs * a, 9), round(signs * b, 9)), []).append(joint)
+    for (a, b), members in groups.items():
+        slip, unit = _slip(quantity, a, b)
+        severity = kind.severity
+        # What asks for less than the model allows may be meant.
+        if quantity in ("lower limit", "upper limit") and _inside(quantity, first, other, members):
+            severity = Severity.NOTE
+        if quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b)):
+            severity = Severity.NOTE
+        told = diagnose("contract-differs", subject=("joint", members[0]), what=Term(quantity),
+                        others=tuple(members[1:]),
+                        one=Quantity(one[members[0]].value or 0.0, kind.unit),
+                        two=Quantity(two[members[0]].value or 0.0, kind.unit),
+                        first=first.source.name, second=other.source.name,
+                        sign=slip == "sign" or None, unit=unit or None,
+                        side=_side(members, one, two) or None)  # fmt: skip
+        yield _finding(quantity, slip, kind, first, other, members, told, severity,
+                       tuple(_effects(quantity, a, b)))  # fmt: skip
+
+
+def _side(joints: Sequence[str], one: dict[str, Statement], two: dict[str, Statement]) -> str:
+    """Returns the joint of the other side, if sides that were exchanged make the difference."""
+    sides = {joint: mirror_of(joint, list(one)) for joint in joints}
+    if not all(sides.values()):
+        return ""
+    same = all(agree(two[joint], one[other]) for joint, other in sides.items())
+    return sides[joints[0]] if same else ""
+
+
+_NEAR = 0.02
+"""Relative difference of limits of motors that is no more than how a data sheet is rounded."""
+
+_ANGLES = ("default angle", "action offset")
+
+
+def _inside(quantity: str, first: Placed, other: Placed, joints: Sequence[str]) -> bool:
+    """Whether what is no model is within the limits that a model states."""
+    limits = [one for one in (first, other) if one.source.role is Role.MODEL]
+    asked = [one for one in (first, other) if one.source.role is not Role.MODEL]
+    if len(limits) != 1:
+        return False
+    sign = 1 if quantity == "upper limit" else -1
+    return all(
+        sign * (asked[0].facts[quantity, joint].value or 0.0)
+        <= sign * (limits[0].facts[quantity, joint].value or 0.0) + 1e-6
+        for joint in joints
+    )
+
+
+def _exchange(one: dict[str, Statement], two: dict[str, Statement]) -> dict[str, str]:
+    """Returns {joint: whose number it has}, if all that differs is whose each number is."""
+    if len(one) < 2:
+        return {}
+    a = Counter(round(said.value or 0.0, 6) for said in one.values())
+    b = Counter(round(said.value or 0.0, 6) for said in two.values())
+    if a != b or any(count > len(one) / 2 for count in a.values()) or _all_opposite(one, two):
+        return {}
+    left, found = list(one), {}
+    for joint, said in two.items():
+        fits = [each for each in left if each != joint and agree(one[each], said)]
+        # Those that changed places with each other before all others.
+        best = next(
+            (each for each in fits if agree(two[each], one[joint])), fits[0] if fits else ""
+        )
+        if not best:
+            return {}
+        left.remove(best)
+        found[joint] = best
+    return found
+
+
+def _all_opposite(one: dict[str, Statement], two: dict[str, Statement]) -> bool:
+    """Whether each number is the other's, with the other sign: an exchange of signs, not sides."""
+    return all(abs((one[j].value or 0.0) + (two[j].value or 0.0)) < 1e-9 for j in one)
+
+
+def _slip(quantity: str, a: float, b: float) -> tuple[str, str]:
+    """Returns which slip would make the one number of the other, and the unit, if it is that."""
+    if a and abs(a + b) <= _SAME * abs(a):
+        return "sign", ""
+    if a and b:
+        for unit, size in _UNITS.items():
+            if unit != "mm" or quantity == "action scale":
+                for ratio in (b / a, a / b):
+                    if abs(ratio / size - 1) < _UNIT_TOLERANCE:
+                        return "unit", unit
+    return "", ""
+
+
+def _effects(quantity: str, a: float, b: float) -> Iterator[Diagnostic]:
+    """Yields what a difference does, as far as the numbers alone tell."""
+    if not a or not math.isfinite(a) or not math.isfinite(b):
+        return
+    share = Quantity(b / a, "1")
+    if quantity == "action scale":
+        yield diagnose("contract-effect-scale", share=share)
+    elif quantity == "kp" and b > 0:
+        yield diagnose("contract-effect-kp", share=Quantity(a / b, "1"))
+    elif quantity == "kd":
+        yield diagnose("contract-effect-kd", share=share)
+    elif quantity in ("effort", "velocity"):
+        yield diagnose("contract-effect-limit", share=share, what=Term(quantity))
+    elif quantity in _ANGLES:
+        yield diagnose("contract-effect-angle", angle=Quantity(abs(b - a), "rad"))
+
+
+def _finding(
+    kind_of: str,
+    slip: str,
+    kind: Kind,
+    first: Placed,
+    other: Placed,
+    joints: Sequence[str],
+    told: Diagnostic,
+    severity: Severity | None = None,
+    effects: tuple[Diagnostic, ...] = (),
+) -> Disagreement:
+    said = [one.facts[kind_of, joints[0]] for one in (first, other)]
+    return Disagreement(kind_of, slip, tuple(joints), (first.source.name, other.source.name),
+                   tuple(one.value for one in said), kind.unit,
+                   severity or kind.severity or Severity.NOTE, told,
+                   tuple(one.place.path for one in said), effects)  # fmt: skip
+
+
+def _mirrored(
+    quantity: str,
+    kind: Kind,
+    placed: Sequence[Placed],
+    model: RobotModel,
+    joints: tuple[str, ...],
+) -> Iterator[Disagreement]:
+    """Yields where a source has another number left than right: it contradicts itself."""
+    for source in placed:
+        for joint in joints:
+            other = mirror_of(joint, joints)
+            if not other or joints.index(other) < joints.index(joint):
+                continue
+            one, two = (source.facts.get((quantity, each)) for each in (joint, other))
+            if one is None or two is None or one.value is None or two.value is None:
+                continue
+            sign = mirrored_sign(model, joint, other) if kind.mirrored < 0 else 1
+            if not sign or abs(one.value - sign * two.value) <= 1e-3 * abs(one.value) + 1e-9:
+                continue
+            told = diagnose("contract-mirror", subject=("joint", joint), what=Term(quantity),
+                            mirror=other, one=Quantity(one.value, kind.unit),
+                            two=Quantity(two.value, kind.unit), file=source.source.name,
+                            wanted=Quantity(sign * one.value, kind.unit))  # fmt: skip
+            name = source.source.name
+            yield Disagreement(quantity, "mirror", (joint, other), (name, name),
+                          (one.value, two.value), kind.unit, Severity.WARNING, told,
+                          (one.place.path, two.place.path))  # fmt: skip
+
+
+def _orders(placed: Sequence[Placed]) -> Iterator[Disagreement]:
+    """Yields where what feeds a policy has its joints in another order than another that does."""
+    feeding = [one for one in placed if one.source.role is not Role.MODEL and one.order
+               and (one.facts or one.source.motors)]  # fmt: skip
+    for first, other in ((feeding[0], one) for one in feeding[1:]):
+        moved = permutation(first.order, other.order)
+        if not moved or set(first.order) != set(other.order):
+            continue
+        words = tuple(f"{a} → {b} ({joint})" for a, b, joint in moved)
+        told = diagnose("contract-order", first=first.source.name, second=other.source.name,
+                        count=len(moved), moved=words[:6],
+                        more=max(0, len(words) - 6) or None)  # fmt: skip
+        places = [one.source.order_place for one in (first, other)]
+        paths = [str(one.source.path) if place is None else place.path
+                 for one, place in zip((first, other), places, strict=True)]  # fmt: skip
+        yield Disagreement("order", "order", tuple(joint for _, _, joint in moved),
+                      (first.source.name, other.source.name), (None, None), "", Severity.ERROR,
+                      told, tuple(paths))  # fmt: skip
+
+
+def _settings(placed: Sequence[Placed]) -> Iterator[Disagreement]:
+    words = dict.fromkeys(word for one in placed for word in one.settings)
+    for word in words:
+        kind = SETTINGS.get(word, Kind("1", Severity.ERROR, 0))
+        stating = [one for one in placed if word in one.settings]
+        for other in stating[1:] if kind.severity is not None else ():
+            one, two = stating[0].settings[word], other.settings[word]
+            if one.value is None or two.value is None or agree(one, two):
+                continue
+            a, b = Quantity(one.value, kind.unit), Quantity(two.value, kind.unit)
+            told = diagnose("contract-setting", what=_term(word), one=a, two=b,
+                            first=stating[0].source.name,
+                            second=other.source.name)  # fmt: skip
+            yield Disagreement(word, "", (), (stating[0].source.name, other.source.name),
+                          (one.value, two.value), kind.unit, kind.severity or Severity.NOTE, told,
+                          (one.place.path, two.place.path))  # fmt: skip
+
+
+def _term(word: str) -> Term | str:
+    return Term(word) if word in SETTINGS else word
+
+
+_CALLED = {"generated_commands": "commands", "velocity_commands": "commands",
+           "command": "commands", "joint_pos_rel": "joint_pos", "joint_vel_rel": "joint_vel",
+           "last_action": "actions", "action": "actions", "last_actions": "actions",
+           "imu_ang_vel": "base_ang_vel", "base_ang_vel_b": "base_ang_vel"}  # fmt: skip
+"""{what one library calls a part of what a policy observes: what the others do}."""
+
+
+def _observations(placed: Sequence[Placed]) -> Iterator[Disagreement]:
+    """Yields where two sources observe the same things in another order, or otherwise scaled."""
+    stating = [one for one in placed if one.source.observations]
+    for first, other in ((stating[0], one) for one in stating[1:]):
+        one, two = ([_CALLED.get(name, name) for name, _, _ in each.source.observations]
+                    for each in (first, other))  # fmt: skip
+        sides = (first.source, other.source)
+        places = tuple(each.observations[0][2].path for each in sides)
+        names = (first.source.name, other.source.name)
+        common = set(one) & set(two)
+        kept = [[name for name in each if name in common] for each in (one, two)]
+        if kept[0] != kept[1]:
+            told = diagnose("contract-observed-order", first=names[0], second=names[1],
+                            one=tuple(kept[0]), two=tuple(kept[1]))  # fmt: skip
+            yield Disagreement("observations", "order", (), names, (None, None), "", Severity.ERROR,
+                          told, places)  # fmt: skip
+        scales = [{_CALLED.get(name, name): (scale, place)
+                   for name, scale, place in each.observations} for each in sides]  # fmt: skip
+        for name in kept[0]:
+            (a, here), (b, there) = scales[0][name], scales[1][name]
+            if a is not None and b is not None and abs(a - b) > 1e-6 * max(abs(a), abs(b)):
+                told = diagnose("contract-observed-scale", what=name, one=a, two=b,
+                                first=names[0], second=names[1])  # fmt: skip
+                yield Disagreement("observations", "", (), names, (a, b), "1", Severity.ERROR, told,
+                              (here.path, there.path))  # fmt: skip

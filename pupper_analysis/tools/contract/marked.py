@@ -1,0 +1,77 @@
+"""YAML and JSON with the line of each value; nothing but plain values is made of them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import yaml
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.places import Place, one_line, source_name
+from pupper_analysis.tools.contract.facts import MOST, Node
+
+_FLOAT = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+"""Numbers as people write them: YAML 1.1 has ``1e-3`` as a text, its readers in C++ as a number."""
+
+
+def read_marked(path: Path, text: str) -> list[Node]:
+    """Returns the documents of a YAML, of which JSON is a part.
+
+    Tags are no types: a list of whatever tag is a list. An alias is what it stands for.
+
+    Raises:
+        ModelError: If it is none, or holds too much; it tells the line.
+    """
+    try:
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+        documents = list(yaml.compose_all(text, Loader=loader))
+        left = [MOST]
+        return [_node(path, one, left) for one in documents if one is not None]
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        told = diagnose("contract-no-yaml", problem=one_line(error.problem or error.context or ""))
+        raise ModelError(source_name(path, mark.line + 1 if mark else None), told) from error
+    except yaml.YAMLError as error:
+        raise ModelError(path, diagnose("contract-no-yaml", problem=one_line(error))) from error
+    except RecursionError as error:
+        raise ModelError(path, diagnose("contract-too-deep")) from error
+
+
+def _node(path: Path, node: yaml.Node, left: list[int]) -> Node:
+    line = node.start_mark.line + 1
+    left[0] -= 1
+    if left[0] < 0:
+        raise ModelError(source_name(path, line), diagnose("contract-too-much", most=MOST))
+    place = Place(path, line)
+    if isinstance(node, yaml.MappingNode):
+        found = {}
+        for key, value in node.value:
+            found[str(key.value)] = _node(path, value, left)
+        return Node(found, place)
+    if isinstance(node, yaml.SequenceNode):
+        return Node([_node(path, one, left) for one in node.value], place)
+    return _scalar(node, place)
+
+
+def _scalar(node: yaml.ScalarNode, place: Place) -> Node:
+    said = str(node.value)
+    if node.style in ("'", '"', "|", ">"):
+        return Node(said, place)
+    if said.lower() in ("", "~", "null"):
+        return Node(None, place)
+    if said.lower() in ("true", "false"):
+        return Node(said.lower() == "true", place)
+    if len(said) <= 64 and _FLOAT.match(said):
+        plain = said.replace("_", "")
+        return Node(float(plain), place, decimals_of(plain))
+    if said.lower() in (".inf", "-.inf", "inf", "-inf"):
+        return Node(float(said.replace(".", "")), place, 0)
+    return Node(said, place)
+
+
+def decimals_of(text: str) -> int:
+    """Returns the digits after the point of a number as it is written; with its exponent."""
+    head, _, exponent = text.lower().partition("e")
+    return max(0, len(head.partition(".")[2]) - int(exponent or 0))

@@ -1,0 +1,221 @@
+"""Which joint each statement of a source is of: by name, by pattern, or by its place in a list."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.stated.model import RobotModel
+from pupper_analysis.robot.matching.pairs import without_affixes
+from pupper_analysis.tools.contract.facts import Role, Source, Statement, matches
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A source whose statements are each of a joint of the robot.
+
+    Attributes:
+        source: What was read.
+        facts: {(quantity, joint): what is stated of it}.
+        settings: {setting: what is stated of it}.
+        order: The robot's joints in the order in which a policy has them; empty if not known.
+        how: How that is known: ``named``, ``motors``, ``policy``, ``assumed``, or "" if it is not.
+        names: {the source's name: the joint}.
+        unknown: Names that are of no joint of the robot.
+        notes: What was assumed.
+    """
+
+    source: Source
+    facts: Mapping[tuple[str, str], Statement]
+    settings: Mapping[str, Statement]
+    order: tuple[str, ...] = ()
+    how: str = ""
+    names: Mapping[str, str] = field(default_factory=dict)
+    unknown: tuple[str, ...] = ()
+    notes: tuple[Diagnostic, ...] = ()
+
+
+def breadth_first(model: RobotModel) -> tuple[str, ...]:
+    """Returns a model's joints by their depth in the tree, as Isaac Lab has them."""
+    level, found = [model.base], list[str]()
+    while level:
+        below = [child for name in level for child in model.children(name)]
+        found += [joint.name for child in below for joint in child.joints if joint.moves]
+        level = [child.name for child in below]
+    return tuple(found)
+
+
+def depth_first(model: RobotModel) -> tuple[str, ...]:
+    """Returns a model's joints limb by limb, as MuJoCo and Isaac Gym have them."""
+    roots = [link.name for link in model.links.values() if link.parent is None]
+    way = list(roots)
+    for root in roots:
+        way[way.index(root) + 1 : way.index(root) + 1] = [
+            one.name for one in model.descendants(root)
+        ]
+    return tuple(joint.name for name in way for joint in model.links[name].joints if joint.moves)
+
+
+def limbs(model: RobotModel) -> dict[str, tuple[str, ...]]:
+    """Returns {joint: the joints from the base to it}."""
+    above: dict[str, tuple[str, ...]] = {}
+    for link in model.links.values():
+        way = above.get(link.parent or "", ())
+        above[link.name] = (*way, *(joint.name for joint in link.joints if joint.moves))
+    return {way[-1]: way for way in above.values() if way}
+
+
+def name_joints(
+    names: Sequence[str], joints: Sequence[str], given: Mapping[str, str]
+) -> dict[str, str]:
+    """Returns {a source's name: the joint it means}: as given, the same, or but for affixes."""
+    pairs = {name: given[name] for name in names if given.get(name) in joints}
+    pairs |= {name: name for name in names if name in joints and name not in pairs}
+    return {**pairs, **without_affixes(names, joints, pairs)}
+
+
+def place_source(
+    source: Source,
+    model: RobotModel,
+    joints: tuple[str, ...],
+    others: Sequence[Source],
+    given: Mapping[str, str],
+) -> Placed:
+    """Returns of which joint each statement is.
+
+    Args:
+        source: What was read.
+        model: The robot.
+        joints: Its joints, in the order of its file.
+        others: All sources: what one leaves open another may say.
+        given: {a source's name: joint}, as the user says.
+    """
+    plain = [one.joint for one in source.statements if one.joint and _PLAIN.fullmatch(one.joint)]
+    names = list(dict.fromkeys((*source.order, *plain)))
+    known = name_joints(names, joints, given)
+    order, how, notes = _order(source, model, joints, others, known, given)
+    reverse = {joint: name for name, joint in known.items()}
+    facts: dict[tuple[str, str], Statement] = {}
+    settings: dict[str, Statement] = {}
+    for one in source.statements:
+        if one.index is not None:
+            if one.index < len(order) and order[one.index]:
+                facts[one.quantity, order[one.index]] = one
+        elif not one.joint:
+            settings[one.quantity] = one
+        elif one.joint in known:
+            facts[one.quantity, known[one.joint]] = one
+        else:
+            for joint in joints:
+                if matches(one.joint, joint) or matches(one.joint, reverse.get(joint, joint)):
+                    facts[one.quantity, joint] = one
+    unknown = tuple(name for name in names if name not in known)
+    return Placed(source, facts, settings, order, how, known, unknown, tuple(notes))
+
+
+_PLAIN = re.compile(r"[\w/\- ]+")
+"""A name, and no pattern."""
+
+
+def _order(
+    source: Source,
+    model: RobotModel,
+    joints: tuple[str, ...],
+    others: Sequence[Source],
+    known: Mapping[str, str],
+    given: Mapping[str, str],
+) -> tuple[tuple[str, ...], str, list[Diagnostic]]:
+    """Returns the joints in the order of a source's lists, how that is known, and notes."""
+    if source.order:
+        return tuple(known.get(name, "") for name in source.order), "named", []
+    sizes = {one.index for one in source.statements if one.index is not None}
+    size = max(len(source.motors), 1 + max(sizes, default=-1))
+    if not size:
+        return (), "", []
+    named = next((one for one in others if one.motor_names), None)
+    if source.motors and named is not None and max(source.motors) < len(named.motor_names):
+        motors = name_joints(named.motor_names, joints, given)
+        found = [motors.get(named.motor_names[one], "") for one in source.motors]
+        return tuple(found), "motors", []
+    if size > len(joints):
+        told = diagnose("contract-order-unknown", count=size, joints=len(joints))
+        return (), "", [told]
+    policies = [one for one in others if one.role is Role.POLICY and len(one.order) == size]
+    if policies and source.role is Role.DEPLOYMENT:  # it runs that policy
+        names = name_joints(policies[0].order, joints, given)
+        return tuple(names.get(name, "") for name in policies[0].order), "policy", []
+    trainers = [one for one in others if one.role is Role.TRAINER]
+    kept = [joints, breadth_first(model)]
+    if not (trainers and all(one.breadth_first for one in trainers)):
+        kept.reverse()
+    fits = [one for one in kept if source.motors and _whole_limbs(one, source.motors, model)]
+    order = (fits or kept)[-1][:size]
+    word = "contract-order-of-file" if order == joints[:size] else "contract-order-by-depth"
+    return order, "assumed", [diagnose(word, file=source.name, first=order[:3])]
+
+
+def _whole_limbs(order: tuple[str, ...], motors: tuple[int, ...], model: RobotModel) -> bool:
+    """Whether motors that are numbered so have each limb's joints after each other."""
+    if len(motors) > len(order):
+        return False
+    by_motor = [joint for _, joint in sorted(zip(motors, order, strict=False))]
+    ways = limbs(model)
+    for before, after in pairwise(by_motor):
+        if len(ways.get(after, ())) > 1 and before not in ways[after]:
+            return False
+    return True
+
+
+def permutation(one: Sequence[str], two: Sequence[str]) -> list[tuple[int, int, str]]:
+    """Returns (place in the one, place in the other, joint) of those whose places differ."""
+    there = {joint: place for place, joint in enumerate(two)}
+    return [
+        (place, there[joint], joint)
+        for place, joint in enumerate(one)
+        if joint in there and there[joint] != place
+    ]
+
+
+def mirror_of(joint: str, joints: Sequence[str]) -> str:
+    """Returns the joint of the other side, by its name; "" if there is none."""
+    parts = re.split(r"(_|-)", joint)
+    for number, part in enumerate(parts):
+        if part in _OTHER_SIDE:
+            name = "".join([*parts[:number], _OTHER_SIDE[part], *parts[number + 1 :]])
+            if name in joints:
+                return name
+    return ""
+
+
+_SIDES = (("left", "right"), ("l", "r"), ("fl", "fr"), ("rl", "rr"), ("bl", "br"), ("hl", "hr"),
+          ("lf", "rf"), ("lh", "rh"), ("lb", "rb"))  # fmt: skip
+_OTHER_SIDE = {
+    form(one): form(other)
+    for pair in _SIDES
+    for one, other in (pair, pair[::-1])
+    for form in (str, str.upper, str.capitalize)
+}
+"""How names tell a side: left_knee, FL_hip, LF_HAA, leg_front_l_1."""
+
+
+def mirrored_sign(model: RobotModel, one: str, two: str) -> int:
+    """Returns 1 if mirrored postures have the same angle at two joints, -1 if the opposite one.
+
+    A turn about an axis a is in a mirror (of the plane of x and z) one about (-a_x, a_y, -a_z).
+
+    Returns:
+        0 if the axes are no mirror images.
+    """
+    first, second = (model.joints[name] for name in (one, two))
+    if first.kind != "hinge" or second.kind != "hinge":
+        return 0
+    along = first.axis[1] * second.axis[1] - first.axis[0] * second.axis[0]
+    along -= first.axis[2] * second.axis[2]
+    return 0 if abs(along) < _PARALLEL else 1 if along > 0 else -1
+
+
+_PARALLEL = 0.95
+"""Least |cosine| between an axis and the mirrored one of the other side."""

@@ -1,0 +1,163 @@
+"""How a robot stands in each source's default pose, with that source's gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import NoEquilibriumError, PupperAnalysisError
+from pupper_analysis.base.results import Result
+from pupper_analysis.prepare.convert.load import load_robot
+from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.sag.steady_state import steady_state
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
+from pupper_analysis.stance.stand import solve_stand, stand_statics
+from pupper_analysis.tools.contract.findings import Disagreement
+from pupper_analysis.tools.contract.orders import Placed
+
+Array = NDArray[np.float64]
+
+_PART = 0.5
+"""Least share of a robot's joints whose default angles a source states, to be stood in them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose(Result):
+    """How a robot stands in the default pose of a source.
+
+    Attributes:
+        source: The source's name.
+        height: Of the base over the feet in that pose (m).
+        moved: The greatest angle by which a joint is moved so that all feet are on the ground
+            (rad); None where it does not stand.
+        sag: By how much the base sinks with the source's gains (m); None if not known.
+        utilisation: The greatest share of a motor's limit; None likewise.
+        stays: Whether it stays up in simulation with these gains and no feed-forward; None if
+            that was not simulated.
+        problem: Why something is not known; None if nothing.
+    """
+
+    source: str
+    height: float
+    moved: float | None
+    sag: float | None
+    utilisation: float | None
+    stays: bool | None
+    problem: Diagnostic | None
+
+
+def stand_poses(
+    models: Sequence[Path], placed: Sequence[Placed], joints: tuple[str, ...]
+) -> tuple[tuple[Pose, ...], list[Diagnostic]]:
+    """Returns how the robot stands in each source's default pose, each once; and notes.
+
+    Args:
+        models: The robot's files.
+        placed: The sources.
+        joints: The joints by which they are ordered.
+    """
+    stating = {
+        one.source.name: {joint: said for (what, joint), said in one.facts.items()
+                          if what == "default angle" and said.value is not None}
+        for one in placed
+    }  # fmt: skip
+    if not any(len(angles) >= _PART * len(joints) for angles in stating.values()):
+        return (), []
+    kinds = {path.suffix.lower() == ".urdf": path for path in models}
+    try:
+        robot = load_robot(*kinds.values())
+    except PupperAnalysisError as error:
+        return (), [diagnose("contract-not-stood", why=error.diagnostic)]
+    if not robot.floating or not robot.feet:
+        return (), []
+    found: dict[str, Pose] = {}
+    poses = []
+    for one in placed:
+        angles = stating[one.source.name]
+        if len(angles) < _PART * len(joints):
+            continue
+        values = {joint: said.value or 0.0 for joint, said in angles.items()}
+        kp, kd, efforts = (_stated(one, what, robot) for what in ("kp", "kd", "effort"))
+        efforts = efforts or next(filter(None, (_stated(each, "effort", robot) for each in placed)),
+                                  robot.effort_limits.tolist())  # fmt: skip
+        key = str((sorted((joint, round(value, 6)) for joint, value in values.items()), kp, kd,
+                   efforts))  # fmt: skip
+        if key not in found:
+            found[key] = _stood(robot, one.source.name, values, kp, kd, efforts)
+        poses.append(replace(found[key], source=one.source.name))
+    return tuple(poses), []
+
+
+def _stated(one: Placed, quantity: str, robot: Robot) -> list[float] | None:
+    """Returns a source's gains or limits (nu,), if it states them of all joints."""
+    stated = [one.facts.get((quantity, joint)) for joint in robot.joint_names]
+    values = [None if said is None else said.value for said in stated]
+    known = [value for value in values if value is not None and value > 0]
+    return known if len(known) == len(values) else None
+
+
+def _stood(
+    robot: Robot,
+    name: str,
+    angles: dict[str, float],
+    kp: list[float] | None,
+    kd: list[float] | None,
+    efforts: list[float],
+) -> Pose:
+    mine = dict(zip(robot.joint_names, robot.home[-robot.nu :], strict=True))
+    pose = np.array([angles.get(joint, mine[joint]) for joint in robot.joint_names])
+    there = Configuration(robot, robot.posed(pose))
+    lowest = [
+        min(float(there.foot_positions()[point][2]) - robot.contact_radius[point]
+            for point in points)
+        for points in robot.feet.values()
+    ]  # fmt: skip
+    height = float(robot.posed(pose)[2]) - float(np.mean(lowest))
+    home = np.concatenate([robot.home[:7], pose])
+    posed = replace(robot, nominal=pose, home=home, stand_height=height)
+    try:
+        stand = solve_stand(posed)
+        held = solve_stand_as_simulated(posed, stand)
+        torques = np.abs(stand_statics(posed, held).joint_torques)
+        use = float(np.max(torques / np.array(efforts))) or None  # without limits, nothing
+    except PupperAnalysisError as error:
+        return Pose(name, height, None, None, None, None, error.diagnostic)
+    moved = float(np.max(np.abs(stand.joint_positions(posed) - pose)))
+    problem, sag, stays = None, None, None
+    if kp is None or kd is None:  # those of the model are none of this source
+        return Pose(name, height, moved, None, use, None, None)
+    try:
+        sag = steady_state(posed, held, kp=kp).height_loss
+    except NoEquilibriumError as error:
+        problem = error.diagnostic
+    except PupperAnalysisError as error:
+        return Pose(name, height, moved, None, use, None, error.diagnostic)
+    try:
+        verdict = judge_stand(posed, stand, kp=kp, kd=kd)
+        stays = verdict.commands_alone is not None and verdict.commands_alone.value == "holds"
+    except PupperAnalysisError as error:
+        problem = error.diagnostic
+    return Pose(name, height, moved, sag, use, stays, problem)
+
+
+def pose_effects(
+    findings: tuple[Disagreement, ...], poses: tuple[Pose, ...]
+) -> tuple[Disagreement, ...]:
+    """Adds to findings of default angles how far apart the robot stands in both."""
+    heights = {pose.source: pose.height for pose in poses}
+    done = []
+    for one in findings:
+        both = [heights.get(name) for name in one.sources]
+        if one.kind == "default angle" and None not in both and both[0] != both[1]:
+            apart = Quantity(abs((both[0] or 0.0) - (both[1] or 0.0)), "m")
+            told = diagnose("contract-effect-height", height=apart)
+            one = replace(one, effects=(*one.effects, told))
+        done.append(one)
+    return tuple(done)

@@ -1,0 +1,785 @@
+"""What a Python file states, worked out from its syntax: nothing of it is imported or run.
+
+Constants, names, lists, tables, dataclasses, classes of settings with their bases, arithmetic,
+loops over what is known, and functions that take nothing that is not known; modules within the
+folders that were given. All else is an ``Unknown``, with the expression as it stands.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import InputError, ModelError
+from pupper_analysis.base.inputs import is_input, read_text
+from pupper_analysis.models.places import Place, source_name
+from pupper_analysis.tools.contract.facts import MOST, Node
+from pupper_analysis.tools.contract.marked import decimals_of
+
+MOST_STEPS: Final = 2_000_000
+"""Expressions that are worked out: a module of a training library takes some 10,000."""
+
+DEEPEST: Final = 40
+"""Calls within calls; Python's own limit is some 200 of ours."""
+
+
+@dataclass(eq=False)
+class Unknown:
+    """What is no constant.
+
+    Attributes:
+        text: The expression, or a name that is imported from elsewhere.
+    """
+
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(eq=False)
+class Instance:
+    """What a call of a class makes.
+
+    Attributes:
+        kind: The class's name.
+        fields: {name: value}.
+        of: The class, if its module was read.
+    """
+
+    kind: str
+    fields: dict[str, Node] = field(default_factory=dict)
+    of: Class | None = None
+
+    def __str__(self) -> str:
+        return f"{self.kind}(...)"
+
+
+@dataclass(eq=False)
+class Function:
+    """A function."""
+
+    node: ast.FunctionDef | ast.Lambda
+    module: Module
+    around: dict[str, Node]
+    owner: Class | None = None
+
+    def __str__(self) -> str:
+        return getattr(self.node, "name", "lambda")
+
+
+@dataclass(eq=False)
+class Class:
+    """A class; ``fields`` are its own and its bases', ``line`` the names of its annotations."""
+
+    name: str
+    bases: list[Class]
+    fields: dict[str, Node]
+    ordered: list[str]
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(eq=False)
+class Module:
+    """A module; ``names`` fills as it is read."""
+
+    path: Path
+    lines: list[str]
+    names: dict[str, Node] = field(default_factory=dict)
+    imported: set[str] = field(default_factory=set)
+
+    def __str__(self) -> str:
+        return self.path.stem
+
+
+class _Return(Exception):  # noqa: N818 - it is no error
+    def __init__(self, node: Node) -> None:
+        self.node = node
+
+
+class _Leave(Exception):  # noqa: N818
+    """Of a loop, or of a function that raises."""
+
+
+_BINARY: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
+    ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv, ast.Mod: operator.mod,
+    ast.Pow: operator.pow,
+}  # fmt: skip
+_COMPARE: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
+    ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le,
+    ast.Gt: operator.gt, ast.GtE: operator.ge, ast.Is: operator.is_, ast.IsNot: operator.is_not,
+    ast.In: lambda a, b: a in b, ast.NotIn: lambda a, b: a not in b,
+}  # fmt: skip
+_NUMERIC: Final[Mapping[str, Callable[..., Any]]] = {
+    **{name: getattr(math, name) for name in ("sqrt", "sin", "cos", "tan", "radians", "degrees",
+                                              "exp", "log", "atan2", "floor", "ceil")},
+    "deg2rad": math.radians, "rad2deg": math.degrees, "float": float, "int": int, "abs": abs,
+    "round": round, "min": min, "max": max, "square": lambda x: x * x,
+}  # fmt: skip
+_CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
+_NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
+_AS_IT_IS: Final = ("array", "asarray", "tensor", "list", "tuple", "dict", "sorted", "freeze")
+"""Calls that give back the values that they are given."""
+_COPIES: Final = ("copy", "deepcopy", "replace")
+
+
+class Evaluator:
+    """Works out modules.
+
+    Args:
+        folders: Where modules are looked for, besides beside the file that imports them.
+    """
+
+    def __init__(self, folders: tuple[Path, ...] = ()) -> None:
+        self.folders = folders
+        self.modules: dict[Path, Module] = {}
+        self.steps, self.depth = 0, 0
+
+    def module(self, path: Path) -> Module:
+        """Returns a module; one that is being read is as far as it is: imports may go in circles.
+
+        Raises:
+            ModelError: If it cannot be read, or does not parse; the error has the line.
+        """
+        path = path.absolute()
+        if path in self.modules:
+            return self.modules[path]
+        try:
+            text = read_text(path)
+            tree = ast.parse(text)
+        except InputError as error:
+            raise ModelError(source_name(path, error.line), error.cause) from error
+        except SyntaxError as error:
+            told = diagnose("contract-no-python", problem=error.msg)
+            raise ModelError(source_name(path, error.lineno), told) from error
+        except (RecursionError, MemoryError, ValueError) as error:
+            raise ModelError(path, diagnose("contract-too-deep")) from error
+        made = self.modules[path] = Module(path, text.splitlines())
+        try:
+            self.run(tree.body, made.names, made)
+        except (_Leave, _Return):
+            pass
+        except RecursionError as error:
+            raise ModelError(path, diagnose("contract-too-deep")) from error
+        return made
+
+    # Statements.
+
+    def run(self, body: list[ast.stmt], scope: dict[str, Node], module: Module) -> None:
+        """Works out statements, one after the other."""
+        for one in body:
+            self._count(one, module)
+            do = getattr(self, f"_do_{type(one).__name__.lower()}", None)
+            if do is not None:
+                do(one, scope, module)
+
+    def _count(self, node: ast.AST, module: Module) -> None:
+        self.steps += 1
+        if self.steps > MOST_STEPS:
+            line = getattr(node, "lineno", None)
+            told = diagnose("contract-too-much", most=MOST_STEPS)
+            raise ModelError(source_name(module.path, line), told)
+
+    def _do_assign(self, one: ast.Assign, scope: dict[str, Node], module: Module) -> None:
+        value = self.value(one.value, scope, module)
+        for target in one.targets:
+            self._put(target, value, scope, module)
+
+    def _do_annassign(self, one: ast.AnnAssign, scope: dict[str, Node], module: Module) -> None:
+        if one.value is not None:
+            self._put(one.target, self.value(one.value, scope, module), scope, module)
+
+    def _do_augassign(self, one: ast.AugAssign, scope: dict[str, Node], module: Module) -> None:
+        read = ast.copy_location(ast.BinOp(one.target, one.op, one.value), one)
+        self._put(one.target, self.value(read, scope, module), scope, module)
+
+    def _do_expr(self, one: ast.Expr, scope: dict[str, Node], module: Module) -> None:
+        self.value(one.value, scope, module)
+
+    def _do_return(self, one: ast.Return, scope: dict[str, Node], module: Module) -> None:
+        made = self.value(one.value or ast.copy_location(ast.Constant(None), one), scope, module)
+        raise _Return(made)
+
+    def _do_raise(self, *_: object) -> None:
+        raise _Leave
+
+    _do_break = _do_raise
+
+    def _do_if(self, one: ast.If, scope: dict[str, Node], module: Module) -> None:
+        test = self._truth(self.value(one.test, scope, module))
+        if test is not None:
+            self.run(one.body if test else one.orelse, scope, module)
+        else:
+            self._forget([*one.body, *one.orelse], scope, module)
+
+    def _do_for(self, one: ast.For, scope: dict[str, Node], module: Module) -> None:
+        over = self._listed(self.value(one.iter, scope, module))
+        if over is None:
+            self._forget(one.body, scope, module)
+            return
+        try:
+            for each in over:
+                self._put(one.target, each, scope, module)
+                self.run(one.body, scope, module)
+        except _Leave:
+            pass
+
+    def _do_while(self, one: ast.While, scope: dict[str, Node], module: Module) -> None:
+        self._forget(one.body, scope, module)
+
+    def _do_with(self, one: ast.With, scope: dict[str, Node], module: Module) -> None:
+        self.run(one.body, scope, module)
+
+    def _do_try(self, one: ast.Try, scope: dict[str, Node], module: Module) -> None:
+        self.run([*one.body, *one.orelse], scope, module)
+
+    def _do_functiondef(self, one: ast.FunctionDef, scope: dict[str, Node], module: Module) -> None:
+        scope[one.name] = self._node(Function(one, module, scope), one, module)
+
+    def _do_classdef(self, one: ast.ClassDef, scope: dict[str, Node], module: Module) -> None:
+        bases = [self.value(base, scope, module).value for base in one.bases]
+        known = [base for base in bases if isinstance(base, Class)]
+        ordered = [name for base in known for name in base.ordered]
+        made = Class(one.name, known, {}, ordered)
+        for base in reversed(known):
+            made.fields.update(base.fields)
+        # What the body names is first its own, then the module's.
+        inside = _Chained(made.fields, scope)
+        self.run(one.body, inside, module)
+        for node in made.fields.values():
+            if isinstance(node.value, Function) and node.value.around is inside:
+                node.value.owner = made
+                node.value.around = scope
+        for each in one.body:
+            if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
+                made.ordered.append(each.target.id)
+        scope[one.name] = self._node(made, one, module)
+
+    def _do_import(self, one: ast.Import, scope: dict[str, Node], module: Module) -> None:
+        for name in one.names:
+            shown = name.asname or name.name.split(".")[0]
+            found = self._find(module, name.name if name.asname else shown, 0)
+            scope[shown] = self._node(found or Unknown(shown), one, module)
+            module.imported.add(shown)
+
+    def _do_importfrom(self, one: ast.ImportFrom, scope: dict[str, Node], module: Module) -> None:
+        home = self._find(module, one.module or "", one.level)
+        for name in one.names:
+            if name.name == "*":
+                scope.update({} if home is None else home.names)
+                module.imported.update({} if home is None else home.names)
+                continue
+            shown = name.asname or name.name
+            found = None if home is None else home.names.get(name.name)
+            if found is None:
+                path = ".".join(part for part in (one.module, name.name) if part)
+                below = self._find(module, path, one.level)
+                found = self._node(below or Unknown(name.name), one, module)
+            scope[shown] = found
+            module.imported.add(shown)
+
+    def _find(self, module: Module, dotted: str, level: int) -> Module | None:
+        """Returns an imported module, if it lies in a folder that may be read."""
+        parts = [part for part in dotted.split(".") if part]
+        above = list(module.path.parents)
+        tops = above[level - 1 : level] if level else [*self._tops(module.path), *self.folders]
+        for top in tops:
+            base = top.joinpath(*parts)
+            for file in (base.with_suffix(".py"), base / "__init__.py"):
+                if (parts or file.name == "__init__.py") and is_input(file):
+                    return self.module(file)
+        return None
+
+    def _tops(self, path: Path) -> Iterator[Path]:
+        """Yields the folders above a file up to that of its package."""
+        for folder in path.parents:
+            yield folder
+            if not is_input(folder / "__init__.py") and folder != path.parent:
+                return
+
+    def _forget(self, body: list[ast.stmt], scope: dict[str, Node], module: Module) -> None:
+        """What may be changed by what may not happen is not known."""
+        for one in body:
+            for node in ast.walk(one):
+                if not isinstance(node, ast.Name | ast.Attribute | ast.Subscript):
+                    continue
+                if isinstance(node.ctx, ast.Store):
+                    said = Unknown(ast.unparse(one)[:80])
+                    self._put(node, self._node(said, node, module), scope, module)
+
+    def _put(self, to: ast.expr, value: Node, scope: dict[str, Node], module: Module) -> None:
+        if isinstance(to, ast.Name):
+            scope[to.id] = value
+        elif isinstance(to, ast.Tuple | ast.List):
+            parts = self._listed(value) or []
+            for number, each in enumerate(to.elts):
+                lost = self._node(Unknown(ast.unparse(each)), each, module)
+                self._put(each, parts[number] if number < len(parts) else lost, scope, module)
+        elif isinstance(to, ast.Attribute):
+            owner = self._owner(to.value, scope, module)
+            if owner is not None:
+                owner[to.attr] = value
+        elif isinstance(to, ast.Subscript):
+            held = self.value(to.value, scope, module).value
+            key = self._plain(self.value(to.slice, scope, module))
+            table = isinstance(held, dict) and isinstance(key, str | int | float | bool)
+            listed = isinstance(held, list) and isinstance(key, int)
+            if table or (listed and -len(held) <= key < len(held)):
+                held[key] = value
+
+    def _owner(
+        self, node: ast.expr, scope: dict[str, Node], module: Module
+    ) -> dict[str, Node] | None:
+        """Returns the fields that an assignment to an attribute goes to."""
+        held = self.value(node, scope, module).value
+        if isinstance(held, Instance | Class):
+            return held.fields
+        if isinstance(node, ast.Attribute) and isinstance(held, Unknown):
+            above = self._owner(node.value, scope, module)
+            if above is not None:  # a field of a base that was not read
+                made = Instance("")
+                above[node.attr] = self._node(made, node, module)
+                return made.fields
+        return None
+
+    # Expressions.
+
+    def value(self, one: ast.expr, scope: Mapping[str, Node], module: Module) -> Node:
+        """Returns what an expression is, at its own place."""
+        self._count(one, module)
+        find = getattr(self, f"_of_{type(one).__name__.lower()}", None)
+        found = None if find is None else find(one, scope, module)
+        if found is None:
+            found = Unknown(ast.unparse(one)[:80])
+        if isinstance(found, Node):
+            return Node(found.value, self._place(one, module), found.decimals)
+        return self._node(found, one, module)
+
+    def _node(self, value: Any, one: ast.AST, module: Module) -> Node:
+        return Node(value, self._place(one, module))
+
+    def _place(self, one: ast.AST, module: Module) -> Place:
+        return Place(module.path, getattr(one, "lineno", None))
+
+    def _of_constant(self, one: ast.Constant, _: object, module: Module) -> Any:
+        if isinstance(one.value, int | float) and not isinstance(one.value, bool):
+            row = module.lines[one.lineno - 1].encode()
+            said = row[one.col_offset : one.end_col_offset].decode(errors="replace")
+            try:
+                digits = decimals_of(said.replace("_", ""))
+            except ValueError:  # 0x1f
+                digits = 0
+            return Node(one.value, self._place(one, module), digits)
+        # Node, as None is what stands there, and not that it is not known.
+        return self._node(one.value, one, module)
+
+    def _of_name(self, one: ast.Name, scope: Mapping[str, Node], module: Module) -> Any:
+        if one.id in scope:
+            return scope[one.id]
+        return module.names.get(one.id) or Unknown(one.id)
+
+    def _of_attribute(self, one: ast.Attribute, scope: Mapping[str, Node], module: Module) -> Any:
+        held = self.value(one.value, scope, module).value
+        if isinstance(held, Instance | Class):
+            return held.fields.get(one.attr)
+        if isinstance(held, Module):
+            return held.names.get(one.attr)
+        if isinstance(held, Unknown) and held.text in _NUMERIC_MODULES and one.attr in _CONSTANTS:
+            return _CONSTANTS[one.attr]
+        return None
+
+    def _of_tuple(self, one: ast.Tuple, scope: Mapping[str, Node], module: Module) -> Any:
+        found: list[Node] = []
+        for each in one.elts:
+            if isinstance(each, ast.Starred):
+                more = self._listed(self.value(each.value, scope, module))
+                if more is None:
+                    return None
+                found += more
+            else:
+                found.append(self.value(each, scope, module))
+        return found
+
+    _of_list = _of_set = _of_tuple
+
+    def _of_dict(self, one: ast.Dict, scope: Mapping[str, Node], module: Module) -> Any:
+        found: dict[Any, Node] = {}
+        for key, value in zip(one.keys, one.values, strict=True):
+            held = self.value(value, scope, module)
+            if key is None:
+                if isinstance(held.value, dict):
+                    found.update(held.value)
+                continue
+            name = self._plain(self.value(key, scope, module))
+            if isinstance(name, str | int | float | bool):
+                found[name] = held
+        return found
+
+    def _of_subscript(self, one: ast.Subscript, scope: Mapping[str, Node], module: Module) -> Any:
+        held = self.value(one.value, scope, module).value
+        if isinstance(one.slice, ast.Slice):
+            ends = [
+                None if end is None else self._plain(self.value(end, scope, module))
+                for end in (one.slice.lower, one.slice.upper, one.slice.step)
+            ]
+            plain = all(end is None or isinstance(end, int) for end in ends) and ends[2] != 0
+            return held[slice(*ends)] if isinstance(held, list) and plain else None
+        key = self._plain(self.value(one.slice, scope, module))
+        if isinstance(held, dict) and isinstance(key, str | int | float | bool):
+            return held.get(key)
+        if isinstance(held, list) and isinstance(key, int) and -len(held) <= key < len(held):
+            return held[key]
+        return None
+
+    def _of_binop(self, one: ast.BinOp, scope: Mapping[str, Node], module: Module) -> Any:
+        left, right = (self.value(each, scope, module).value for each in (one.left, one.right))
+        work = _BINARY.get(type(one.op))
+        if isinstance(left, list) and isinstance(one.op, ast.Mult) and isinstance(right, int):
+            return left * right if 0 <= right * len(left) <= MOST else None
+        if isinstance(left, list) and isinstance(right, list) and isinstance(one.op, ast.Add):
+            return left + right
+        if isinstance(left, str) and isinstance(right, str) and isinstance(one.op, ast.Add):
+            return left + right if len(left) + len(right) < MOST else None
+        if work is None or not (_number(left) and _number(right)):
+            return None
+        try:
+            # As floats where whole numbers could grow without bound.
+            made = work(float(left), right) if isinstance(one.op, ast.Pow) else work(left, right)
+        except (ArithmeticError, ValueError):
+            return None
+        return made if _number(made) else None
+
+    def _of_unaryop(self, one: ast.UnaryOp, scope: Mapping[str, Node], module: Module) -> Any:
+        held = self.value(one.operand, scope, module)
+        if isinstance(one.op, ast.Not):
+            test = self._truth(held)
+            return None if test is None else not test
+        if not _number(held.value):
+            return None
+        sign = -1 if isinstance(one.op, ast.USub) else 1
+        return Node(sign * held.value, held.place, held.decimals)
+
+    def _of_boolop(self, one: ast.BoolOp, scope: Mapping[str, Node], module: Module) -> Any:
+        stops = isinstance(one.op, ast.Or)
+        for each in one.values:
+            held = self.value(each, scope, module)
+            test = self._truth(held)
+            if test is None:
+                return None
+            if test is stops:
+                return held
+        return held
+
+    def _of_compare(self, one: ast.Compare, scope: Mapping[str, Node], module: Module) -> Any:
+        left = self._plain(self.value(one.left, scope, module))
+        if len(one.ops) != 1:
+            return None
+        right = self._plain(self.value(one.comparators[0], scope, module))
+        if isinstance(left, Unknown) or isinstance(right, Unknown):
+            return None
+        try:
+            return bool(_COMPARE[type(one.ops[0])](left, right))
+        except (TypeError, KeyError):
+            return None
+
+    def _of_ifexp(self, one: ast.IfExp, scope: Mapping[str, Node], module: Module) -> Any:
+        test = self._truth(self.value(one.test, scope, module))
+        return None if test is None else self.value(one.body if test else one.orelse, scope, module)
+
+    def _of_lambda(self, one: ast.Lambda, scope: dict[str, Node], module: Module) -> Any:
+        return Function(one, module, scope)
+
+    def _of_listcomp(self, one: ast.ListComp, scope: Mapping[str, Node], module: Module) -> Any:
+        rounds = self._rounds(one.generators, scope, module)
+        return None if rounds is None else [self.value(one.elt, each, module) for each in rounds]
+
+    _of_generatorexp = _of_listcomp
+
+    def _of_dictcomp(self, one: ast.DictComp, scope: Mapping[str, Node], module: Module) -> Any:
+        rounds = self._rounds(one.generators, scope, module)
+        if rounds is None:
+            return None
+        found = {}
+        for each in rounds:
+            key = self._plain(self.value(one.key, each, module))
+            if isinstance(key, str | int | float | bool):
+                found[key] = self.value(one.value, each, module)
+        return found
+
+    def _rounds(
+        self, loops: list[ast.comprehension], scope: Mapping[str, Node], module: Module
+    ) -> list[dict[str, Node]] | None:
+        found: list[dict[str, Node]] = [dict(scope)]
+        for loop in loops:
+            inner: list[dict[str, Node]] = []
+            for around in found:
+                over = self._listed(self.value(loop.iter, around, module))
+                if over is None:
+                    return None
+                for each in over:
+                    here = dict(around)
+                    self._put(loop.target, each, here, module)
+                    tests = [self._truth(self.value(test, here, module)) for test in loop.ifs]
+                    if None in tests:
+                        return None
+                    if all(tests):
+                        inner.append(here)
+            found = inner
+        return found
+
+    # Calls.
+
+    def _of_call(self, one: ast.Call, scope: Mapping[str, Node], module: Module) -> Any:
+        given = [self.value(each, scope, module) for each in one.args
+                 if not isinstance(each, ast.Starred)]  # fmt: skip
+        named: dict[str, Node] = {}
+        for keyword in one.keywords:
+            held = self.value(keyword.value, scope, module)
+            if keyword.arg is not None:
+                named[keyword.arg] = Node(held.value, Place(module.path, keyword.lineno),
+                                          held.decimals)  # fmt: skip
+            elif isinstance(held.value, dict):
+                named.update({str(key): value for key, value in held.value.items()})
+        if isinstance(one.func, ast.Attribute):
+            made = self._method(one.func, given, named, scope, module)
+            if made is not None:
+                return made
+        called = self.value(one.func, scope, module).value
+        if isinstance(called, Function):
+            return self.call(called, given, named)
+        if isinstance(called, Class):
+            return self.make(called, given, named)
+        return self._elsewhere(one, given, named)
+
+    def _elsewhere(self, one: ast.Call, given: list[Node], named: dict[str, Node]) -> Any:
+        """Returns what a call of a library's comes to."""
+        name = ast.unparse(one.func).rpartition(".")[2]
+        if name in _NUMERIC and given and all(_number(each.value) for each in given):
+            try:
+                return _NUMERIC[name](*(each.value for each in given))
+            except (ArithmeticError, ValueError, TypeError):
+                return None
+        if name == "float" and given and str(given[0].value) in ("inf", "-inf"):
+            return float(given[0].value)
+        if name == "len" and given and isinstance(given[0].value, list | dict | str):
+            return len(given[0].value)
+        if name == "range" and given and all(isinstance(e.value, int) for e in given):
+            numbers = range(*(each.value for each in given))
+            return [Node(number, given[0].place) for number in numbers[:MOST]]
+        if name in ("zip", "enumerate") and given:
+            return self._zipped(name, given)
+        if name in _COPIES and given:
+            return self._copied(given[0].value, named)
+        if name == "dict" and not given:
+            return dict(named)
+        if name in _AS_IT_IS and given:
+            return given[0]
+        if name[:1].isupper():
+            return Instance(name, {**named, **({"args": Node(given, given[0].place)} if given
+                                               else {})})  # fmt: skip
+        if name == "field":
+            return Instance("field", named)
+        return None
+
+    def _zipped(self, name: str, given: list[Node]) -> list[Node] | None:
+        lists = [self._listed(each) for each in given]
+        if name == "enumerate":
+            numbers = range(len(lists[0] or []))
+            lists.insert(0, [Node(number, given[0].place) for number in numbers])
+        if any(each is None for each in lists):
+            return None
+        rows = zip(*(each or [] for each in lists), strict=False)
+        return [Node(list(row), row[-1].place) for row in rows]
+
+    def _method(
+        self,
+        func: ast.Attribute,
+        given: list[Node],
+        named: dict[str, Node],
+        scope: Mapping[str, Node],
+        module: Module,
+    ) -> Any:
+        """Returns what a call of a known value's method comes to; None if it is no such call."""
+        if isinstance(func.value, ast.Call) and ast.unparse(func.value.func) == "super":
+            owner, own = scope.get("__class__"), scope.get("self")
+            for base in owner.value.bases if owner is not None else []:
+                above = base.fields.get(func.attr)
+                if above is not None and isinstance(above.value, Function) and own is not None:
+                    return self.call(above.value, [own, *given], named)
+            return Node(None, self._place(func, module))
+        held = self.value(func.value, scope, module)
+        value, name = held.value, func.attr
+        if isinstance(value, Instance | Class):
+            method = value.fields.get(name)
+            if method is not None and isinstance(method.value, Function):
+                return self.call(method.value, [held, *given], named)
+            return self._copied(value, named) if name in _COPIES else None
+        if isinstance(value, dict):
+            first = None if not given else given[0].value
+            if name == "get":
+                return value.get(first) or (given[1] if len(given) > 1 else None)
+            if name == "update":
+                value.update(first if isinstance(first, dict) else {})
+                value.update(named)
+            parts: dict[str, Callable[[], Any]] = {
+                "copy": lambda: dict(value),
+                "values": lambda: list(value.values()),
+                "keys": lambda: [Node(key, node.place) for key, node in value.items()],
+                "items": lambda: [
+                    Node([Node(key, node.place), node], node.place) for key, node in value.items()
+                ],
+            }
+            return parts[name]() if name in parts else None
+        if isinstance(value, list) and given and len(value) < MOST:
+            if name == "append":
+                value.append(given[0])
+            elif name == "extend":
+                value.extend(self._listed(given[0]) or [])
+        return list(value) if isinstance(value, list) and name in ("copy", "tolist") else None
+
+    def call(self, function: Function, given: list[Node], named: dict[str, Node]) -> Node | None:
+        """Returns what a function returns; None if that cannot be worked out."""
+        arguments = function.node.args
+        names = [each.arg for each in (*arguments.posonlyargs, *arguments.args)]
+        if self.depth >= DEEPEST:
+            return None
+        scope: dict[str, Node] = _Chained({}, function.around)
+        defaults = arguments.defaults
+        pairs = [*zip(names[len(names) - len(defaults) :], defaults, strict=True),
+                 *((each.arg, default) for each, default
+                   in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)
+                   if default is not None)]  # fmt: skip
+        for name, default in pairs:
+            scope[name] = self.value(default, function.around, function.module)
+        scope.update(zip(names, given, strict=False))
+        scope.update(named)
+        for each in (*names, *(one.arg for one in arguments.kwonlyargs)):
+            if each not in scope:
+                scope[each] = self._node(Unknown(each), function.node, function.module)
+        if function.owner is not None:
+            scope["__class__"] = self._node(function.owner, function.node, function.module)
+        self.depth += 1
+        try:
+            if isinstance(function.node, ast.Lambda):
+                return self.value(function.node.body, scope, function.module)
+            self.run(function.node.body, scope, function.module)
+        except _Return as done:
+            return done.node
+        except _Leave:
+            return None
+        finally:
+            self.depth -= 1
+        return self._node(None, function.node, function.module)
+
+    def make(self, made: Class, given: list[Node], named: dict[str, Node]) -> Instance:
+        """Returns an instance of a class, its fields' defaults made anew."""
+        plain = {n: node for n, node in made.fields.items() if not isinstance(node.value, Function)}
+        fields = {name: _default(self, copied(node)) for name, node in plain.items()}
+        functions = {n: node for n, node in made.fields.items() if n not in plain}
+        result = Instance(made.name, {**functions, **fields}, made)
+        order = [name for name in dict.fromkeys(made.ordered) if name not in functions]
+        result.fields.update(zip(order, given, strict=False))
+        result.fields.update(named)
+        after = made.fields.get("__post_init__")
+        if after is not None and isinstance(after.value, Function):
+            self.call(after.value, [Node(result, after.place)], {})
+        return result
+
+    def _copied(self, value: Any, named: dict[str, Node]) -> Any:
+        fresh = copied(Node(value, Place(Path()))).value
+        if isinstance(fresh, Instance):
+            fresh.fields.update(named)
+        return fresh
+
+    def _truth(self, node: Node) -> bool | None:
+        value = node.value
+        if value is None or isinstance(value, bool | int | float | str | list | dict):
+            return bool(value)
+        return True if isinstance(value, Instance) else None
+
+    def _listed(self, node: Node) -> list[Node] | None:
+        if isinstance(node.value, dict):
+            return [Node(key, value.place) for key, value in node.value.items()]
+        return node.value if isinstance(node.value, list) else None
+
+    def _plain(self, node: Node) -> Any:
+        value = node.value
+        return [self._plain(each) for each in value] if isinstance(value, list) else value
+
+
+class _Chained(dict[str, Node]):
+    """Names of a function or a class, and behind them those around it."""
+
+    def __init__(self, own: dict[str, Node], around: Mapping[str, Node]) -> None:
+        super().__init__()
+        self.own, self.around = own, around
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.own or name in self.around
+
+    def __getitem__(self, name: str) -> Node:
+        return self.own[name] if name in self.own else self.around[name]
+
+    def __setitem__(self, name: str, node: Node) -> None:
+        self.own[name] = node
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Returns a name's value."""
+        return self.own.get(name) or self.around.get(name, default)
+
+    def update(self, *more: Any, **_: Any) -> None:
+        """Takes names over."""
+        self.own.update(*more)
+
+    def keys(self) -> Any:
+        """Returns all names."""
+        return {**dict.fromkeys(self.around.keys()), **self.own}.keys()
+
+
+def copied(node: Node, seen: dict[int, Any] | None = None) -> Node:
+    """Returns a value with what it holds copied, each once."""
+    seen = {} if seen is None else seen
+    value = node.value
+    if id(value) in seen:
+        return Node(seen[id(value)], node.place, node.decimals)
+    made: Any = value
+    if isinstance(value, list):
+        made = seen[id(value)] = []
+        made += [copied(each, seen) for each in value]
+    elif isinstance(value, dict):
+        made = seen[id(value)] = {}
+        made.update({key: copied(each, seen) for key, each in value.items()})
+    elif isinstance(value, Instance):
+        made = seen[id(value)] = Instance(value.kind, {}, value.of)
+        made.fields.update({key: copied(each, seen) for key, each in value.fields.items()})
+    return Node(made, node.place, node.decimals)
+
+
+def _default(evaluator: Evaluator, node: Node) -> Node:
+    """Returns a dataclass's default: that of a ``field`` is what its factory makes."""
+    held = node.value
+    if not isinstance(held, Instance) or held.kind != "field":
+        return node
+    factory, default = held.fields.get("default_factory"), held.fields.get("default")
+    if factory is None:
+        return default or Node(Unknown("field()"), node.place)
+    made = factory.value
+    if isinstance(made, Class):
+        return Node(evaluator.make(made, [], {}), node.place)
+    if isinstance(made, Function):
+        return evaluator.call(made, [], {}) or Node(Unknown(str(made)), node.place)
+    plain = {"dict": dict, "list": list, "tuple": list}.get(str(made))
+    return Node(plain() if plain else Instance(str(made)), node.place)
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

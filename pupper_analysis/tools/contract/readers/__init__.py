@@ -1,0 +1,1 @@
+"""Readers of sources, each a module with ``SUFFIXES`` and ``read``; found by their files."""

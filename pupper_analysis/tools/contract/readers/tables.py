@@ -1,0 +1,182 @@
+"""YAML and JSON of deployments: Unitree's, ROS 2's controllers, MoveIt's limits, RTNeural."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from pupper_analysis.base.errors import InputError, ModelError
+from pupper_analysis.base.inputs import read_text
+from pupper_analysis.models.places import Place, source_name
+from pupper_analysis.tools.contract.facts import (
+    Node,
+    Request,
+    Role,
+    Source,
+    Statement,
+    per_joint,
+    stated,
+)
+from pupper_analysis.tools.contract.marked import read_marked
+
+SUFFIXES = (".yaml", ".yml", ".json")
+
+_NAMES = ("joint_names", "joints", "dof_names", "joint_name")
+_LISTS = {
+    "default_joint_pos": "default angle", "default_angles": "default angle",
+    "default_joint_angles": "default angle", "default_dof_pos": "default angle",
+    "stiffness": "kp", "kps": "kp", "kp": "kp", "joint_stiffness": "kp", "fixed_kp": "kp",
+    "rl_kp": "kp",
+    "damping": "kd", "kds": "kd", "kd": "kd", "joint_damping": "kd", "fixed_kd": "kd",
+    "rl_kd": "kd",
+    "action_scale": "action scale", "action_scales": "action scale",
+    "torque_limits": "effort", "effort_limits": "effort", "joint_effort_limits": "effort",
+    "velocity_limits": "velocity",
+    "joint_lower_limits": "lower limit", "joint_upper_limits": "upper limit",
+    "joint_signs": "sign", "motor_signs": "sign", "joint_directions": "sign",
+    "init_kps": "start kp", "init_kds": "start kd",
+}  # fmt: skip
+"""{key of a table: quantity}."""
+
+_TIMES = {
+    "step_dt": "policy step", "control_dt": "policy step", "policy_dt": "policy step",
+    "simulation_dt": "time step", "dt": "time step", "control_decimation": "decimation",
+    "decimation": "decimation", "latency": "latency",
+}  # fmt: skip
+
+_OBSERVED = {"ang_vel_scale": "ang_vel", "dof_pos_scale": "dof_pos", "dof_vel_scale": "dof_vel",
+             "lin_vel_scale": "lin_vel"}  # fmt: skip
+"""{key of unitree_rl_gym and its kin: what legged_gym calls the scale}."""
+
+
+def read(request: Request) -> Iterator[Source]:
+    """Yields what a YAML or a JSON holds: a configuration, or one for each controller."""
+    try:
+        documents = read_marked(request.path, read_text(request.path))
+    except InputError as error:
+        raise ModelError(source_name(request.path, error.line), error.cause) from error
+    for document in documents:
+        if isinstance(document.value, dict):
+            yield from _of_document(request, document)
+
+
+def _of_document(request: Request, document: Node) -> Iterator[Source]:
+    name = request.path.name
+    nodes = {key: node for key, node in document.value.items()
+             if node.get("ros__parameters") is not None}  # fmt: skip
+    if nodes:
+        rate = document.get("controller_manager", "ros__parameters", "update_rate")
+        for key, node in nodes.items():
+            table = node.get("ros__parameters")
+            if request.name in ("", key) and table is not None:
+                yield from _of_table(request, f"{name}:{key}", table, Role.DRIVER, rate)
+        return
+    if document.get("joint_limits") is not None:
+        yield from _of_limits(request, document)
+    elif document.get("layers") is not None and document.get("in_shape") is not None:
+        yield from _of_table(request, name, document, Role.POLICY)
+    else:
+        yield from _of_table(request, name, document, Role.DEPLOYMENT)
+        for (
+            key,
+            node,
+        ) in document.value.items():  # rl_sar and its kin: a robot's name, then its table
+            if isinstance(node.value, dict) and request.name in ("", key):
+                yield from _of_table(request, f"{name}:{key}", node, Role.DEPLOYMENT)
+
+
+def _of_table(
+    request: Request, name: str, table: Node, role: Role, rate: Node | None = None
+) -> Iterator[Source]:
+    """Yields what a flat table states of joints, if it states anything."""
+    named = next((found for word in _NAMES if (found := table.get(word))), None)
+    order = () if named is None else named.texts
+    motors = table.get("joint_ids_map") or table.get("leg_joint2motor_idx")
+    indices = [] if motors is None else [one.number for one in motors.items]
+    statements = list(_listed(table, order, [int(one) for one in indices if one is not None]))
+    for action in _below(table.get("actions")):
+        statements += _flat("action scale", action.get("scale"))
+        statements += _flat("action offset", action.get("offset"))
+    states_joints = bool(statements) or bool(order)
+    for word, quantity in _TIMES.items():
+        node = table.get(word)
+        if node is not None and node.number is not None:
+            statements.append(stated(quantity, node))
+    for word, scale in _OBSERVED.items():
+        node = table.get(word)
+        if node is not None and node.number is not None:
+            statements.append(stated(f"observation {scale}", node))
+    often = table.get("repeat_action")
+    if rate is not None and rate.number and often is not None and often.number is not None:
+        statements.append(Statement("policy step", often.number / rate.number, often.place))
+    if not states_joints:
+        return
+    yield Source(
+        name,
+        request.path,
+        role,
+        tuple(statements),
+        order=order if all(order) else (),
+        order_place=None if named is None else named.place,
+        motors=tuple(int(one) for one in indices if one is not None),
+        observations=tuple(_observed(table.get("observations"))),
+    )
+
+
+def _listed(table: Node, order: tuple[str, ...], motors: list[int]) -> Iterator[Statement]:
+    known = set(order) | {".*"}
+    for word, quantity in _LISTS.items():
+        node = table.get(word)
+        if node is None:
+            continue
+        for one in _flat(quantity, node):
+            # A text is a name of a parameter, not an expression: nothing is said of joints.
+            if one.value is None or (one.joint and one.joint not in known and order):
+                continue
+            # By motor, in the robot's own order: see unitree_rl_lab's articulation.h, "sdk order".
+            whole = sorted(motors) == list(range(len(motors)))
+            if word in ("stiffness", "damping") and whole and one.index in motors:
+                one = replace(one, index=motors.index(one.index or 0))
+            yield one
+
+
+def _flat(quantity: str, node: Node | None) -> Iterable[Statement]:
+    """Returns statements of a list, or of the list that a list of one list is."""
+    if node is not None and isinstance(node.value, list) and len(node.value) == 1:
+        inner = node.value[0]
+        node = inner if isinstance(inner.value, list) else node
+    return per_joint(quantity, node)
+
+
+def _below(node: Node | None) -> list[Node]:
+    """Returns the tables in a table that are of joint positions."""
+    if node is None or not isinstance(node.value, dict):
+        return []
+    parts = {key: one for key, one in node.value.items() if isinstance(one.value, dict)}
+    return [one for key, one in parts.items() if "Velocity" not in key and "Effort" not in key]
+
+
+def _observed(node: Node | None) -> Iterator[tuple[str, float | None, Place]]:
+    if node is None or not isinstance(node.value, dict):
+        return
+    for name, term in node.value.items():
+        scale = term.get("scale")
+        if isinstance(term.value, dict):
+            yield name, None if scale is None else scale.items[0].number, term.place
+
+
+def _of_limits(request: Request, document: Node) -> Iterator[Source]:
+    """Yields MoveIt's limits, each with the switch that says whether it counts."""
+    words = (("velocity", "max_velocity", "has_velocity_limits"),
+             ("effort", "max_effort", "has_effort_limits"),
+             ("lower limit", "min_position", "has_position_limits"),
+             ("upper limit", "max_position", "has_position_limits"))  # fmt: skip
+    held = document.value["joint_limits"].value
+    found = []
+    for joint, limits in held.items() if isinstance(held, dict) else ():
+        for quantity, word, switch in words:
+            node, counts = limits.get(word), limits.get(switch)
+            if node is not None and (counts is None or counts.value is not False):
+                found.append(stated(quantity, node, joint))
+    if found:
+        yield Source(request.path.name, request.path, Role.DRIVER, tuple(found))

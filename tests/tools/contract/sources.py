@@ -1,0 +1,197 @@
+"""Sources of Pupper v3 in each format, written here: what slips are planted into."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[3]
+URDF, MJCF = ROOT / "urdf/pupper_v3.urdf", ROOT / "mjcf/pupper_v3.xml"
+
+JOINTS = [f"leg_{leg}_{number}" for leg in ("front_r", "front_l", "back_r", "back_l")
+          for number in (1, 2, 3)]  # fmt: skip
+ANGLES = [0.26, 0.0, -0.52, -0.26, 0.0, 0.52] * 2
+
+MJLAB = """
+from robot_library import EntityCfg, EntityArticulationInfoCfg, BuiltinPositionActuatorCfg
+from robot_library import JointPositionActionCfg, ManagerBasedRlEnvCfg, ObsTerm
+import mdp
+from .motors import STIFFNESS, torque
+
+LIMIT = torque(gear=2.0)
+LEGS = BuiltinPositionActuatorCfg(
+    target_names_expr=("leg_.*",),
+    stiffness=STIFFNESS,
+    damping=0.25,
+    effort_limit=LIMIT,
+)
+HOME = EntityCfg.InitialStateCfg(
+    joint_pos={
+        "leg_.*_r_1": 0.26,
+        "leg_.*_l_1": -0.26,
+        "leg_.*_r_3": -0.52,
+        "leg_.*_l_3": 0.52,
+    },
+)
+ROBOT = EntityCfg(init_state=HOME, articulation=EntityArticulationInfoCfg(actuators=(LEGS,)))
+SCALE = {}
+for motor in ROBOT.articulation.actuators:
+    for name in motor.target_names_expr:
+        SCALE[name] = 0.5 * motor.effort_limit / motor.stiffness + 0.45
+
+
+def walking(play: bool = False) -> ManagerBasedRlEnvCfg:
+    cfg = ManagerBasedRlEnvCfg(
+        scene={"entities": {"robot": ROBOT}},
+        actions={"joint_pos": JointPositionActionCfg(actuator_names=(".*",), scale=0.5)},
+        observations={"policy": {"terms": {
+            "gyro": ObsTerm(func=mdp.base_ang_vel, scale=0.25),
+            "angles": ObsTerm(func=mdp.joint_pos_rel),
+            "last": ObsTerm(func=mdp.last_action),
+        }}},
+        sim={"dt": 0.005},
+        decimation=4,
+    )
+    cfg.actions["joint_pos"].scale = SCALE
+    if play:
+        cfg.decimation = 1
+    return cfg
+"""
+
+MOTORS = """
+STIFFNESS = 10.0 / 2
+
+
+def torque(gear, amps=1.5):
+    return gear * amps
+"""
+
+ISAAC = """
+from isaaclab.actuators import DCMotorCfg
+from isaaclab.assets import ArticulationCfg
+PUPPER_CFG = ArticulationCfg(
+    init_state=ArticulationCfg.InitialStateCfg(
+        joint_pos={
+            "leg_.*_r_1": 0.26, "leg_.*_l_1": -0.26, "leg_.*_2": 0.0,
+            "leg_.*_r_3": -0.52, "leg_.*_l_3": 0.52,
+        },
+    ),
+    actuators={
+        "legs": DCMotorCfg(
+            joint_names_expr=["leg_.*"],
+            effort_limit=3.0,
+            stiffness={"leg_.*": 5.0},
+            damping=0.25,
+        ),
+    },
+)
+"""
+
+GYM = """
+from legged_gym.envs.base.legged_robot_config import LeggedRobotCfg
+class BaseCfg(LeggedRobotCfg):
+    class control(LeggedRobotCfg.control):
+        stiffness = {"leg": 4.0}
+        decimation = 4
+    class sim:
+        dt = 0.005
+class PupperCfg(BaseCfg):
+    class init_state(BaseCfg.init_state):
+        default_joint_angles = {ANGLES}
+    class control(BaseCfg.control):
+        stiffness = {"leg": 5.0}
+        damping = {"leg": 0.25}
+        action_scale = 0.75
+""".replace(
+    "{ANGLES}", "{" + ", ".join(f"'{j}': {a}" for j, a in zip(JOINTS, ANGLES, strict=True)) + "}"
+)
+
+
+def listed(values: object) -> str:
+    return "[" + ", ".join(map(str, values)) + "]"  # type: ignore[call-overload]
+
+
+DEPLOY = f"""
+joint_ids_map: {listed(range(12))}
+step_dt: 0.02
+stiffness: {listed([5.0] * 12)}
+damping: {listed([0.25] * 12)}
+default_joint_pos: {listed(ANGLES)}
+actions:
+  JointPositionAction:
+    scale: {listed([0.75] * 12)}
+    offset: {listed(ANGLES)}
+observations:
+  base_ang_vel:
+    scale: [0.25, 0.25, 0.25]
+  joint_pos_rel:
+    scale: [1.0]
+  last_action:
+    scale: [1.0]
+"""
+
+ROS = f"""
+controller_manager:
+  ros__parameters:
+    update_rate: 500
+walker:
+  ros__parameters:
+    repeat_action: 10
+    joint_names: {listed(JOINTS)}
+    default_joint_pos: {listed(ANGLES)}
+    init_kps: {listed([7.5] * 12)}
+    kps: {listed([5.0] * 12)}
+    kds: {listed([0.25] * 12)}
+"""
+
+RTNEURAL = f"""{{
+"kp": 5.0, "kd": 0.25, "action_scale": 0.75,
+"default_joint_pos": {listed(ANGLES)},
+"in_shape": [null, 36], "layers": []
+}}
+"""
+
+MOVEIT = """
+joint_limits:
+  leg_front_r_1: {has_effort_limits: true, max_effort: 3.0, has_velocity_limits: false,
+    max_velocity: 1.0}
+  leg_front_r_2: {has_effort_limits: true, max_effort: 3.0}
+"""
+
+
+def onnx(**metadata: str) -> bytes:
+    """Returns a model of Protocol Buffers with an opset and metadata, as ONNX has them."""
+
+    def field(number: int, data: bytes) -> bytes:
+        assert len(data) < 1 << 14
+        size = bytes([len(data) & 127 | 128, len(data) >> 7])
+        return bytes([number << 3 | 2]) + size + data
+
+    said = b"\x08\x07"  # ir_version, a varint
+    for key, value in metadata.items():
+        said += field(14, field(1, key.encode()) + field(2, value.encode()))
+    return said
+
+
+ONNX = {
+    "joint_names": ",".join(JOINTS),
+    "default_joint_pos": ",".join(map(str, ANGLES)),
+    "joint_stiffness": ",".join(["5.0"] * 12),
+    "joint_damping": ",".join(["0.25"] * 12),
+    "action_scale": ",".join(["0.75"] * 12),
+    "observation_names": "base_ang_vel,joint_pos,actions",
+}
+
+
+def write_all(folder: Path) -> dict[str, Path]:
+    """Writes all sources; they agree with each other, and with v3 but for kd."""
+    package = folder / "training"
+    package.mkdir(exist_ok=True)
+    texts = {"training/__init__.py": "", "training/motors.py": MOTORS,
+             "training/mjlab_cfg.py": MJLAB,
+             "isaac_cfg.py": ISAAC, "gym_cfg.py": GYM, "deploy.yaml": DEPLOY,
+             "config.yaml": ROS, "policy.json": RTNEURAL, "joint_limits.yaml": MOVEIT}  # fmt: skip
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    (folder / "policy.onnx").write_bytes(onnx(**ONNX))
+    names = [*texts, "policy.onnx"]
+    return {Path(name).name: folder / name for name in names}

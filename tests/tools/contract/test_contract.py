@@ -1,0 +1,229 @@
+"""A contract: what agrees is silent, and what is planted is found, with both its lines."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.tools.contract import Contract, read_contract
+from tests.tools.contract.sources import ANGLES, JOINTS, MJCF, URDF, listed, write_all
+
+TRAINERS = ("mjlab_cfg.py", "isaac_cfg.py", "gym_cfg.py")
+OTHERS = ("deploy.yaml", "config.yaml", "policy.json", "policy.onnx")
+
+
+@pytest.fixture
+def sources(tmp_path: Path) -> dict[str, Path]:
+    return write_all(tmp_path)
+
+
+def contract(*paths: str | Path) -> Contract:
+    return read_contract(URDF, *paths, stand=False)
+
+
+PAIRS = [(trainer, other) for trainer in TRAINERS for other in OTHERS
+         if (trainer, other) != ("isaac_cfg.py", "policy.json")]  # fmt: skip
+
+
+def test_lists_of_isaac_labs_policies_go_by_depth(sources: dict[str, Path]) -> None:
+    (read,) = [one for one in contract(sources["isaac_cfg.py"], sources["policy.json"]).sources
+               if one.role == "policy"]  # fmt: skip
+    assert {name[-2:] for name in read.order[:4]} == {"_1"}
+    assert {name[-2:] for name in read.order[8:]} == {"_3"}
+
+
+@pytest.mark.parametrize(("trainer", "other"), PAIRS)
+def test_what_agrees_is_silent(sources: dict[str, Path], trainer: str, other: str) -> None:
+    found = contract(sources[trainer], sources[other])
+    assert [one.message for one in found.findings] == []
+    assert found.passed
+    kp = {(one.source, one.joint): one.value for one in found.facts if one.quantity == "kp"}
+    assert len(kp) == 24
+    assert set(kp.values()) == {5.0}
+
+
+SLIPS = {
+    "order": ("default_joint_pos", listed(ANGLES),
+              listed([*ANGLES[:3], 0.0, -0.26, 0.52, *ANGLES[6:]]),
+              "default angle", "order"),
+    "sign": ("default_joint_pos", "[0.26, 0.0,", "[-0.26, 0.0,", "default angle", "sign"),
+    "sides": ("default_joint_pos", listed(ANGLES),
+              listed([*ANGLES[3:6], *ANGLES[:3], *ANGLES[6:]]), "default angle", "sign"),
+    "scale": ("scale", listed([0.75] * 12), listed([0.75] * 11 + [0.5]), "action scale", ""),
+    "default": ("default_joint_pos", "-0.52, -0.26", "-0.5, -0.26", "default angle", ""),
+    "kp": ("stiffness", listed([5.0] * 12), listed([5.0] * 5 + [7.0] + [5.0] * 6), "kp", ""),
+    "kd": ("damping", listed([0.25] * 12), listed([0.1] * 12), "kd", ""),
+    "unit": ("default_joint_pos", listed(ANGLES),
+             listed(round(57.29578 * one, 2) for one in ANGLES), "default angle", "unit"),
+    "step": ("step_dt", "0.02", "0.01", "policy step", ""),
+    "seen": ("base_ang_vel", "[0.25, 0.25, 0.25]", "[1.0, 1.0, 1.0]", "observations", ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_a_planted_slip_is_found_with_both_lines(sources: dict[str, Path], slip: str) -> None:
+    key, before, after, quantity, kind = SLIPS[slip]
+    text = sources["deploy.yaml"].read_text()
+    start = text.index(f"{key}:")
+    changed = text[:start] + text[start:].replace(before, after, 1)
+    assert changed != text
+    sources["deploy.yaml"].write_text(changed)
+    line = changed[: start + changed[start:].index(after)].count("\n") + 1
+    found = contract(sources["mjlab_cfg.py"], sources["deploy.yaml"])
+    assert not found.passed
+    hits = [one for one in found.findings if one.kind == quantity and one.slip == kind]
+    assert hits, [one.message for one in found.findings]
+    # The trainer's line, and the one that was changed; an observation stands at its first scale.
+    places = [place.rpartition(":") for place in hits[0].places]
+    assert Path(places[0][0]).name == "mjlab_cfg.py"
+    assert places[1][0] == str(sources["deploy.yaml"])
+    assert abs(int(places[1][2]) - line) <= (1 if slip == "seen" else 0)
+
+
+def test_a_trainers_line_is_where_a_joint_is_given_its_number(sources: dict[str, Path]) -> None:
+    text = sources["deploy.yaml"].read_text()
+    sources["deploy.yaml"].write_text(text.replace(listed([0.75] * 12), listed([0.4] * 12)))
+    found = contract(sources["mjlab_cfg.py"], sources["deploy.yaml"])
+    (finding,) = [one for one in found.findings if one.kind == "action scale"]
+    place, _, line = finding.places[0].rpartition(":")
+    assert "SCALE[name] = " in Path(place).read_text().splitlines()[int(line) - 1]
+    assert finding.joints == tuple(JOINTS)
+    assert finding.values == (pytest.approx(0.75), 0.4)  # 0.5 * (2 * 1.5) / 5 + 0.45
+    assert "53 % of what it was trained for" in finding.message
+
+
+def test_numbers_that_were_rounded_are_one(sources: dict[str, Path]) -> None:
+    text = sources["motors.py"].read_text()
+    sources["motors.py"].write_text(text.replace("10.0 / 2", "10.0 / 2 + 0.0123"))
+    deploy = sources["deploy.yaml"]
+    found = contract(sources["mjlab_cfg.py"], deploy)
+    assert [one for one in found.findings if one.kind == "kp"] == []  # 5.0123 is 5.0
+    deploy.write_text(deploy.read_text().replace(listed([5.0] * 12), listed([5.1] * 12)))
+    found = contract(sources["mjlab_cfg.py"], deploy)
+    assert [one.joints for one in found.findings if one.kind == "kp"] == [tuple(JOINTS)]
+
+
+def test_what_two_people_wrote_is_not_rounded(sources: dict[str, Path]) -> None:
+    text = sources["config.yaml"].read_text()
+    sources["config.yaml"].write_text(text.replace("0.26", "0.3"))  # no rounding of 0.26
+    found = contract(sources["gym_cfg.py"], sources["config.yaml"])
+    (finding,) = found.findings
+    assert finding.kind == "default angle"
+    assert len(finding.joints) == 4
+
+
+def test_a_mirror_tells_a_slip_in_one_source_alone(sources: dict[str, Path]) -> None:
+    text = sources["isaac_cfg.py"].read_text()
+    sources["isaac_cfg.py"].write_text(text.replace('"leg_.*_l_1": -0.26', '"leg_.*_l_1": 0.26'))
+    found = contract(sources["isaac_cfg.py"])
+    assert {one.slip for one in found.findings} == {"mirror"}
+    assert {one.joints for one in found.findings} == {
+        ("leg_front_r_1", "leg_front_l_1"), ("leg_back_r_1", "leg_back_l_1")}  # fmt: skip
+    assert found.findings[0].values == (0.26, 0.26)
+
+
+def test_what_feeds_a_policy_must_have_its_order(sources: dict[str, Path]) -> None:
+    text = sources["config.yaml"].read_text()
+    swapped = [*JOINTS[:6], *JOINTS[9:], *JOINTS[6:9]]
+    sources["config.yaml"].write_text(text.replace(listed(JOINTS), listed(swapped)))
+    found = contract(sources["policy.onnx"], sources["config.yaml"])
+    orders = [one for one in found.findings if one.kind == "order"]
+    assert len(orders) == 1
+    assert set(orders[0].joints) == set(JOINTS[6:])
+    assert "6 → 9 (leg_back_r_1)" in orders[0].message
+
+
+def test_observations_in_another_order_are_found(sources: dict[str, Path]) -> None:
+    text = sources["mjlab_cfg.py"].read_text()
+    one, two = re.findall(r'            "(?:angles|last)".*\n', text)
+    sources["mjlab_cfg.py"].write_text(text.replace(one + two, two + one))
+    found = contract(sources["mjlab_cfg.py"], sources["deploy.yaml"])
+    assert [one.kind for one in found.findings] == ["observations"]
+
+
+def test_the_model_is_held_against_the_others(sources: dict[str, Path]) -> None:
+    found = read_contract(MJCF, URDF, sources["policy.json"], stand=False)
+    (finding,) = found.findings
+    assert (finding.kind, finding.values) == ("kd", (0.25, 0.1))
+    assert finding.places[1].rpartition(":")[0].endswith("pupper_v3_shared.xml")
+    assert "40 % of the damping" in finding.message
+
+
+def test_limits_of_motors_are_held_against_the_urdfs(sources: dict[str, Path]) -> None:
+    text = sources["isaac_cfg.py"].read_text()
+    sources["isaac_cfg.py"].write_text(text.replace("effort_limit=3.0", "effort_limit=2.0"))
+    (finding,) = contract(sources["isaac_cfg.py"]).findings
+    assert (finding.kind, finding.values, finding.joints) == ("effort", (2.0, 3.0), tuple(JOINTS))
+
+
+def test_expressions_that_are_no_constants_are_shown_as_they_stand(
+    sources: dict[str, Path],
+) -> None:
+    text = sources["isaac_cfg.py"].read_text()
+    sources["isaac_cfg.py"].write_text(text.replace("damping=0.25", "damping=measured()"))
+    found = contract(sources["isaac_cfg.py"], sources["policy.json"])
+    kd = [one for one in found.facts if one.quantity == "kd" and one.value is None]
+    assert {one.expression for one in kd} == {"measured()"}
+    assert len(kd) == 12
+    assert [one for one in found.findings if one.kind == "kd"] == []
+
+
+def test_default_poses_are_stood(sources: dict[str, Path]) -> None:
+    text = sources["config.yaml"].read_text()
+    sources["config.yaml"].write_text(text.replace("0.52", "0.82"))
+    found = read_contract(MJCF, URDF, sources["policy.json"], sources["config.yaml"])
+    one, two = found.poses
+    assert one.source == "policy.json"
+    assert one.height != two.height
+    assert one.stays
+    assert one.sag is not None
+    assert 0.002 < one.sag < 0.02  # kp of 5: v3 sinks by some mm
+    assert one.utilisation is not None
+    assert 0.05 < one.utilisation < 0.3
+    finding = next(each for each in found.findings if each.kind == "default angle")
+    apart = abs(one.height - two.height)
+    assert f"{1e3 * apart:.3g} mm of base height" in finding.message
+
+
+def test_of_several_configurations_one_is_asked_for(sources: dict[str, Path]) -> None:
+    path = sources["isaac_cfg.py"]
+    text = path.read_text()
+    path.write_text(text + text.replace("PUPPER_CFG", "OTHER_CFG").replace("3.0", "4.0"))
+    with pytest.raises(ModelError, match=r"PUPPER_CFG, OTHER_CFG; name one"):
+        contract(path)
+    assert contract(f"{path}:PUPPER_CFG").findings == ()
+    with pytest.raises(ModelError, match="no configuration 'NONE'"):
+        contract(f"{path}:NONE")
+
+
+def test_a_folder_gives_the_deployments_of_this_robot(sources: dict[str, Path]) -> None:
+    folder = sources["config.yaml"].parent
+    (folder / "other.yaml").write_text(
+        "a:\n  ros__parameters:\n    joints: [x, y]\n    kps: [1, 1]\n"
+    )
+    found = contract(folder)
+    assert {one.name for one in found.sources} == {
+        "pupper_v3.urdf", "config.yaml:walker", "policy.onnx"}  # fmt: skip
+
+
+def test_names_are_matched_without_prefixes_and_as_they_are_given(
+    sources: dict[str, Path],
+) -> None:
+    text = sources["config.yaml"].read_text()
+    sources["config.yaml"].write_text(text.replace("leg_", "robot_leg_"))
+    assert contract(sources["gym_cfg.py"], sources["config.yaml"]).findings == ()
+    other = [f"motor{number}" for number in range(12)]
+    sources["config.yaml"].write_text(text.replace(listed(JOINTS), listed(other)))
+    with pytest.raises(ModelError, match="no joint of it is one of"):
+        contract(sources["config.yaml"])
+    names = dict(zip(other, JOINTS, strict=True))
+    found = read_contract(URDF, sources["config.yaml"], names=names, stand=False)
+    assert len([one for one in found.facts if one.quantity == "kp"]) == 12
+
+
+def test_a_model_is_asked_for(sources: dict[str, Path]) -> None:
+    with pytest.raises(ConfigurationError, match="none of the sources is a model"):
+        read_contract(sources["policy.json"])
