@@ -22,7 +22,10 @@ from pupper_analysis.models.places import Place, source_name
 from pupper_analysis.tools.contract.facts import MOST, Node
 from pupper_analysis.tools.contract.marked import decimals_of
 
-MOST_STEPS: Final = 2_000_000
+MOST_ROUNDS: Final = 10_000
+"""Of a comprehension: each has its own names."""
+
+MOST_STEPS: Final = 500_000
 """Expressions that are worked out: a module of a training library takes some 10,000."""
 
 DEEPEST: Final = 40
@@ -523,7 +526,7 @@ class Evaluator:
             inner: list[dict[str, Node]] = []
             for around in found:
                 over = self._listed(self.value(loop.iter, around, module))
-                if over is None:
+                if over is None or len(over) * len(found) > MOST_ROUNDS:
                     return None
                 for each in over:
                     here = dict(around)

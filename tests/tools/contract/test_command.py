@@ -1,0 +1,58 @@
+"""``pupper-analysis contract``: exit status, both lines for machines, and bad input in one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import Answer, answer
+from tests.tools.contract.sources import MJCF, URDF, listed, write_all
+
+BOMB = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
+    f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 9)
+)
+BAD = {
+    "cut.py": ("def f(:", "cut.py:1: it is no Python"),
+    "alias.yaml": (BOMB, "it holds more than 200000 values"),
+    "self.yaml": ("a: &a [*a]\n", "it is nested too deeply"),
+    "deep.json": ("[" * 100_000, "nest"),
+    "cut.yaml": ("a: [1\nb: 2", "it is no YAML"),
+    "none.py": ("import os\nos.system('touch made')\n", "it states no number of joints"),
+    "circle.py": ("from circle import A\nB = A\n", "it states no number of joints"),
+    "big.yaml": ("#" * 20_000_001, "it has more than 20 MB"),
+    "cut.onnx": ("\x7f\x7f", "it is no ONNX model"),
+    "text.txt": ("x", "it is of no kind that is read"),
+    "other.py": ("C = ACfg(init_state=S(joint_pos={'knee': 1.0}), "
+                 "actuators={'a': B(joint_names_expr=['knee'], stiffness=2.0)})\n",
+                 "no joint of it is one of pupper_v3.urdf"),
+}  # fmt: skip
+
+
+def run(folder: Path, *arguments: object) -> Answer:
+    return answer("contract", "--no-stand", *map(str, arguments), folder=folder)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_line(tmp_path: Path, name: str) -> None:
+    text, problem = BAD[name]
+    (tmp_path / name).write_text(text)
+    said = run(tmp_path, URDF, tmp_path / name)
+    assert said.returncode == 2
+    assert problem in said.stderr
+    assert len(said.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "made").exists()
+
+
+def test_machines_are_told_both_lines(tmp_path: Path) -> None:
+    sources = write_all(tmp_path)
+    text = sources["deploy.yaml"].read_text()
+    sources["deploy.yaml"].write_text(text.replace(listed([5.0] * 12), listed([9.0] * 12)))
+    said = run(tmp_path, URDF, sources["gym_cfg.py"], sources["deploy.yaml"], "--format", "sarif")
+    assert said.returncode == 1
+    results = json.loads(said.stdout)["runs"][0]["results"]
+    places = [one["locations"][0]["physicalLocation"] for one in results]
+    names = {place["artifactLocation"]["uri"].rpartition("/")[2] for place in places}
+    assert names == {"gym_cfg.py", "deploy.yaml"}
+    assert run(tmp_path, MJCF, URDF, sources["policy.json"], "--fail-on", "error").returncode == 1
