@@ -149,8 +149,8 @@ def read_contract(
     rest = [one for one in read if one is not first]
     placed = [place_source(one, model, first.order, rest, names or {}) for one in (first, *rest)]
     for one in placed:
-        said = [fact for fact in one.facts.values() if not fact.implied]
-        if not said and not (one.order and any(one.order)):
+        own = [fact for fact in one.facts.values() if not fact.implied]
+        if not own and not (one.order and any(one.order)):
             theirs = tuple(dict.fromkeys([*one.unknown, *_patterns(one.source)]))
             told = diagnose("contract-no-joint", model=first.name, names=theirs[:4],
                             joints=first.order[:4])  # fmt: skip
