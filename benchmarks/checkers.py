@@ -88,7 +88,9 @@ def urdf_validator(path: Path, share: Path, bins: Path) -> Said:
         path.parent,
     )
     told = json.loads((path.parent / f"{path.stem}_validation.json").read_text())
-    return Counter(_without_numbers(str(one)) for one in told["critical_issues"] + told["warnings"])
+    weak = [f"effort {one['name']}" for one in told["statics"]["joints"] if one["status"] == "FAIL"]
+    found = [*told["critical_issues"], *told["warnings"], *weak]
+    return Counter(_without_numbers(str(one)) for one in found)
 
 
 def robot_doctor(path: Path, share: Path, bins: Path) -> Said:
@@ -157,16 +159,23 @@ COLUMNS = (
 @click.command()
 @click.option("--robots", type=click.Path(path_type=Path, exists=True), required=True)
 @click.option("--others", type=click.Path(path_type=Path, exists=True), help="Their bin folder.")
+@click.option("--only", multiple=True, type=click.Choice(ROBOTS), help="Repeatable.")
 @click.option("--folder", type=click.Path(path_type=Path), default=Path("build/checkers"))
 @click.option("--csv", "to", type=click.Path(path_type=Path), help="Write the counts here.")
-def main(robots: Path, others: Path | None, folder: Path, to: Path | None) -> None:
+def main(
+    robots: Path, others: Path | None, only: tuple[str, ...], folder: Path, to: Path | None
+) -> None:
     """Counts what checkers find of the same slips in the same files."""
     share = (robots / DATA).parent.resolve()
+    package = folder.resolve() / PACKAGE  # some look for meshes above the file alone
+    package.mkdir(parents=True, exist_ok=True)
+    if not (package / "robots").exists():
+        (package / "robots").symlink_to(share / "robots")
     rows = []
     for checker in CHECKERS if others else ("pupper-analysis",):
         found, ended, plain = Counter[int](), Counter[bool](), 0
-        for name in ROBOTS:
-            kept = (folder / name).resolve()
+        for name in only or ROBOTS:
+            kept = package / name
             kept.mkdir(parents=True, exist_ok=True)
             source = share / f"robots/{name}_description/urdf/{name}.urdf"
             sound = kept / f"{name}.urdf"
@@ -183,7 +192,7 @@ def main(robots: Path, others: Path | None, folder: Path, to: Path | None) -> No
                     new = after is not None and before is not None and after - before
                     found[number] += bool(new)
             click.echo(f"{checker}: {name}: {dict(found)}", err=True)
-        count = len(ROBOTS) * len(SLIPS)
+        count = len(only or ROBOTS) * len(SLIPS)
         rows.append((checker, found[1], found[4], count, plain, ended[False]))
     for row in [COLUMNS, *rows]:
         click.echo(" | ".join(map(str, row)))
