@@ -7,7 +7,6 @@ from pupper_analysis.tools.audit.rules import (  # noqa: F401
     legs,
     mass,
     mirror,
-    scale,
     shapes,
     simulation,
     start,
