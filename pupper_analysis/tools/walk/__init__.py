@@ -1,3 +1,3 @@
-"""Find what a learnt policy asks of the motors, and how far the robot may change."""
+"""Find what a learnt policy asks of the motors as it walks."""
 
 HEADING = "Real robot"

@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import mujoco.rollout
@@ -51,12 +51,14 @@ class Case:
         command: (3,) speed forward and to the left (m/s), and turning (rad/s).
         delay: Of commands at the servos (s).
         seed: Of its start; 0: exactly the default pose, at rest.
+        lift: How much higher it stands than the stage's robot (m), as on longer legs.
     """
 
     model: mujoco.MjModel
     command: Array
     delay: float
     seed: int = 0
+    lift: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +231,8 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
     worst = np.zeros((count, 2))
     delays = np.array([round(case.delay / stage.timestep) for case in cases])
     commands = np.array([case.command for case in cases])
+    lifts = np.array([case.lift for case in cases])
+    uprights = [lifted(stage.upright, case.lift) for case in cases]
     observer = Observer(stage, commands)
     memory = stage.policy.network.start(count)
     asked = np.tile(stage.ctrl, (count, ticks + 1, 1))  # [:, k]: from tick k - 1 on
@@ -249,13 +253,14 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
         broken = ~np.isfinite(states).all(axis=(1, 2))
         broken |= states[:, -1, 0] < (first + stage.substeps - 0.5) * stage.timestep
         lean, lost = lean_and_loss(stage, current)
+        lost += lifts[going]
         if (first + stage.substeps) * stage.timestep > warm_up:
             worst[going] = np.fmax(worst[going], np.column_stack([lean, lost]))
         near = (lean > _NEAR * FALLEN_TILT) | (
-            lost > _NEAR * (1 - FALLEN_HEIGHT) * stage.upright.size
+            lost > _NEAR * (1 - FALLEN_HEIGHT) * (stage.upright.size + lifts[going])
         )
         for place in np.flatnonzero(near & ~broken):
-            broken[place] = stage.upright.has_fallen(current[place])
+            broken[place] = uprights[going[place]].has_fallen(current[place])
         if broken.any():
             fallen[going[broken]], ends[going[broken]] = True, first + stage.substeps
             going, current = going[~broken], current[~broken]
@@ -275,10 +280,17 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
     ]
 
 
+def lifted(upright: Upright, lift: float) -> Upright:
+    """Returns what a fall is measured against of a robot that stands higher by a lift (m)."""
+    place = upright.place + np.array([0.0, 0.0, lift])
+    return replace(upright, place=place, size=upright.size + lift)
+
+
 def _start(stage: Stage, case: Case) -> Array:
     """Returns the state (mjSTATE_FULLPHYSICS) in which a run begins."""
     data, robot = mujoco.MjData(case.model), stage.robot
     qpos, qvel = stage.default.copy(), np.zeros(robot.nv)
+    qpos[2] += case.lift
     if case.seed:
         draw = np.random.default_rng(case.seed).uniform(-1.0, 1.0, robot.nu + 6)
         qpos[7:] += _JOINT_SPREAD * draw[6:]

@@ -1,0 +1,270 @@
+"""How far a robot may change before a policy no longer tracks its command."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.walk.gait import command_of, follow
+from pupper_analysis.tools.walk.policy import Policy
+from pupper_analysis.tools.walk.runs import Case, Stage, simulate_cases, stage_of
+
+Array = NDArray[np.float64]
+
+SECONDS, WARM_UP = 5.0, 1.5
+"""Of each run (s): what falls, falls in the first three."""
+
+HALVINGS = 5
+"""Of the range between what is tracked and what is not: to 3 % of it."""
+
+Change = Callable[[Stage, mujoco.MjModel, float], None]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What of a robot is changed.
+
+    Attributes:
+        unit: ``x`` of a factor.
+        nominal: Its value where nothing is changed.
+        range: (least, greatest) that is tried: beyond it, no robot of the kind is.
+        apply: Changes a copy of the model; None of a delay, which is no property of it.
+    """
+
+    unit: str
+    nominal: float
+    range: tuple[float, float]
+    apply: Change | None
+
+    def between(self, one: float, other: float) -> float:
+        """Returns the middle of two values: of factors, their geometric mean."""
+        return math.sqrt(one * other) if self.unit == "x" else (one + other) / 2
+
+
+def _base(stage: Stage, model: mujoco.MjModel) -> int:
+    return int(model.body(stage.robot.mj_base).id)
+
+
+def _mass(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    model.body_mass[_base(stage, model)] *= value
+    model.body_inertia[_base(stage, model)] *= value
+
+
+def _com(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    model.body_ipos[_base(stage, model), 0] += value
+
+
+def _friction(_: Stage, model: mujoco.MjModel, value: float) -> None:
+    model.geom_friction[:, 0] *= value
+    model.pair_friction[:, :2] *= value
+
+
+def _motors(stage: Stage) -> NDArray[np.int64]:
+    motors = stage.robot.mj_convention.actuator_index
+    return motors[motors >= 0]
+
+
+def _kp(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    model.actuator_gainprm[_motors(stage), 0] *= value
+    model.actuator_biasprm[_motors(stage), 1] *= value
+
+
+def _kd(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    model.actuator_biasprm[_motors(stage), 2] *= value
+
+
+def _strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    model.actuator_forcerange[_motors(stage)] *= value
+
+
+def _legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    """Scales what is beyond the first joint of each limb with a foot; masses stay."""
+    base, limbs = _base(stage, model), set()
+    for body, _ in stage.robot.contact_places.values():
+        chain = []
+        while body not in (0, base):
+            chain.append(body)
+            body = int(model.body_parentid[body])
+        limbs |= set(chain[:-1])
+    beyond = sorted(limbs)
+    model.body_pos[beyond] *= value
+    model.body_ipos[beyond] *= value
+    model.geom_pos[np.isin(model.geom_bodyid, beyond)] *= value
+    model.site_pos[np.isin(model.site_bodyid, beyond)] *= value
+
+
+QUANTITIES: Mapping[str, Quantity] = {
+    "mass": Quantity("x", 1.0, (0.25, 4.0), _mass),
+    "com": Quantity("m", 0.0, (-0.1, 0.1), _com),
+    "friction": Quantity("x", 1.0, (0.05, 4.0), _friction),
+    "kp": Quantity("x", 1.0, (0.1, 8.0), _kp),
+    "kd": Quantity("x", 1.0, (0.05, 8.0), _kd),
+    "delay": Quantity("s", 0.0, (0.0, 0.2), None),
+    "strength": Quantity("x", 1.0, (0.05, 4.0), _strength),
+    "legs": Quantity("x", 1.0, (0.5, 2.0), _legs),
+}
+"""Mass and com (forward) are those of the base's body, friction that of all contacts, the legs'
+length that beyond the first joint of each limb, at the same masses."""
+
+
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """Between which values of a quantity a policy still tracks its command.
+
+    Attributes:
+        quantity: Of ``QUANTITIES``.
+        unit: ``x`` of a factor.
+        nominal: Where nothing is changed.
+        least: (seeds,) the least value found with which it tracks.
+        most: (seeds,) the greatest.
+        below: (seeds,) greatest value below ``least`` with which it does not; null where it
+            tracks at the end of the range that was tried.
+        above: (seeds,) least value above ``most`` with which it does not; likewise.
+    """
+
+    quantity: str
+    unit: str
+    nominal: float
+    least: Array
+    most: Array
+    below: Array
+    above: Array
+
+    @property
+    def common(self) -> tuple[float, float]:
+        """Where the runs of all seeds track."""
+        return float(self.least.max()), float(self.most.min())
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """How far a robot may change before a policy no longer tracks its command.
+
+    Attributes:
+        name: The robot's name.
+        policy: The name of the policy's file.
+        command: (3,) speed forward and to the left (m/s), and turning to the left (rad/s).
+        seeds: The runs' starts; those that do not track even the unchanged robot are left out.
+        intervals: One for each quantity, the others unchanged.
+        rollouts: How many runs were simulated.
+    """
+
+    name: str
+    policy: str
+    command: Array
+    seeds: tuple[int, ...]
+    intervals: tuple[Interval, ...]
+    rollouts: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether it tracks the unchanged robot at all."""
+        return bool(self.seeds)
+
+
+def changed_case(stage: Stage, name: str, value: float, command: Array, seed: int) -> Case:
+    """Returns a run of a robot of which one quantity has another value."""
+    quantity, latency = QUANTITIES[name], stage.policy.contract.latency
+    if quantity.apply is None:
+        return Case(stage.model, command, latency + value, seed)
+    model = copy.copy(stage.model)
+    quantity.apply(stage, model, value)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    lift = _lowest(stage, stage.model) - _lowest(stage, model) if name == "legs" else 0.0
+    return Case(model, command, latency, seed, lift)
+
+
+def _lowest(stage: Stage, model: mujoco.MjModel) -> float:
+    """Returns the height of the lowest foot's geom in the default pose (m)."""
+    data = mujoco.MjData(model)
+    stage.robot.mj_convention.set_state(data, stage.default)
+    mujoco.mj_kinematics(model, data)
+    return float(data.geom_xpos[list(stage.robot.foot_geoms), 2].min())
+
+
+@check_arguments
+def tracked_intervals(
+    robot: Robot,
+    policy: Policy,
+    command: ArrayLike = (0.5, 0.0, 0.0),
+    *,
+    seeds: int = 3,
+    quantities: tuple[str, ...] = tuple(QUANTITIES),
+    workers: int | None = None,
+) -> Intervals:
+    """Finds between which values of each quantity a policy still tracks its command.
+
+    Each quantity is changed alone, both ways, and its range halved five times between what is
+    tracked and what is not; the same starts are used for all (paired seeds). What is tracked need
+    not be an interval: one end of perhaps several is found. The same for any number of workers.
+
+    Args:
+        robot: The robot.
+        policy: The policy.
+        command: Speed forward and to the left (m/s), and turning to the left (rad/s).
+        seeds: How many starts; the first is exactly the default pose.
+        quantities: Of ``QUANTITIES``.
+        workers: Threads; by default one per core.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ModelError: If the policy does not fit the robot.
+    """
+    wanted, stage = command_of(command), stage_of(robot, policy)
+    if not 1 <= seeds <= 1000:
+        problem = diagnose("not-between", given=str(seeds), low=1, high=1000)
+        raise ConfigurationError("seeds", problem)
+    for name in quantities:
+        if name not in QUANTITIES:
+            problem = diagnose("none-of", value=name, known=tuple(QUANTITIES))
+            raise ConfigurationError("quantities", problem)
+    count = 0
+
+    def track(asked: list[tuple[str, float, int]]) -> list[bool]:
+        nonlocal count
+        count += len(asked)
+        cases = [changed_case(stage, name, value, wanted, seed) for name, value, seed in asked]
+        runs = simulate_cases(stage, cases, SECONDS, WARM_UP, workers)
+        return [follow(stage, run, WARM_UP).tracks for run in runs]
+
+    tried = [("delay", 0.0, seed) for seed in range(seeds)]
+    kept = tuple(seed for (_, _, seed), good in zip(tried, track(tried), strict=True) if good)
+    limited = bool(stage.model.actuator_forcelimited[_motors(stage)].any())
+    names = [name for name in quantities if name != "strength" or limited]
+    ends: dict[tuple[str, int, int], list[float]] = {}  # [tracked, not tracked]
+    for name in names:
+        quantity = QUANTITIES[name]
+        for side, end in enumerate(quantity.range):
+            for seed in kept:
+                missing = math.nan if end == quantity.nominal else end
+                ends[name, side, seed] = [quantity.nominal, missing]
+    going = [key for key, (_, end) in ends.items() if not math.isnan(end)]
+    for (name, side, seed), good in zip(
+        going, track([(key[0], ends[key][1], key[2]) for key in going]), strict=True
+    ):
+        if good:
+            ends[name, side, seed] = [ends[name, side, seed][1], math.nan]
+    for _ in range(HALVINGS):
+        going = [key for key, (_, end) in ends.items() if not math.isnan(end)]
+        middles = [QUANTITIES[key[0]].between(*ends[key]) for key in going]
+        asked = [(key[0], value, key[2]) for key, value in zip(going, middles, strict=True)]
+        for key, value, good in zip(going, middles, track(asked), strict=True):
+            ends[key][0 if good else 1] = value
+    found = []
+    for name in names:
+        least, most = (np.array([ends[name, side, seed] for seed in kept]) for side in (0, 1))
+        if kept:
+            quantity = QUANTITIES[name]
+            values = (least[:, 0], most[:, 0], least[:, 1], most[:, 1])
+            found.append(Interval(name, quantity.unit, quantity.nominal, *values))
+    return Intervals(robot.name, policy.name, wanted, kept, tuple(found), count)
