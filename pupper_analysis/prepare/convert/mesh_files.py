@@ -20,6 +20,9 @@ READABLE: Final = (".stl", ".obj", ".msh")
 _CONVERTIBLE: Final = (".dae", ".glb", ".gltf", ".off", ".ply")
 """Endings of those that are read here: no archives, whose content may be of any size and kind."""
 
+_PICTURES: Final = (".bmp", ".gif", ".jpeg", ".jpg", ".png", ".tga", ".tif", ".tiff", ".webp")
+"""Endings of what a mesh may be painted with."""
+
 MOST_BYTES: Final = 200_000_000
 """Largest mesh file that is read: ten times the largest of a published robot that was seen."""
 
@@ -80,6 +83,8 @@ def obj_of(path: Path) -> bytes:
             for node in scene.graph.nodes_geometry
         )
         _check_count(count, MOST_VERTICES)
+        for shape in scene.geometry.values():
+            shape.visual = None  # else pictures are put together for all parts: 200 MB a mesh
         text: str = trimesh.exchange.obj.export_obj(
             scene.to_mesh(), include_color=False, include_texture=False, include_normals=False
         )
@@ -176,7 +181,10 @@ def _check_collada(data: bytes) -> None:
 
 
 class _Beside:
-    """Finds the files that a mesh names, for trimesh: regular ones, beside it, not too large."""
+    """Finds the files that a mesh names, for trimesh: regular ones, beside it, not too large.
+
+    Pictures are none: shapes are all that is written.
+    """
 
     def __init__(self, path: Path) -> None:
         self.folder = path.parent.resolve()
@@ -187,6 +195,6 @@ class _Beside:
     def get(self, name: str) -> bytes:
         """Returns a file's content."""
         file = (self.folder / name).resolve()
-        if not file.is_relative_to(self.folder):
+        if not file.is_relative_to(self.folder) or file.suffix.lower() in _PICTURES:
             raise FileNotFoundError(name)
         return read_mesh(file)

@@ -27,6 +27,7 @@ from pupper_analysis.prepare.convert.to_urdf import urdf_draft
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.present.verdict import published_clauses
+from pupper_analysis.robot.alike import limbs_without_feet
 from pupper_analysis.robot.compare.compare import Comparison, compare_models
 from pupper_analysis.robot.compare.differences import OF_INERTIALS
 from pupper_analysis.simulation.verdict import VerdictCode
@@ -131,8 +132,9 @@ def convert_model(
         failures.append(draft.failure)
     failures += draft.lost
     if draft.failure is None and draft.stands:
-        verification = _stood(draft.urdf or read_urdf(urdf), mjcf, feet)
-        failures += verification.failures
+        robot = robot_of(draft.urdf or read_urdf(urdf), read_mjcf(mjcf), feet=feet)
+        verification = verify_stand(robot, solve_stand_on_soft_ground(robot))
+        failures += [*limbs_without_feet(robot), *verification.failures]
         if mjcf == output:
             kept = keyframe_run(mjcf)
             why = [] if kept is None else kept.failures
@@ -190,11 +192,6 @@ def _of_the_import(
         if verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED:
             for clause in published_clauses(verdict.published):
                 yield diagnose("import-does-otherwise", problem=clause.told)
-
-
-def _stood(urdf: UrdfFile, mjcf: Path, feet: Feet | None) -> StandVerification:
-    robot = robot_of(urdf, read_mjcf(mjcf), feet=feet)
-    return verify_stand(robot, solve_stand_on_soft_ground(robot))
 
 
 @dataclass(frozen=True, eq=False)
