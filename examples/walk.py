@@ -1,8 +1,7 @@
 """What does a policy ask of the motors: a stand that balances by its hips, made here.
 
 One sees each motor's torque, and that a policy that was made to stand does not walk. Pupper's own,
-``launch/policy_latest.json`` of github.com/G-Levine/neural_controller (MIT), is loaded the same
-way, and walks v3 at 0.47 m/s of 0.5.
+``launch/policy_latest.json`` of github.com/G-Levine/neural_controller, walks v3 at 0.47 m/s.
 """
 
 import json
@@ -22,13 +21,11 @@ def make_policy(path: Path) -> Policy:
     weights[4] = [0.0, 0.2, 0.0] * 4  # the direction of gravity, to the left
     layer = {"type": "dense", "activation": "tanh", "weights": [weights, [0.0] * 12]}
     stated = {"observation_history": 1, "action_scale": 0.75, "kp": 5.0, "kd": 0.25}
-    content = {**stated, "default_joint_pos": POSE, "layers": [layer]}
-    path.write_text(json.dumps(content), encoding="utf-8")
+    path.write_text(json.dumps({**stated, "default_joint_pos": POSE, "layers": [layer]}))
     return Policy.load(path)
 
 
-def main() -> None:
-    """Prints what it asks of v3's motors, commanded to stand and to walk."""
+if __name__ == "__main__":
     robot = pa.load_variant("v3")
     with tempfile.TemporaryDirectory() as folder:
         policy = make_policy(Path(folder) / "stand.json")
@@ -38,7 +35,3 @@ def main() -> None:
         print(f"commanded {command[0]} m/s: {gait.velocity[0]:.2f} m/s, tracks: {gait.tracks}")
     for joint, torque in zip(walk.joints[:3], gait.torque_rms[:3], strict=True):
         print(f"  {joint}: {torque:.2f} N m")
-
-
-if __name__ == "__main__":
-    main()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import importlib
+import json
 import os
 import re
 import shutil
@@ -44,6 +45,8 @@ OPTIONS = {
     "map_file": "map.toml",
     "stance": "stance.toml",
     "stands": "stands.csv",
+    "policy": "policy.json",
+    "contract": "policy.toml",
     "logs": "log.csv",
     "config": "pupper-analysis.toml",
 }
@@ -51,6 +54,7 @@ OPTIONS = {
 
 MORE: dict[str, list[list[str]]] = {
     "path": [["--seconds", "1"]],
+    "walk": [["--seconds", "3"]],
     "live": [["--headless", "--demo", "squat"]],
     "fit": [["--plan", "4"], ["--stands", "stands.csv"], ["--log", "log.csv"]],
     "convert": [["-o", "new.xml"]],
@@ -114,6 +118,12 @@ def fill(folder: Path) -> Path:
     (folder / "stance.toml").write_text("height = '30cm'\n")
     (folder / "stands.csv").write_text("command.FL_knee,position.FL_knee\n-1.2,-1.25\n")
     (folder / "log.csv").write_text("time,command.FL_knee,position.FL_knee\n0,-1.2,-1.25\n")
+    count = mjcf.count("<position ")
+    layer = {"type": "dense", "weights": [[[0] * count] * 3, [0] * count]}
+    (folder / "policy.json").write_text(json.dumps({"layers": [layer]}))
+    (folder / "policy.toml").write_text(
+        f'observation = ["gravity"]\ndefault = {[0] * count}\naction-scale = 1\nrate = 50\n'
+    )
     robot = 'urdf = "robot.urdf"\nmjcf = "robot.xml"\n'
     (folder / "study.toml").write_text(
         f'measure = ["servo_sag"]\n[robot]\n{robot}[vary]\nkp = {{ values = [150] }}\n'
@@ -135,7 +145,11 @@ def sums(folder: Path) -> dict[Path, str]:
 
 def reads(command: click.Command, words: list[str]) -> list[str]:
     """Returns the files that a command line of these words reads."""
-    named = [word for word in words if word in INSIDE or word.endswith((".csv", ".toml", ".urdf"))]
+    named = [
+        word
+        for word in words
+        if word in INSIDE or word.endswith((".csv", ".toml", ".urdf", ".json"))
+    ]
     if command.name == "check":
         named.append("pupper-analysis.toml")
     inside = [one for name in named for one in INSIDE.get(name, ())]

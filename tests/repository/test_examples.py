@@ -160,6 +160,15 @@ def test_example_contract_runs(shown: Shown) -> None:
     assert number("policy.json: base", text) < number("walker: base", text)
 
 
+def test_example_walk_runs(shown: Shown) -> None:
+    text = shown("walk")
+    assert re.search(r"commanded 0\.0 m/s: -?0\.00 m/s, tracks: True", text)
+    assert re.search(r"commanded 0\.5 m/s: -?0\.0\d m/s, tracks: False", text)
+    # A knee holds in a stand what statics say, to some per cent: the pose sags.
+    held = pa.stance.stand_statics(load("v3"), stand_of("v3")).joint_torques
+    assert number("leg_front_r_3:", text) == pytest.approx(abs(held[2]), rel=0.3)
+
+
 def test_example_payload_runs(shown: Shown) -> None:
     text = shown("payload")
     robot, mass = load("v3"), number("limit", text)
