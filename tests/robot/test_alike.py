@@ -10,6 +10,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.alike import joints_unlike, limbs_without_feet
 from pupper_analysis.simulation.verdict import VerdictCode
+from pupper_analysis.tools.convert.model import convert_model
 from tests.tools.convert.test_model import standing_urdf
 
 
@@ -37,6 +38,10 @@ def test_a_calf_that_is_elsewhere_is_named_with_its_gap(tmp_path: Path) -> None:
     assert verdict.code is VerdictCode.LIMB_WITHOUT_FOOT
     assert not verdict.passed
     assert verdict.remarks[0] == told
+    converted = convert_model(path, tmp_path / "slipped.xml")
+    assert told.code in {one.code for one in converted.failures}
+    assert not converted.passed
+    assert convert_model(standing_urdf(tmp_path), tmp_path / "sound.xml").passed
 
 
 def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
