@@ -211,6 +211,7 @@ ALWAYS = {
     "crosscheck": {"map_file", "changes", "strict", "any_coordinates", "same_mount"},
     "diff": {"changes"},
     "sync": {"take", "dry_run", "map_file", "fine", "changes"},
+    "contract": {"pairs", "unstood", "fail_on"},
     "study": {"dry_run", "workers", "list_metrics"},
     "walk": {"policy", "contract", "asked", "seeds", "seconds"},
     "live": {"language", "host", "port", "no_browser", "viewer", "dropped", "demo"},

@@ -31,6 +31,7 @@ from tests.support.repository import ROOT
 
 ARGUMENTS = {
     "words": ("robot.urdf", "robot.xml"),
+    "sources": ("robot.urdf", "robot.xml"),
     "urdf": ("robot.urdf",),
     "mjcf": ("robot.xml",),
     "source": ("robot.urdf",),

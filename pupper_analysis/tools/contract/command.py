@@ -42,7 +42,7 @@ def command(
     report_path: Path | None,
     style: str,
 ) -> None:
-    """Find where trainer, deployment, firmware and model of a robot disagree.
+    """Find where trainer, deployment and model disagree.
 
     SOURCES are its model (URDF, MJCF or USD) and what states numbers of its joints: configurations
     of mjlab, Isaac Lab and legged_gym in Python, YAML of deployments and of ROS 2 controllers,

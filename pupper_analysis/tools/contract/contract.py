@@ -151,6 +151,8 @@ def read_contract(
     for one in placed:
         own = [fact for fact in one.facts.values() if not fact.implied]
         if not own and not (one.order and any(one.order)):
+            if one.notes:
+                raise ModelError(one.source.path, one.notes[0])
             theirs = tuple(dict.fromkeys([*one.unknown, *_patterns(one.source)]))
             told = diagnose("contract-no-joint", model=first.name, names=theirs[:4],
                             joints=first.order[:4])  # fmt: skip

@@ -88,6 +88,7 @@ class Statement:
         place: Where.
         joint: The joint's name, or a regular expression that all of it matches; "" of a setting.
         index: In place of a name: which of the source's ``order``, from 0.
+        count: Of how many numbers the list is that ``index`` counts in.
         decimals: Digits after the point, as it is written; None of what was computed.
         expression: What stands there, of what is no constant.
         implied: Whether the source leaves it to its library's default.
@@ -98,6 +99,7 @@ class Statement:
     place: Place
     joint: str = ""
     index: int | None = None
+    count: int = 0
     decimals: int | None = None
     expression: str = ""
     implied: bool = False
@@ -236,11 +238,13 @@ class Node:
         return found if all(found) else ()
 
 
-def stated(quantity: str, node: Node, joint: str = "", index: int | None = None) -> Statement:
+def stated(
+    quantity: str, node: Node, joint: str = "", index: int | None = None, count: int = 0
+) -> Statement:
     """Returns the statement of a node: a number, or an expression that is none."""
     number = node.number
     said = "" if number is not None else str(node.value)
-    return Statement(quantity, number, node.place, joint, index, node.decimals, said)
+    return Statement(quantity, number, node.place, joint, index, count, node.decimals, said)
 
 
 def per_joint(quantity: str, node: Node | None, joints: Iterable[str] = ()) -> Iterator[Statement]:
@@ -259,7 +263,7 @@ def per_joint(quantity: str, node: Node | None, joints: Iterable[str] = ()) -> I
                 yield stated(quantity, value, str(name))
     elif isinstance(node.value, list):
         for index, value in enumerate(node.value):
-            yield stated(quantity, value, index=index)
+            yield stated(quantity, value, index=index, count=len(node.value))
     else:
         for pattern in list(joints) or [".*"]:
             yield stated(quantity, node, pattern)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.robot.matching.pairs import without_affixes
 from pupper_analysis.tools.contract.facts import Role, Source, Statement, matches
@@ -96,13 +96,16 @@ def place_source(
     plain = [one.joint for one in source.statements if one.joint and _PLAIN.fullmatch(one.joint)]
     names = list(dict.fromkeys((*source.order, *plain)))
     known = name_joints(names, joints, given)
-    order, how, notes = _order(source, model, joints, others, known, given)
+    order, how, assumed = _order(source, model, joints, others, known, given)
     reverse = {joint: name for name, joint in known.items()}
     facts: dict[tuple[str, str], Statement] = {}
     settings: dict[str, Statement] = {}
+    unread: dict[str, int] = {}
     for one in source.statements:
         if one.index is not None:
-            if one.index < len(order) and order[one.index]:
+            if one.count != len(order):  # whose they are nobody knows: of the first ones, or all?
+                unread[one.quantity] = one.count
+            elif order[one.index]:
                 facts[one.quantity, order[one.index]] = one
         elif not one.joint:
             settings[one.quantity] = one
@@ -113,7 +116,17 @@ def place_source(
                 if matches(one.joint, joint) or matches(one.joint, reverse.get(joint, joint)):
                     facts[one.quantity, joint] = one
     unknown = tuple(name for name in names if name not in known)
-    return Placed(source, facts, settings, order, how, known, unknown, tuple(notes))
+    notes = [
+        diagnose(
+            "contract-list-unread",
+            file=source.name,
+            what=Term(quantity),
+            count=count,
+            joints=len(order) or len(joints),
+        )
+        for quantity, count in unread.items()
+    ]
+    return Placed(source, facts, settings, order, how, known, unknown, (*assumed, *notes))
 
 
 _PLAIN = re.compile(r"[\w/\- ]+")
@@ -131,29 +144,28 @@ def _order(
     """Returns the joints in the order of a source's lists, how that is known, and notes."""
     if source.order:
         return tuple(known.get(name, "") for name in source.order), "named", []
-    sizes = {one.index for one in source.statements if one.index is not None}
-    size = max(len(source.motors), 1 + max(sizes, default=-1))
-    if not size:
+    lists = {one.count for one in source.statements if one.index is not None}
+    sizes = {len(source.motors)} if source.motors else lists
+    if not sizes:
         return (), "", []
     named = next((one for one in others if one.motor_names), None)
     if source.motors and named is not None and max(source.motors) < len(named.motor_names):
         motors = name_joints(named.motor_names, joints, given)
         found = [motors.get(named.motor_names[one], "") for one in source.motors]
         return tuple(found), "motors", []
-    if size > len(joints):
-        told = diagnose("contract-order-unknown", count=size, joints=len(joints))
-        return (), "", [told]
-    policies = [one for one in others if one.role is Role.POLICY and len(one.order) == size]
+    policies = [one for one in others if one.role is Role.POLICY and len(one.order) in sizes]
     if policies and source.role is Role.DEPLOYMENT:  # it runs that policy
         names = name_joints(policies[0].order, joints, given)
         return tuple(names.get(name, "") for name in policies[0].order), "policy", []
+    if len(joints) not in sizes:
+        return (), "", []
     trainers = [one for one in others if one.role is Role.TRAINER]
     kept = [joints, breadth_first(model)]
     if not (trainers and all(one.breadth_first for one in trainers)):
         kept.reverse()
     fits = [one for one in kept if source.motors and _whole_limbs(one, source.motors, model)]
-    order = (fits or kept)[-1][:size]
-    word = "contract-order-of-file" if order == joints[:size] else "contract-order-by-depth"
+    order = (fits or kept)[-1]
+    word = "contract-order-of-file" if order == joints else "contract-order-by-depth"
     return order, "assumed", [diagnose(word, file=source.name, first=order[:3])]
 
 

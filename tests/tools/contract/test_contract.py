@@ -224,6 +224,25 @@ def test_names_are_matched_without_prefixes_and_as_they_are_given(
     assert len([one for one in found.facts if one.quantity == "kp"]) == 12
 
 
+@pytest.mark.parametrize("given", [[1.0], [1.0] * 11, [1.0] * 13])
+def test_a_list_of_another_length_is_of_no_joints(
+    sources: dict[str, Path], given: list[float]
+) -> None:
+    alone = sources["deploy.yaml"].with_name("alone.yaml")
+    alone.write_text(f"kps: {listed(given)}\n")
+    with pytest.raises(ModelError, match=rf"kp is a list of {len(given)} for 12 joints"):
+        contract(alone)
+    for name in ("deploy.yaml", "config.yaml"):  # with motor numbers, and with names
+        text = sources[name].read_text()
+        sources[name].write_text(text.replace(listed([5.0] * 12), listed(given)))
+        found = contract(sources["gym_cfg.py"], sources[name])
+        assert found.findings == ()
+        assert not [one for one in found.facts if one.quantity == "kp"
+                    and one.source.startswith(name)]  # fmt: skip
+        (note,) = [one for one in found.notes if one.code == "contract-list-unread"]
+        assert note.values["count"] == len(given)
+
+
 def test_a_model_is_asked_for(sources: dict[str, Path]) -> None:
     with pytest.raises(ConfigurationError, match="none of the sources is a model"):
         read_contract(sources["policy.json"])

@@ -1,4 +1,4 @@
-"""URDF, MJCF and USD, by the readers that the package has; and what a ros2_control tag states."""
+"""URDF, MJCF and USD, by the readers that the package has."""
 
 from __future__ import annotations
 

@@ -35,16 +35,15 @@ def read(request: Request) -> Iterator[Source]:
         raise ModelError(request.path, diagnose("contract-no-onnx")) from error
     statements = []
     for key, quantity in _LISTS.items():
-        for index, text in enumerate(filter(None, said.get(key, "").split(","))):
-            place = Place(request.path, element=key)
+        texts = [text.strip() for text in said.get(key, "").split(",") if text]
+        place = Place(request.path, element=key)
+        for index, text in enumerate(texts):
             try:
-                value = float(text)
+                value, digits, shown = float(text), decimals_of(text), ""
             except ValueError:
-                statements.append(Statement(quantity, None, place, index=index, expression=text))
-                continue
-            statements.append(
-                Statement(quantity, value, place, index=index, decimals=decimals_of(text.strip()))
-            )
+                value, digits, shown = None, None, text
+            statements.append(Statement(quantity, value, place, index=index, count=len(texts),
+                                        decimals=digits, expression=shown))  # fmt: skip
     order = tuple(filter(None, said.get("joint_names", "").split(",")))
     seen = Place(request.path, element="observation_names")
     names = filter(None, said.get("observation_names", "").split(","))
