@@ -158,6 +158,19 @@ joint_limits:
 """
 
 
+UNITREE_GYM = f"""policy_path: "{{DIR}}/policy.pt"
+simulation_dt: 0.005
+control_decimation: 4
+kps: {listed([5] * 12)}
+kds: {listed([0.25] * 12)}
+default_angles: {listed(ANGLES)}
+ang_vel_scale: 0.25
+action_scale: 0.75
+cmd_scale: [2.0, 2.0, 0.25]
+num_actions: 12
+"""
+
+
 def onnx(**metadata: str) -> bytes:
     """Returns a model of Protocol Buffers with an opset and metadata, as ONNX has them."""
 

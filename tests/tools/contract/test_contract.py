@@ -9,7 +9,15 @@ import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.tools.contract import Contract, read_contract
-from tests.tools.contract.sources import ANGLES, JOINTS, MJCF, URDF, listed, write_all
+from tests.tools.contract.sources import (
+    ANGLES,
+    JOINTS,
+    MJCF,
+    UNITREE_GYM,
+    URDF,
+    listed,
+    write_all,
+)
 
 TRAINERS = ("mjlab_cfg.py", "isaac_cfg.py", "gym_cfg.py")
 OTHERS = ("deploy.yaml", "config.yaml", "policy.json", "policy.onnx")
@@ -222,6 +230,64 @@ def test_names_are_matched_without_prefixes_and_as_they_are_given(
     names = dict(zip(other, JOINTS, strict=True))
     found = read_contract(URDF, sources["config.yaml"], names=names, stand=False)
     assert len([one for one in found.facts if one.quantity == "kp"]) == 12
+
+
+def test_moveits_limits_count_where_they_are_switched_on(sources: dict[str, Path]) -> None:
+    path = sources["joint_limits.yaml"]
+    found = contract(path)
+    assert found.findings == ()
+    said = {(one.joint[-9:], one.quantity): one.value for one in found.facts
+            if one.source == path.name}  # fmt: skip
+    assert said == {("front_r_1", "effort"): 3.0, ("front_r_2", "effort"): 3.0}
+    text = path.read_text().replace("has_velocity_limits: false", "has_velocity_limits: true")
+    path.write_text(text.replace("max_effort: 3.0}", "max_effort: 4.5}"))
+    effort, velocity = sorted(contract(path).findings, key=lambda one: one.kind)
+    assert (effort.kind, effort.values, effort.joints) == ("effort", (4.5, 3.0), (JOINTS[1],))
+    assert (velocity.kind, velocity.joints) == ("velocity", (JOINTS[0],))
+    assert velocity.places[0] == f"{path}:4"
+
+
+def test_a_deployment_of_unitree_rl_gym(sources: dict[str, Path]) -> None:
+    path = sources["deploy.yaml"].with_name("go.yaml")
+    path.write_text(UNITREE_GYM)
+    assert contract(sources["gym_cfg.py"], path).findings == ()
+    said = {one.quantity: one.value for one in contract(path).facts if one.source == path.name}
+    assert {"time step", "decimation", "policy step", "observation ang_vel"} <= set(said)
+    assert said["policy step"] == pytest.approx(0.02)
+    changed = UNITREE_GYM.replace("control_decimation: 4", "control_decimation: 10")
+    path.write_text(changed.replace("action_scale: 0.75", "action_scale: 0.25"))
+    scale, step = sorted(contract(sources["gym_cfg.py"], path).findings, key=lambda one: one.kind)
+    assert (scale.kind, scale.values, len(scale.joints)) == ("action scale", (0.75, 0.25), 12)
+    assert (step.kind, step.values) == ("policy step", (0.02, 0.05))
+    assert step.places[1] == f"{path}:3"
+
+
+def test_a_trainer_of_unitree_rl_lab_names_the_motors(sources: dict[str, Path]) -> None:
+    """Its order is by depth; its deployment's stiffness is by motor, all else in its own order."""
+    folder = sources["isaac_cfg.py"].parent
+    path, deploy = folder / "unitree.py", folder / "lab.yaml"
+    motors = [*JOINTS[3:6], *JOINTS[:3], *JOINTS[9:], *JOINTS[6:9]]
+    text = sources["isaac_cfg.py"].read_text()
+    text = text.replace("ArticulationCfg(\n",
+                        f"UnitreeArticulationCfg(\n    joint_sdk_names={motors},\n", 1)  # fmt: skip
+    path.write_text(text.replace('{"leg_.*": 5.0}', '{"leg_.*_[12]": 5.0, "leg_.*_3": 6.0}'))
+    by_depth = [f"leg_{leg}_{number}" for number in (1, 2, 3)
+                for leg in ("front_r", "front_l", "back_r", "back_l")]  # fmt: skip
+    angles = dict(zip(JOINTS, ANGLES, strict=True))
+    deploy.write_text(
+        f"joint_ids_map: {listed(motors.index(one) for one in by_depth)}\n"
+        f"default_joint_pos: {listed(angles[one] for one in by_depth)}\n"
+        f"stiffness: {listed(6.0 if one.endswith('3') else 5.0 for one in motors)}\n"
+        f"damping: {listed([0.25] * 12)}\n"
+    )
+    found = contract(path, deploy)
+    (read,) = [one for one in found.sources if one.role == "deployment"]
+    assert (read.how, list(read.order)) == ("motors", by_depth)
+    assert found.findings == ()
+    text = deploy.read_text()
+    deploy.write_text(text.replace("stiffness: [5.0, 5.0, 6.0", "stiffness: [5.0, 5.0, 9.0"))
+    (finding,) = [one for one in contract(path, deploy).findings if one.slip != "mirror"]
+    assert (finding.kind, finding.joints, finding.values) == ("kp", (motors[2],), (6.0, 9.0))
 
 
 @pytest.mark.parametrize("given", [[1.0], [1.0] * 11, [1.0] * 13])

@@ -106,6 +106,10 @@ def _of_table(
         node = table.get(word)
         if node is not None and node.number is not None:
             statements.append(stated(f"observation {scale}", node))
+    said = {one.quantity: one for one in statements if not one.joint and one.index is None}
+    step, many = said.get("time step"), said.get("decimation")
+    if "policy step" not in said and step and many and step.value and many.value:
+        statements.append(Statement("policy step", step.value * many.value, many.place))
     often = table.get("repeat_action")
     if rate is not None and rate.number and often is not None and often.number is not None:
         statements.append(Statement("policy step", often.number / rate.number, often.place))

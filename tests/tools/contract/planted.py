@@ -1,0 +1,253 @@
+"""Sources of any robot in six formats, a number a line, and slips planted into them by a seed."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from tests.support import legged
+from tests.tools.contract.sources import ANGLES, JOINTS, URDF, onnx
+
+Lines = dict[tuple[str, str], int]
+"""{(quantity, joint): the line of its number}; of ``order`` with no joint."""
+
+LISTS = {"default angle": "default_joint_pos", "kp": "kps", "kd": "kds",
+         "action scale": "action_scale", "effort": "torque_limits",
+         "lower limit": "joint_lower_limits", "upper limit": "joint_upper_limits"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Robot:
+    """What sources state of a robot.
+
+    Attributes:
+        urdf: Its model.
+        order: Its joints, in the order of every list.
+        numbers: {quantity: {joint: number}}.
+    """
+
+    urdf: Path
+    order: tuple[str, ...]
+    numbers: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def with_numbers(self, quantity: str, **changed: float) -> Robot:
+        """Returns the robot with other numbers of some joints."""
+        mine = {**self.numbers[quantity], **changed}
+        return replace(self, numbers={**self.numbers, quantity: mine})
+
+
+def robot_of(name: str, folder: Path) -> Robot:
+    """Returns Pupper v3, or a quadruped of 8.4 kg with other names, axes and gains."""
+    if name == "v3":
+        urdf, order, angles, gains, scale = URDF, JOINTS, ANGLES, (5.0, 0.25), 0.75
+    else:
+        urdf = legged.quadruped(folder).urdf
+        order = [f"{leg}_{part}" for leg in ("FL", "FR", "RL", "RR")
+                 for part in ("roll", "pitch", "knee")]  # fmt: skip
+        angles, gains, scale = [0.1, 0.6, -1.2, -0.1, 0.6, -1.2] * 2, (60.0, 2.0), 0.25
+    limits = {str(joint.get("name")): joint.find("limit")
+              for joint in ElementTree.parse(urdf).getroot().iter("joint")}  # fmt: skip
+    numbers = {
+        "default angle": dict(zip(order, angles, strict=True)),
+        "kp": dict.fromkeys(order, gains[0]),
+        "kd": dict.fromkeys(order, gains[1]),
+        "action scale": dict.fromkeys(order, scale),
+    }
+    for quantity, word in (("effort", "effort"), ("lower limit", "lower"),
+                           ("upper limit", "upper")):  # fmt: skip
+        numbers[quantity] = {one: float(limits[one].get(word)) for one in order}  # type: ignore[union-attr, arg-type]
+    return Robot(urdf, tuple(order), numbers)
+
+
+class _Text:
+    """A text that knows on which line it put which number."""
+
+    def __init__(self) -> None:
+        self.rows: list[str] = []
+        self.lines: Lines = {}
+
+    def add(self, row: str, quantity: str = "", joint: str = "") -> None:
+        self.rows.append(row)
+        if quantity:
+            self.lines[quantity, joint] = len(self.rows)
+
+    def table(self, robot: Robot, quantity: str, form: str) -> None:
+        for joint in robot.order:
+            number = robot.numbers[quantity][joint]
+            self.add(form.format(joint=joint, number=number), quantity, joint)
+
+    def write(self, path: Path) -> Lines:
+        path.write_text("\n".join(self.rows) + "\n")
+        return self.lines
+
+
+def _mjlab(robot: Robot, path: Path) -> Lines:
+    text = _Text()
+    text.add("from library import ActuatorCfg, ArticulationCfg, EntityCfg, EnvCfg, mdp")
+    text.add("ACTUATORS = (")
+    for joint in robot.order:
+        text.add(f"    ActuatorCfg(target_names_expr=('{joint}',),")
+        for quantity, word in (("kp", "stiffness"), ("kd", "damping"), ("effort", "effort_limit")):
+            text.add(f"        {word}={robot.numbers[quantity][joint]},", quantity, joint)
+        text.add("    ),")
+    text.add(")")
+    text.add("START = EntityCfg.InitialStateCfg(joint_pos={")
+    text.table(robot, "default angle", "    '{joint}': {number},")
+    text.add("})")
+    text.add("ROBOT = EntityCfg(init_state=START, articulation=ArticulationCfg(ACTUATORS))")
+    text.rows[-1] = text.rows[-1].replace("(ACTUATORS)", "(actuators=ACTUATORS)")
+    text.add("SCALES = {")
+    text.table(robot, "action scale", "    '{joint}': {number},")
+    text.add("}")
+    text.add("def walking():")
+    text.add("    action = mdp.JointPositionActionCfg(actuator_names=('.*',), scale=SCALES)")
+    text.add("    return EnvCfg(scene={'entities': {'robot': ROBOT}}, actions={'all': action})")
+    return text.write(path)
+
+
+def _gym(robot: Robot, path: Path) -> Lines:
+    text = _Text()
+    text.add("class RobotCfg:")
+    text.add("    class init_state:")
+    text.add("        default_joint_angles = {")
+    text.table(robot, "default angle", "            '{joint}': {number},")
+    text.add("        }")
+    text.add("    class control:")
+    for quantity, word in (("kp", "stiffness"), ("kd", "damping")):
+        text.add(f"        {word} = {{")
+        text.table(robot, quantity, "            '{joint}': {number},")
+        text.add("        }")
+    scales = robot.numbers["action scale"]
+    # One for all, as legged_gym has it: that of the joint that is unlike the others, if one is.
+    odd = min(scales, key=lambda joint: list(scales.values()).count(scales[joint]))
+    text.add(f"        action_scale = {scales[odd]}", "action scale", "")
+    text.lines |= {("action scale", joint): len(text.rows) for joint in robot.order}
+    return text.write(path)
+
+
+def _flat(text: _Text, robot: Robot, left: str, more: str = "") -> None:
+    for quantity, word in LISTS.items():
+        if quantity not in more:
+            text.add(f"{left}{word}:")
+            text.table(robot, quantity, f"{left}  - {{number}}")
+
+
+def _deploy(robot: Robot, path: Path) -> Lines:
+    text = _Text()
+    text.add(f"joint_ids_map: {list(range(len(robot.order)))}")
+    _flat(text, robot, "")
+    return text.write(path)
+
+
+def _ros(robot: Robot, path: Path) -> Lines:
+    text = _Text()
+    text.add("walker:")
+    text.add("  ros__parameters:")
+    text.add(f"    joint_names: [{', '.join(robot.order)}]", "order")
+    _flat(text, robot, "    ")
+    return text.write(path)
+
+
+def _rtneural(robot: Robot, path: Path) -> Lines:
+    text = _Text()
+    text.add('{"in_shape": [null, 36], "layers": [],')
+    for quantity, word in LISTS.items():
+        text.add(f'"{word}": [')
+        text.table(robot, quantity, "{number},")
+        text.rows[-1] = text.rows[-1].rstrip(",") + "],"
+    text.rows[-1] = text.rows[-1].rstrip(",") + "}"
+    lines = text.write(path)
+    json.loads(path.read_text())
+    return lines
+
+
+_METADATA = {"default angle": "default_joint_pos", "kp": "joint_stiffness",
+             "kd": "joint_damping", "action scale": "action_scale"}  # fmt: skip
+
+
+def _onnx(robot: Robot, path: Path) -> Lines:
+    said = {word: ",".join(str(robot.numbers[quantity][joint]) for joint in robot.order)
+            for quantity, word in _METADATA.items()}  # fmt: skip
+    path.write_bytes(onnx(joint_names=",".join(robot.order), **said))
+    return {}
+
+
+KINDS: dict[str, tuple[str, Callable[[Robot, Path], Lines]]] = {
+    "mjlab": ("env_cfg.py", _mjlab),
+    "legged_gym": ("robot_config.py", _gym),
+    "deploy": ("deploy.yaml", _deploy),
+    "ros2": ("controllers.yaml", _ros),
+    "RTNeural": ("policy.json", _rtneural),
+    "ONNX": ("policy.onnx", _onnx),
+}
+"""{kind of source: (file, what writes it)}."""
+
+BESIDE = {"mjlab": "deploy", "legged_gym": "ros2", "deploy": "legged_gym", "ros2": "ONNX",
+          "RTNeural": "mjlab", "ONNX": "ros2"}  # fmt: skip
+"""{kind of source: the kind that it is held against}."""
+
+SLIPS = ("order", "sign", "scale", "default", "kp", "limit", "unit")
+LIMITS = {"mjlab": "effort", "deploy": "effort", "ros2": "lower limit", "RTNeural": "upper limit"}
+CASES = [(robot, kind, slip) for robot in ("v3", "quadruped") for kind in KINDS for slip in SLIPS
+         if slip != "limit" or kind in LIMITS]  # fmt: skip
+
+
+def plant(robot: Robot, kind: str, slip: str, seed: int) -> tuple[Robot, str, str]:
+    """Returns a robot with a slip, of which quantity it is, and a joint whose number is changed."""
+    at = np.random.default_rng(seed)
+    angles = robot.numbers["default angle"]
+    joint = str(at.choice(robot.order))
+    bent = str(at.choice([one for one in robot.order if angles[one]]))
+    leg = 3 * int(at.integers(4))
+    if slip == "order" and kind in ("ros2", "ONNX"):  # the names alone, of two legs
+        other = (leg + 3 * int(at.integers(1, 4))) % 12
+        names = list(robot.order)
+        names[leg : leg + 3], names[other : other + 3] = (
+            names[other : other + 3], names[leg : leg + 3])  # fmt: skip
+        here = {quantity: {new: held[old] for old, new in zip(robot.order, names, strict=True)}
+                for quantity, held in robot.numbers.items()}  # fmt: skip
+        return replace(robot, order=tuple(names), numbers=here), "order", ""
+    if slip == "order":
+        mine = robot.order[leg : leg + 3]
+        moved = {one: angles[two] for one, two in zip(mine, (*mine[1:], mine[0]), strict=True)}
+        return robot.with_numbers("default angle", **moved), "default angle", mine[0]
+    if slip == "unit":
+        there = {one: round(math.degrees(angle), 2) for one, angle in angles.items()}
+        return robot.with_numbers("default angle", **there), "default angle", bent
+    limit = LIMITS.get(kind, "")
+    wider = {"effort": lambda x: 0.6 * x, "lower limit": lambda x: x - 0.4}
+    change: dict[str, tuple[str, str, Callable[[float], float]]] = {
+        "sign": ("default angle", bent, lambda x: -x),
+        "scale": ("action scale", joint, lambda x: round(x * at.uniform(0.3, 0.8), 3)),
+        "default": ("default angle", joint, lambda x: round(x + at.uniform(0.03, 0.2), 3)),
+        "kp": ("kp", joint, lambda x: round(x * at.uniform(1.1, 2.0), 1)),
+        "limit": (limit, joint, lambda x: round(wider.get(limit, lambda y: y + 0.4)(x), 2)),
+    }  # fmt: skip
+    quantity, whose, work = change[slip]
+    changed = work(robot.numbers[quantity][whose])
+    return robot.with_numbers(quantity, **{whose: changed}), quantity, whose
+
+
+def write(robot: Robot, kind: str, folder: Path) -> tuple[Path, Lines]:
+    """Writes a source."""
+    name, writer = KINDS[kind]
+    return folder / name, writer(robot, folder / name)
+
+
+def place_of(path: Path, lines: Lines, quantity: str, joint: str) -> str:
+    """Returns where a number stands: its line, or which of a policy's metadata."""
+    if path.suffix == ".onnx":
+        return f"{path}:<{_METADATA.get(quantity, 'joint_names')}>"
+    return f"{path}:{lines[quantity, joint]}"
+
+
+def limit_line(urdf: Path, joint: str) -> int:
+    """Returns the line of a URDF on which a joint's limits are."""
+    text = urdf.read_text()
+    return text[: text.index("<limit", text.index(f'<joint name="{joint}"'))].count("\n") + 1

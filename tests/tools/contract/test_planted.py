@@ -1,0 +1,106 @@
+"""Slips that a seed plants into six kinds of sources of two robots, and what is no slip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.tools.contract import read_contract
+from tests.tools.contract.planted import (
+    BESIDE,
+    CASES,
+    KINDS,
+    limit_line,
+    place_of,
+    plant,
+    robot_of,
+    write,
+)
+
+LOOKS = {"order": "order", "sign": "sign", "unit": "unit"}
+"""{slip: what it is called}; an order of names alone too."""
+
+
+@pytest.mark.parametrize(("name", "kind", "slip"), CASES)
+def test_a_planted_slip_is_found_with_both_lines(
+    tmp_path: Path, name: str, kind: str, slip: str
+) -> None:
+    robot = robot_of(name, tmp_path)
+    seed = CASES.index((name, kind, slip))
+    slipped, quantity, joint = plant(robot, kind, slip, seed)
+    path, lines = write(slipped, kind, tmp_path)
+    other, its_lines = write(robot, BESIDE[kind], tmp_path)
+    found = read_contract(robot.urdf, path, other, stand=False)
+    told = [(one.kind, one.slip, one.places, one.message) for one in found.findings]
+    hits = [one for one in found.findings if one.kind == quantity and one.slip != "mirror"
+            and (joint in one.joints or not joint)]  # fmt: skip
+    if slip == "limit" and kind == "mjlab":  # the deployment's is the URDF's
+        assert {one.sources[1] for one in hits} == {robot.urdf.name, other.name}
+        hits = [one for one in hits if one.sources[1] == other.name]
+    assert len(hits) == 1, told
+    assert hits[0].slip == LOOKS.get(slip, "")
+    first = joint and hits[0].joints[0]  # joints with the same two numbers are one finding
+    places = {place_of(path, lines, quantity, first)}
+    if slip == "limit" and (kind, quantity) != ("mjlab", "effort"):
+        places.add(f"{robot.urdf}:{limit_line(robot.urdf, first)}")
+    else:
+        places.add(place_of(other, its_lines, quantity, first))
+    assert set(hits[0].places) == places
+    assert not found.passed
+    # Legs whose names are exchanged have each other's angles, too.
+    more = {"default angle"} if slip == "order" else set()
+    assert {one.kind for one in found.findings} <= {quantity, "action offset"} | more, told
+
+
+def test_at_least_sixty_slips_are_planted() -> None:
+    assert len(CASES) >= 60
+
+
+def _aliased(text: str) -> str:
+    head, _, rest = text.partition("default_joint_pos:\n")
+    return f"{head}default_joint_pos: &home\n{rest}action_offset_too: *home\n"
+
+
+SOUND: dict[str, tuple[str, Callable[[str], str]]] = {
+    **{f"{kind} as it is": (kind, str) for kind in KINDS},
+    "whole numbers": ("deploy", lambda text: text.replace("5.0\n", "5\n").replace("60.0", "60")),
+    "exponents": ("deploy", lambda text: text.replace("0.25\n", "2.5e-1\n")),
+    "plus signs": ("ros2", lambda text: text.replace("- 0.26", "- +0.26").replace("- 0.6", "- .6")),
+    "an alias": ("deploy", _aliased),
+    "windows' ends of lines": ("ros2", lambda text: text.replace("\n", "\r\n")),
+    "comments": ("mjlab", lambda text: text.replace(",\n", ",  # deg, 99\n")),
+    "names with a prefix": ("ros2", lambda text: text.replace("leg_", "robot_leg_")),
+    "fractions": ("mjlab", lambda text: text.replace("0.75,", "3 / 4,").replace("0.25,", "1 / 4,")),
+    "worked out": ("legged_gym", lambda text: text.replace("0.26", "0.13 * 2")),
+    "more digits": ("RTNeural", lambda text: text.replace("-0.52,", "-0.5200000,")),
+    "what is of no joint": ("RTNeural", lambda text: text.replace("{", '{"made": 1,')),
+    "a function more": ("mjlab", lambda text: text + "\ndef unused(x):\n    return x.kp * 9\n"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["v3", "quadruped"])
+@pytest.mark.parametrize("sound", SOUND)
+def test_what_is_no_slip_is_silent(tmp_path: Path, name: str, sound: str) -> None:
+    kind, change = SOUND[sound]
+    robot = robot_of(name, tmp_path)
+    path, _ = write(robot, kind, tmp_path)
+    if path.suffix != ".onnx":
+        path.write_bytes(change(path.read_text()).encode())
+    other, _ = write(robot, BESIDE[kind], tmp_path)
+    found = read_contract(robot.urdf, path, other, stand=False)
+    assert [one.message for one in found.findings] == []
+    for source in {one.source for one in found.facts}:
+        stated = [one for one in found.facts if one.source == source]
+        assert len(stated) >= 3 * len(robot.order), source  # silent, as it was read
+
+
+def test_another_order_with_names_is_the_same_of_all_but_the_order(tmp_path: Path) -> None:
+    robot = robot_of("v3", tmp_path)
+    path, _ = write(replace(robot, order=robot.order[::-1]), "ros2", tmp_path)
+    other, _ = write(robot, "legged_gym", tmp_path)
+    found = read_contract(robot.urdf, path, other, stand=False)
+    assert found.findings == ()
+    assert len([one for one in found.facts if one.quantity == "kp"]) == 24
