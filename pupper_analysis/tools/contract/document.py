@@ -65,7 +65,7 @@ def _sides(finding: Disagreement, *, detail: bool) -> doc.Sides:
         doc.FilePlace(
             doc.Name(Path(place).name), doc.Name(quote_line(place) or _value(finding, n)), place
         )
-        for n, place in enumerate(finding.places)
+        for place, n in {place: n for n, place in enumerate(finding.places)}.items()
     ]
     tag: doc.Words = word(str(finding.severity))
     if finding.slip:
@@ -129,8 +129,10 @@ def _table(contract: Contract, quantity: str, facts: Sequence[Fact]) -> doc.Tabl
     """Returns a quantity: a row per joint, a column per source that states it."""
     by = {(one.joint, one.source): one for one in facts}
     names = [one.name for one in contract.sources if any(f.source == one.name for f in facts)]
-    differ = {(joint, one.sources[1]) for one in contract.findings if one.kind == quantity
-              for joint in one.joints}  # fmt: skip
+    found = [one for one in contract.findings if one.kind == quantity]
+    # A mirror image that is wrong where sources differ is so because of one of the two joints.
+    found = [one for one in found if one.slip != "mirror"] or found
+    differ = {(joint, one.sources[1]) for one in found for joint in one.joints}
     rows = []
     for joint in contract.joints:
         said = [by.get((joint, name)) for name in names]
@@ -194,7 +196,7 @@ def contract_remarks(contract: Contract) -> list[Annotation]:
             diagnostic=one.diagnostic,
         )
         for one in contract.findings
-        for number, place in dict.fromkeys(enumerate(one.places))
+        for place, number in {place: n for n, place in enumerate(one.places)}.items()
     ]
 
 

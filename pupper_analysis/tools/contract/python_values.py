@@ -145,6 +145,7 @@ class Evaluator:
     def __init__(self, folders: tuple[Path, ...] = ()) -> None:
         self.folders = folders
         self.modules: dict[Path, Module] = {}
+        self.shown = Path()
         self.steps, self.depth = 0, 0
 
     def module(self, path: Path) -> Module:
@@ -153,7 +154,9 @@ class Evaluator:
         Raises:
             ModelError: If it cannot be read, or does not parse; the error has the line.
         """
-        path = path.absolute()
+        if not path.is_absolute():  # what is asked for so is shown so, and what it imports
+            self.shown = Path.cwd()
+            path = path.absolute()
         if path in self.modules:
             return self.modules[path]
         try:
@@ -371,7 +374,8 @@ class Evaluator:
         return Node(value, self._place(one, module))
 
     def _place(self, one: ast.AST, module: Module) -> Place:
-        return Place(module.path, getattr(one, "lineno", None))
+        path, near = module.path, self.shown != Path() and module.path.is_relative_to(self.shown)
+        return Place(path.relative_to(self.shown) if near else path, getattr(one, "lineno", None))
 
     def _of_constant(self, one: ast.Constant, _: object, module: Module) -> Any:
         if isinstance(one.value, int | float) and not isinstance(one.value, bool):
@@ -548,8 +552,7 @@ class Evaluator:
         for keyword in one.keywords:
             held = self.value(keyword.value, scope, module)
             if keyword.arg is not None:
-                named[keyword.arg] = Node(held.value, Place(module.path, keyword.lineno),
-                                          held.decimals)  # fmt: skip
+                named[keyword.arg] = Node(held.value, self._place(keyword, module), held.decimals)
             elif isinstance(held.value, dict):
                 named.update({str(key): value for key, value in held.value.items()})
         if isinstance(one.func, ast.Attribute):

@@ -56,3 +56,15 @@ def test_machines_are_told_both_lines(tmp_path: Path) -> None:
     names = {place["artifactLocation"]["uri"].rpartition("/")[2] for place in places}
     assert names == {"gym_cfg.py", "deploy.yaml"}
     assert run(tmp_path, MJCF, URDF, sources["policy.json"], "--fail-on", "error").returncode == 1
+
+
+def test_what_is_given_from_here_is_shown_from_here(tmp_path: Path) -> None:
+    """Of modules, too, and of those that they import; one line that is both is shown once."""
+    sources = write_all(tmp_path)
+    text = sources["deploy.yaml"].read_text()
+    kd = listed([0.25] * 12)
+    sources["deploy.yaml"].write_text(text.replace(kd, listed([0.1] * 11 + [0.2]), 1))
+    said = run(tmp_path, URDF, "training/mjlab_cfg.py", "deploy.yaml")
+    assert "   training/mjlab_cfg.py:11   deploy.yaml:5" in said.stdout.splitlines()
+    assert "   deploy.yaml:5" in said.stdout.splitlines()
+    assert str(tmp_path) not in said.stdout
