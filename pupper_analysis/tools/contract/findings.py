@@ -11,12 +11,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Ter
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.tools.contract.facts import QUANTITIES, SETTINGS, Kind, Role, Statement
-from pupper_analysis.tools.contract.orders import (
-    Placed,
-    mirror_of,
-    mirrored_sign,
-    permutation,
-)
+from pupper_analysis.tools.contract.orders import Placed, mirror_of, mirrored_sign, permutation
 
 _SAME = 2e-6
 """Relative: what single precision and seven printed digits leave of a number."""
@@ -271,11 +266,7 @@ def _finding(
 
 
 def _mirrored(
-    quantity: str,
-    kind: Kind,
-    placed: Sequence[Placed],
-    model: RobotModel,
-    joints: tuple[str, ...],
+    quantity: str, kind: Kind, placed: Sequence[Placed], model: RobotModel, joints: tuple[str, ...]
 ) -> Iterator[Disagreement]:
     """Yields where a source has another number left than right: it contradicts itself."""
     for source in placed:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
+from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -69,8 +70,7 @@ class Function:
     """A function."""
 
     node: ast.FunctionDef | ast.Lambda
-    module: Module
-    around: dict[str, Node]
+    around: Scope
     owner: Class | None = None
 
     def __str__(self) -> str:
@@ -101,6 +101,18 @@ class Module:
 
     def __str__(self) -> str:
         return self.path.stem
+
+
+class Scope(ChainMap[str, Node]):
+    """The names that are known at a place, innermost first, and the module that it is in."""
+
+    def __init__(self, module: Module, *maps: dict[str, Node]) -> None:
+        super().__init__(*maps)
+        self.module = module
+
+    def inner(self, own: dict[str, Node] | None = None) -> Scope:
+        """Returns the scope of a function or a class, whose own names hide those around it."""
+        return Scope(self.module, {} if own is None else own, *self.maps)  # type: ignore[arg-type]
 
 
 class _Return(Exception):  # noqa: N818 - it is no error
@@ -171,7 +183,7 @@ class Evaluator:
             raise ModelError(path, diagnose("contract-too-deep")) from error
         made = self.modules[path] = Module(path, text.splitlines())
         try:
-            self.run(tree.body, made.names, made)
+            self.run(tree.body, Scope(made, made.names))
         except (_Leave, _Return):
             pass
         except RecursionError as error:
@@ -180,39 +192,39 @@ class Evaluator:
 
     # Statements.
 
-    def run(self, body: list[ast.stmt], scope: dict[str, Node], module: Module) -> None:
+    def run(self, body: list[ast.stmt], scope: Scope) -> None:
         """Works out statements, one after the other."""
         for one in body:
-            self._count(one, module)
+            self._count(one, scope)
             do = getattr(self, f"_do_{type(one).__name__.lower()}", None)
             if do is not None:
-                do(one, scope, module)
+                do(one, scope)
 
-    def _count(self, node: ast.AST, module: Module) -> None:
+    def _count(self, node: ast.AST, scope: Scope) -> None:
         self.steps += 1
         if self.steps > MOST_STEPS:
             line = getattr(node, "lineno", None)
             told = diagnose("contract-too-much", most=MOST_STEPS)
-            raise ModelError(source_name(module.path, line), told)
+            raise ModelError(source_name(scope.module.path, line), told)
 
-    def _do_assign(self, one: ast.Assign, scope: dict[str, Node], module: Module) -> None:
-        value = self.value(one.value, scope, module)
+    def _do_assign(self, one: ast.Assign, scope: Scope) -> None:
+        value = self.value(one.value, scope)
         for target in one.targets:
-            self._put(target, value, scope, module)
+            self._put(target, value, scope)
 
-    def _do_annassign(self, one: ast.AnnAssign, scope: dict[str, Node], module: Module) -> None:
+    def _do_annassign(self, one: ast.AnnAssign, scope: Scope) -> None:
         if one.value is not None:
-            self._put(one.target, self.value(one.value, scope, module), scope, module)
+            self._put(one.target, self.value(one.value, scope), scope)
 
-    def _do_augassign(self, one: ast.AugAssign, scope: dict[str, Node], module: Module) -> None:
+    def _do_augassign(self, one: ast.AugAssign, scope: Scope) -> None:
         read = ast.copy_location(ast.BinOp(one.target, one.op, one.value), one)
-        self._put(one.target, self.value(read, scope, module), scope, module)
+        self._put(one.target, self.value(read, scope), scope)
 
-    def _do_expr(self, one: ast.Expr, scope: dict[str, Node], module: Module) -> None:
-        self.value(one.value, scope, module)
+    def _do_expr(self, one: ast.Expr, scope: Scope) -> None:
+        self.value(one.value, scope)
 
-    def _do_return(self, one: ast.Return, scope: dict[str, Node], module: Module) -> None:
-        made = self.value(one.value or ast.copy_location(ast.Constant(None), one), scope, module)
+    def _do_return(self, one: ast.Return, scope: Scope) -> None:
+        made = self.value(one.value or ast.copy_location(ast.Constant(None), one), scope)
         raise _Return(made)
 
     def _do_raise(self, *_: object) -> None:
@@ -220,47 +232,47 @@ class Evaluator:
 
     _do_break = _do_raise
 
-    def _do_if(self, one: ast.If, scope: dict[str, Node], module: Module) -> None:
-        test = self._truth(self.value(one.test, scope, module))
+    def _do_if(self, one: ast.If, scope: Scope) -> None:
+        test = self._truth(self.value(one.test, scope))
         if test is not None:
-            self.run(one.body if test else one.orelse, scope, module)
+            self.run(one.body if test else one.orelse, scope)
         else:
-            self._forget([*one.body, *one.orelse], scope, module)
+            self._forget([*one.body, *one.orelse], scope)
 
-    def _do_for(self, one: ast.For, scope: dict[str, Node], module: Module) -> None:
-        over = self._listed(self.value(one.iter, scope, module))
+    def _do_for(self, one: ast.For, scope: Scope) -> None:
+        over = self._listed(self.value(one.iter, scope))
         if over is None:
-            self._forget(one.body, scope, module)
+            self._forget(one.body, scope)
             return
         try:
             for each in over:
-                self._put(one.target, each, scope, module)
-                self.run(one.body, scope, module)
+                self._put(one.target, each, scope)
+                self.run(one.body, scope)
         except _Leave:
             pass
 
-    def _do_while(self, one: ast.While, scope: dict[str, Node], module: Module) -> None:
-        self._forget(one.body, scope, module)
+    def _do_while(self, one: ast.While, scope: Scope) -> None:
+        self._forget(one.body, scope)
 
-    def _do_with(self, one: ast.With, scope: dict[str, Node], module: Module) -> None:
-        self.run(one.body, scope, module)
+    def _do_with(self, one: ast.With, scope: Scope) -> None:
+        self.run(one.body, scope)
 
-    def _do_try(self, one: ast.Try, scope: dict[str, Node], module: Module) -> None:
-        self.run([*one.body, *one.orelse], scope, module)
+    def _do_try(self, one: ast.Try, scope: Scope) -> None:
+        self.run([*one.body, *one.orelse], scope)
 
-    def _do_functiondef(self, one: ast.FunctionDef, scope: dict[str, Node], module: Module) -> None:
-        scope[one.name] = self._node(Function(one, module, scope), one, module)
+    def _do_functiondef(self, one: ast.FunctionDef, scope: Scope) -> None:
+        scope[one.name] = self._node(Function(one, scope), one, scope)
 
-    def _do_classdef(self, one: ast.ClassDef, scope: dict[str, Node], module: Module) -> None:
-        bases = [self.value(base, scope, module).value for base in one.bases]
+    def _do_classdef(self, one: ast.ClassDef, scope: Scope) -> None:
+        bases = [self.value(base, scope).value for base in one.bases]
         known = [base for base in bases if isinstance(base, Class)]
         ordered = [name for base in known for name in base.ordered]
         made = Class(one.name, known, {}, ordered)
         for base in reversed(known):
             made.fields.update(base.fields)
         # What the body names is first its own, then the module's.
-        inside = _Chained(made.fields, scope)
-        self.run(one.body, inside, module)
+        inside = scope.inner(made.fields)
+        self.run(one.body, inside)
         for node in made.fields.values():
             if isinstance(node.value, Function) and node.value.around is inside:
                 node.value.owner = made
@@ -268,30 +280,30 @@ class Evaluator:
         for each in one.body:
             if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
                 made.ordered.append(each.target.id)
-        scope[one.name] = self._node(made, one, module)
+        scope[one.name] = self._node(made, one, scope)
 
-    def _do_import(self, one: ast.Import, scope: dict[str, Node], module: Module) -> None:
+    def _do_import(self, one: ast.Import, scope: Scope) -> None:
         for name in one.names:
             shown = name.asname or name.name.split(".")[0]
-            found = self._find(module, name.name if name.asname else shown, 0)
-            scope[shown] = self._node(found or Unknown(shown), one, module)
-            module.imported.add(shown)
+            found = self._find(scope.module, name.name if name.asname else shown, 0)
+            scope[shown] = self._node(found or Unknown(shown), one, scope)
+            scope.module.imported.add(shown)
 
-    def _do_importfrom(self, one: ast.ImportFrom, scope: dict[str, Node], module: Module) -> None:
-        home = self._find(module, one.module or "", one.level)
+    def _do_importfrom(self, one: ast.ImportFrom, scope: Scope) -> None:
+        home = self._find(scope.module, one.module or "", one.level)
         for name in one.names:
             if name.name == "*":
                 scope.update({} if home is None else home.names)
-                module.imported.update({} if home is None else home.names)
+                scope.module.imported.update({} if home is None else home.names)
                 continue
             shown = name.asname or name.name
             found = None if home is None else home.names.get(name.name)
             if found is None:
                 path = ".".join(part for part in (one.module, name.name) if part)
-                below = self._find(module, path, one.level)
-                found = self._node(below or Unknown(name.name), one, module)
+                below = self._find(scope.module, path, one.level)
+                found = self._node(below or Unknown(name.name), one, scope)
             scope[shown] = found
-            module.imported.add(shown)
+            scope.module.imported.add(shown)
 
     def _find(self, module: Module, dotted: str, level: int) -> Module | None:
         """Returns an imported module, if it lies in a folder that may be read."""
@@ -312,7 +324,7 @@ class Evaluator:
             if not is_input(folder / "__init__.py") and folder != path.parent:
                 return
 
-    def _forget(self, body: list[ast.stmt], scope: dict[str, Node], module: Module) -> None:
+    def _forget(self, body: list[ast.stmt], scope: Scope) -> None:
         """What may be changed by what may not happen is not known."""
         for one in body:
             for node in ast.walk(one):
@@ -320,82 +332,79 @@ class Evaluator:
                     continue
                 if isinstance(node.ctx, ast.Store):
                     said = Unknown(ast.unparse(one)[:80])
-                    self._put(node, self._node(said, node, module), scope, module)
+                    self._put(node, self._node(said, node, scope), scope)
 
-    def _put(self, to: ast.expr, value: Node, scope: dict[str, Node], module: Module) -> None:
+    def _put(self, to: ast.expr, value: Node, scope: Scope) -> None:
         if isinstance(to, ast.Name):
             scope[to.id] = value
         elif isinstance(to, ast.Tuple | ast.List):
             parts = self._listed(value) or []
             for number, each in enumerate(to.elts):
-                lost = self._node(Unknown(ast.unparse(each)), each, module)
-                self._put(each, parts[number] if number < len(parts) else lost, scope, module)
+                lost = self._node(Unknown(ast.unparse(each)), each, scope)
+                self._put(each, parts[number] if number < len(parts) else lost, scope)
         elif isinstance(to, ast.Attribute):
-            owner = self._owner(to.value, scope, module)
+            owner = self._owner(to.value, scope)
             if owner is not None:
                 owner[to.attr] = value
         elif isinstance(to, ast.Subscript):
-            held = self.value(to.value, scope, module).value
-            key = self._plain(self.value(to.slice, scope, module))
+            held = self.value(to.value, scope).value
+            key = self._plain(self.value(to.slice, scope))
             table = isinstance(held, dict) and isinstance(key, str | int | float | bool)
             listed = isinstance(held, list) and isinstance(key, int)
             if table or (listed and -len(held) <= key < len(held)):
                 held[key] = value
 
-    def _owner(
-        self, node: ast.expr, scope: dict[str, Node], module: Module
-    ) -> dict[str, Node] | None:
+    def _owner(self, node: ast.expr, scope: Scope) -> dict[str, Node] | None:
         """Returns the fields that an assignment to an attribute goes to."""
-        held = self.value(node, scope, module).value
+        held = self.value(node, scope).value
         if isinstance(held, Instance | Class):
             return held.fields
         if isinstance(node, ast.Attribute) and isinstance(held, Unknown):
-            above = self._owner(node.value, scope, module)
+            above = self._owner(node.value, scope)
             if above is not None:  # a field of a base that was not read
                 made = Instance("")
-                above[node.attr] = self._node(made, node, module)
+                above[node.attr] = self._node(made, node, scope)
                 return made.fields
         return None
 
     # Expressions.
 
-    def value(self, one: ast.expr, scope: Mapping[str, Node], module: Module) -> Node:
+    def value(self, one: ast.expr, scope: Scope) -> Node:
         """Returns what an expression is, at its own place."""
-        self._count(one, module)
+        self._count(one, scope)
         find = getattr(self, f"_of_{type(one).__name__.lower()}", None)
-        found = None if find is None else find(one, scope, module)
+        found = None if find is None else find(one, scope)
         if found is None:
             found = Unknown(ast.unparse(one)[:80])
         if isinstance(found, Node):
-            return Node(found.value, self._place(one, module), found.decimals)
-        return self._node(found, one, module)
+            return Node(found.value, self._place(one, scope), found.decimals)
+        return self._node(found, one, scope)
 
-    def _node(self, value: Any, one: ast.AST, module: Module) -> Node:
-        return Node(value, self._place(one, module))
+    def _node(self, value: Any, one: ast.AST, scope: Scope) -> Node:
+        return Node(value, self._place(one, scope))
 
-    def _place(self, one: ast.AST, module: Module) -> Place:
-        path, near = module.path, self.shown != Path() and module.path.is_relative_to(self.shown)
+    def _place(self, one: ast.AST, scope: Scope) -> Place:
+        path = scope.module.path
+        near = self.shown != Path() and path.is_relative_to(self.shown)
         return Place(path.relative_to(self.shown) if near else path, getattr(one, "lineno", None))
 
-    def _of_constant(self, one: ast.Constant, _: object, module: Module) -> Any:
+    def _of_constant(self, one: ast.Constant, scope: Scope) -> Any:
         if isinstance(one.value, int | float) and not isinstance(one.value, bool):
-            row = module.lines[one.lineno - 1].encode()
+            row = scope.module.lines[one.lineno - 1].encode()
             said = row[one.col_offset : one.end_col_offset].decode(errors="replace")
             try:
                 digits = decimals_of(said.replace("_", ""))
             except ValueError:  # 0x1f
                 digits = 0
-            return Node(one.value, self._place(one, module), digits)
+            return Node(one.value, self._place(one, scope), digits)
         # Node, as None is what stands there, and not that it is not known.
-        return self._node(one.value, one, module)
+        return self._node(one.value, one, scope)
 
-    def _of_name(self, one: ast.Name, scope: Mapping[str, Node], module: Module) -> Any:
-        if one.id in scope:
-            return scope[one.id]
-        return module.names.get(one.id) or Unknown(one.id)
+    def _of_name(self, one: ast.Name, scope: Scope) -> Any:
+        return scope.get(one.id) or scope.module.names.get(one.id) or Unknown(one.id)
 
-    def _of_attribute(self, one: ast.Attribute, scope: Mapping[str, Node], module: Module) -> Any:
-        held = self.value(one.value, scope, module).value
+    def _of_attribute(self, one: ast.Attribute, scope: Scope) -> Any:
+        held = self.value(one.value, scope).value
         if isinstance(held, Instance | Class):
             return held.fields.get(one.attr)
         if isinstance(held, Module):
@@ -404,51 +413,51 @@ class Evaluator:
             return _CONSTANTS[one.attr]
         return None
 
-    def _of_tuple(self, one: ast.Tuple, scope: Mapping[str, Node], module: Module) -> Any:
+    def _of_tuple(self, one: ast.Tuple, scope: Scope) -> Any:
         found: list[Node] = []
         for each in one.elts:
             if isinstance(each, ast.Starred):
-                more = self._listed(self.value(each.value, scope, module))
+                more = self._listed(self.value(each.value, scope))
                 if more is None:
                     return None
                 found += more
             else:
-                found.append(self.value(each, scope, module))
+                found.append(self.value(each, scope))
         return found
 
     _of_list = _of_set = _of_tuple
 
-    def _of_dict(self, one: ast.Dict, scope: Mapping[str, Node], module: Module) -> Any:
+    def _of_dict(self, one: ast.Dict, scope: Scope) -> Any:
         found: dict[Any, Node] = {}
         for key, value in zip(one.keys, one.values, strict=True):
-            held = self.value(value, scope, module)
+            held = self.value(value, scope)
             if key is None:
                 if isinstance(held.value, dict):
                     found.update(held.value)
                 continue
-            name = self._plain(self.value(key, scope, module))
+            name = self._plain(self.value(key, scope))
             if isinstance(name, str | int | float | bool):
                 found[name] = held
         return found
 
-    def _of_subscript(self, one: ast.Subscript, scope: Mapping[str, Node], module: Module) -> Any:
-        held = self.value(one.value, scope, module).value
+    def _of_subscript(self, one: ast.Subscript, scope: Scope) -> Any:
+        held = self.value(one.value, scope).value
         if isinstance(one.slice, ast.Slice):
             ends = [
-                None if end is None else self._plain(self.value(end, scope, module))
+                None if end is None else self._plain(self.value(end, scope))
                 for end in (one.slice.lower, one.slice.upper, one.slice.step)
             ]
             plain = all(end is None or isinstance(end, int) for end in ends) and ends[2] != 0
             return held[slice(*ends)] if isinstance(held, list) and plain else None
-        key = self._plain(self.value(one.slice, scope, module))
+        key = self._plain(self.value(one.slice, scope))
         if isinstance(held, dict) and isinstance(key, str | int | float | bool):
             return held.get(key)
         if isinstance(held, list) and isinstance(key, int) and -len(held) <= key < len(held):
             return held[key]
         return None
 
-    def _of_binop(self, one: ast.BinOp, scope: Mapping[str, Node], module: Module) -> Any:
-        left, right = (self.value(each, scope, module).value for each in (one.left, one.right))
+    def _of_binop(self, one: ast.BinOp, scope: Scope) -> Any:
+        left, right = (self.value(each, scope).value for each in (one.left, one.right))
         work = _BINARY.get(type(one.op))
         if isinstance(left, list) and isinstance(one.op, ast.Mult) and isinstance(right, int):
             return left * right if 0 <= right * len(left) <= MOST else None
@@ -465,8 +474,8 @@ class Evaluator:
             return None
         return made if _number(made) else None
 
-    def _of_unaryop(self, one: ast.UnaryOp, scope: Mapping[str, Node], module: Module) -> Any:
-        held = self.value(one.operand, scope, module)
+    def _of_unaryop(self, one: ast.UnaryOp, scope: Scope) -> Any:
+        held = self.value(one.operand, scope)
         if isinstance(one.op, ast.Not):
             test = self._truth(held)
             return None if test is None else not test
@@ -475,10 +484,10 @@ class Evaluator:
         sign = -1 if isinstance(one.op, ast.USub) else 1
         return Node(sign * held.value, held.place, held.decimals)
 
-    def _of_boolop(self, one: ast.BoolOp, scope: Mapping[str, Node], module: Module) -> Any:
+    def _of_boolop(self, one: ast.BoolOp, scope: Scope) -> Any:
         stops = isinstance(one.op, ast.Or)
         for each in one.values:
-            held = self.value(each, scope, module)
+            held = self.value(each, scope)
             test = self._truth(held)
             if test is None:
                 return None
@@ -486,11 +495,11 @@ class Evaluator:
                 return held
         return held
 
-    def _of_compare(self, one: ast.Compare, scope: Mapping[str, Node], module: Module) -> Any:
-        left = self._plain(self.value(one.left, scope, module))
+    def _of_compare(self, one: ast.Compare, scope: Scope) -> Any:
+        left = self._plain(self.value(one.left, scope))
         if len(one.ops) != 1:
             return None
-        right = self._plain(self.value(one.comparators[0], scope, module))
+        right = self._plain(self.value(one.comparators[0], scope))
         if isinstance(left, Unknown) or isinstance(right, Unknown):
             return None
         try:
@@ -498,44 +507,42 @@ class Evaluator:
         except (TypeError, KeyError):
             return None
 
-    def _of_ifexp(self, one: ast.IfExp, scope: Mapping[str, Node], module: Module) -> Any:
-        test = self._truth(self.value(one.test, scope, module))
-        return None if test is None else self.value(one.body if test else one.orelse, scope, module)
+    def _of_ifexp(self, one: ast.IfExp, scope: Scope) -> Any:
+        test = self._truth(self.value(one.test, scope))
+        return None if test is None else self.value(one.body if test else one.orelse, scope)
 
-    def _of_lambda(self, one: ast.Lambda, scope: dict[str, Node], module: Module) -> Any:
-        return Function(one, module, scope)
+    def _of_lambda(self, one: ast.Lambda, scope: Scope) -> Any:
+        return Function(one, scope)
 
-    def _of_listcomp(self, one: ast.ListComp, scope: Mapping[str, Node], module: Module) -> Any:
-        rounds = self._rounds(one.generators, scope, module)
-        return None if rounds is None else [self.value(one.elt, each, module) for each in rounds]
+    def _of_listcomp(self, one: ast.ListComp, scope: Scope) -> Any:
+        rounds = self._rounds(one.generators, scope)
+        return None if rounds is None else [self.value(one.elt, each) for each in rounds]
 
     _of_generatorexp = _of_listcomp
 
-    def _of_dictcomp(self, one: ast.DictComp, scope: Mapping[str, Node], module: Module) -> Any:
-        rounds = self._rounds(one.generators, scope, module)
+    def _of_dictcomp(self, one: ast.DictComp, scope: Scope) -> Any:
+        rounds = self._rounds(one.generators, scope)
         if rounds is None:
             return None
         found = {}
         for each in rounds:
-            key = self._plain(self.value(one.key, each, module))
+            key = self._plain(self.value(one.key, each))
             if isinstance(key, str | int | float | bool):
-                found[key] = self.value(one.value, each, module)
+                found[key] = self.value(one.value, each)
         return found
 
-    def _rounds(
-        self, loops: list[ast.comprehension], scope: Mapping[str, Node], module: Module
-    ) -> list[dict[str, Node]] | None:
-        found: list[dict[str, Node]] = [dict(scope)]
+    def _rounds(self, loops: list[ast.comprehension], scope: Scope) -> list[Scope] | None:
+        found = [scope]
         for loop in loops:
-            inner: list[dict[str, Node]] = []
+            inner: list[Scope] = []
             for around in found:
-                over = self._listed(self.value(loop.iter, around, module))
+                over = self._listed(self.value(loop.iter, around))
                 if over is None or len(over) * len(found) > MOST_ROUNDS:
                     return None
                 for each in over:
-                    here = dict(around)
-                    self._put(loop.target, each, here, module)
-                    tests = [self._truth(self.value(test, here, module)) for test in loop.ifs]
+                    here = around.inner()
+                    self._put(loop.target, each, here)
+                    tests = [self._truth(self.value(test, here)) for test in loop.ifs]
                     if None in tests:
                         return None
                     if all(tests):
@@ -545,21 +552,21 @@ class Evaluator:
 
     # Calls.
 
-    def _of_call(self, one: ast.Call, scope: Mapping[str, Node], module: Module) -> Any:
-        given = [self.value(each, scope, module) for each in one.args
+    def _of_call(self, one: ast.Call, scope: Scope) -> Any:
+        given = [self.value(each, scope) for each in one.args
                  if not isinstance(each, ast.Starred)]  # fmt: skip
         named: dict[str, Node] = {}
         for keyword in one.keywords:
-            held = self.value(keyword.value, scope, module)
+            held = self.value(keyword.value, scope)
             if keyword.arg is not None:
-                named[keyword.arg] = Node(held.value, self._place(keyword, module), held.decimals)
+                named[keyword.arg] = Node(held.value, self._place(keyword, scope), held.decimals)
             elif isinstance(held.value, dict):
                 named.update({str(key): value for key, value in held.value.items()})
         if isinstance(one.func, ast.Attribute):
-            made = self._method(one.func, given, named, scope, module)
+            made = self._method(one.func, given, named, scope)
             if made is not None:
                 return made
-        called = self.value(one.func, scope, module).value
+        called = self.value(one.func, scope).value
         if isinstance(called, Function):
             return self.call(called, given, named)
         if isinstance(called, Class):
@@ -607,12 +614,7 @@ class Evaluator:
         return [Node(list(row), row[-1].place) for row in rows]
 
     def _method(
-        self,
-        func: ast.Attribute,
-        given: list[Node],
-        named: dict[str, Node],
-        scope: Mapping[str, Node],
-        module: Module,
+        self, func: ast.Attribute, given: list[Node], named: dict[str, Node], scope: Scope
     ) -> Any:
         """Returns what a call of a known value's method comes to; None if it is no such call."""
         if isinstance(func.value, ast.Call) and ast.unparse(func.value.func) == "super":
@@ -621,8 +623,8 @@ class Evaluator:
                 above = base.fields.get(func.attr)
                 if above is not None and isinstance(above.value, Function) and own is not None:
                     return self.call(above.value, [own, *given], named)
-            return Node(None, self._place(func, module))
-        held = self.value(func.value, scope, module)
+            return Node(None, self._place(func, scope))
+        held = self.value(func.value, scope)
         value, name = held.value, func.attr
         if isinstance(value, Instance | Class):
             method = value.fields.get(name)
@@ -658,33 +660,33 @@ class Evaluator:
         names = [each.arg for each in (*arguments.posonlyargs, *arguments.args)]
         if self.depth >= DEEPEST:
             return None
-        scope: dict[str, Node] = _Chained({}, function.around)
+        scope = function.around.inner()
         defaults = arguments.defaults
         pairs = [*zip(names[len(names) - len(defaults) :], defaults, strict=True),
                  *((each.arg, default) for each, default
                    in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)
                    if default is not None)]  # fmt: skip
         for name, default in pairs:
-            scope[name] = self.value(default, function.around, function.module)
+            scope[name] = self.value(default, function.around)
         scope.update(zip(names, given, strict=False))
         scope.update(named)
         for each in (*names, *(one.arg for one in arguments.kwonlyargs)):
             if each not in scope:
-                scope[each] = self._node(Unknown(each), function.node, function.module)
+                scope[each] = self._node(Unknown(each), function.node, scope)
         if function.owner is not None:
-            scope["__class__"] = self._node(function.owner, function.node, function.module)
+            scope["__class__"] = self._node(function.owner, function.node, scope)
         self.depth += 1
         try:
             if isinstance(function.node, ast.Lambda):
-                return self.value(function.node.body, scope, function.module)
-            self.run(function.node.body, scope, function.module)
+                return self.value(function.node.body, scope)
+            self.run(function.node.body, scope)
         except _Return as done:
             return done.node
         except _Leave:
             return None
         finally:
             self.depth -= 1
-        return self._node(None, function.node, function.module)
+        return self._node(None, function.node, scope)
 
     def make(self, made: Class, given: list[Node], named: dict[str, Node]) -> Instance:
         """Returns an instance of a class, its fields' defaults made anew."""
@@ -720,35 +722,6 @@ class Evaluator:
     def _plain(self, node: Node) -> Any:
         value = node.value
         return [self._plain(each) for each in value] if isinstance(value, list) else value
-
-
-class _Chained(dict[str, Node]):
-    """Names of a function or a class, and behind them those around it."""
-
-    def __init__(self, own: dict[str, Node], around: Mapping[str, Node]) -> None:
-        super().__init__()
-        self.own, self.around = own, around
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.own or name in self.around
-
-    def __getitem__(self, name: str) -> Node:
-        return self.own[name] if name in self.own else self.around[name]
-
-    def __setitem__(self, name: str, node: Node) -> None:
-        self.own[name] = node
-
-    def get(self, name: str, default: Any = None) -> Any:
-        """Returns a name's value."""
-        return self.own.get(name) or self.around.get(name, default)
-
-    def update(self, *more: Any, **_: Any) -> None:
-        """Takes names over."""
-        self.own.update(*more)
-
-    def keys(self) -> Any:
-        """Returns all names."""
-        return {**dict.fromkeys(self.around.keys()), **self.own}.keys()
 
 
 def copied(node: Node, seen: dict[int, Any] | None = None) -> Node:

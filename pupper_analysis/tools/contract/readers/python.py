@@ -73,7 +73,7 @@ def _made(evaluator: Evaluator, node: Node) -> Node | None:
         if isinstance(value, Function) and isinstance(value.node.args.args, list):
             arguments = value.node.args
             free = arguments.args[: len(arguments.args) - len(arguments.defaults)]
-            known = [evaluator.value(each.annotation, value.around, value.module)
+            known = [evaluator.value(each.annotation, value.around)
                      for each in free if each.annotation is not None]  # fmt: skip
             classes = [one for one in known if isinstance(one.value, Class)]
             if len(classes) != len(free):
