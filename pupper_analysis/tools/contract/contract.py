@@ -159,8 +159,8 @@ def read_contract(
             raise ModelError(one.source.path, told)
         notes += [*one.source.notes, *one.notes]
         if one.unknown:
-            word = "contract-names-unknown"
-            notes.append(diagnose(word, file=one.source.name, names=one.unknown))
+            notes.append(diagnose("contract-names-unknown", file=one.source.name,
+                                  names=one.unknown))  # fmt: skip
     placed.sort(key=lambda one: list(Role).index(one.source.role))
     paths = list(dict.fromkeys(one.path for one in models))
     poses, unstood = stand_poses(paths, placed, first.order) if stand else ((), [])
@@ -202,8 +202,9 @@ def _read(request: Request) -> list[Source]:
         raise ModelError(request.path, diagnose("contract-of-no-kind", known=known))
     found = [source for one in able for source in one.read(request)]
     if not found:
-        word = "contract-name-unknown" if request.name else "contract-states-nothing"
-        raise ModelError(request.path, diagnose(word, name=request.name))
+        if request.name:
+            raise ModelError(request.path, diagnose("contract-name-unknown", name=request.name))
+        raise ModelError(request.path, diagnose("contract-states-nothing"))
     return found
 
 

@@ -69,7 +69,7 @@ def _sides(finding: Disagreement, *, detail: bool) -> doc.Sides:
     ]
     tag: doc.Words = word(str(finding.severity))
     if finding.slip:
-        tag = text("severity-rule", severity=tag, rule=finding.slip)
+        tag = text("severity-rule", severity=tag, rule=word(finding.slip))
     tag = tag.marked(MARKS[finding.severity]) if isinstance(tag, doc.Text) else tag
     return doc.Sides(doc.tell(finding.diagnostic), tuple(columns),
                      tuple(map(doc.tell, finding.effects)), tag, detail)  # fmt: skip

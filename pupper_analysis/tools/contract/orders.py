@@ -165,8 +165,11 @@ def _order(
         kept.reverse()
     fits = [one for one in kept if source.motors and _whole_limbs(one, source.motors, model)]
     order = (fits or kept)[-1]
-    word = "contract-order-of-file" if order == joints else "contract-order-by-depth"
-    return order, "assumed", [diagnose(word, file=source.name, first=order[:3])]
+    if order == joints:
+        told = diagnose("contract-order-of-file", file=source.name, first=order[:3])
+    else:
+        told = diagnose("contract-order-by-depth", file=source.name, first=order[:3])
+    return order, "assumed", [told]
 
 
 def _whole_limbs(order: tuple[str, ...], motors: tuple[int, ...], model: RobotModel) -> bool:
