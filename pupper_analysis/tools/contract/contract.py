@@ -66,7 +66,7 @@ class SourceRead(Result):
         path: The file.
         role: trainer, policy, deployment, driver or model.
         order: Its joints in the order in which a policy has them.
-        how: How that is known: named, motors or assumed.
+        how: How that is known: named, motors, policy or assumed.
         unknown: Names in it that are of no joint of the model.
         observations: What a policy observes, in order.
     """

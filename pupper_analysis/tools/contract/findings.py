@@ -34,7 +34,7 @@ class Disagreement(Result):
     """One thing in which sources differ, or in which one contradicts itself.
 
     Attributes:
-        kind: The quantity; ``order``, ``observations``, or ``expression`` of what is no constant.
+        kind: The quantity; order, or observations.
         slip: Which slip it looks like: ``sign``, ``unit``, ``order``, ``mirror``, or "".
         joints: The joints that it is of.
         sources: The sources' names, the one that is held to be meant first.
