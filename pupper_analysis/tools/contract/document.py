@@ -113,12 +113,19 @@ def _sources(contract: Contract) -> doc.Table:
                doc.Column(text("contract-role"), left=True),
                doc.Column(text("contract-numbers"), "1"),
                doc.Column(text("contract-order-how"), left=True))  # fmt: skip
+    hows = {
+        "named": text("contract-order-named"),
+        "motors": text("contract-order-motors"),
+        "policy": text("contract-order-policy"),
+        "assumed": text("contract-order-assumed"),
+        "": text("contract-order-none"),
+    }
     rows = tuple(
         (
             doc.Name(one.name),
             word(one.role),
             doc.number_cell(sum(fact.source == one.name for fact in contract.facts), ".0f"),
-            text(f"contract-order-{one.how or 'none'}"),
+            hows[one.how],
         )
         for one in contract.sources
     )
