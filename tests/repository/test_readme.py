@@ -6,14 +6,12 @@ import re
 import shlex
 import subprocess
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from tests.support.commands import answer
 from tests.support.repository import ROOT
 
 README = (ROOT / "README.md").read_text()
@@ -29,39 +27,10 @@ PAGES = [
 ]
 
 
-def snippets(page: Path) -> list[str]:
-    return re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
-
-
 def shell(page: Path) -> list[str]:
     """The lines of a page's shell blocks, as a user pastes them."""
     blocks = re.findall(r"```sh\n(.*?)```", page.read_text(), flags=re.DOTALL)
     return [line.partition("  #")[0].strip() for line in "".join(blocks).splitlines()]
-
-
-@pytest.fixture
-def checkout(tmp_path: Path) -> Path:
-    """A folder with the files that commands of the README and the tutorial name."""
-    for name in ("urdf", "mjcf", "examples"):
-        (tmp_path / name).symlink_to(ROOT / name, target_is_directory=True)
-    return tmp_path
-
-
-def run_snippet(page: Path, checkout: Path) -> None:
-    assert len(snippets(page)) == 1
-    result = subprocess.run(
-        [sys.executable, "-c", snippets(page)[0]],
-        capture_output=True,
-        text=True,
-        cwd=checkout,
-        timeout=120,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr
-
-
-def test_the_snippet_of_the_readme_runs(checkout: Path) -> None:
-    run_snippet(ROOT / "README.md", checkout)
 
 
 def test_the_two_commands_are_targets() -> None:
@@ -100,61 +69,13 @@ def commands(text: str) -> list[str]:
     )
 
 
-def run_as_pasted(command: str, checkout: Path) -> None:
-    """Runs the README's line of a command, and looks for the files that it names."""
-    lines = [line for line in shell(ROOT / "README.md") if f"pupper-analysis {command} " in line]
-    assert len(lines) == 1
-    arguments = shlex.split(lines[0])[1:]
-    result = answer(*arguments, folder=checkout)
-    assert result.returncode == 0, result.stderr + result.stdout
-    for option, file in pairwise(arguments):
-        if option in ("--report", "-o"):
-            assert (checkout / file).is_file()
-
-
-# One test each, so that all of them stay in CI. Tests of the browser serve the page of ``live``.
-
-
-def test_crosscheck_of_the_readme_runs_as_pasted(checkout: Path) -> None:
-    run_as_pasted("crosscheck", checkout)
-
-
-def test_audit_of_the_readme_runs_as_pasted(checkout: Path) -> None:
-    run_as_pasted("audit", checkout)
-
-
-def test_convert_of_the_readme_runs_as_pasted(checkout: Path) -> None:
-    run_as_pasted("convert", checkout)
-
-
-def test_stand_of_the_readme_runs_as_pasted(checkout: Path) -> None:
-    run_as_pasted("stand", checkout)
-
-
-def test_payload_of_the_readme_runs_as_pasted(checkout: Path) -> None:
-    run_as_pasted("payload", checkout)
-
-
-def test_the_tutorial_goes_as_it_says(checkout: Path) -> None:
-    """Every line in its order; all but two end well, and these with the status it tells."""
-    expected = {"broken.urdf mjcf": 1, "--roll 20deg": 2}
-    lines = [
-        line for line in shell(TUTORIAL) if line.split()[0] in ("pupper-analysis", "mkdir", "sed")
-    ]
-    assert lines == [
-        line
-        for line in shell(ROOT / "docs/zh/tutorial.md")
-        if line.split()[0] not in ("make", "source")
-    ]
-    for line in lines:
-        if line.startswith("pupper-analysis"):
-            result = answer(*shlex.split(line)[1:], folder=checkout)
-            (status,) = [code for part, code in expected.items() if part in line] or [0]
-            assert result.returncode == status, line + result.stderr + result.stdout
-        else:
-            subprocess.run(line, shell=True, cwd=checkout, check=True)
-    for page in (TUTORIAL, ROOT / "docs/zh/tutorial.md"):
-        run_snippet(page, checkout)
+def test_both_tutorials_run_the_same_lines() -> None:
+    """`test_pages.py` runs them."""
+    english, chinese = (
+        [line for line in shell(page) if line.startswith("pupper-analysis")]
+        for page in (TUTORIAL, ROOT / "docs/zh/tutorial.md")
+    )
+    assert english == chinese
 
 
 @pytest.mark.parametrize(
