@@ -34,7 +34,7 @@ def test_a_wrong_number_or_status_of_a_page_is_found(tmp_path: Path) -> None:
     block.output.append("height 0.1316 m\n")
     with pytest.raises(AssertionError, match=r"0\.1316"):
         pages.run_page([block], tmp_path)
-    exits = pages.Block("page", 1, "sh", "pupper-analysis audit none.urdf  # exits 2\nfalse\n")
+    exits = pages.Block("page", 1, "sh", "pupper-analysis nothing  # exits 2\nfalse\n")
     with pytest.raises(AssertionError, match="exit status 1, not 0"):
         pages.run_page([exits], tmp_path)
 

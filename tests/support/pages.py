@@ -39,11 +39,12 @@ ARMS = ("panda", "ur5", "arm", "hand")
 HELP = {
     "study": "an hour of designs; its page runs a smaller one",
     "live": "it serves until it is ended: tests/tools/live",
-    "analysis view": "it opens a window: tests/tools/view",
-    "drop v3": "it opens a window: tests/tools/drop",
     "ur5": "a UR5 of one's own",
     "hand.xml": "a hand of one's own",
     "mjcf:": "two files that differ: tests/tools/sync",
+    "contract": "a policy of one's own: tests/tools/contract",
+    "analysis walk": "a policy of one's own: tests/tools/walk",
+    "--policy": "a policy of one's own: tests/tools/walk",
     "xacro": "xacro is no dependency",
     "g1": "its joints and feet are named: a G1 of one's own",
     "--foot": "feet of other names",
@@ -129,13 +130,15 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def blocks_of_help(command: str) -> list[Block]:
-    """The examples that `pupper-analysis COMMAND --help` shows."""
+    """The examples of `pupper-analysis COMMAND --help` that no page has, too."""
     said = cli.find_command(command).help or ""
+    elsewhere = {line for page in pages() for block in blocks_of(page) for line, _ in block.lines()}
     lines = [
         re.sub(r"(?<=\S) {3,}(?=[^\\\s]).*", "", line.strip("\b "))
         for line in said.replace("\\\n", " ").splitlines()
         if re.match(r"\W*(xacro .*\| )?pupper-analysis ", line)
     ]
+    lines = [line for line in lines if line.strip() not in elsewhere]
     return [Block(f"{command} --help", 0, "sh", "\n".join(lines) + "\n", dict(HELP))] * bool(lines)
 
 
