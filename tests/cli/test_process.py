@@ -117,6 +117,7 @@ def test_any_encoding_will_do(encoding: str, tmp_path: Path) -> None:
         *COMMAND,
         "stand",
         "v3",
+        "-v",
         env={**ENVIRONMENT, "PYTHONIOENCODING": encoding},
         encoding=encoding,
     )
