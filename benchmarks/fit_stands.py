@@ -33,7 +33,6 @@ import numpy as np
 
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains
@@ -131,7 +130,7 @@ def plant(robot: Robot, rng: np.random.Generator, slope: float) -> Planted:
             factors[f"com_{axis}:{link}"], truth[f"com.{axis} {link}"] = off, stated + off
     common, own = rng.normal(), rng.normal(size=robot.nu)
     stiffness = servo_gains(robot).kp * (1 + KP * math.sqrt(0.5) * (common + own))
-    rubbing, rubs = DryFriction.of(robot).joints, 1 + FRICTION * rng.normal(size=robot.nu)
+    rubbing, rubs = robot.joint_friction, 1 + FRICTION * rng.normal(size=robot.nu)
     rubs = np.maximum(0.1, rubs)
     factors |= {
         f"frictionloss:{name}": float(one)
@@ -177,7 +176,7 @@ def predict(
 ) -> np.ndarray | None:
     """Returns qpos at rest: dry friction anywhere in its band, or of a side; steps under feet."""
     (stand, command), true, kp = commanded, planted.robot, planted.kp
-    rubbing, share = DryFriction.of(true).joints, rng.uniform(-1, 1, true.nu)
+    rubbing, share = true.joint_friction, rng.uniform(-1, 1, true.nu)
     if side:
         share = held_back(planted.stated, stand, side, rng, share)
     heights = {foot: float(rng.normal(0, given.uneven)) for foot in true.feet}
@@ -188,12 +187,6 @@ def predict(
         system.laws = {
             foot: replace(law, stiffness=law.stiffness / given.soft)
             for foot, law in system.laws.items()
-        }
-        pressed = float(np.linalg.norm(true.gravity)) * true.total_mass / len(stand.stance_feet)
-        system.moments = {
-            foot: given.rub * rng.uniform(-1, 1, 3) * turning * pressed
-            for foot, turning in DryFriction.of(true).turning.items()
-            if foot in stand.stance_feet and turning.any()
         }
         way = HomotopyPath(system, end)
         way.follow(1.0)
@@ -264,7 +257,7 @@ def fits(
 ) -> Iterator[tuple[int, Planted, StandFit | None, float]]:
     """Yields seed, what is true, the fit (None: none, or too few stands), and seconds."""
     pool = random_stands(robot, np.random.default_rng(0), 3 * given.stands)
-    rubs = bool(DryFriction.of(robot).joints.any())
+    rubs = bool(robot.joint_friction.any())
     for seed in range(given.first, given.first + given.seeds):
         rng = np.random.default_rng([seed, zlib.crc32(robot.name.encode()), given.simulated])
         planted = plant(robot, rng, math.radians(given.slope))
@@ -348,7 +341,6 @@ def main() -> None:
     parser.add_argument("--drop", type=float, default=0.0, help="set down from so high (m)")
     parser.add_argument("--sides", action="store_true", help="come from above and from below")
     parser.add_argument("--uneven", type=float, default=3e-4, help="of the ground (m)")
-    parser.add_argument("--rub", type=float, default=0.0, help="of the dry friction of feet")
     parser.add_argument("--unweighed", action="store_true", help="no scale weighs the robot")
     parser.add_argument("--bits", type=int, default=12, help="of encoders")
     parser.add_argument("--shakes", type=float, default=5e-4, help="noise of encoders (rad)")

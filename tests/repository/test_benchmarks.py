@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import csv
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -44,6 +46,21 @@ def test_the_quick_setting_runs_and_writes(tmp_path: Path) -> None:
     assert [row[0] for row in rows] == [row["name"] for row in found["jobs"]]
     setting = (tmp_path / "benchmarks-setting.csv").read_text()
     assert f"\nmujoco,{found['setting']['versions']['mujoco']}\n" in setting
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples", "scripts"])
+def test_what_is_imported_of_ours_exists(folder: str) -> None:
+    """Most benchmarks run in no test: what left the package would be missed by nobody."""
+    wanted = {
+        (node.module, alias.name)
+        for file in (ROOT / folder).rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pupper_analysis")
+        for alias in node.names
+    }
+    for module, name in sorted(wanted):
+        if not hasattr(importlib.import_module(module), name):
+            importlib.import_module(f"{module}.{name}")
 
 
 def test_tables_have_the_names_that_the_site_knows(tmp_path: Path) -> None:
