@@ -78,7 +78,7 @@ benchmark-ratios: $(VENV)/.ready ## compare the time of calls, in times of the b
 	$(BIN)/python benchmarks/run.py --ratios
 
 lint: $(VENV)/.ready-dev ## check style, format, who imports whom, and workflows
-	$(BIN)/ruff check
+	$(BIN)/ruff check --no-cache
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
