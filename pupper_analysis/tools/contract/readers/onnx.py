@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
@@ -13,8 +15,12 @@ from pupper_analysis.tools.contract.marked import decimals_of
 
 SUFFIXES = (".onnx",)
 
-_METADATA, _KEY, _VALUE = 14, 1, 2
-"""Fields of ``ModelProto`` and ``StringStringEntryProto``. Source: onnx.proto3 of ONNX."""
+Message = dict[int, list["int | memoryview"]]
+"""A message of Protocol Buffers: {number of a field: its values, in order}."""
+
+# Fields are numbered as in onnx.proto (ONNX 1.16).
+_GRAPH, _METADATA = 7, 14
+_INPUTS, _OUTPUTS, _CONSTANTS = 11, 12, 5
 
 _LISTS = {
     "default_joint_pos": "default angle",
@@ -24,18 +30,51 @@ _LISTS = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class OnnxFile:
+    """An ONNX file; nothing of it is executed.
+
+    Attributes:
+        metadata: {key: text} that its exporter wrote.
+        graph: Its graph, a ``GraphProto``; empty if it has none.
+        inputs: {input: its sizes, 1 where a size is a symbol}; constants are none.
+        outputs: Likewise.
+    """
+
+    metadata: dict[str, str]
+    graph: Message
+    inputs: dict[str, list[int]]
+    outputs: dict[str, list[int]]
+
+
+def read_onnx(path: Path) -> OnnxFile:
+    """Reads an ONNX file's metadata and its graph's shape.
+
+    Raises:
+        ModelError: If it cannot be read, or is no ONNX file.
+    """
+    try:
+        model = gather_fields(memoryview(read_input(path, MOST_FILE)))
+        entries = [gather_fields(one) for one in model.get(_METADATA, ())]
+        metadata = {text_of(one, 1): text_of(one, 2) for one in entries}
+        graph = gather_fields(model[_GRAPH][0]) if _GRAPH in model else {}
+        constants = {text_of(gather_fields(one), 8) for one in graph.get(_CONSTANTS, ())}
+        ends = [dict(map(_named_sizes, graph.get(which, ()))) for which in (_INPUTS, _OUTPUTS)]
+    except InputError as error:
+        raise ModelError(source_name(path, error.line), error.cause) from error
+    except (IndexError, KeyError, ValueError, TypeError) as error:
+        raise ModelError(path, diagnose("contract-no-onnx")) from error
+    inputs = {name: sizes for name, sizes in ends[0].items() if name not in constants}
+    return OnnxFile(metadata, graph, inputs, ends[1])
+
+
 def read(request: Request) -> Iterator[Source]:
     """Yields what a policy says of itself, if it does."""
-    try:
-        data = read_input(request.path, MOST_FILE)
-        said = dict(_entries(data))
-    except InputError as error:
-        raise ModelError(source_name(request.path, error.line), error.cause) from error
-    except (IndexError, ValueError) as error:
-        raise ModelError(request.path, diagnose("contract-no-onnx")) from error
+    file = read_onnx(request.path)
+    said = file.metadata
     statements = []
     for key, quantity in _LISTS.items():
-        texts = [text.strip() for text in said.get(key, "").split(",") if text]
+        texts = [text.strip() for text in said.get(key, "").strip("[]() ").split(",") if text]
         place = Place(request.path, element=key)
         for index, text in enumerate(texts):
             try:
@@ -44,7 +83,7 @@ def read(request: Request) -> Iterator[Source]:
                 value, digits, shown = None, None, text
             statements.append(Statement(quantity, value, place, index=index, count=len(texts),
                                         decimals=digits, expression=shown))  # fmt: skip
-    order = tuple(filter(None, said.get("joint_names", "").split(",")))
+    order = tuple(name.strip() for name in said.get("joint_names", "").split(",") if name)
     seen = Place(request.path, element="observation_names")
     names = filter(None, said.get("observation_names", "").split(","))
     if statements or order:
@@ -59,36 +98,63 @@ def read(request: Request) -> Iterator[Source]:
         )
 
 
-def _entries(data: bytes) -> Iterator[tuple[str, str]]:
-    for field, value in _fields(data):
-        if field == _METADATA and isinstance(value, bytes):
-            parts = {number: part for number, part in _fields(value) if isinstance(part, bytes)}
-            key, text = (parts.get(which, b"").decode() for which in (_KEY, _VALUE))
-            yield key, text
+def gather_fields(data: int | memoryview) -> Message:
+    """Returns the fields of a message in the wire format of Protocol Buffers.
 
-
-def _fields(data: bytes) -> Iterator[tuple[int, bytes | int]]:
-    """Yields (number, content) of a message of Protocol Buffers: its wire format."""
-    at = 0
+    Raises:
+        ValueError: If it is none.
+    """
+    if isinstance(data, int):
+        raise ValueError(data)
+    at, found = 0, Message()
     while at < len(data):
         tag, at = _varint(data, at)
         kind = tag & 7
+        value: int | memoryview
         if kind == 0:
             value, at = _varint(data, at)
-            yield tag >> 3, value
+        else:
+            size, at = _varint(data, at) if kind == 2 else ({1: 8, 5: 4}.get(kind, -1), at)
+            if size < 0 or at + size > len(data):
+                raise ValueError(kind)
+            value, at = data[at : at + size], at + size
+        found.setdefault(tag >> 3, []).append(value)
+    return found
+
+
+def text_of(message: Message, number: int, index: int = 0) -> str:
+    """Returns a field of a message as a text; "" if it is not there."""
+    values = message.get(number, ())
+    held = values[index] if len(values) > index else b""
+    return "" if isinstance(held, int) else bytes(held).decode(errors="replace")
+
+
+def integers_of(values: Sequence[int | memoryview]) -> list[int]:
+    """Returns signed integers that are packed, or stand one by one."""
+    flat: list[int] = []
+    for value in values:
+        if isinstance(value, int):
+            flat.append(value)
             continue
-        if kind not in (1, 2, 5):
-            raise ValueError(kind)
-        size, at = _varint(data, at) if kind == 2 else ({1: 8, 5: 4}[kind], at)
-        if at + size > len(data):
-            raise ValueError(size)
-        yield tag >> 3, data[at : at + size]
-        at += size
+        at = 0
+        while at < len(value):
+            one, at = _varint(value, at)
+            flat.append(one)
+    return [value - (1 << 64) if value >> 63 else value for value in flat]
 
 
-def _varint(data: bytes, at: int) -> tuple[int, int]:
+def _named_sizes(data: int | memoryview) -> tuple[str, list[int]]:
+    """Returns the name and the sizes of an input or output; 1 where a size is a symbol."""
+    value = gather_fields(data)
+    kind = gather_fields(gather_fields(value[2][0])[1][0])
+    shape = gather_fields(kind[2][0]) if 2 in kind else {}
+    dims = [integers_of(gather_fields(dim).get(1, [1]))[0] for dim in shape.get(1, ())]
+    return text_of(value, 1), dims
+
+
+def _varint(data: memoryview, at: int) -> tuple[int, int]:
     value = 0
-    for shift in range(0, 64, 7):
+    for shift in range(0, 70, 7):  # ten bytes are the longest
         value |= (data[at] & 0x7F) << shift
         at += 1
         if not data[at - 1] & 0x80:

@@ -1,4 +1,4 @@
-"""YAML and JSON of deployments: Unitree's, ROS 2's controllers, MoveIt's limits, RTNeural."""
+"""YAML and JSON of deployments: Unitree's, ROS 2's controllers, MoveIt's limits."""
 
 from __future__ import annotations
 
@@ -51,13 +51,17 @@ _OBSERVED = {"ang_vel_scale": "ang_vel", "dof_pos_scale": "dof_pos", "dof_vel_sc
 
 def read(request: Request) -> Iterator[Source]:
     """Yields what a YAML or a JSON holds: a configuration, or one for each controller."""
+    for document in read_documents(request):
+        yield from _of_document(request, document)
+
+
+def read_documents(request: Request) -> list[Node]:
+    """Returns the tables of a YAML or a JSON."""
     try:
         documents = read_marked(request.path, read_text(request.path))
     except InputError as error:
         raise ModelError(source_name(request.path, error.line), error.cause) from error
-    for document in documents:
-        if isinstance(document.value, dict):
-            yield from _of_document(request, document)
+    return [one for one in documents if isinstance(one.value, dict)]
 
 
 def _of_document(request: Request, document: Node) -> Iterator[Source]:
@@ -69,23 +73,19 @@ def _of_document(request: Request, document: Node) -> Iterator[Source]:
         for key, node in nodes.items():
             table = node.get("ros__parameters")
             if request.name in ("", key) and table is not None:
-                yield from _of_table(request, f"{name}:{key}", table, Role.DRIVER, rate)
+                yield from of_table(request, f"{name}:{key}", table, Role.DRIVER, rate)
         return
     if document.get("joint_limits") is not None:
         yield from _of_limits(request, document)
-    elif document.get("layers") is not None and document.get("in_shape") is not None:
-        yield from _of_table(request, name, document, Role.POLICY)
-    else:
-        yield from _of_table(request, name, document, Role.DEPLOYMENT)
-        for (
-            key,
-            node,
-        ) in document.value.items():  # rl_sar and its kin: a robot's name, then its table
+    elif document.get("layers") is None:  # else it is a policy's: readers/rtneural.py
+        yield from of_table(request, name, document, Role.DEPLOYMENT)
+        # rl_sar and its kin: a robot's name, then its table.
+        for key, node in document.value.items():
             if isinstance(node.value, dict) and request.name in ("", key):
-                yield from _of_table(request, f"{name}:{key}", node, Role.DEPLOYMENT)
+                yield from of_table(request, f"{name}:{key}", node, Role.DEPLOYMENT)
 
 
-def _of_table(
+def of_table(
     request: Request, name: str, table: Node, role: Role, rate: Node | None = None
 ) -> Iterator[Source]:
     """Yields what a flat table states of joints, if it states anything."""

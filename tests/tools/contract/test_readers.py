@@ -1,0 +1,82 @@
+"""Readers of policies, which `walk` runs too: what a file states, and the sizes of its network."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.contract.readers import (
+    gather_fields,
+    integers_of,
+    read_onnx,
+    read_rtneural,
+    text_of,
+)
+from tests.tools.contract.sources import ONNX, onnx
+
+
+def field(number: int, data: bytes | int) -> bytes:
+    """Returns a field of a message, as Protocol Buffers write it."""
+    if isinstance(data, int):
+        return bytes([number << 3, data])
+    return bytes([number << 3 | 2, len(data)]) + data
+
+
+def tensor(name: str, *sizes: int) -> bytes:
+    """Returns a ValueInfoProto: name (1), type (2: tensor 1: shape 2: dim 1: value 1)."""
+    dims = b"".join(field(1, field(1, size) if size else field(2, b"batch")) for size in sizes)
+    return field(1, name.encode()) + field(2, field(1, field(1, 1) + field(2, dims)))
+
+
+def test_an_onnx_files_metadata_and_ends_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "policy.onnx"
+    graph = field(5, field(8, b"weights")) + field(11, tensor("obs", 0, 45))
+    graph += field(11, tensor("weights", 45, 12)) + field(12, tensor("actions", 0, 12))
+    path.write_bytes(field(7, graph) + onnx(joint_names="a,b"))
+    file = read_onnx(path)
+    assert file.metadata == {"joint_names": "a,b"}
+    assert file.inputs == {"obs": [1, 45]}
+    assert file.outputs == {"actions": [1, 12]}
+    assert text_of(gather_fields(file.graph[12][0]), 1) == "actions"
+
+
+def test_metadata_alone_is_a_file_too(tmp_path: Path) -> None:
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(onnx(**ONNX))
+    file = read_onnx(path)
+    assert file.metadata == ONNX
+    assert (file.graph, file.inputs, file.outputs) == ({}, {}, {})
+
+
+def test_integers_are_packed_or_one_by_one() -> None:
+    assert integers_of([3, memoryview(b"\x01\xac\x02"), (1 << 64) - 1]) == [3, 1, 300, -1]
+
+
+@pytest.mark.parametrize("data", [b"\x80" * 20, b"\x0f", b"\x72\x7f", b"\x72\x02\x0a\x09", b"\x38"])
+def test_what_is_no_message_is_refused(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "a.onnx").write_bytes(data)
+    with pytest.raises(ModelError, match="no ONNX"):
+        read_onnx(tmp_path / "a.onnx")
+
+
+def test_rtneurals_sizes_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "policy.json"
+    layers = [{"type": "dense", "shape": [None, 8]}, {"type": "dense", "shape": [None, 12]}]
+    path.write_text(json.dumps({"in_shape": [None, 36], "layers": layers, "kp": 5.0}))
+    file = read_rtneural(path)
+    assert (file.inputs, file.outputs, file.values["kp"]) == (36, 12, 5.0)
+
+
+def test_what_is_no_policy_of_rtneural_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policy.json"
+    path.write_text('{"kp":\n nothing}')
+    with pytest.raises(ModelError, match=r"policy\.json:2: it is no JSON"):
+        read_rtneural(path)
+    path.write_text('{"layers": 3}')
+    with pytest.raises(ModelError, match="no list of layers"):
+        read_rtneural(path)
+    with pytest.raises(ModelError, match="missing"):
+        read_rtneural(tmp_path / "missing.json")
