@@ -30,7 +30,7 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         policy = make_policy(Path(folder) / "stand.json")
     for command in ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0)):
-        walk = simulate_walk(robot, policy, command, duration=3.0, warm_up=1.0)
+        walk = simulate_walk(robot, policy, command, seconds=3.0, warm_up=1.0)
         gait = walk.gaits[0]
         print(f"commanded {command[0]} m/s: {gait.velocity[0]:.2f} m/s, tracks: {gait.tracks}")
     for joint, torque in zip(walk.joints[:3], gait.torque_rms[:3], strict=True):

@@ -189,6 +189,10 @@ IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
         *(("--figures",), ("--report", "r.html")),
         *(("--minimise", "servo_sag"), ("--maximise", "servo_sag")),
     ),
+    ("walk", "v3", "--policy", "policy.json"): (("--fit", "fit.json"),),
+    ("walk", "v3", "--policy", "policy.json", "--orders"): (
+        *(("--command", "1,0,0"), ("--seeds", "2"), ("--vary", "mass"), ("--fit", "fit.json")),
+    ),
     ("live", "v3", "--drop", "--headless"): (("--csv", "a.csv"), ("--fixed-base",)),
     ("live", "v3", "--demo", "squat", "--headless"): (("--seconds", "3"), ("--port", "1")),
     ("live", "v3", "--no-browser"): (("--headless",),),
@@ -213,7 +217,7 @@ ALWAYS = {
     "sync": {"take", "dry_run", "map_file", "fine", "changes"},
     "contract": {"pairs", "unstood", "fail_on"},
     "study": {"dry_run", "workers", "list_metrics"},
-    "walk": {"policy", "contract", "asked", "seeds", "seconds"},
+    "walk": {"policy", "contract", "asked", "seeds", "seconds", "vary", "orders"},
     "live": {"language", "host", "port", "no_browser", "viewer", "dropped", "demo"},
 }
 """{command: options besides those of the robot, the stance and outputs that always matter}."""

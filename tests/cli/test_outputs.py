@@ -48,6 +48,7 @@ OPTIONS = {
     "stands": "stands.csv",
     "policy": "policy.json",
     "contract": "policy.toml",
+    "fitted": "fit.json",
     "logs": "log.csv",
     "config": "pupper-analysis.toml",
 }
@@ -55,7 +56,7 @@ OPTIONS = {
 
 MORE: dict[str, list[list[str]]] = {
     "path": [["--seconds", "1"]],
-    "walk": [["--seconds", "3"]],
+    "walk": [["--seconds", "3", "--vary", "delay"]],
     "live": [["--headless", "--demo", "squat"]],
     "fit": [["--plan", "4"], ["--stands", "stands.csv"], ["--log", "log.csv"]],
     "convert": [["-o", "new.xml"]],
@@ -125,6 +126,9 @@ def fill(folder: Path) -> Path:
     (folder / "policy.toml").write_text(
         f'observation = ["gravity"]\ndefault = {[0] * count}\naction-scale = 1\nrate = 50\n'
     )
+    fitted: dict[str, object] = {"kind": "delay", "subject": "", "component": ""}
+    fitted |= {"stated": 0, "low": 0, "high": 0.01}
+    (folder / "fit.json").write_text(json.dumps({"estimates": [fitted]}))
     robot = 'urdf = "robot.urdf"\nmjcf = "robot.xml"\n'
     (folder / "study.toml").write_text(
         f'measure = ["servo_sag"]\n[robot]\n{robot}[vary]\nkp = {{ values = [150] }}\n'

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
@@ -18,6 +20,11 @@ from pupper_analysis.cli.robots import (
     with_robot,
 )
 from pupper_analysis.prepare.convert.files import RobotFiles
+
+if TYPE_CHECKING:
+    from pupper_analysis.tools.walk.gait import Walk
+    from pupper_analysis.tools.walk.intervals import TrackedIntervals
+    from pupper_analysis.tools.walk.orders import Orders
 
 
 @shared.command("walk")
@@ -38,8 +45,26 @@ from pupper_analysis.prepare.convert.files import RobotFiles
     metavar="VX,VY,W",
     help="Speed forward and to the left (m/s), and turning to the left (rad/s).",
 )
-@click.option("--seeds", default=1, show_default=True, help="Runs, whose starts differ; e.g. 20.")
-@click.option("--seconds", default=8.0, show_default=True, help="Of each run (s).")
+@click.option(
+    "--seeds", type=int, help="Runs, whose starts differ; by default 1, with --vary 3; e.g. 20."
+)
+@click.option(
+    "--seconds", type=float, help="Of each run (s); by default 8, with --vary and --orders 5."
+)
+@click.option(
+    "--vary",
+    metavar="QUANTITY,...",
+    help="Find how far each may change before the command is no longer tracked: all, or some of "
+    "mass, com, friction, kp, kd, delay, strength, legs.",
+)
+@shared.file_option(
+    "--fit", "fitted", help="With --vary: a fit's JSON; where it says that the real robot is."
+)
+@click.option(
+    "--orders",
+    is_flag=True,
+    help="Is it this robot's policy: rank orders and signs of its joints, scales and histories.",
+)
 @shared.look_option
 @shared.verbose_option
 @shared.json_option
@@ -51,8 +76,11 @@ def command(
     policy: Path,
     contract: Path | None,
     asked: str,
-    seeds: int,
-    seconds: float,
+    seeds: int | None,
+    seconds: float | None,
+    vary: str | None,
+    fitted: Path | None,
+    orders: bool,
     style: str,
     everything: bool,
     json_path: Path | None,
@@ -68,11 +96,21 @@ def command(
     Examples:
       pupper-analysis walk v3 --policy policy_latest.json --command 0.5,0,0
       pupper-analysis walk go1.xml --policy go1.onnx --seeds 20 --report walk.html
+      pupper-analysis walk v3 --policy policy_latest.json --vary mass,kp,delay --fit fit.json
+      pupper-analysis walk v3 --policy policy_latest.json --orders
 
     \b
-    Exit status: 0 every run tracks its command, 1 one does not, 2 bad input.
+    Exit status: 0 every run tracks its command (with --fit, wherever the real robot may be; with
+    --orders, nothing walks better than what the policy states), 1 one does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
+    if orders:
+        refuse_idle("--orders", "asked", "seeds", "vary", "fitted")
+    if vary is None:
+        refuse_alone(["--vary"], "fitted")
     from pupper_analysis.tools.walk.gait import simulate_walk
+    from pupper_analysis.tools.walk.intervals import QUANTITIES, tracked_intervals
+    from pupper_analysis.tools.walk.measured import measured_intervals
+    from pupper_analysis.tools.walk.orders import rank_orders
     from pupper_analysis.tools.walk.policy import Policy
 
     wanted = shared.parse_point("command", asked, 3)
@@ -81,8 +119,25 @@ def command(
     robot = robot_from(meant)
     if isinstance(meant, RobotFiles) and style == "text":  # Markdown has them in its page
         print_notes(robot, everything=everything)
+    given: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
+    if seeds is not None:
+        given["seeds"] = seeds
+    result: Walk | TrackedIntervals | Orders
     with shared.show_progress(f"{robot.name} walks by {brain.name}"):
-        walk = simulate_walk(robot, brain, wanted, seeds=seeds, duration=seconds)
-    shared.show_results([(robot.name, walk)], style, robots=[robot], everything=everything)
-    shared.write_page(report_path, walk, [robot])
-    shared.finish_command(json_path, walk, passed=walk.passed)
+        if orders:
+            result = rank_orders(robot, brain, **given)
+        elif vary is not None:
+            known = (
+                None
+                if fitted is None
+                else measured_intervals(fitted, robot, brain.contract.latency)
+            )
+            named = tuple(QUANTITIES) if vary == "all" else tuple(vary.split(","))
+            result = tracked_intervals(
+                robot, brain, wanted, quantities=named, measured=known, **given
+            )
+        else:
+            result = simulate_walk(robot, brain, wanted, **given)
+    shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
+    shared.write_page(report_path, result, [robot])
+    shared.finish_command(json_path, result, passed=result.passed)

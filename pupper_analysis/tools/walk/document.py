@@ -1,4 +1,4 @@
-"""The document of a walk: how it follows its command, and what it asks of the motors."""
+"""Documents of walks: how a command is followed, how far a robot may change, whose a policy is."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes
-from pupper_analysis.present.words import text
+from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.gait import Gait, Walk
+from pupper_analysis.tools.walk.intervals import TrackedInterval, TrackedIntervals
+from pupper_analysis.tools.walk.orders import CLEAR, Candidate, Orders
 
 Array = NDArray[np.float64]
 
@@ -187,3 +189,181 @@ def torque_plot(walk: Walk) -> doc.LinePlot:
         doc.Axis(text("walk-torque"), "N m", ".1f"),
     )
     return doc.LinePlot(text("walk-torques"), time, torque, lines)
+
+
+@build_document.register(TrackedIntervals)
+def intervals_document(found: TrackedIntervals, robot: Robot | None = None) -> doc.Document:
+    """Returns how far a robot may change; see ``build_document``."""
+    outside = [one for one in found.intervals if one.inside is False]
+    if not found.seeds:
+        word = "walk-does-not-follow"
+    elif outside:
+        word = "walk-outside"
+    else:
+        word = "walk-follows" if found.passed else "walk-follows-in-part"
+    against = [_quantity(one.quantity) for one in outside]
+    reasons = [text("walk-outside-of", names=join_words(against))] if outside else []
+    if len(found.seeds) < found.asked:
+        count = found.asked - len(found.seeds)
+        reasons.append(text("walk-unchanged-fails", count=count, asked=found.asked))
+    return doc.Document(
+        text("walk-intervals-title"),
+        text("walk-of", robot=doc.Name(found.name), policy=doc.Name(found.policy)),
+        (_intervals(found),) if found.intervals else (),
+        passed=found.passed,
+        verdict=text(word),
+        failures=tuple(reasons),
+        told=(text("walk-commanded", command=_command(found.command)),),
+        notes=robot_notes(robot),
+    )
+
+
+def _command(command: Array) -> doc.Name:
+    return doc.Name(f"{command[0]:g}, {command[1]:g} m/s, {command[2]:g} rad/s")
+
+
+def _quantity(name: str) -> doc.Text:
+    return text(f"walk-quantity-{name}")
+
+
+def _intervals(found: TrackedIntervals) -> doc.Table:
+    rows = tuple(
+        (
+            _quantity(one.quantity),
+            doc.Name("x" if one.unit == "x" else one.unit),
+            _end(one, one.least.max(), one.below),
+            _end(one, one.most.min(), one.above),
+            doc.Name(f"{one.least.min():.3g} - {one.least.max():.3g}"),
+            doc.Name(f"{one.most.min():.3g} - {one.most.max():.3g}"),
+            *(_measured(one) if any(one.measured for one in found.intervals) else ()),
+        )
+        for one in found.intervals
+    )
+    columns = [
+        doc.Column(text("walk-quantity"), left=True),
+        doc.Column(text("walk-unit"), left=True),
+        doc.Column(text("walk-least")),
+        doc.Column(text("walk-most")),
+        doc.Column(text("walk-least-spread"), detail=True),
+        doc.Column(text("walk-most-spread"), detail=True),
+    ]
+    if any(one.measured for one in found.intervals):
+        columns += [doc.Column(text("walk-measured")), doc.Column(text("walk-inside"), left=True)]
+    return doc.Table(
+        text("walk-intervals"),
+        tuple(columns),
+        rows,
+        (text("walk-intervals-note"),),
+        (
+            text(
+                "walk-intervals-how",
+                count=found.rollouts,
+                seconds=f"{found.seconds:g}",
+                seeds=len(found.seeds),
+            ),
+        ),
+    )
+
+
+def _end(one: TrackedInterval, tracked: float, beyond: Array) -> doc.Number:
+    """Returns an end up to which all runs track; marked where it is that of what was tried."""
+    open_end = tracked != one.nominal and bool(np.isnan(beyond).all())
+    return doc.Number(f"{tracked:.3g}{' *' if open_end else ''}", float(tracked))
+
+
+def _measured(one: TrackedInterval) -> tuple[doc.Cell, doc.Cell]:
+    if one.measured is None:
+        return doc.Name("-"), doc.Name("-")
+    low, high = one.measured
+    key, mark = ("walk-inside-yes", "good") if one.inside else ("walk-inside-no", "bad")
+    return doc.Name(f"{low:.3g} - {high:.3g}"), text(key).marked(mark)
+
+
+@build_document.register(Orders)
+def orders_document(found: Orders, robot: Robot | None = None) -> doc.Document:
+    """Returns which reading of a policy walks best; see ``build_document``."""
+    best, own = found.candidates[0], found.candidates[found.stated]
+    if not best.tracked:
+        word, line = "walk-of-none", text("walk-none-tracks", count=len(found.candidates))
+    elif not found.passed:
+        word = "walk-of-another"
+        line = text(
+            "walk-better",
+            change=_change(best),
+            torque=f"{best.torque:.2f}",
+            own=f"{own.torque:.2f}",
+            tracked=best.tracked,
+            own_tracked=own.tracked,
+            count=len(found.commands),
+        )
+    elif found.determined:
+        word, line = "walk-of-this", text("walk-best-is-stated", torque=f"{own.torque:.2f}")
+    else:
+        others = [place for place in found.alike if place != found.stated]
+        word = "walk-not-determined"
+        line = text(
+            "walk-as-well", names=join_words(_change(found.candidates[one]) for one in others)
+        )
+    return doc.Document(
+        text("walk-orders-title"),
+        text("walk-of", robot=doc.Name(found.name), policy=doc.Name(found.policy)),
+        (_candidates(found),),
+        passed=found.passed,
+        verdict=text(word),
+        warned=found.passed and not found.determined,
+        failures=() if found.passed else (line,),
+        told=(*((line,) if found.passed else ()), text("walk-orders-not")),
+        notes=robot_notes(robot),
+    )
+
+
+def _change(one: Candidate) -> doc.Words:
+    """Says what of a reading is other than the policy states."""
+    if one.change == "stated":
+        return text("walk-change-stated")
+    if one.change == "sign":
+        return text("walk-change-sign", joints=join_words(map(doc.Name, one.flipped)))
+    if one.change == "by-kind" and not one.detail:
+        return text("walk-change-kinds")
+    return text(f"walk-change-{one.change}", detail=doc.Name(one.detail))
+
+
+_MOST_SHOWN = 12
+"""Readings in a table: the best, and what the policy states."""
+
+
+def _candidates(found: Orders) -> doc.Table:
+    places = sorted({*range(min(_MOST_SHOWN, len(found.candidates))), found.stated})
+    rows = []
+    for place in places:
+        one = found.candidates[place]
+        mark = "good" if place in found.alike else ""
+        rows.append(
+            (
+                doc.Name(str(place + 1)),
+                _change(one),
+                doc.number_cell(one.tracked, ".0f", mark),
+                doc.number_cell(one.fallen, ".0f", "bad" if one.fallen else ""),
+                doc.number_cell(one.torque, ".2f"),
+                doc.number_cell(one.error, ".2f"),
+                doc.number_cell(one.cost, ".2f"),
+            )
+        )
+    columns = (
+        doc.Column(text("walk-place")),
+        doc.Column(text("walk-change"), left=True),
+        doc.Column(text("walk-tracked")),
+        doc.Column(text("walk-fallen")),
+        doc.Column(text("walk-rms"), "N m"),
+        doc.Column(text("walk-error"), "1"),
+        doc.Column(text("walk-cost"), "N m"),
+    )
+    commands = join_words(map(_command, found.commands), "semicolon")
+    how = text(
+        "walk-orders-how",
+        count=len(found.candidates),
+        commands=commands,
+        seconds=f"{found.seconds:g}",
+        clear=f"{100 * (CLEAR - 1):.0f}",
+    )
+    return doc.Table(text("walk-orders"), columns, tuple(rows), (how,))

@@ -43,7 +43,7 @@ _FRAME = 1 / 25
 
 
 @dataclass(frozen=True, eq=False)
-class Gait:
+class Gait(Result):
     """One run of a policy on a robot: means are over what follows the warm-up.
 
     Attributes:
@@ -149,6 +149,22 @@ def command_of(command: ArrayLike) -> Array:
     return found
 
 
+def check_runs(seeds: int, seconds: float, warm_up: float) -> None:
+    """Checks how many runs are asked for, and how long they are.
+
+    Raises:
+        ConfigurationError: If a number is out of its range.
+    """
+    for name, value, low, high in (
+        ("seconds", seconds, 3, 600),
+        ("warm_up", warm_up, 0, seconds - 1),
+        ("seeds", seeds, 1, 1000),
+    ):
+        if not (math.isfinite(value) and low <= value <= high):
+            problem = diagnose("not-between", given=str(value), low=low, high=high)
+            raise ConfigurationError(name, problem)
+
+
 @check_arguments
 def simulate_walk(
     robot: Robot,
@@ -156,7 +172,7 @@ def simulate_walk(
     command: ArrayLike = (0.5, 0.0, 0.0),
     *,
     seeds: int = 1,
-    duration: float = SECONDS,
+    seconds: float = SECONDS,
     warm_up: float = WARM_UP,
     workers: int | None = None,
 ) -> Walk:
@@ -170,7 +186,7 @@ def simulate_walk(
         policy: The policy.
         command: Speed forward and to the left (m/s), and turning to the left (rad/s).
         seeds: How many runs, whose starts differ by 0.05 rad and 0.05 m/s at most.
-        duration: Of each (s), 3 to 600.
+        seconds: Of each, 3 to 600.
         warm_up: What of it is not looked at (s).
         workers: Threads; by default one per core. The result is the same for any number.
 
@@ -179,17 +195,10 @@ def simulate_walk(
         ModelError: If the policy does not fit the robot.
     """
     wanted = command_of(command)
-    for name, value, low, high in (
-        ("duration", duration, 3, 600),
-        ("warm_up", warm_up, 0, duration - 1),
-        ("seeds", seeds, 1, 1000),
-    ):
-        if not (math.isfinite(value) and low <= value <= high):
-            problem = diagnose("not-between", given=str(value), low=low, high=high)
-            raise ConfigurationError(name, problem)
+    check_runs(seeds, seconds, warm_up)
     stage = stage_of(robot, policy)
     cases = [stage.case(wanted, seed) for seed in range(seeds)]
-    runs = simulate_cases(stage, cases, duration, warm_up, workers)
+    runs = simulate_cases(stage, cases, seconds, warm_up, workers)
     gaits = tuple(measure(stage, run, warm_up) for run in runs)
     return Walk(
         name=robot.name,

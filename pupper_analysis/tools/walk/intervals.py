@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -14,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.walk.gait import command_of, follow
+from pupper_analysis.tools.walk.gait import check_runs, command_of, follow
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Case, Stage, simulate_cases, stage_of
 
@@ -118,7 +120,7 @@ length that beyond the first joint of each limb, at the same masses."""
 
 
 @dataclass(frozen=True, eq=False)
-class Interval:
+class TrackedInterval(Result):
     """Between which values of a quantity a policy still tracks its command.
 
     Attributes:
@@ -127,9 +129,10 @@ class Interval:
         nominal: Where nothing is changed.
         least: (seeds,) the least value found with which it tracks.
         most: (seeds,) the greatest.
-        below: (seeds,) greatest value below ``least`` with which it does not; null where it
-            tracks at the end of the range that was tried.
+        below: (seeds,) greatest value below ``least`` with which it does not; not a number where
+            it tracks at the end of the range that was tried.
         above: (seeds,) least value above ``most`` with which it does not; likewise.
+        measured: (2,) where the real robot's value is, with 95 %, by a fit; None without.
     """
 
     quantity: str
@@ -139,37 +142,54 @@ class Interval:
     most: Array
     below: Array
     above: Array
+    measured: tuple[float, float] | None = None
+    _told: ClassVar[tuple[str, ...]] = ("common", "inside")
 
     @property
     def common(self) -> tuple[float, float]:
         """Where the runs of all seeds track."""
         return float(self.least.max()), float(self.most.min())
 
+    @property
+    def inside(self) -> bool | None:
+        """Whether all runs track wherever the real robot may be; None if it was not measured."""
+        if self.measured is None:
+            return None
+        low, high = self.common
+        return low <= self.measured[0] and self.measured[1] <= high
+
 
 @dataclass(frozen=True, eq=False)
-class Intervals:
+class TrackedIntervals(Result):
     """How far a robot may change before a policy no longer tracks its command.
 
     Attributes:
         name: The robot's name.
         policy: The name of the policy's file.
         command: (3,) speed forward and to the left (m/s), and turning to the left (rad/s).
-        seeds: The runs' starts; those that do not track even the unchanged robot are left out.
+        asked: How many starts were asked for.
+        seeds: Those of them that track the unchanged robot; the others are left out.
         intervals: One for each quantity, the others unchanged.
         rollouts: How many runs were simulated.
+        seconds: Simulated in each.
     """
 
     name: str
     policy: str
     command: Array
+    asked: int
     seeds: tuple[int, ...]
-    intervals: tuple[Interval, ...]
+    intervals: tuple[TrackedInterval, ...]
     rollouts: int
+    seconds: float
+    _told: ClassVar[tuple[str, ...]] = ("passed",)
 
     @property
     def passed(self) -> bool:
-        """Whether it tracks the unchanged robot at all."""
-        return bool(self.seeds)
+        """Whether it tracks the unchanged robot, and wherever a fit says that the real one is."""
+        return len(self.seeds) == self.asked and all(
+            one.inside is not False for one in self.intervals
+        )
 
 
 def changed_case(stage: Stage, name: str, value: float, command: Array, seed: int) -> Case:
@@ -200,8 +220,10 @@ def tracked_intervals(
     *,
     seeds: int = 3,
     quantities: tuple[str, ...] = tuple(QUANTITIES),
+    seconds: float = SECONDS,
+    measured: Mapping[str, tuple[float, float]] | None = None,
     workers: int | None = None,
-) -> Intervals:
+) -> TrackedIntervals:
     """Finds between which values of each quantity a policy still tracks its command.
 
     Each quantity is changed alone, both ways, and its range halved five times between what is
@@ -214,27 +236,27 @@ def tracked_intervals(
         command: Speed forward and to the left (m/s), and turning to the left (rad/s).
         seeds: How many starts; the first is exactly the default pose.
         quantities: Of ``QUANTITIES``.
+        seconds: Of each run, 3 to 600.
+        measured: {quantity: where the real robot's value is}; see ``measured_intervals``.
         workers: Threads; by default one per core.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the base is fixed.
         ModelError: If the policy does not fit the robot.
     """
-    wanted, stage = command_of(command), stage_of(robot, policy)
-    if not 1 <= seeds <= 1000:
-        problem = diagnose("not-between", given=str(seeds), low=1, high=1000)
-        raise ConfigurationError("seeds", problem)
+    wanted = command_of(command)
+    check_runs(seeds, seconds, WARM_UP)
     for name in quantities:
         if name not in QUANTITIES:
             problem = diagnose("none-of", value=name, known=tuple(QUANTITIES))
-            raise ConfigurationError("quantities", problem)
-    count = 0
+            raise ConfigurationError("vary", problem)
+    stage, count = stage_of(robot, policy), 0
 
     def track(asked: list[tuple[str, float, int]]) -> list[bool]:
         nonlocal count
         count += len(asked)
         cases = [changed_case(stage, name, value, wanted, seed) for name, value, seed in asked]
-        runs = simulate_cases(stage, cases, SECONDS, WARM_UP, workers)
+        runs = simulate_cases(stage, cases, seconds, WARM_UP, workers)
         return [follow(stage, run, WARM_UP).tracks for run in runs]
 
     tried = [("delay", 0.0, seed) for seed in range(seeds)]
@@ -266,5 +288,8 @@ def tracked_intervals(
         if kept:
             quantity = QUANTITIES[name]
             values = (least[:, 0], most[:, 0], least[:, 1], most[:, 1])
-            found.append(Interval(name, quantity.unit, quantity.nominal, *values))
-    return Intervals(robot.name, policy.name, wanted, kept, tuple(found), count)
+            known = (measured or {}).get(name)
+            found.append(TrackedInterval(name, quantity.unit, quantity.nominal, *values, known))
+    return TrackedIntervals(
+        robot.name, policy.name, wanted, seeds, kept, tuple(found), count, float(seconds)
+    )

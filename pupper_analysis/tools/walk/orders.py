@@ -1,18 +1,27 @@
-"""Is a policy this robot's: orders and signs of joints, ranked by how well it walks with each."""
+"""Is a policy this robot's: orders, signs, scales, histories, ranked by how it walks with each."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.walk.gait import follow, joint_torques
+from pupper_analysis.tools.walk.contract import BY_FRAME, BY_TERM, Contract
+from pupper_analysis.tools.walk.gait import (
+    SPEED_SLACK,
+    check_runs,
+    command_of,
+    follow,
+    joint_torques,
+)
 from pupper_analysis.tools.walk.intervals import SECONDS, WARM_UP
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import joint_indices, simulate_cases, stage_of
@@ -26,26 +35,33 @@ CLEAR = 1.1
 """The best is distinguished from the next where that costs so many times as much: a choice. On v3
 the next to Pupper's own costs 1.2 times as much."""
 
+SCALES = (0.5, 2.0)
+"""Times the stated scale of actions: what is off by less walks as well."""
+
 _MOST_LIMBS = 4
 """Limbs of which all orders are tried; of more, only exchanged pairs."""
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """An order and signs of joints, and how a policy walks with them.
+class Candidate(Result):
+    """A reading of a policy, and how it walks so.
 
     Attributes:
-        change: What is other than the policy states: ``stated``, ``limbs``, ``by-kind``, ``sign``.
+        change: What is other than the policy states: ``stated``, ``limbs``, ``by-kind``, ``sign``,
+            ``scale``, ``history``.
+        detail: To what a scale or a history is changed; of limbs whose first joints are taken for
+            which; else empty.
         joints: The robot's joints in the policy's order.
         flipped: Those that turn the other way than stated.
-        tracked: How many of the three commands are tracked.
+        tracked: How many of the commands are tracked.
         fallen: In how many it falls.
-        torque: Root of the mean square of all motors' torques, in all three (N m).
-        error: How far speed and turning are off, as a share of the command; mean of the three.
+        torque: Root of the mean square of all motors' torques, in all runs (N m).
+        error: How far speed and turning are off, as a share of the command; mean of all.
         cost: torque (1 + error): what ranks those that track as many.
     """
 
     change: str
+    detail: str
     joints: tuple[str, ...]
     flipped: tuple[str, ...]
     tracked: int
@@ -56,19 +72,19 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Orders:
-    """Orders and signs of joints, ranked by how a policy walks with each.
+class Orders(Result):
+    """Readings of a policy (orders and signs of joints, scales, histories), the best first.
 
-    What is not asked: an offset of a zero, a scale that is wrong a little. A policy walks with 0.3
-    rad of the first.
+    Not tried is an offset of a zero: a policy walks with 0.3 rad of it.
 
     Attributes:
         name: The robot's name.
         policy: The name of the policy's file.
-        commands: (3, 3) those that were tried.
+        commands: (n, 3) those that were tried (m/s, m/s, rad/s).
         candidates: The best first: most commands tracked, then the least cost.
         stated: The place of what the policy states among them, from 0.
         lead: The cost of the next that tracks as many over that of the first; None where none does.
+        seconds: Simulated in each run.
     """
 
     name: str
@@ -77,6 +93,8 @@ class Orders:
     candidates: tuple[Candidate, ...]
     stated: int
     lead: float | None
+    seconds: float
+    _told: ClassVar[tuple[str, ...]] = ("passed", "determined", "alike")
 
     @property
     def determined(self) -> bool:
@@ -84,33 +102,56 @@ class Orders:
         return bool(self.candidates[0].tracked) and (self.lead is None or self.lead > CLEAR)
 
     @property
+    def alike(self) -> tuple[int, ...]:
+        """Places of those that walk as well as the first, itself among them."""
+        best = self.candidates[0]
+        return tuple(
+            place
+            for place, one in enumerate(self.candidates)
+            if best.tracked and one.tracked == best.tracked and one.cost <= CLEAR * best.cost
+        )
+
+    @property
     def passed(self) -> bool:
         """Whether what the policy states is the best, or as good as that."""
-        own, best = self.candidates[self.stated], self.candidates[0]
-        return own.tracked > 0 and own.tracked == best.tracked and own.cost <= CLEAR * best.cost
+        return self.stated in self.alike
 
 
 @check_arguments
-def rank_orders(robot: Robot, policy: Policy, *, workers: int | None = None) -> Orders:
-    """Ranks orders and signs of joints by how a policy walks a robot with each.
+def rank_orders(
+    robot: Robot,
+    policy: Policy,
+    *,
+    commands: ArrayLike = COMMANDS,
+    seconds: float = SECONDS,
+    workers: int | None = None,
+) -> Orders:
+    """Ranks readings of a policy by how it walks a robot with each.
 
     Tried are all orders of limbs that have as many joints, each also with the joints by kind (all
-    first ones, then all second ones) instead of by limb, and the other sign of each joint, and of
-    all joints of a kind. Each walks forward, to the left, and turns.
+    first ones, then all second ones) instead of by limb; the other sign of each joint, and of
+    all joints of a kind; half and twice the scale of actions; the history the other way round, and
+    laid out the other way. Each walks forward, to the left, and turns.
 
     Args:
         robot: The robot.
         policy: The policy.
+        commands: (n, 3) what it is commanded (m/s, m/s, rad/s).
+        seconds: Of each run, 3 to 600.
         workers: Threads; by default one per core.
 
     Raises:
-        ConfigurationError: If the base is fixed.
+        ConfigurationError: If an argument is out of its range, or the base is fixed.
         ModelError: If the policy does not fit the robot.
     """
+    wanted = np.array([command_of(command) for command in np.atleast_2d(commands)])
+    check_runs(1, seconds, WARM_UP)
+    contract = policy.contract
     stated = tuple(robot.joint_names[index] for index in joint_indices(robot, policy))
+    contract = replace(contract, joints=stated)
     found = [
-        _walked(robot, policy, change, order, flipped, workers)
-        for change, order, flipped in _candidates(robot, stated)
+        _walked(robot, replace(policy, contract=read), wanted, seconds, change, workers)
+        for change, read in _readings(robot, contract)
     ]
     own = found[0]
     ranked = sorted(found, key=lambda one: (-one.tracked, one.cost))
@@ -118,7 +159,13 @@ def rank_orders(robot: Robot, policy: Policy, *, workers: int | None = None) -> 
     if len(ranked) > 1 and ranked[1].tracked == ranked[0].tracked:
         lead = ranked[1].cost / ranked[0].cost
     return Orders(
-        robot.name, policy.name, np.array(COMMANDS), tuple(ranked), ranked.index(own), lead
+        name=robot.name,
+        policy=policy.name,
+        commands=wanted,
+        candidates=tuple(ranked),
+        stated=ranked.index(own),
+        lead=lead,
+        seconds=float(seconds),
     )
 
 
@@ -135,32 +182,54 @@ def limbs_of(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
     return list(limbs.values())
 
 
-def _candidates(
-    robot: Robot, stated: tuple[str, ...]
-) -> Iterator[tuple[str, tuple[str, ...], tuple[int, ...]]]:
-    """Yields what is changed, the joints in the policy's order, and the places that are flipped."""
+Change = tuple[str, str, tuple[str, ...]]
+
+
+def _readings(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
+    """Yields what is changed (what, to what, which joints are flipped), and the contract then."""
+    stated = contract.joints
     limbs = limbs_of(robot, stated)
+    yield ("stated", "", ()), contract
+    for change, detail, joints in _permuted(stated, limbs):
+        yield (change, detail, ()), replace(contract, joints=joints)
+    kinds = max(len(limb) for limb in limbs)
+    flips = [(place,) for place in range(len(stated))]
+    of_kind = [tuple(limb[kind] for limb in limbs if len(limb) > kind) for kind in range(kinds)]
+    for places in (*flips, *(places for places in of_kind if len(places) > 1)):
+        signs = contract.signs.copy()
+        signs[list(places)] *= -1.0
+        names = tuple(stated[place] for place in places)
+        yield ("sign", "", names), replace(contract, signs=signs)
+    for scale in SCALES:
+        changed = replace(contract, action_scale=scale * contract.action_scale)
+        yield ("scale", f"x {scale:g}", ()), changed
+    if contract.history > 1:
+        turned = not contract.newest_first
+        other = BY_TERM if contract.layout == BY_FRAME else BY_FRAME
+        first = "newest first" if turned else "oldest first"
+        yield ("history", first, ()), replace(contract, newest_first=turned)
+        yield ("history", other, ()), replace(contract, layout=other)
+
+
+def _permuted(
+    stated: tuple[str, ...], limbs: Sequence[Sequence[int]]
+) -> Iterator[tuple[str, str, tuple[str, ...]]]:
+    """Yields other orders of joints, what was exchanged, and which limbs by their first joints."""
     seen = {stated}
-    yield "stated", stated, ()
-    sizes = Counter(len(limb) for limb in limbs)
-    for size, count in sizes.items():
+    for size, count in Counter(len(limb) for limb in limbs).items():
         alike = [limb for limb in limbs if len(limb) == size]
         for order in _orders(count):
             joints = list(stated)
             for limb, other in zip(alike, order, strict=True):
                 for place, from_place in zip(limb, alike[other], strict=True):
                     joints[place] = stated[from_place]
+            pairs = [(stated[limb[0]], joints[limb[0]]) for limb in alike]
+            detail = ", ".join(f"{one} > {other}" for one, other in pairs if one != other)
             by_kind = _by_kind(joints, alike)
             for change, one in (("limbs", tuple(joints)), ("by-kind", by_kind)):
                 if one not in seen:
                     seen.add(one)
-                    yield change, one, ()
-    for place in range(len(stated)):
-        yield "sign", stated, (place,)
-    for kind in range(max(sizes)):
-        places = tuple(limb[kind] for limb in limbs if len(limb) > kind)
-        if len(places) > 1:
-            yield "sign", stated, places
+                    yield change, detail, one
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:
@@ -189,26 +258,35 @@ def _by_kind(joints: Sequence[str], limbs: Sequence[Sequence[int]]) -> tuple[str
 def _walked(
     robot: Robot,
     policy: Policy,
-    change: str,
-    joints: tuple[str, ...],
-    flipped: tuple[int, ...],
+    commands: Array,
+    seconds: float,
+    change: Change,
     workers: int | None,
 ) -> Candidate:
-    """Returns how a policy walks with an order and signs."""
-    signs = policy.contract.signs.copy()
-    signs[list(flipped)] *= -1.0
-    stage = stage_of(robot, policy.with_contract(joints=joints, signs=signs))
-    cases = [stage.case(np.array(command)) for command in COMMANDS]
+    """Returns how a policy walks, read so."""
+    stage = stage_of(robot, policy)
+    cases = [stage.case(command) for command in commands]
     tracked = fallen = 0
     squares, errors = [], []
-    for run in simulate_cases(stage, cases, SECONDS, WARM_UP, workers):
+    for run in simulate_cases(stage, cases, seconds, WARM_UP, workers):
         followed, command = follow(stage, run, WARM_UP), run.case.command
         tracked += followed.tracks
         fallen += run.fallen
         squares.append(np.nan_to_num(joint_torques(stage, run)) ** 2)
         off = np.array([*(followed.velocity - command[:2]), followed.turning - command[2]])
-        errors.append(1.0 if run.fallen else float(np.linalg.norm(off) / np.linalg.norm(command)))
+        asked = max(float(np.linalg.norm(command)), SPEED_SLACK)  # a stand is commanded 0
+        errors.append(1.0 if run.fallen else float(np.linalg.norm(off)) / asked)
     torque = float(np.sqrt(np.mean([square.mean() for square in squares])))
     error = float(np.mean(errors))
-    names = tuple(joints[place] for place in flipped)
-    return Candidate(change, joints, names, tracked, fallen, torque, error, torque * (1 + error))
+    what, detail, flipped = change
+    return Candidate(
+        change=what,
+        detail=detail,
+        joints=policy.contract.joints,
+        flipped=flipped,
+        tracked=tracked,
+        fallen=fallen,
+        torque=torque,
+        error=error,
+        cost=torque * (1 + error),
+    )

@@ -112,3 +112,69 @@ def still(path: Path, **changed: Any) -> Path:
     values |= changed
     path.write_text(json.dumps(values), encoding="utf-8")
     return path
+
+
+TROT = ((0.13, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.8))
+"""What ``trot`` is commanded: forward, to the left, turning."""
+
+_ROLL, _PITCH_RATE = 0.2, 0.02
+
+
+def trot(path: Path, **changed: Any) -> Path:
+    """A policy for Pupper that trots: diagonal legs by a phase, each command by a gate of its own.
+
+    relu(cos + g (c / asked - 1)) is relu(cos) where c is what is asked, and 0 where it is 0: so two
+    layers swing the legs forward, to the side or about the vertical, and lift them by the sine.
+    """
+    angular, gravity, command, phase = 0, 3, 6, 21  # where they begin; 12 joint positions between
+    units: list[tuple[dict[int, float], float]] = []
+    out: list[dict[int, float]] = []
+
+    def unit(given: dict[int, float], bias: float, legs: dict[int, float]) -> None:
+        units.append((given, bias))
+        out.append(legs)
+
+    names = ("front_r", "front_l", "back_r", "back_l")
+    group = {"front_r": 1, "back_l": 1, "front_l": -1, "back_r": -1}
+    right = {name: 1 if name.endswith("r") else -1 for name in names}
+    ahead = {name: 1 if name.startswith("front") else -1 for name in names}
+    swing = {
+        0: {3 * i: 0.2 * group[name] * right[name] for i, name in enumerate(names)},
+        1: {3 * i + 1: -0.15 * group[name] for i, name in enumerate(names)},
+        2: {3 * i + 1: -0.19 * group[name] * ahead[name] for i, name in enumerate(names)},
+    }
+    gate = 4.0
+    for axis, legs in swing.items():
+        for sign in (1, -1):
+            given = {phase: float(sign), command + axis: gate / TROT[axis][axis]}
+            unit(given, -gate, {leg: sign * size for leg, size in legs.items()})
+    for sign in (1, -1):
+        lifted = {i: right[name] for i, name in enumerate(names) if group[name] == sign}
+        legs = {3 * i + 2: -0.5 * side for i, side in lifted.items()}
+        legs |= {3 * i: 0.25 * side for i, side in lifted.items()}
+        unit({phase + 1: float(sign)}, 0.0, legs)
+        hips = {3 * i + 1: float(sign) for i in range(4)}
+        unit({gravity + 1: float(sign)}, 0.0, {leg: _ROLL * s for leg, s in hips.items()})
+        unit({angular: float(sign)}, 0.0, {leg: _PITCH_RATE * s for leg, s in hips.items()})
+    first, second = np.zeros((23, len(units))), np.zeros((len(units), 12))
+    for number, ((given, _), legs) in enumerate(zip(units, out, strict=True)):
+        first[list(given), number] = list(given.values())
+        second[number, list(legs)] = list(legs.values())
+    layers: list[dict[str, Any]] = [
+        {"type": "dense", "activation": "relu", "weights": [first.tolist(), [b for _, b in units]]},
+        {"type": "dense", "activation": "", "weights": [second.tolist(), [0.0] * 12]},
+    ]
+    values: dict[str, Any] = {
+        **{"action_scale": 1.0, "kp": 5.0, "kd": 0.25, "layers": layers},
+        "default_joint_pos": [0.26, 0.0, -0.52, -0.26, 0.0, 0.52] * 2,
+    }
+    frames = changed.pop("history", 1)  # the newest last; the others have no weights
+    if frames > 1:
+        before = np.zeros(((frames - 1) * 23, len(units)))
+        layers[0]["weights"][0] = np.vstack([before, first]).tolist()
+    path.write_text(json.dumps(values | changed), encoding="utf-8")
+    terms = ["angular-velocity", "gravity", "command", "joint-positions", "phase"]
+    toml = f"observation = {json.dumps(terms)}\nrate = 50\nphase-rate = 3\nphase-offsets = [0.0]\n"
+    toml += f'history = {frames}\nlayout = "by-frame"\n'
+    path.with_suffix(".toml").write_text(toml, encoding="utf-8")
+    return path

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.tools.walk.intervals import changed_case, tracked_intervals
-from pupper_analysis.tools.walk.orders import limbs_of
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.walk.gait import follow
+from pupper_analysis.tools.walk.intervals import WARM_UP, changed_case, tracked_intervals
+from pupper_analysis.tools.walk.measured import measured_intervals
+from pupper_analysis.tools.walk.orders import Orders, limbs_of, rank_orders
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import stage_of
+from pupper_analysis.tools.walk.runs import simulate_cases, stage_of
 from tests.support.variants import load
 from tests.tools.walk import made
 
@@ -57,3 +63,147 @@ def test_limbs() -> None:
     assert limbs_of(robot, robot.joint_names) == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
     mixed = robot.joint_names[::3] + robot.joint_names[1::3] + robot.joint_names[2::3]
     assert limbs_of(robot, mixed)[0] == [0, 4, 8]
+
+
+@pytest.fixture(scope="module")
+def trot(tmp_path_factory: pytest.TempPathFactory) -> Policy:
+    return Policy.load(made.trot(tmp_path_factory.mktemp("walk") / "trot.json"))
+
+
+@pytest.mark.slow
+def test_intervals_are_the_same_again_and_their_ends_walk_and_do_not(trot: Policy) -> None:
+    """Each end is walked, and what is beyond is not, in a run of its own; repeated, bit by bit."""
+    robot, command, names = load("v3"), made.TROT[0], ("mass", "kp", "delay", "strength")
+    one, two = (
+        tracked_intervals(
+            robot, trot, command, seeds=2, quantities=names, seconds=3, workers=workers
+        )
+        for workers in (1, 3)
+    )
+    assert one.seeds == (0, 1)
+    assert one.to_json() == two.to_json()
+    stage = stage_of(robot, trot)
+    ends = 0
+    for interval in one.intervals:
+        sides = ((interval.least, interval.below), (interval.most, interval.above))
+        for side, (good, bad) in enumerate(sides):
+            for seed in one.seeds:
+                for value, tracks in ((good[seed], True), (bad[seed], False)):
+                    if not math.isnan(value):
+                        case = changed_case(
+                            stage, interval.quantity, float(value), np.array(command), seed
+                        )
+                        run = next(iter(simulate_cases(stage, [case], 3, WARM_UP)))
+                        assert follow(stage, run, WARM_UP).tracks is tracks, (interval, side)
+                        ends += not tracks
+    assert ends >= 4
+
+
+def fit_file(folder: Path, *rows: dict[str, object]) -> Path:
+    path = folder / "fit.json"
+    path.write_text(json.dumps({"estimates": rows}), encoding="utf-8")
+    return path
+
+
+def row(
+    kind: str, subject: str, stated: float, low: float, high: float, part: str = ""
+) -> dict[str, object]:
+    values = {"stated": stated, "low": low, "high": high}
+    return {"kind": kind, "subject": subject, "component": part, **values}
+
+
+def test_where_a_fit_says_that_the_robot_is(still: Policy, tmp_path: Path) -> None:
+    robot = load("v3")
+    path = fit_file(
+        tmp_path,
+        row("mass", "base_link", 2.0, 1.8, 2.4),
+        row("mass", "leg_front_r_1", 1.0, 0.1, 9.0),
+        row("com", "base_link", 0.01, 0.0, 0.03, "x"),
+        row("com", "base_link", 0.01, -1.0, 1.0, "y"),
+        row("kp", "leg_front_r_1", 5.0, 4.5, 5.5),
+        row("kp", "leg_front_r_2", 5.0, 4.0, 5.0),
+        row("friction", "leg_front_r_1", 0.1, 0.0, 9.0),
+        row("delay", "servos", 0.0, 0.01, 0.03),
+    )
+    found = measured_intervals(path, robot, latency=0.02)
+    assert found["mass"] == pytest.approx((0.9, 1.2))
+    assert found["com"] == pytest.approx((-0.01, 0.02))
+    assert found["kp"] == pytest.approx((0.8, 1.1))
+    assert found["delay"] == pytest.approx((0.0, 0.01))
+    assert set(found) == {"mass", "com", "kp", "delay"}
+    weak = {"strength": (0.01, 1.0), "delay": (0.0, 0.01)}
+    held = tracked_intervals(
+        robot, still, (0, 0, 0), seeds=1, quantities=tuple(weak), seconds=3, measured=weak
+    )
+    assert [one.inside for one in held.intervals] == [False, True]
+    assert not held.passed
+
+
+@pytest.mark.parametrize("text", ["{}", "[", '{"estimates": [1]}', '{"parameters": [{}]}'])
+def test_what_is_no_fit_is_said_in_a_line(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "fit.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError) as caught:
+        measured_intervals(path, load("v3"))
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def ranked(policy: Policy) -> Orders:
+    return rank_orders(load("v3"), policy, commands=made.TROT, seconds=3)
+
+
+@pytest.fixture(scope="module")
+def own(trot: Policy) -> Orders:
+    return ranked(trot)
+
+
+@pytest.mark.slow
+def test_the_own_order_is_the_best(own: Orders, trot: Policy) -> None:
+    assert own.passed
+    assert own.determined
+    assert own.stated == 0
+    assert own.candidates[0].tracked == 3
+    one, two = (
+        rank_orders(load("v3"), trot, commands=made.TROT[:1], seconds=3, workers=workers)
+        for workers in (1, 3)
+    )
+    assert one.to_json() == two.to_json()  # to the last bit
+
+
+@pytest.mark.slow
+def test_a_planted_order_is_found(trot: Policy) -> None:
+    """Front legs exchanged: what walks best exchanges them back."""
+    names = load("v3").joint_names
+    wrong = trot.with_contract(joints=names).contract.reordered([3, 4, 5, 0, 1, 2, *range(6, 12)])
+    found = ranked(replace(trot, contract=wrong))
+    assert not found.passed
+    assert found.candidates[0].change == "limbs"
+    assert found.candidates[0].joints == names
+
+
+@pytest.mark.slow
+def test_a_planted_sign_is_found(trot: Policy) -> None:
+    signs = np.ones(12)
+    signs[4] = -1.0
+    found = ranked(trot.with_contract(signs=signs))
+    assert not found.passed
+    assert found.candidates[0].flipped == ("leg_front_l_2",)
+
+
+@pytest.mark.slow
+def test_a_planted_scale_is_found(trot: Policy) -> None:
+    found = ranked(trot.with_contract(action_scale=0.5 * trot.contract.action_scale))
+    assert not found.passed
+    assert (found.candidates[0].change, found.candidates[0].detail) == ("scale", "x 2")
+
+
+@pytest.mark.slow
+def test_what_walks_as_well_is_said_to_be_not_determined(tmp_path: Path) -> None:
+    """A history that is read the other way round: here it is one frame late, which walks, too."""
+    policy = Policy.load(made.trot(tmp_path / "trot.json", history=2))
+    found = ranked(policy.with_contract(newest_first=True))
+    assert found.passed
+    assert not found.determined
+    alike = {(found.candidates[one].change, found.candidates[one].detail) for one in found.alike}
+    assert ("history", "oldest first") in alike

@@ -25,6 +25,33 @@ def test_walk_stands(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert "leg_back_r_3" in page.read_text(encoding="utf-8")
 
 
+def test_how_far_it_may_change_and_whose_it_is(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A stand: commanded nothing, it tracks with any small delay; forward, no reading walks."""
+    policy = made.still(tmp_path / "still.json")
+    path, page = tmp_path / "found.json", tmp_path / "found.html"
+    words = ("walk", "v3", "--policy", str(policy), "--json", str(path), "--report", str(page))
+    more = ("--vary", "mass,strength", "--command", "0,0,0", "--seconds", "3", "--seeds", "1")
+    status, out, err = run_command(capfd, *words, *more)
+    assert status == 0, err
+    assert "WALKS v3 by still.json: commanded 0, 0 m/s" in out
+    found = json.loads(path.read_text())["intervals"][1]
+    assert found["quantity"] == "strength"
+    assert f"{found['common'][0]:.3g}" in out
+    assert "电机力矩上限" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_no_reading_of_a_stand_walks(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    policy = made.still(tmp_path / "still.json")
+    status, out, _ = run_command(
+        capfd, "walk", "v3", "--policy", str(policy), "--orders", "--seconds", "3"
+    )
+    assert status == 1
+    assert "NONE WALKS v3 by still.json" in out
+
+
 def test_what_does_not_track_exits_with_1(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -45,7 +72,10 @@ def test_bad_input(
     for more, told in (
         ((str(tmp_path / "none.json"),), "none.json"),
         ((str(policy), "--command", "fast"), "fast"),
-        ((str(policy), "--seconds", "nan"), "duration"),
+        ((str(policy), "--seconds", "nan"), "seconds"),
+        ((str(policy), "--vary", "mass,moon"), "moon"),
+        ((str(policy), "--vary", "mass", "--fit", str(policy)), "no fit's JSON"),
+        ((str(policy), "--vary", "mass", "--seeds", "0"), "seeds"),
         ((str(policy), "--contract", str(policy)), "TOML"),
     ):
         check_refusal(capfd, folder, (*words, *more), told)

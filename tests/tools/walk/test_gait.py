@@ -50,7 +50,7 @@ def bare(robot: pa.Robot, height: float, seconds: float) -> tuple[np.ndarray, np
 def test_torques_and_motion_of_bare_mujoco(still: Policy) -> None:
     robot = load("v3")
     stage = stage_of(robot, still)
-    walk = simulate_walk(robot, still, (0, 0, 0), duration=3.0, warm_up=1.0)
+    walk = simulate_walk(robot, still, (0, 0, 0), seconds=3.0, warm_up=1.0)
     torques, states = bare(robot, float(stage.default[2]), 3.0)
     gait = walk.gaits[0]
     rms = np.sqrt((torques[501:] ** 2).mean(axis=0))
@@ -90,7 +90,7 @@ def test_a_delay_is_that_of_the_commands(still: Policy) -> None:
 def test_what_falls_says_so(still: Policy) -> None:
     """Thrown over by a pose on which nothing stands."""
     pose = POSE + np.array([0, 1.2, 0] * 4)
-    walk = simulate_walk(load("v3"), still.with_contract(default=pose), (0, 0, 0), duration=4.0)
+    walk = simulate_walk(load("v3"), still.with_contract(default=pose), (0, 0, 0), seconds=4.0)
     gait = walk.gaits[0]
     assert gait.fall is not None
     assert not gait.tracks
@@ -101,7 +101,7 @@ def test_what_falls_says_so(still: Policy) -> None:
 
 
 def test_standing_does_not_track_a_speed(still: Policy) -> None:
-    walk = simulate_walk(load("v3"), still, (0.5, 0, 0), duration=3.0)
+    walk = simulate_walk(load("v3"), still, (0.5, 0, 0), seconds=3.0)
     assert walk.gaits[0].fall is None
     assert not walk.passed
 
@@ -112,8 +112,8 @@ def test_standing_does_not_track_a_speed(still: Policy) -> None:
         ({"command": (math.nan, 0, 0)}, "command"),
         ({"command": (1, 0)}, "command"),
         ({"seeds": 0}, "seeds"),
-        ({"duration": math.inf}, "duration"),
-        ({"duration": 0.1}, "duration"),
+        ({"seconds": math.inf}, "seconds"),
+        ({"seconds": 0.1}, "seconds"),
     ],
 )
 def test_bad_arguments(still: Policy, changed: dict[str, object], told: str) -> None:
