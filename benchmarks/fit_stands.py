@@ -38,8 +38,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
-from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
-from pupper_analysis.stance.sag.steady_state import describe_pose, release_margin
+from pupper_analysis.stance.sag.steady_state import HomotopyPath, describe_pose, release_margin
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
 from pupper_analysis.tools.fit.parameters import bodies_of
 from pupper_analysis.tools.fit.stands.fit import StandFit, fit_stands

@@ -29,9 +29,9 @@ import pupper_analysis as pa
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.documents import stance_document
 from pupper_analysis.tools.live.model import Answer, Model, predict_sag
-from pupper_analysis.tools.live.panels import Panels
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.server import LOOPBACK, Page
+from pupper_analysis.tools.live.session import Panels
 from pupper_analysis.tools.live.state import LiveVariants, State
 
 

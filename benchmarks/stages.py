@@ -17,8 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis.stance.judge import evaluate_stand
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
-from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
-from pupper_analysis.stance.sag.steady_state import describe_pose, release_margin
+from pupper_analysis.stance.sag.steady_state import HomotopyPath, describe_pose, release_margin
 from pupper_analysis.stance.solver import Context
 from pupper_analysis.statics.contacts import make_contacts
 

@@ -24,7 +24,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.efforts import effort_limit
-from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
+from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_tree import UrdfTree

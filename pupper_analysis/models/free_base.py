@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.attributes import PASSIVE
-from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf import JointKind, compile_spec
 
 Array = NDArray[np.float64]
 

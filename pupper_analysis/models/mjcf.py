@@ -1,4 +1,11 @@
-"""Reads MJCFs as ``mujoco.MjSpec``, and writes specs without loss."""
+"""Reads MJCFs as ``mujoco.MjSpec``, and writes specs without loss.
+
+A plane to stand on, put into an MJCF.
+
+What is made up for in an MJCF that MuJoCo of today, or without its scene, would refuse.
+
+Kinds of MuJoCo's joints, of a compiled model and of a spec.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +14,10 @@ import re
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from enum import IntEnum
 from pathlib import Path
 from threading import Lock
+from typing import Final
 from xml.etree import ElementTree
 
 import mujoco
@@ -19,10 +28,129 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.inputs import read_input
 from pupper_analysis.models import standard_input
-from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.lenient import is_retired, without_retired
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER
+
+
+class JointKind(IntEnum):
+    """What a joint lets move; equal to MuJoCo's numbers."""
+
+    FREE = mujoco.mjtJoint.mjJNT_FREE.value
+    BALL = mujoco.mjtJoint.mjJNT_BALL.value
+    SLIDE = mujoco.mjtJoint.mjJNT_SLIDE.value
+    HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
+
+    @property
+    def dofs(self) -> int:
+        """Its degrees of freedom."""
+        return {JointKind.FREE: 6, JointKind.BALL: 3}.get(self, 1)
+
+
+FREE, BALL, SLIDE, HINGE = JointKind
+
+
+def spec_kind(joint: mujoco.MjsJoint) -> JointKind:
+    """Returns the kind of a joint of a spec."""
+    return JointKind(int(joint.type))
+
+
+def free_joints(model: mujoco.MjModel) -> list[int]:
+    """Returns the ids of the free joints."""
+    return [int(joint) for joint in np.flatnonzero(model.jnt_type == FREE)]
+
+
+def scalar_joints(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Returns the ids of the hinges and slides, which have one coordinate each."""
+    return np.flatnonzero(model.jnt_type >= min(SLIDE, HINGE))
+
+
+def has_free_joint(model: mujoco.MjModel | mujoco.MjSpec) -> bool:
+    """Tells whether anything floats freely."""
+    if isinstance(model, mujoco.MjSpec):
+        return any(spec_kind(joint) is FREE for joint in model.joints)
+    return bool((model.jnt_type == FREE).any())
+
+
+_RETIRED: Final = (
+    ("flag", "sensornoise"),  # noise on sensors' readings
+    ("option", "apirate"),  # of remote calls
+    ("option", "mpr_iterations"),  # of the search for contacts of meshes
+    ("option", "mpr_tolerance"),
+    ("compiler", "convexhull"),  # hulls are made where they are needed
+)
+"""Attributes that MuJoCo once had, and refuses now: nothing that moves depends on them."""
+
+_GROUND = re.compile("floor|ground|plane|terrain", re.IGNORECASE)
+
+
+def is_retired(message: str) -> bool:
+    """Tells whether MuJoCo's message is about one of the attributes that it once had."""
+    return any(
+        f"unrecognized attribute: '{attribute}'" in message and f"Element '{tag}'" in message
+        for tag, attribute in _RETIRED
+    )
+
+
+def without_retired(text: bytes) -> tuple[bytes, list[Diagnostic]]:
+    """Blanks the attributes that MuJoCo once had, in an MJCF's text or a part's.
+
+    Lines stay where they are.
+
+    Returns:
+        The text, and what was passed over.
+    """
+    found = []
+    for tag, attribute in _RETIRED:
+        pattern = re.compile(
+            rb"(<%s\b[^<>]*?\s)(%s\s*=\s*(?:\"[^\"]*\"|'[^']*'))"
+            % (tag.encode(), attribute.encode())
+        )
+        changed = pattern.sub(lambda part: part[1] + re.sub(rb"[^\n]", b" ", part[2]), text)
+        if changed != text:
+            version = mujoco.__version__
+            found.append(
+                diagnose("attribute-retired", tag=tag, attribute=attribute, version=version)
+            )
+        text = changed
+    return text, found
+
+
+def put_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
+    """Adds the ground that pairs of contacts name and the file lacks, as its scene has it.
+
+    Returns:
+        That it was added, if there was one to add.
+    """
+    known = {geom.name for geom in spec.geoms}
+    named = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    gone = sorted(name for name in named - known if name)
+    if len(gone) != 1 or not _GROUND.search(gone[0]):
+        return []
+    add_plane(spec, gone[0])
+    return [diagnose("ground-of-pairs-added", subject=("geom", gone[0]))]
+
+
+CONTACT_OF_GEOM: Final = (
+    *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
+    *("margin", "gap", "group"),
+)
+"""What a geom of an MJCF has that makes its contacts, and in which group it is shown."""
+
+
+def add_plane(spec: mujoco.MjSpec, name: str, bits: int = 1) -> mujoco.MjsGeom:
+    """Adds a plane at z = 0 with MuJoCo's own contact: an MJCF's defaults are for its robot.
+
+    Args:
+        spec: The MJCF's.
+        name: The plane's.
+        bits: What it lets touch it (``conaffinity``).
+    """
+    plane, plain = spec.worldbody.add_geom(name=name), mujoco.MjSpec().default.geom
+    for word in CONTACT_OF_GEOM:
+        setattr(plane, word, getattr(plain, word))
+    plane.type, plane.size, plane.conaffinity = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05), bits
+    return plane
+
 
 Array = NDArray[np.float64]
 

@@ -1,9 +1,18 @@
-"""Reads an MJCF: what MuJoCo makes of it, and where its elements stand."""
+"""Reads an MJCF: what MuJoCo makes of it, and where its elements stand.
+
+The elements of an MJCF, with its includes put in and its attached models.
+
+Meshes that an MJCF cannot have: what needs missing files is left out, flat ones become shells.
+
+Textures and skins too. MuJoCo refuses flat meshes as solids.
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -13,36 +22,489 @@ from lxml import etree
 
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.arrays import plain_state
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.models.lenient import put_ground
-from pupper_analysis.models.missing import (
-    compile_with_shells,
-    leave_out_missing,
-    put_shells,
-    taken_as_shells,
-)
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf import (
     compile_spec,
     no_number,
+    put_ground,
     silence_mujoco,
     spec_of,
 )
-from pupper_analysis.models.mjcf_tree import (
-    Node,
-    Tree,
-    index_of,
-    stating_element,
-    walk_elements,
-)
+from pupper_analysis.models.packages import existing_file, is_pointer
 from pupper_analysis.models.places import (
     Place,
     innermost_element,
+    line_of,
     one_line,
+    quote_short,
     refusal_at,
     refuse_file,
 )
 from pupper_analysis.models.spec_state import spec_from, state_of
-from pupper_analysis.models.xml import parse_xml
+from pupper_analysis.models.xml import (
+    MAX_DEPTH,
+    MAX_ELEMENTS,
+    NUMBER,
+    parse_xml,
+)
+
+
+def leave_out_missing(
+    spec: mujoco.MjSpec, tree: Tree, index: Mapping[tuple[str, str], Node]
+) -> list[Diagnostic]:
+    """Takes out of a spec what needs files that are missing; returns what it took out."""
+    folders = tuple(tree.folders)
+
+    def missing(file: str, folder: str) -> bool:
+        name = Path(file).name if spec.strippath else file
+        return bool(file) and not any(existing_file(top / folder / name) for top in folders)
+
+    meshes = {m.name: m.file for m in spec.meshes if missing(m.file, m.compiler.meshdir)}
+    hfields = {h.name: h.file for h in spec.hfields if missing(h.file, h.compiler.meshdir)}
+    textures = {
+        t.name: next(filter(None, (t.file, *t.cubefiles)))
+        for t in spec.textures
+        if any(missing(file, t.compiler.texturedir) for file in (t.file, *t.cubefiles))
+    }
+    skins = {s.name: s.file for s in spec.skins if missing(s.file, s.compiler.meshdir)}
+    if not (meshes or hfields or textures or skins):
+        return []
+    geoms = [g for g in spec.geoms if g.meshname in meshes or g.hfieldname in hfields]
+    for geom in geoms:
+        if geom.meshname in meshes and gives_mass(spec, geom):
+            body = geom.parent.name
+            place = index[("body", body)].place if ("body", body) in index else Place(tree.path)
+            raise refuse_file(
+                place,
+                diagnose(
+                    "mass-of-missing-mesh",
+                    subject=("body", body),
+                    geom=geom.name,
+                    file=meshes[geom.meshname],
+                ),
+            )
+    names = {geom.name for geom in geoms if geom.name}
+    _refuse_wrapped(tree.root, names)
+    users = _users(spec, tree.root, names)
+    files = {"mesh": meshes, "height field": hfields, "texture": textures, "skin": skins}
+    notes = [
+        diagnose("files-missing", kind=Term(kind), files=dict.fromkeys(named.values()))
+        for kind, named in files.items()
+        if named
+    ]
+    notes += _pointers(spec, folders, {*meshes.values(), *hfields.values(), *skins.values()})
+    if users:
+        notes.append(diagnose("users-left-out", users=users))
+    for element in geoms:
+        spec.delete(element)
+    for name in textures:
+        for material in spec.materials:
+            if name in list(material.textures):
+                material.textures = ["" if t == name else t for t in material.textures]
+    for elements, gone in (
+        (spec.meshes, meshes),
+        (spec.hfields, hfields),
+        (spec.textures, textures),
+        (spec.skins, skins),
+    ):
+        for element in list(elements):
+            if element.name in gone:
+                spec.delete(element)
+    return notes
+
+
+def _pointers(spec: mujoco.MjSpec, folders: tuple[Path, ...], files: set[str]) -> list[Diagnostic]:
+    """Tells which files are there, but are pointers of Git LFS."""
+    names = {Path(file).name if spec.strippath else file for file in files}
+    found = [
+        name
+        for name in sorted(names)
+        if any(is_pointer(top / folder / name) for top in folders for folder in _folders(spec))
+    ]
+    return [diagnose("files-are-lfs-pointers", files=found)] if found else []
+
+
+def _folders(spec: mujoco.MjSpec) -> set[str]:
+    return {element.compiler.meshdir for element in (*spec.meshes, *spec.hfields, *spec.skins)}
+
+
+def gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
+    """Says whether MuJoCo would take (part of) a body's inertia from a geom."""
+    body = geom.parent
+    if body.name == spec.worldbody.name:
+        return False
+    from_geom = geom.compiler.inertiafromgeom
+    if from_geom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE or (
+        from_geom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO and body.explicitinertial
+    ):
+        return False
+    low, high = geom.compiler.inertiagrouprange
+    weight = geom.density if math.isnan(geom.mass) else geom.mass
+    return bool(low <= geom.group <= high and weight != 0)
+
+
+def _refuse_wrapped(root: Node, names: set[str]) -> None:
+    for section in root.children:
+        for tendon in section.children if section.tag == "tendon" else ():
+            for part in tendon.children:
+                if part.attributes.get("geom") in names:
+                    geom = ("geom", part.attributes["geom"])
+                    raise refuse_file(
+                        part.place, diagnose("tendon-wraps-missing-mesh", subject=geom)
+                    )
+
+
+def _users(spec: mujoco.MjSpec, root: Node, names: set[str]) -> list[Diagnostic]:
+    """Deletes the sensors, contact pairs and tuples that refer to geoms; returns what they are."""
+    kind = mujoco.mjtObj.mjOBJ_GEOM
+    tuples = {
+        node.attributes.get("name")
+        for section in root.children
+        if section.tag == "custom"
+        for node in section.children
+        if any(part.attributes.get("objname") in names for part in node.children)
+    }
+    users = [
+        *(
+            ("sensor", sensor)
+            for sensor in spec.sensors
+            if (sensor.objtype == kind and sensor.objname in names)
+            or (sensor.reftype == kind and sensor.refname in names)
+        ),
+        *(("contact pair", p) for p in spec.pairs if {p.geomname1, p.geomname2} & names),
+        *(("tuple", element) for element in spec.tuples if element.name in tuples),
+    ]
+    told = [diagnose("named-element", subject=(what, user.name)) for what, user in users]
+    for _, user in users:
+        spec.delete(user)
+    return told
+
+
+_FLAT: Final = re.compile(r"mesh volume is too small: (.*?) \. Try setting inertia to shell")
+
+
+def flat_mesh(error: BaseException) -> str | None:
+    """Returns the mesh whose volume is too small for MuJoCo; None if the error is another."""
+    found = _FLAT.search(str(error))
+    return found[1] if found else None
+
+
+def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjModel, list[str], str]:
+    """Compiles a spec with its flat meshes as shells.
+
+    A mesh gives its geom a centre and axes, a mass only where a body has no <inertial>: then a
+    shell would weigh something else, and it stays refused.
+
+    Args:
+        make: Makes the spec, anew each time, for compiling changes it.
+
+    Returns:
+        The model, the meshes that were taken as shells, and what MuJoCo says of the first.
+    """
+    shells: list[str] = []
+    said = ""
+    while True:
+        spec = make()
+        put_shells(spec, shells)
+        try:
+            with silence_mujoco():
+                return spec.compile(), shells, said
+        except ValueError as error:
+            name = flat_mesh(error)
+            if name is None or name in shells or _weighs(spec, name):
+                raise
+            shells.append(name)
+            said = said or str(error)
+
+
+def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
+    """Makes shells of some meshes, in place."""
+    for mesh in spec.meshes:
+        if mesh.name in names:
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+
+
+def taken_as_shells(names: list[str]) -> Diagnostic:
+    """Tells which meshes are taken as shells."""
+    return diagnose("flat-meshes-as-shells", names=names, version=mujoco.__version__)
+
+
+def _weighs(spec: mujoco.MjSpec, name: str) -> bool:
+    return any(geom.meshname == name and gives_mass(spec, geom) for geom in spec.geoms)
+
+
+MAX_INCLUDES: Final = 1000
+"""Most includes and attached models of an MJCF."""
+
+MAX_INCLUDE_DEPTH: Final = 30
+"""Deepest nesting of an MJCF's includes, and of the models it attaches."""
+
+MAX_COPIES: Final = 10_000
+"""Most elements that an MJCF's replicates and attached models make."""
+
+
+@dataclass(frozen=True)
+class Node:
+    """An element of an MJCF with its includes put in.
+
+    Attributes:
+        tag: Its tag.
+        attributes: As they are written.
+        place: Where it stands.
+        children: Those below it.
+        childclass: The default class that reaches it from the bodies around it.
+    """
+
+    tag: str
+    attributes: Mapping[str, str]
+    place: Place
+    children: list[Node]
+    childclass: str | None = None
+
+
+# The product of the whole numbers in these attributes has a limit: MuJoCo would hang, or take all
+# the memory. The tag "*" means any.
+_LARGEST: Final = (
+    ("texture", ("width", "height"), 2**26),
+    ("hfield", ("nrow", "ncol"), 10**7),
+    ("numeric", ("size",), 10**6),
+    ("mesh", ("params",), 10**4),
+    ("flexcomp", ("count",), 10**4),
+    ("flexcomp", ("cellcount",), 10**4),
+    ("composite", ("count",), 10**4),
+    ("camera", ("resolution",), 10**7),
+    ("size", ("nkey",), 10**4),
+    *(
+        ("size", (f"nuser_{kind}",), 10**4)
+        for kind in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
+    ),
+    ("size", ("nuserdata",), 10**7),
+    *(("*", (attribute,), 10**6) for attribute in ("nsample", "num", "dim", "actdim")),
+)
+
+_SECTIONS: Final = ("actuator", "sensor", "equality", "tendon", "contact", "deformable")
+
+
+class Tree:
+    """The elements of an MJCF, with its includes put in.
+
+    Attributes:
+        files: The file and all it includes or attaches.
+        attached: The root elements of the models that it attaches, and that these attach.
+        folders: The folders of the file and of the models it attaches.
+        root: The root element.
+        copies: How many elements MuJoCo will make of its replicates and attached models.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        root: etree._Element,
+        within: tuple[Path, ...] = (),
+        includes: Iterator[int] | None = None,
+    ) -> None:
+        self.path = path
+        self.files: dict[Path, None] = {path: None}
+        self.folders: dict[Path, None] = {path.parent: None}
+        self._within = (*within, path.resolve())
+        self.attached: list[Node] = []
+        self._models: dict[str, int] = {}
+        self._parsed: dict[Path, etree._Element] = {}
+        self._count = 0
+        self._includes = includes or itertools.count(1)
+        if len(self._within) > MAX_INCLUDE_DEPTH:
+            raise refuse_file(Place(path), diagnose("attached-too-deep", most=MAX_INCLUDE_DEPTH))
+        self.root = self._node(root, path, self._within, 0)
+        self.copies = self._copies(self.root)
+        if self.copies > self._count + MAX_COPIES:
+            raise refuse_file(Place(path), diagnose("too-many-copies", most=MAX_COPIES))
+
+    def _node(
+        self,
+        element: etree._Element,
+        path: Path,
+        within: tuple[Path, ...],
+        depth: int,
+        childclass: str | None = None,
+    ) -> Node:
+        attributes = {str(name): str(value) for name, value in element.attrib.items()}
+        place = Place(path, line_of(element))
+        node = Node(str(element.tag), attributes, place, [], childclass)
+        childclass = attributes.get("childclass", childclass)
+        self._count += 1
+        if self._count > MAX_ELEMENTS:
+            raise refuse_file(
+                Place(self.path), diagnose("too-many-elements", count=None, most=MAX_ELEMENTS)
+            )
+        if depth > MAX_DEPTH:
+            raise refusal_at(path, element, diagnose("nested-too-deep", most=MAX_DEPTH))
+        _refuse_large(path, element)
+        _refuse_formats(path, element)
+        if element.tag == "model" and element.get("file", "").endswith(".xml"):
+            self._attach(element, path)
+        pending = [(child, path, within) for child in reversed(element)]
+        while pending:
+            child, file, inside = pending.pop()
+            if child.tag == "include":
+                included, top = self._include(child, file, inside)
+                opened = (*inside, included.resolve())
+                pending.extend((below, included, opened) for below in reversed(top))
+            else:
+                node.children.append(self._node(child, file, inside, depth + 1, childclass))
+        return node
+
+    def _include(
+        self, element: etree._Element, path: Path, within: tuple[Path, ...]
+    ) -> tuple[Path, etree._Element]:
+        included = self._file(element, path)
+        resolved = included.resolve()
+        if resolved in within:
+            raise refusal_at(path, element, diagnose("includes-itself", file=included.name))
+        if len(within) > MAX_INCLUDE_DEPTH:
+            raise refusal_at(path, element, diagnose("includes-too-deep", most=MAX_INCLUDE_DEPTH))
+        if resolved not in self._parsed:
+            self.files[included] = None
+            _, self._parsed[resolved] = parse_xml(included)
+        return included, self._parsed[resolved]
+
+    def _attach(self, element: etree._Element, path: Path) -> None:
+        attached = self._file(element, path)
+        if attached.resolve() in self._within:
+            raise refusal_at(path, element, diagnose("attaches-itself", file=attached.name))
+        _, root = parse_xml(attached)
+        tree = Tree(attached, root, self._within, self._includes)
+        self.files |= tree.files
+        self.attached += [tree.root, *tree.attached]
+        self.folders |= tree.folders
+        name = element.get("name") or root.get("model") or attached.stem
+        self._models[name] = tree.copies
+
+    def _file(self, element: etree._Element, path: Path) -> Path:
+        """Counts and finds an include: by the main file first, then by its own file."""
+        if next(self._includes) > MAX_INCLUDES:
+            raise refusal_at(path, element, diagnose("too-many-includes", most=MAX_INCLUDES))
+        name = element.get("file")
+        if not name:
+            raise refusal_at(path, element, diagnose("element-without-file", tag=element.tag))
+        for folder in (self.path.parent, path.parent):
+            found = existing_file(folder / name)
+            if found is not None:
+                return found
+        missing = diagnose("included-file-missing", tag=element.tag, file=quote_short(name))
+        raise refusal_at(path, element, missing)
+
+    def _copies(self, node: Node) -> int:
+        number = 1 + sum(self._copies(child) for child in node.children)
+        if node.tag == "replicate":
+            number *= max(_product(node.attributes.get("count", "1")), 1)
+        if node.tag == "attach":
+            number += self._models.get(node.attributes.get("model", ""), 0)
+        return number
+
+
+_HEXADECIMAL: Final = re.compile("0[xX][0-9a-fA-F]+")
+
+
+def _refuse_large(path: Path, element: etree._Element) -> None:
+    for tag, attributes, limit in _LARGEST:
+        if tag in ("*", element.tag):
+            text = " ".join(element.get(attribute, "") for attribute in attributes)
+            if _product(text) > limit:
+                names = " x ".join(attributes)
+                problem = diagnose("size-too-large", tag=element.tag, names=names, most=limit)
+                raise refusal_at(path, element, problem)
+
+
+_FORMAT: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
+"""What printf writes to memory for, or takes for the address of a text."""
+
+_FREE_TEXT: Final = ("data", "file", "meshdir", "texturedir", "assetdir")
+
+
+def _refuse_formats(path: Path, element: etree._Element) -> None:
+    """Refuses words that MuJoCo's reader takes for a format of its own messages, and dies of."""
+    for attribute, value in element.attrib.items():
+        if attribute not in _FREE_TEXT and _FORMAT.search(str(value)):
+            where = {"tag": element.tag, "attribute": attribute, "value": quote_short(str(value))}
+            raise refusal_at(path, element, diagnose("format-in-attribute", **where))
+
+
+def _product(text: str) -> int:
+    # MuJoCo reads 0x10, too.
+    words = text.split()
+    numbers = [abs(float(word)) for word in words if NUMBER.fullmatch(word)]
+    numbers += [float(int(word, 16)) for word in words if _HEXADECIMAL.fullmatch(word)]
+    product = math.prod(max(number, 1.0) for number in numbers)
+    return int(min(product, 1e18))
+
+
+def walk_elements(root: Node) -> Iterator[Node]:
+    """Yields an element and all below it, in the order of the file."""
+    pending = [root]
+    while pending:
+        node = pending.pop()
+        yield node
+        pending.extend(reversed(node.children))
+
+
+def index_of(root: Node) -> dict[tuple[str, str], Node]:
+    """Finds the elements by kind and name; the first counts where there are several."""
+    index: dict[tuple[str, str], Node] = {}
+    fallback: dict[tuple[str, str], Node] = {}
+    pending: list[tuple[Node, Node]] = [(child, root) for child in reversed(root.children)]
+    while pending:
+        node, parent = pending.pop()
+        pending.extend((child, node) for child in reversed(node.children))
+        name = node.attributes.get("class" if node.tag == "default" else "name")
+        kinds = [node.tag]
+        if parent.tag in _SECTIONS:
+            kinds.append(parent.tag)
+        if node.tag == "freejoint":
+            kinds.append("joint")
+        if not name and node.tag in ("mesh", "texture", "hfield"):
+            name = Path(node.attributes.get("file", "")).stem
+        for kind in kinds:
+            if name:
+                index.setdefault((kind, name), node)
+            if parent.tag == "actuator" and "joint" in node.attributes:
+                fallback.setdefault((kind, node.attributes["joint"]), node)
+            if not name and kind in ("joint", "freejoint") and "name" in parent.attributes:
+                fallback.setdefault((kind, parent.attributes["name"]), node)
+    return fallback | index
+
+
+def stating_element(root: Node, node: Node, attributes: Collection[str]) -> Node | None:
+    """Returns the element that states one of an element's attributes: itself, or a default class.
+
+    The class is its own, or the childclass of a body above it; what a class does not state is that
+    of the class around it.
+
+    Args:
+        root: The root element.
+        node: The element.
+        attributes: Any of them will do.
+    """
+    if set(attributes) & set(node.attributes):
+        return node
+    name = node.attributes.get("class") or node.childclass
+    nested = _classes(root, name)
+    for default in reversed(nested):
+        for child in default.children:
+            if child.tag == node.tag and set(attributes) & set(child.attributes):
+                return child
+    return None
+
+
+def _classes(root: Node, name: str | None) -> list[Node]:
+    """Returns a default class with those around it, the outermost first."""
+    tops = [child for child in root.children if child.tag == "default"]
+    pending = [[top] for top in tops]
+    while name is not None and pending:
+        path = pending.pop()
+        if path[-1].attributes.get("class") == name:
+            return path
+        pending.extend([*path, child] for child in path[-1].children if child.tag == "default")
+    return tops[:1]
 
 
 @dataclass(frozen=True, eq=False)

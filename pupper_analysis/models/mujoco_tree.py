@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 
 Array = NDArray[np.float64]

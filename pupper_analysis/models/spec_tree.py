@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arrays import inertia_entries
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.free_base import delete_joint
-from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM, add_plane
-from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.mjcf import CONTACT_OF_GEOM, JointKind, add_plane
 from pupper_analysis.models.model_tree import (
     COUPLING_TIME,
     FLOOR,

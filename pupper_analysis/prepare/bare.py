@@ -16,10 +16,8 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.additions import Apart, Floor, Options, Servo, put_all
 from pupper_analysis.models.conversion import UrdfImport
-from pupper_analysis.models.joint_kinds import scalar_joints
-from pupper_analysis.models.missing import compile_with_shells
-from pupper_analysis.models.mjcf import compile_spec, name_all, silence_mujoco
-from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.mjcf import compile_spec, name_all, scalar_joints, silence_mujoco
+from pupper_analysis.models.mjcf_file import MjcfFile, compile_with_shells
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import (

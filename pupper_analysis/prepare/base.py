@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.free_base import join_free_base
-from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint, silence_mujoco
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.spec_tree import set_inertia
 from pupper_analysis.models.urdf_file import UrdfFile

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from pupper_analysis.models.joint_kinds import free_joints
+from pupper_analysis.models.mjcf import free_joints
 from pupper_analysis.prepare.soles import (
     BALL,
     TILT,

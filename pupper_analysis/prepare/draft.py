@@ -11,7 +11,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Term
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.joint_kinds import has_free_joint
+from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.ready import Request, ready_robot

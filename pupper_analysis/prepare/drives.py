@@ -20,7 +20,7 @@ from pupper_analysis.models.additions import (
     Servo,
     Start,
 )
-from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import Drive, MadeServo, drive_of

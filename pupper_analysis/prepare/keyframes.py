@@ -10,8 +10,7 @@ import numpy as np
 
 from pupper_analysis.base.errors import UnknownNameError
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.joint_kinds import JointKind, free_joints
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import JointKind, free_joints, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 
 _LEVEL = 1e-6

@@ -9,7 +9,7 @@ import mujoco
 
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import notes

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot

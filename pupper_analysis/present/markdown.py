@@ -25,9 +25,9 @@ from pupper_analysis.present.document import (
     Sides,
     Table,
     Words,
+    in_english,
 )
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.present.words import in_english
 
 SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
 """Before a verdict."""

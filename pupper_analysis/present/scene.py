@@ -1,6 +1,6 @@
 """What is seen of a robot that stands: shapes, joints, contact forces, com, polygon, ground.
 
-Made once, and drawn by each in its own way: the page's viewer (``html/scene``), the live page
+Made once, and drawn by each in its own way: the page's viewer (``html/write``), the live page
 (``live/scene``) and the figures of poses (``figures/pose``).
 """
 

@@ -32,9 +32,9 @@ from pupper_analysis.present.document import (
     Sides,
     Table,
     Words,
+    in_english,
 )
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.present.words import in_english
 
 MOST_NOTES = 8
 """Lines of notes in a short view: what is read before a table."""

@@ -15,8 +15,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.transmission import MadeServo
-from pupper_analysis.present.document import Text
-from pupper_analysis.present.words import text
+from pupper_analysis.present.document import Text, text
 from pupper_analysis.robot.as_published import (
     Cause,
     OwnCommands,

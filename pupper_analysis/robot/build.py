@@ -27,7 +27,7 @@ from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.conversion import acting_gravity, joint_armature
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import EffortLimit, EffortStatement, Motor, placeholder_efforts
-from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
+from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.multibody import joint_placements
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.spec_tree import SpecTree
@@ -36,9 +36,8 @@ from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.contact import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
-from pupper_analysis.robot.efforts import effort_notes, efforts_of
 from pupper_analysis.robot.floor import floor_of, leave_ground
-from pupper_analysis.robot.robot import Robot, acts_at_rest
+from pupper_analysis.robot.robot import Robot, acts_at_rest, effort_notes, efforts_of
 from pupper_analysis.robot.tendons import tell_bonds_not_kept, tell_ranges_not_kept
 
 Array = NDArray[np.float64]

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.models.joint_kinds import free_joints
+from pupper_analysis.models.mjcf import free_joints
 from pupper_analysis.models.transmission import is_at_one_joint
 
 Array = NDArray[np.float64]

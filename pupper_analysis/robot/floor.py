@@ -12,8 +12,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import CONTACT_OF_GEOM, silence_mujoco
 from pupper_analysis.models.spec_tree import SpecTree
 
 Array = NDArray[np.float64]

@@ -19,8 +19,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 
 STEP = 1e-7
 """Of the centred differences (m, rad, and their rates): contacts are stiff, and curved over 1e-5;

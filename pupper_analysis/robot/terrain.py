@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM
+from pupper_analysis.models.mjcf import CONTACT_OF_GEOM
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.floor import floor_of, turn_floor

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.joint_kinds import scalar_joints
+from pupper_analysis.models.mjcf import scalar_joints
 from pupper_analysis.robot.fall import NUDGE, nudge_velocity
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import simulate

@@ -1,9 +1,17 @@
-"""Does it hold: MuJoCo's floating-base simulation of a stand, against what Pinocchio predicts."""
+"""Does it hold: MuJoCo's floating-base simulation of a stand, against what Pinocchio predicts.
+
+Flat soles on legs that cannot lay them flat: MuJoCo has more contacts than one.
+
+Closed loops and couplings of an MJCF: what they do that is not as predicted.
+
+Does a stand balance by MuJoCo, too: by its kinematics and dynamics of the MJCF.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -11,27 +19,144 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
+from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.balance import balance_by_mujoco
 from pupper_analysis.simulation.causes import (
     find_chatter,
     find_creep,
     find_instability,
     too_stiff,
 )
-from pupper_analysis.simulation.edges import several_contacts
-from pupper_analysis.simulation.loops import closed_loops, give_way
 from pupper_analysis.simulation.nudge import Nudge, measure_response, simulate_nudge
 from pupper_analysis.simulation.rollout import begin_stand, check_stand, simulate
-from pupper_analysis.simulation.settings import SimulationSettings
 from pupper_analysis.simulation.stability import evaluate_stability
-from pupper_analysis.simulation.watch import LAST, Watch, watch_contacts
+from pupper_analysis.simulation.watch import LAST, SimulationSettings, Watch, watch_contacts
+from pupper_analysis.stance.soft_ground import open_loops
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import interpolate_drop
+
+
+def load_by_mujoco(robot: Robot, qpos: Array) -> Array:
+    """Returns what motors and contacts hold at rest (nv,), by MuJoCo's dynamics of the MJCF.
+
+    It is ``Configuration.load`` of the other engine, from the other file.
+    """
+    data = _at(robot, qpos)
+    load: Array = (data.qfrc_bias - data.qfrc_passive)[robot.mj_convention.qvel_index]
+    return load
+
+
+def _at(robot: Robot, qpos: Array) -> mujoco.MjData:
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_fwdPosition(robot.mj_model, data)
+    mujoco.mj_fwdVelocity(robot.mj_model, data)
+    return data
+
+
+def balance_by_mujoco(
+    robot: Robot, stand: Stand, prediction: GravityCompensation
+) -> tuple[float, float]:
+    """Checks stand and statics with MuJoCo's kinematics and dynamics of the MJCF."""
+    model = robot.mj_model
+    data = _at(robot, stand.qpos)
+    remainder = data.qfrc_bias - data.qfrc_passive
+    foot_error = 0.0
+    jacobian = np.zeros((3, model.nv))
+    for foot, centre in monitor.foot_centres(robot, data).items():
+        foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
+        if foot in stand.stance_feet:
+            radius, depth = robot.contact_radius[foot], stand.depths[foot]
+            point = centre + contact_offset(radius, stand.normals[foot], depth)
+            mujoco.mj_jac(model, data, jacobian, None, point, robot.contact_places[foot][0])
+            remainder -= jacobian.T @ prediction.contact_forces[foot]
+    joints = robot.mj_convention.qvel_index[6:]
+    if robot.closure is not None:
+        remainder[joints] -= robot.closure.push(stand.qpos) @ remainder[joints]
+    remainder[joints] -= prediction.joint_torques
+    return foot_error, float(np.abs(remainder).max())
+
+
+_OPEN = 1e-5  # m or rad: what gives way by less is not why something is off
+
+
+def give_way(robot: Robot, stand: Stand, prediction: GravityCompensation) -> Diagnostic | None:
+    """Says by how much loops and couplings open under a load, if a stand has them closed."""
+    if robot.closure is None:
+        return None
+    most = float(np.abs(open_loops(robot, stand, prediction.contact_forces)).max(initial=0.0))
+    if robot.closure.open_by(stand.qpos) > most / 2 or most < _OPEN:
+        return None
+    return diagnose("loops-are-soft", bonds=robot.closure.bonds, most=most)
+
+
+def closed_loops(robot: Robot, stand: Stand, least: float) -> Diagnostic | None:
+    """Says what equality constraints do in a stand, if it is more than a force (N or N m).
+
+    Those that are not predicted: what holds the robot in the world, say.
+    """
+    if robot.closure is not None:
+        return None
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(model, data)
+    rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
+    forces = np.where(rows, data.efc_force, 0.0)
+    pushed = np.zeros(model.nv)
+    mujoco.mj_mulJacTVec(model, data, pushed, forces)
+    most = int(np.argmax(np.abs(pushed)))
+    if not abs(pushed[most]) > least:
+        return None
+    strongest = int(data.efc_id[int(np.argmax(np.abs(forces)))])
+    kind = mujoco.mjtEq(int(model.eq_type[strongest])).name.removeprefix("mjEQ_").lower()
+    name = model.equality(strongest).name or f"#{strongest}"
+    joint = model.joint(int(model.dof_jntid[most])).name
+    return diagnose(
+        "constraints-not-predicted",
+        subject=("equality", name),
+        kind=kind,
+        force=abs(pushed[most]),
+        joint=joint,
+    )
+
+
+_SAME_CONTACT = 1e-3
+"""Contacts of a round foot are at one place (m)."""
+
+
+def several_contacts(robot: Robot, stand: Stand) -> Diagnostic | None:
+    """Says so if a foot that is one point in the prediction touches at several places in MuJoCo."""
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_fwdPosition(model, data)
+    places: dict[str, list[np.ndarray]] = {}
+    # A sole of several balls is one point, too, if its leg cannot lay it flat: that of one of them.
+    bodies = {int(robot.contact_places[foot][0]): foot for foot in robot.contact_points}
+    for touch in data.contact:
+        if touch.dist >= 0 or 0 not in model.body_weldid[model.geom_bodyid[touch.geom]]:
+            continue
+        for geom in touch.geom.tolist():
+            foot = robot.foot_geoms.get(geom) or bodies.get(int(model.geom_bodyid[geom]))
+            if len(robot.feet.get(str(foot), ())) == 1:
+                places.setdefault(str(foot), []).append(np.array(touch.pos))
+    spread = {
+        foot: max(float(np.linalg.norm(one - two)) for one in found for two in found)
+        for foot, found in places.items()
+    }
+    foot = max(spread, key=spread.__getitem__, default=None)
+    if foot is None or spread[foot] < _SAME_CONTACT:
+        return None
+    return diagnose(
+        "foot-touches-at-several-places",
+        subject=("foot", foot),
+        count=len(places[foot]),
+        spread=Quantity(spread[foot], "m"),
+    )
+
 
 Array = NDArray[np.float64]
 

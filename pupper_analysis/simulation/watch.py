@@ -1,4 +1,7 @@
-"""A close look at a simulated stand: what touches the ground, and what its motors and feet hold."""
+"""A close look at a simulated stand: what touches the ground, and what its motors and feet hold.
+
+With what a stand was simulated, as its results say.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation import monitor
 from pupper_analysis.stance.stand import Stand
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationSettings(Result):
+    """What a stand was simulated with.
+
+    Attributes:
+        feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
+        integrator: MuJoCo's integrator.
+        timestep: s.
+        duration: s.
+        kp: (nu,) N m/rad.
+        kd: (nu,) N m s/rad.
+    """
+
+    feedforward: bool
+    integrator: str
+    timestep: float
+    duration: float
+    kp: Array
+    kd: Array
+
 
 Array = NDArray[np.float64]
 

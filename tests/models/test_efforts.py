@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models.efforts import EffortStatement, effort_of, gear_left_out
 from pupper_analysis.robot.build import rebuild_robot
-from pupper_analysis.robot.efforts import effort_notes
+from pupper_analysis.robot.robot import effort_notes
 from pupper_analysis.robot.servos import model_with_servos
 from tests.support.engines import changed
 from tests.support.variants import load, stand_of

@@ -20,10 +20,10 @@ from pupper_analysis.present.document import (
     Number,
     Report,
     Table,
+    in_english,
 )
 from pupper_analysis.present.html.write import render_page
 from pupper_analysis.present.markdown import write_markdown
-from pupper_analysis.present.words import in_english
 from tests.support import printing
 from tests.support.html_page import Page
 from tests.support.repository import ROOT

@@ -19,8 +19,14 @@ from matplotlib.patches import Rectangle
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.present.figures import style
-from pupper_analysis.present.figures.pose import ground_corners, pose_figure, step_corners
-from pupper_analysis.present.figures.skeleton import draw_skeleton, hull_corners, nearest_edge_point
+from pupper_analysis.present.figures.pose import (
+    draw_skeleton,
+    ground_corners,
+    hull_corners,
+    nearest_edge_point,
+    pose_figure,
+    step_corners,
+)
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 from tests.support.variants import load, stand_of

@@ -19,8 +19,8 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
+from pupper_analysis.present import document
 from pupper_analysis.present import scene as scenes
-from pupper_analysis.present import words
 from pupper_analysis.present.document import (
     Axis,
     Column,
@@ -40,12 +40,8 @@ from pupper_analysis.present.document import (
     tell,
 )
 from pupper_analysis.present.documents import sources
-from pupper_analysis.present.html import (
-    plots,
-    scene,
-    write,
-)
-from pupper_analysis.present.html.scene import scene_of
+from pupper_analysis.present.html import plots, write
+from pupper_analysis.present.html.write import scene_of
 from pupper_analysis.present.scene import coarsen_mesh, describe_scene, shapes_of
 from pupper_analysis.tools.audit.audit import RULES
 from pupper_analysis.tools.stand.stance import study_stance
@@ -398,7 +394,7 @@ def test_bodies_are_where_pinocchio_has_their_joints() -> None:
     """The frames are MuJoCo's of the MJCF, in whole numbers; Pinocchio's are the URDF's."""
     robot, stand = load("v3"), stand_of("v3")
     other = stand.qpos + np.concatenate([[0.01, 0.02, 0.03], np.zeros(4), np.full(12, 0.1)])
-    moved = Motion(words.text("the-path"), np.array([0.5]), other[None])
+    moved = Motion(document.text("the-path"), np.array([0.5]), other[None])
     drawn = drawn_of(StandScene(robot, stand, None, [moved]))
     for qpos, motion in zip((stand.qpos, other), drawn["motions"], strict=True):
         numbers = np.frombuffer(base64.b64decode(motion["frames"]), "<i2") / 32767
@@ -492,11 +488,11 @@ def test_meshes_keep_their_size() -> None:
             np.asarray(model.mesh_vert[first : first + count], float),
             model.mesh_face[start : start + faces],
         )
-        vertices, triangles = decoded(scene._mesh(whole_scene[mesh]))
+        vertices, triangles = decoded(write._mesh(whole_scene[mesh]))
         assert len(triangles) == faces
         assert volume(vertices, triangles) == pytest.approx(whole, rel=2e-3)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        vertices, triangles = decoded(scene._mesh(coarse[mesh]))
+        vertices, triangles = decoded(write._mesh(coarse[mesh]))
         assert 0.1 * faces < len(triangles) <= 0.3 * faces
         cell = float((high - low).max()) / 10
         assert vertices.min(axis=0) == pytest.approx(low, abs=cell)
@@ -528,7 +524,7 @@ def test_the_same_mesh_is_there_once() -> None:
     scenes = [drawn_of(StandScene(robot, stand_of(robot.name))) for robot in robots]
     own = len(scenes[0]["meshes"])
     assert own > 3
-    assert len(scene.share_meshes(scenes)) <= own + 1  # but for the torso, if it is scaled
+    assert len(write.share_meshes(scenes)) <= own + 1  # but for the torso, if it is scaled
     assert "meshes" not in scenes[0]
 
 

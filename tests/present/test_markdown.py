@@ -22,9 +22,9 @@ from pupper_analysis.present.document import (
     Sides,
     Table,
     tell,
+    text,
 )
 from pupper_analysis.present.markdown import MOST_LETTERS, MOST_ROWS, write_markdown
-from pupper_analysis.present.words import text
 from tests.support.commands import answer
 from tests.support.html_page import Page
 from tests.support.repository import ROOT

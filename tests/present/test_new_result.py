@@ -56,7 +56,7 @@ IMPORTS = """
 from tests.present.test_new_result import FootWear
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.words import text
+from pupper_analysis.present.document import text
 from pupper_analysis.robot.robot import Robot
 """
 

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from pupper_analysis.models.transmission import Drive, MadeServo
-from pupper_analysis.present.document import Document, LinePlot, Table
+from pupper_analysis.present.document import Document, LinePlot, Table, in_english
 from pupper_analysis.present.documents.comparison import comparison_document
-from pupper_analysis.present.words import in_english
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.tools.analyze import comparison

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pupper_analysis.present.sarif import (
+from pupper_analysis.present.formats import (
     SarifResult,
     SarifRule,
     from_root,

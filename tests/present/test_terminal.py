@@ -17,9 +17,9 @@ from pupper_analysis.present.document import (
     Number,
     Table,
     tell,
+    text,
 )
 from pupper_analysis.present.terminal import MOST_NOTES, SafeConsole, print_document
-from pupper_analysis.present.words import text
 from tests.support.commands import run_command
 from tests.support.printing import printed
 from tests.support.repository import ROOT

@@ -11,8 +11,7 @@ import pytest
 
 from pupper_analysis.base.diagnostics import LANGUAGES, phrase
 from pupper_analysis.base.diagnostics.catalogue import LINED, list_entries, word_files
-from pupper_analysis.present.document import Name
-from pupper_analysis.present.words import join_words, text, word
+from pupper_analysis.present.document import Name, join_words, text, word
 from pupper_analysis.tools.study.measures import METRICS
 from tests.base.diagnostics.test_diagnostic import HAN, TERMS, TEXTS, made_calls, uses, written
 

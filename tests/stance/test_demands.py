@@ -20,7 +20,7 @@ from pupper_analysis.stance.demands import (
     round_demands,
     round_in_radians,
 )
-from pupper_analysis.tools.study.record import from_record, to_record
+from pupper_analysis.tools.study.design import from_record, to_record
 from tests.support.variants import load
 
 TASK = pa.StandTask(

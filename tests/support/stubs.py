@@ -14,10 +14,9 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.efforts import EffortStatement
-from pupper_analysis.present.document import Document, Name, Report
+from pupper_analysis.present.document import Document, Name, Report, text
 from pupper_analysis.present.documents.base_workspace import workspace_document
 from pupper_analysis.present.documents.comparison import comparison_document
-from pupper_analysis.present.words import text
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.stance.task import StandTask

@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.attributes import COMPILED, IN_A_TREE
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
-from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.geometry import hull_points

@@ -10,8 +10,8 @@ import mujoco
 from lxml import etree
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.models.missing import flat_mesh
 from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf_file import flat_mesh
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml_text import add_element, free_name

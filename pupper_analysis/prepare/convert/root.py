@@ -11,8 +11,7 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 
 

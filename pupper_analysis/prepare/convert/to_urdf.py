@@ -23,15 +23,14 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.attributes import PASSIVE
+from pupper_analysis.models.capsules import ENDLESS_SLIDE
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.free_base import join_free_base
-from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
-from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, has_free_joint
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.stated.elements import stated_numbers, touching_geoms
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
-from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
 from pupper_analysis.models.xml_text import (
     DIGITS,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
-from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace
 

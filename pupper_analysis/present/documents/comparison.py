@@ -18,10 +18,10 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.results import shorten
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of, quote_line
 from pupper_analysis.present.formats import Annotation, CheckedItem
-from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.compare.differences import Difference, about_kind
 from pupper_analysis.robot.compare.engines import (

@@ -11,8 +11,8 @@ from typing import Any
 
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.sources import page_of
-from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand

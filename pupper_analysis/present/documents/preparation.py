@@ -5,8 +5,8 @@ from __future__ import annotations
 from pupper_analysis.base.diagnostics import merge_diagnostics
 from pupper_analysis.prepare.load import Preparation
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import text, word
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.words import text, word
 from pupper_analysis.robot.robot import Robot
 
 

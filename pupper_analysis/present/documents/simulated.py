@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import proof_text
 from pupper_analysis.present.documents.sources import page_of
 from pupper_analysis.present.documents.standing import quantity_columns
-from pupper_analysis.present.words import text
 from pupper_analysis.simulation.verify import StandVerification
 
 if TYPE_CHECKING:

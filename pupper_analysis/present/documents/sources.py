@@ -10,8 +10,7 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.standard_input import read_content
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.xml import MAX_BYTES
-from pupper_analysis.present.document import Name, Text
-from pupper_analysis.present.words import text
+from pupper_analysis.present.document import Name, Text, text
 from pupper_analysis.robot.robot import Robot
 
 MOST_LETTERS, MOST_LINES = 400, 8

@@ -6,9 +6,8 @@ from collections.abc import Iterable
 
 from pupper_analysis.base.diagnostics import merge_diagnostics
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import Column, Text, Words, tell
+from pupper_analysis.present.document import Column, Text, Words, tell, text
 from pupper_analysis.present.documents.sources import files_text
-from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask

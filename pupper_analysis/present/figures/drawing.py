@@ -14,10 +14,9 @@ from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.present.document import Plot, Words
+from pupper_analysis.present.document import Plot, Words, in_english
 from pupper_analysis.present.figures import style
 from pupper_analysis.present.html.plots import Drawing, Mark, draw_svg
-from pupper_analysis.present.words import in_english
 
 _COLOURS = {
     **{f"s{index}": colour for index, colour in enumerate(style.COLOURS)},

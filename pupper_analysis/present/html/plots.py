@@ -26,8 +26,8 @@ from pupper_analysis.present.document import (
     Text,
     Words,
     number_cell,
+    text,
 )
-from pupper_analysis.present.words import text
 
 Array = NDArray[np.float64]
 Mark = Mapping[str, Any]

@@ -2,6 +2,11 @@
 
 Not even to draw in space: three.js is in it, of a package that is installed. MeshCat's viewer has
 it, which PlaCo brings.
+
+What is drawn in three dimensions: a robot's shapes, where they are, and what acts on it.
+
+Of two files that are compared, one over the other: the MJCF's shapes, and the URDF's joints as
+lines.
 """
 
 from __future__ import annotations
@@ -36,16 +41,358 @@ from pupper_analysis.present.document import (
     Table,
     Text,
     View,
+    text,
 )
 from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.present.html.plots import draw_svg
-from pupper_analysis.present.html.scene import scene_of, share_meshes
-from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:
     import jinja2
+import base64
+from collections.abc import Sequence
+from functools import singledispatch
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.present.document import Motion, OverlayScene, StandScene
+from pupper_analysis.present.scene import (
+    JointAxis,
+    Mesh,
+    describe_scene,
+    shapes_of,
+    shown_geoms,
+)
+from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.robot.joints import joint_summaries
+
+Array = NDArray[np.float64]
+
+MOST_FACES = 12_000
+"""Of all meshes of a robot together: some 150 kB of the file, so that six robots fit in 3 MB."""
+
+MOST_FRAMES = 80
+"""Configurations of a motion: what a slider of its width can tell apart."""
+
+
+@singledispatch
+def scene_of(scene: object) -> dict[str, Any] | None:
+    """Returns a scene as plain lists and numbers: lengths in m, in the world unless said.
+
+    Returns:
+        The scene; None where what it is made of has gone.
+
+    Raises:
+        TypeError: If nobody has said how such a scene is drawn.
+    """
+    raise TypeError(f"no view of {type(scene).__name__}")
+
+
+@scene_of.register
+def _stand(scene: StandScene) -> dict[str, Any]:
+    robot, stand, statics = scene.robot, scene.stand, scene.statics
+    model = robot.mj_model
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_kinematics(model, data)
+    low, high = extent_of(model, data)
+    still = Motion(text("the-stand"), np.zeros(1), stand.qpos[None])
+    geoms, meshes = geoms_of(model)
+    seen = describe_scene(robot, stand, statics)
+    layers = ["shapes", "axes", *(["forces"] if statics else []), "support", "masses"]
+    motions = {one.name: one.motion for one in joint_summaries(robot)}
+    return {
+        "bodies": bodies_of(model),
+        "geoms": geoms,
+        "meshes": meshes,
+        "motions": [_frames(robot, data, motion) for motion in (still, *scene.motions)],
+        "joints": [_joint(one, motions[one.name]) for one in seen.joints],
+        "contacts": [
+            {
+                "name": escape_control(one.foot),
+                "point": short_numbers(one.point),
+                "force": short_numbers(one.force),
+            }
+            for one in seen.contacts
+        ],
+        "polygon": short_numbers(seen.polygon),
+        "steps": [
+            {
+                "centre": short_numbers(one.centre),
+                "half": short_numbers(one.half),
+                "quat": short_numbers(seen.turn),
+                "pit": one.height < 0,
+            }
+            for one in seen.steps
+        ],
+        "ground": short_numbers(seen.middle),
+        "normal": short_numbers(seen.ground.normal()),
+        "com": None if statics is None else short_numbers(seen.com),
+        "below": short_numbers(seen.below),
+        "middle": short_numbers((low + high) / 2),
+        "radius": float(np.linalg.norm(high - low) / 2),
+        "layers": layers,
+        "size": float(np.ptp(seen.points, axis=0).max() + stand.qpos[2]),
+    }
+
+
+def _frames(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
+    """Returns where the bodies are in some of the configurations."""
+    finite = np.isfinite(motion.qpos).all(axis=1)
+    most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MOST_FRAMES)).round()
+    chosen = np.flatnonzero(finite)[np.unique(most.astype(int))]
+    poses = []
+    for qpos in motion.qpos[chosen]:
+        robot.mj_convention.set_state(data, qpos)
+        mujoco.mj_kinematics(robot.mj_model, data)
+        poses.append(np.concatenate([data.xpos, data.xquat], axis=1)[1:])
+    return pack_poses(motion.name, motion.time[chosen], np.array(poses))
+
+
+def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
+    """Returns poses in few letters.
+
+    Args:
+        name: What moves.
+        time: (n,) when (s).
+        poses: (n, bodies, 7) x, y, z (m) and quaternion w, x, y, z.
+
+    Returns:
+        ``frames`` are whole numbers of 16 bits: x, y, z in parts of ``reach`` / 32767, then the
+        quaternion in parts of 1 / 32767.
+    """
+    values = poses.copy()
+    reach = max(float(np.abs(values[..., :3]).max()), 1e-3)
+    values[..., :3] /= reach
+    return {
+        "en": name.en,
+        "zh": name.zh,
+        "time": short_numbers(time),
+        "reach": reach,
+        "frames": base64.b64encode(np.round(32767 * values).astype("<i2").tobytes()).decode(),
+    }
+
+
+def short_numbers(values: Array) -> list[Any]:
+    """Returns numbers to a hundredth of a millimetre: a view shows no more."""
+    return np.round(values, 5).tolist()  # type: ignore[no-any-return]
+
+
+def extent_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+    """Returns the least and the greatest x, y, z (3,) of the robot's shapes, by their boxes (m)."""
+    own = shown_geoms(model)
+    turns = np.abs(data.geom_xmat[own].reshape(-1, 3, 3))
+    centres, halves = model.geom_aabb[own, :3], model.geom_aabb[own, 3:]
+    turned = np.einsum("nij,nj->ni", data.geom_xmat[own].reshape(-1, 3, 3), centres)
+    middle, reach = data.geom_xpos[own] + turned, np.einsum("nij,nj->ni", turns, halves)
+    frames = data.xpos[1:]
+    ends = np.concatenate([middle - reach, middle + reach, frames])
+    return ends.min(axis=0), ends.max(axis=0)
+
+
+def bodies_of(model: mujoco.MjModel) -> list[dict[str, Any]]:
+    """Returns the bodies but the world: names, masses (kg) and coms in their own frames (m)."""
+    return [
+        {
+            "name": escape_control(str(model.body(body).name)),
+            "mass": round(float(model.body_mass[body]), 6),
+            "com": short_numbers(model.body_ipos[body]),
+        }
+        for body in range(1, model.nbody)
+    ]
+
+
+def _joint(one: JointAxis, motion: str) -> dict[str, Any]:
+    """Returns a joint's axis, what it does, where it is and what its motor holds."""
+    return {
+        "name": escape_control(one.name),
+        "body": one.body - 1,
+        "anchor": short_numbers(one.anchor),
+        "axis": short_numbers(one.axis),
+        "motion": motion,
+        "position": round(one.position, 4),
+        "torque": None if one.torque is None else round(one.torque, 4),
+        "limit": None if one.limit is None else round(one.limit, 4),
+    }
+
+
+def geoms_of(model: mujoco.MjModel) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
+    """Returns the robot's shapes, and the meshes that they have."""
+    shapes, meshes = shapes_of(model, MOST_FACES)
+    geoms = [
+        {
+            "shape": shape.kind,
+            "body": shape.body - 1,
+            "size": short_numbers(shape.size),
+            "pos": short_numbers(shape.position),
+            "quat": short_numbers(shape.quaternion),
+            "colour": np.round(shape.colour, 3).tolist(),
+            **({} if shape.mesh is None else {"mesh": str(shape.mesh)}),
+        }
+        for shape in shapes
+    ]
+    return geoms, {str(number): _mesh(mesh) for number, mesh in meshes.items()}
+
+
+def _mesh(mesh: Mesh) -> dict[str, Any]:
+    """Returns a mesh in few letters: its vertices in whole steps of its box's sides."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    span = np.where(high > low, high - low, 1.0)
+    steps = np.round((mesh.vertices - low) / span * 65535).astype("<u2")
+    wide = len(mesh.vertices) > 65535
+    faces = mesh.faces.astype("<u4" if wide else "<u2")
+    return {
+        "low": short_numbers(low),
+        "span": short_numbers(span),
+        "vertices": base64.b64encode(steps.tobytes()).decode(),
+        "faces": base64.b64encode(faces.tobytes()).decode(),
+        "wide": wide,
+    }
+
+
+def share_meshes(scenes: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Takes meshes out of scenes, where several robots have the same, and returns each once.
+
+    The scenes' own are replaced by the names under which they are returned.
+    """
+    found: dict[tuple[str, str, str], str] = {}
+    meshes: dict[str, dict[str, Any]] = {}
+    for scene in scenes:
+        names = {}
+        for name, mesh in scene.pop("meshes").items():
+            key = (mesh["vertices"], mesh["faces"], str(mesh["low"]) + str(mesh["span"]))
+            if key not in found:
+                found[key] = f"m{len(found)}"
+                meshes[found[key]] = mesh
+            names[name] = found[key]
+        for geom in scene["geoms"]:
+            if "mesh" in geom:
+                geom["mesh"] = names[geom["mesh"]]
+    return meshes
+
+
+@scene_of.register
+def _overlay(scene: OverlayScene) -> dict[str, Any] | None:
+    """Returns both files at zero angles, in the world of the MJCF, their roots at one place.
+
+    Bodies with differences are marked, and say which. None where a file has gone, or has no bodies.
+    """
+    comparison = scene.comparison
+    try:
+        model = read_mjcf(comparison.mjcf).model
+        lines = _urdf_lines(comparison.urdf)
+    except (PupperAnalysisError, OSError, ValueError, RuntimeError):
+        return None  # the lines of both are quoted all the same
+    if model.nbody < 2:
+        return None
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    told = _told(comparison, model)
+    bodies, (geoms, meshes) = bodies_of(model), geoms_of(model)
+    for body, differences in told.items():
+        bodies[body - 1]["told"] = _in_both(differences)
+    for geom in geoms:
+        geom["marked"] = geom["body"] + 1 in told
+    root = _root(comparison, model)
+    turn = data.xmat[root].reshape(3, 3)
+    placed = [data.xpos[root] + line @ turn.T for line in lines]
+    ends = np.concatenate([extent_of(model, data), *placed])
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    radius = max(float(np.linalg.norm(high - low) / 2), 1e-3)
+    poses = np.concatenate([data.xpos, data.xquat], axis=1)[None, 1:]
+    middle = (low + high) / 2
+    return {
+        "bodies": bodies,
+        "geoms": geoms,
+        "meshes": meshes,
+        "motions": [pack_poses(text("zero-angles"), np.zeros(1), poses)],
+        "joints": _joints(comparison, model),
+        "contacts": [],
+        "lines": [short_numbers(line) for line in placed],
+        "polygon": [],
+        "steps": [],
+        "ground": short_numbers(np.array([middle[0], middle[1], low[2]])),
+        "normal": [0.0, 0.0, 1.0],
+        "com": None,
+        "below": None,
+        "middle": short_numbers(middle),
+        "radius": radius,
+        "size": 1.3 * radius,
+        "layers": ["shapes", "axes", "other", "masses"],
+    }
+
+
+def _urdf_lines(path: str) -> list[Array]:
+    """Returns lines (2, 3) to each joint from its parent, at zero angles, from the root (m)."""
+    model = pin.buildModelFromXML(read_urdf(path).text)
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    places = [data.oMi[joint].translation.copy() for joint in range(model.njoints)]
+    return [
+        np.array([places[model.parents[joint]], places[joint]]) for joint in range(1, model.njoints)
+    ]
+
+
+def _root(comparison: Comparison, model: mujoco.MjModel) -> int:
+    """Returns the body that carries the joints that both files have."""
+    for joint in comparison.joints:
+        found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+        if found >= 0:
+            return int(model.body_rootid[model.jnt_bodyid[found]])
+    return 1
+
+
+def _told(comparison: Comparison, model: mujoco.MjModel) -> dict[int, list[Diagnostic]]:
+    """Returns {body: what differs of it, or of the joint that moves it}."""
+    told: dict[int, list[Diagnostic]] = {}
+    for difference in comparison.differences:
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, difference.element)
+        if joint >= 0:
+            body = int(model.jnt_bodyid[joint])
+        elif difference.element == comparison.base:
+            body = _root(comparison, model)
+        else:
+            continue
+        told.setdefault(body, []).append(difference.diagnostic)
+    return told
+
+
+def _joints(comparison: Comparison, model: mujoco.MjModel) -> list[dict[str, Any]]:
+    listed = []
+    for name in comparison.joints:
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if joint < 0:
+            continue
+        found = [one.diagnostic for one in comparison.differences if one.element == name]
+        listed.append(
+            {
+                "name": escape_control(name),
+                "body": int(model.jnt_bodyid[joint]) - 1,
+                "anchor": short_numbers(model.jnt_pos[joint]),
+                "axis": short_numbers(model.jnt_axis[joint]),
+                "told": _in_both(found),
+            }
+        )
+    return listed
+
+
+def _in_both(found: Iterable[Diagnostic]) -> dict[str, str]:
+    """Returns {language: sentences}, empty texts where there is none."""
+    told = tuple(found)
+    between = {"en": "; ", "zh": "；"}  # noqa: RUF001 (Chinese)
+    return {
+        language: escape_control(comma.join(one.text(language) for one in told))
+        for language, comma in between.items()
+    }
+
 
 _PACKAGE = "meshcat"
 _EXPORT = "THREE:()=>"

@@ -1,12 +1,29 @@
-"""Compares any robot's URDF with its MJCF: whether they agree, and which number is to blame."""
+"""Compares any robot's URDF with its MJCF: whether they agree, and which number is to blame.
+
+How a fixed base stands as each file is loaded, and what that does to gravity.
+
+Where a robot is mounted is no difference of robots: for the comparison the URDF is put where the
+MJCF stands. But who loads the URDF as it is computes other torques, if that is tilted.
+
+Shapes for contact in a URDF and an MJCF: do the feet touch the ground at the same place?
+
+What a foot stands on is part of the robot: a radius that is another one raises it, a shape that
+touches nothing lets it fall. What else touches, and a foot of another shape that stands as high (a
+ball for a mesh, say), is chosen otherwise in most pairs of files, moves no stand, and is noted.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import mujoco
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import (
@@ -16,12 +33,19 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.results import Tabular
-from pupper_analysis.models.missing import gives_mass
+from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.units import DOWN
+from pupper_analysis.models.loading import reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
-from pupper_analysis.models.readers import reader_of
+from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
+from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.models.stated.elements import touching_geoms
+from pupper_analysis.models.stated.geometry import DIRECTIONS, describe_shape, support_of
+from pupper_analysis.models.stated.mjcf import read_mjcf_model, read_shape
+from pupper_analysis.models.stated.model import Pose, RobotModel, Shape
+from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.attribution import (
     EXPLAINED,
     align_robot,
@@ -30,12 +54,12 @@ from pupper_analysis.robot.compare.attribution import (
     unstated_notes,
 )
 from pupper_analysis.robot.compare.changes import convention_changes
-from pupper_analysis.robot.compare.collisions import compare_collisions
 from pupper_analysis.robot.compare.differences import (
     CONVENTIONS,
     FORMATS,
     SERVO_GAINS,
     Difference,
+    Effect,
     Explanation,
     in_degrees,
     number_pair,
@@ -47,15 +71,324 @@ from pupper_analysis.robot.compare.engines import (
     CrossCheck,
     cross_check,
 )
-from pupper_analysis.robot.compare.links import mass_shares
-from pupper_analysis.robot.compare.mount import Mount, mount_of
-from pupper_analysis.robot.compare.patterns import PatternCause, find_causes
+from pupper_analysis.robot.compare.patterns import PatternCause, find_causes, mass_shares
 from pupper_analysis.robot.compare.states import check_states
+from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.robot.matching.trees import kinematic_trees
+from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees, poses_at_zero
 from pupper_analysis.robot.servos import own_servos
+
+SAME_CONTACT = 2e-4
+"""m: surfaces that are no further apart are one. (Meshes are cut to a tenth of a millimetre, and
+files give radii as 0.02 for 19.95 mm.)"""
+
+_AS_LOW = 0.15
+"""Ends of limbs that are no higher than this above the lowest, in parts of the com's height above
+it, are feet: hands are higher."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A shape in MuJoCo's world, as its robot begins.
+
+    Attributes:
+        shape: As its file has it.
+        world: The same, placed in the world.
+    """
+
+    shape: Shape
+    world: Shape
+
+    def reach(self, directions: Array) -> Array | None:
+        """Returns its support function (n,) in the world (m)."""
+        return support_of(self.world, directions)
+
+
+def compare_collisions(
+    matched: Match, urdf: UrdfFile, mjcf: MjcfFile, moved: Collection[str]
+) -> tuple[list[Difference], list[Diagnostic]]:
+    """Compares what touches, in the pose in which the MJCF's robot begins.
+
+    Args:
+        matched: Both as one robot.
+        urdf: The URDF.
+        mjcf: The MJCF.
+        moved: Joints (or the base) that are placed otherwise in the two files: what they carry
+            touches elsewhere for that reason, and is not compared.
+
+    Returns:
+        Differences of feet, and notes on what else touches.
+    """
+    meant = matched.conventions
+    one, two = read_urdf_model(urdf), read_mjcf_model(mjcf)
+    stated = any(shape.collides for shape in _shapes(one)) and any(_shapes(two))
+    if two.mj_model is None or not stated:
+        return [], []  # one of them is of joints and masses alone
+    if meant.base is not None or meant.zeros:
+        return [], [diagnose("collisions-not-compared")]
+    data = _start(mjcf.model)
+    elsewhere = {matched.mjcf_body[name] for name in moved if name in matched.mjcf_body}
+    tried = {
+        name: _of_limb(name, matched, one, two, data)
+        for name, body in matched.mjcf_body.items()
+        if body in two.links and elsewhere.isdisjoint((body, *two.ancestors(body)))
+    }
+    limbs = {name: pair for name, pair in tried.items() if pair is not None}
+    feet = _feet(limbs, matched, data) if matched.robot.floating else []
+    found = list(_of_feet({name: limbs[name] for name in feet}, matched, urdf, mjcf))
+    different = {difference.element for difference in found}
+    return (
+        found,
+        list(_of_others({name: limbs[name] for name in limbs if name not in different})),
+    )
+
+
+def _shapes(robot: RobotModel) -> Iterator[Shape]:
+    return (shape for link in robot.links.values() for shape in link.shapes)
+
+
+def _start(model: mujoco.MjModel) -> mujoco.MjData:
+    """Returns MuJoCo's data as the robot begins: at its first keyframe, or else at its qpos0."""
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    return data
+
+
+Limb = tuple[tuple[_Placed, ...], tuple[_Placed, ...]]
+"""What touches of all that moves with a joint: in the URDF, in the MJCF."""
+
+
+def _of_limb(
+    name: str, matched: Match, one: RobotModel, two: RobotModel, data: mujoco.MjData
+) -> Limb | None:
+    """Returns what touches of all that moves with a joint; None where its extent is not known."""
+    body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base
+    ends = matched.mjcf_body.get(base), matched.urdf_link.get(base)
+    if not ({body, ends[0]} <= two.links.keys() and {link, ends[1]} <= one.links.keys()):
+        return None
+    model = data.model
+    carrier = model.body(body).id
+    # At zero angles, from the base's frame to the body's: in it the URDF's links are placed.
+    to_body = (two.links[str(ends[0])].pose.inverse() * two.links[body].pose).inverse()
+    to_base = one.links[str(ends[1])].pose.inverse()
+    place = _pose(data, carrier) * to_body * to_base
+    urdf = tuple(
+        _placed_shapes(place * part.pose, shape)
+        for part in one.fixed_group(link)
+        for shape in part.shapes
+        if shape.collides
+    )
+    moving = model.body_weldid[model.geom_bodyid] == model.body_weldid[carrier]
+    mjcf = tuple(
+        _placed_shapes(_pose(data, int(model.geom_bodyid[geom])), read_shape(model, geom))
+        for geom in _touching_the_world(model)
+        if moving[geom]
+    )
+    points = any(not any(one.shape.size) and one.shape.kind != "mesh" for one in urdf)
+    if points or any(placed.reach(DIRECTIONS[:1]) is None for placed in (*urdf, *mjcf)):
+        return None
+    return urdf, mjcf
+
+
+def _pose(data: mujoco.MjData, body: int) -> Pose:
+    return Pose(data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy())
+
+
+def _placed_shapes(pose: Pose, shape: Shape) -> _Placed:
+    return _Placed(shape, replace(shape, pose=pose * shape.pose))
+
+
+def _touching_the_world(model: mujoco.MjModel) -> list[int]:
+    """Returns the geoms that can touch what stands in the world; of a world that is empty, all."""
+    ids = sorted(touching_geoms(model))
+    world = [geom for geom in ids if model.body_weldid[model.geom_bodyid[geom]] == 0]
+    if not world:
+        return ids
+    ends = (model.pair_geom1.tolist(), model.pair_geom2.tolist())
+    paired = {frozenset(pair) for pair in zip(*ends, strict=True)}
+    kinds, kin = model.geom_contype, model.geom_conaffinity
+    return [
+        geom
+        for geom in ids
+        if any(
+            kinds[geom] & kin[other] or kinds[other] & kin[geom] or {geom, other} in paired
+            for other in world
+        )
+    ]
+
+
+def _feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> list[str]:
+    """Returns the joints that move the feet: the ends of limbs that are as low as the lowest."""
+    model = data.model
+    last = limb_ends(model)
+    ends = {
+        name: min(float(-one.reach(_DOWN)[0]) for one in (*urdf, *mjcf))  # type: ignore[index]
+        for name, (urdf, mjcf) in limbs.items()
+        if model.body_weldid[model.body(matched.mjcf_body[name]).id] in last and (urdf or mjcf)
+    }
+    if not ends:
+        return []
+    lowest = min(ends.values())
+    base = model.body(matched.mjcf_body[matched.robot.base]).id
+    above = float(data.subtree_com[base][2]) - lowest
+    return [name for name, height in ends.items() if height - lowest <= _AS_LOW * above]
+
+
+_DOWN = np.array([[0.0, 0.0, -1.0]])
+
+
+def _of_feet(
+    feet: Mapping[str, Limb], matched: Match, urdf: UrdfFile, mjcf: MjcfFile
+) -> Iterator[Difference]:
+    for name, (one, two) in feet.items():
+        subject, sides = ("joint", name), (_lowest(one), _lowest(two))
+        at = (
+            urdf.place("link", matched.urdf_link[name], "collision").path,
+            mjcf.place("body", matched.mjcf_body[name], "geom").path,
+        )
+        both = {"one": sides[0][1], "two": sides[1][1], **FORMATS.named}
+        if not (one and two):
+            told = diagnose("foot-touches-in-one-file", subject=subject, **both)
+            found = [None if not side else "there" for side in (one, two)]
+            yield Difference("collision", name, found[0], found[1], "", told, {}, *at)
+            continue
+        lower = sides[0][0] - sides[1][0]  # of the MJCF's
+        if abs(lower) > SAME_CONTACT:
+            told = diagnose(
+                "foot-surface-differs",
+                subject=subject,
+                lower=Quantity(lower, "m") if lower > 0 else None,
+                higher=Quantity(-lower, "m") if lower < 0 else None,
+                **both,
+            )
+            effects = {"contact surface": Effect(abs(lower), abs(lower), math.inf)}
+            yield Difference("collision", name, sides[0][0], sides[1][0], "m", told, effects, *at)
+
+
+def _reach(shapes: Sequence[_Placed], directions: Array) -> Array:
+    """Returns the support function of several shapes together."""
+    reaches = [reach for shape in shapes if (reach := shape.reach(directions)) is not None]
+    return np.asarray(np.max(reaches, axis=0))
+
+
+def _lowest(shapes: Sequence[_Placed]) -> tuple[float, Diagnostic | Term]:
+    """Returns the height (m) of the lowest point of shapes, and the shape that has it."""
+    if not shapes:
+        return math.nan, Term("none")
+    heights = [float(-_reach([shape], _DOWN)[0]) for shape in shapes]
+    first = int(np.argmin(heights))
+    return heights[first], describe_shape(shapes[first].shape)
+
+
+def _of_others(limbs: Mapping[str, Limb]) -> Iterator[Diagnostic]:
+    """Notes by how much what else touches differs."""
+    off = {
+        name: float(np.abs(_reach(one, DIRECTIONS) - _reach(two, DIRECTIONS)).max())
+        for name, (one, two) in limbs.items()
+        if one and two
+    }
+    apart = {name: value for name, value in off.items() if value > SAME_CONTACT}
+    lone = [name for name, (one, two) in limbs.items() if bool(one) != bool(two)]
+    if apart:
+        worst = max(apart, key=apart.__getitem__)
+        far = Quantity(apart[worst], "m")
+        yield diagnose("collisions-differ", worst=worst, off=far, names=tuple(apart))
+    if lone:
+        yield diagnose("collisions-in-one-file", names=tuple(lone))
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Mount(Result):
+    """A fixed base that is tilted in one of the files.
+
+    Attributes:
+        tilt: Angle between the two files' verticals, as seen from the base (rad).
+        torques: {joint: what it needs against gravity at zero angles by the URDF, and by the MJCF,
+            each as it is loaded (N m; N of a slide)}; the one that differs most is the first.
+        unit: Unit of the torques of the first.
+    """
+
+    tilt: float
+    torques: dict[str, tuple[float, float]]
+    unit: str
+
+    @property
+    def diagnostic(self) -> Diagnostic:
+        """What the tilt does to gravity."""
+        joint, (one, two) = next(iter(self.torques.items()))
+        return diagnose(
+            "base-tilted",
+            subject=("joint", joint),
+            tilt=Quantity(self.tilt, "rad"),
+            urdf=Quantity(one, self.unit),
+            mjcf=Quantity(two, self.unit),
+        )
+
+
+def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Mount | None:
+    """Returns how the base of the MJCF is tilted against the URDF's; None if it is not.
+
+    Args:
+        matched: The files.
+        urdf: The URDF as it is.
+        tolerances: What counts as a difference.
+    """
+    robot = matched.robot
+    if robot.floating:
+        return None
+    stands = base_pose(robot).rotation
+    if matched.conventions.base is not None:
+        stands = stands @ matched.conventions.base.rotation
+    turn = stands @ _in_root(urdf, matched.urdf_link[robot.base]).T
+    one, two = kinematic_trees(robot)
+    down = turn @ DOWN
+    tilt = math.atan2(float(np.linalg.norm(np.cross(down, two.gravity))), float(down @ two.gravity))
+    if not two.gravity.any() or tilt <= tolerances.rotation:
+        return None
+    first, second = gravity_torques(one, down), gravity_torques(two, two.gravity)
+    names = sorted(one.joints, key=lambda name: -abs(second[name] - first[name]))
+    unit = "N" if one.joints[names[0]].slides else "N m"
+    return Mount(tilt, {name: (first[name], second[name]) for name in names}, unit)
+
+
+def gravity_torques(tree: MultibodyTree, gravity: Array) -> dict[str, float]:
+    """Returns {joint: what it needs to hold against gravity at zero angles (N m; N)}.
+
+    Args:
+        tree: A robot on a fixed base.
+        gravity: (3,) in the base's frame (m/s^2).
+    """
+    poses = poses_at_zero(tree)
+    carried = {name: np.zeros(4) for name in tree.bodies}  # mass, and first moments
+    torques = {}
+    for name in reversed(tree.parents_first()):
+        body, joint, pose = tree.bodies[name], tree.joints[name], poses[name]
+        carried[name] += body.mass * np.array([1.0, *pose.act(body.com)])
+        mass, moment = carried[name][0], carried[name][1:]
+        axis = pose.rotation @ joint.axis
+        lever = moment - mass * pose.translation
+        torques[name] = -float(
+            axis @ (mass * gravity if joint.slides else np.cross(lever, gravity))
+        )
+        carried[joint.parent] += carried[name]
+    return torques
+
+
+def _in_root(urdf: etree._Element, link: str) -> Array:
+    """Returns the axes (3, 3) of a link on fixed joints, as seen from the URDF's root."""
+    axes = np.eye(3)
+    for joint in UrdfTree(urdf).chain(link):
+        axes = joint.origin.rotation @ axes
+    return axes
+
 
 ENGINES_AGREE = 1e-8
 """How far the two engines may deviate on one model, relative to a quantity's scale."""

@@ -27,7 +27,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.robot.matching.trees import Reference
 from pupper_analysis.robot.matching.urdf import Mimics

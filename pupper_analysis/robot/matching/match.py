@@ -1,10 +1,14 @@
-"""Brings a URDF and an MJCF of one robot to the same base, the same joints and the same names."""
+"""Brings a URDF and an MJCF of one robot to the same base, the same joints and the same names.
+
+Parts that one file has and the other lacks: a gripper, a tail, a head.
+"""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +16,12 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
 from pupper_analysis.base.errors import InputError, ModelError, UnknownNameError
 from pupper_analysis.base.inputs import read_toml
 from pupper_analysis.models.attributes import BY_KIND, PASSIVE
@@ -21,6 +30,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.free_base import delete_joint, join_free_base
 from pupper_analysis.models.mjcf import compile_spec, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.model_tree import ModelTree
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.places import refuse_input
 from pupper_analysis.models.spec_tree import SpecTree, state_number
@@ -45,7 +55,6 @@ from pupper_analysis.robot.matching.mjcf import (
 )
 from pupper_analysis.robot.matching.pairs import common_frames, pair_up
 from pupper_analysis.robot.matching.sources import MjcfSources, Sources, UrdfSources
-from pupper_analysis.robot.matching.subtrees import removable_subtrees, take_off
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Reference, base_pose, kinematic_trees
 from pupper_analysis.robot.matching.urdf import (
@@ -55,9 +64,161 @@ from pupper_analysis.robot.matching.urdf import (
     strip_roots,
     take_mass_of_base,
     urdf_mimics,
+    urdf_tree,
     without_shapes,
 )
 from pupper_analysis.robot.robot import Robot
+
+_KINDS = (
+    ("gripper", re.compile(r"finger|grip|jaw|claw|pinch", re.IGNORECASE)),
+    ("hand", re.compile(r"hand|thumb|palm", re.IGNORECASE)),
+    ("head", re.compile(r"head|neck", re.IGNORECASE)),
+    ("tail", re.compile(r"tail", re.IGNORECASE)),
+    ("arm", re.compile(r"(^|_)arm", re.IGNORECASE)),
+)
+
+
+@dataclass(frozen=True)
+class RemovablePart:
+    """A subtree with joints that the other file lacks, as it may be taken off.
+
+    Attributes:
+        root: The link or body that goes, with all below it.
+        carrier: The moving joint that carries it, by its name in the file; "" for the base.
+        joints: The joints in it.
+        mass: Of all of it (kg).
+    """
+
+    root: str
+    carrier: str
+    joints: tuple[str, ...]
+    mass: float
+
+
+def tell_lacking(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
+    """Tells what one file has and the other lacks."""
+    names = [part.root, *part.joints]
+    kind = next(
+        (word for word, pattern in _KINDS if any(pattern.search(name) for name in names)), "part"
+    )
+    return diagnose(
+        "part-of-one-file",
+        subject=("link" if has == "URDF" else "body", part.root),
+        has=has,
+        lacks=lacks,
+        kind=Term(kind),
+        arm=kind == "arm",
+        carrier=part.carrier,
+        mass=Quantity(part.mass, "kg"),
+        joints=part.joints,
+    )
+
+
+def best_parts(candidates: list[list[RemovablePart]], short: float) -> list[RemovablePart]:
+    """Chooses how much to take off a carrier, so that its mass becomes the other file's.
+
+    Args:
+        candidates: Ways to take off the joints that one file lacks, the least first.
+        short: How much heavier the carrier is than in the other file with all of it left on (kg).
+
+    Returns:
+        The parts to be taken off; none if the mass fits best with them left on, at rest.
+    """
+    best: list[RemovablePart] = []
+    least = abs(short)
+    for parts in candidates:
+        off = abs(short - sum(part.mass for part in parts))
+        if off < least - 1e-6:
+            best, least = parts, off
+    return best
+
+
+def parts_of(tree: ModelTree, extra: Collection[str]) -> dict[str, list[list[RemovablePart]]]:
+    """Returns {carrier: ways to take off the joints of a file that the other one lacks}."""
+
+    def part(link: str) -> RemovablePart | None:
+        inside = list(tree.subtree(link))
+        joints = tuple(joint for name in inside for joint in tree.movers(name))
+        if any(joint not in extra for joint in joints):
+            return None
+        carrier = tree.parent(link)
+        while carrier is not None and not tree.movers(carrier):
+            carrier = tree.parent(carrier)
+        mover = tree.movers(carrier)[-1] if carrier is not None else ""
+        return RemovablePart(link, mover, joints, sum(map(tree.weight, inside)))
+
+    def holder(link: str) -> str | None:
+        up = tree.parent(link)
+        return up if up is not None and not tree.movers(up) and tree.parent(up) else None
+
+    tops = [part(link) for link in tree.names if set(tree.movers(link)) & set(extra)]
+    return _ways([top for top in tops if top is not None], part, holder)
+
+
+def _ways(
+    tops: list[RemovablePart],
+    part: Callable[[str], RemovablePart | None],
+    parent: Callable[[str], str | None],
+) -> dict[str, list[list[RemovablePart]]]:
+    """Returns {carrier: the parts as they move, and then with more and more of what holds them}."""
+    largest = [
+        top for top in tops if not any(set(top.joints) < set(other.joints) for other in tops)
+    ]
+    ways: dict[str, list[list[RemovablePart]]] = {}
+    for carrier in dict.fromkeys(top.carrier for top in largest):
+        level = [top for top in largest if top.carrier == carrier]
+        ways[carrier] = [level]
+        while True:
+            higher: dict[str, RemovablePart] = {}
+            for each in level:
+                up = parent(each.root)
+                found = part(up) if up is not None else None
+                higher[found.root if found else each.root] = found or each
+            if set(higher) == {each.root for each in level}:
+                break
+            level = [
+                each
+                for each in higher.values()
+                if not any(set(each.joints) < set(other.joints) for other in higher.values())
+            ]
+            ways[carrier].append(level)
+    return ways
+
+
+Ways = Mapping[str, list[list[RemovablePart]]]
+
+
+def removable_subtrees(
+    trees: tuple[UrdfTree, SpecTree], only_urdf: Collection[str], only_mjcf: Collection[str]
+) -> tuple[Ways, Ways]:
+    """Returns the ways to take off the joints that one file lacks, of the URDF and of the MJCF."""
+    return parts_of(trees[0], only_urdf), parts_of(trees[1], only_mjcf)
+
+
+def take_off(
+    trees: tuple[UrdfTree, SpecTree],
+    files: tuple[Path, Path],
+    ways: tuple[Ways, Ways],
+    pairs: Mapping[str, str],
+) -> list[Diagnostic]:
+    """Takes off what one file has and the other lacks, where masses say so; returns what it is."""
+    if not any(ways):
+        return []
+    one, two = urdf_tree(trees[0].root, files[0]), mjcf_tree(trees[1].spec, files[1])
+    said = []
+    for tree, candidates, here, there, words in (
+        (trees[0], ways[0], one, two, ("URDF", "MJCF")),
+        (trees[1], ways[1], two, one, ("MJCF", "URDF")),
+    ):
+        for carrier, way in candidates.items():
+            name = pairs.get(carrier, carrier) if words[0] == "URDF" else carrier
+            if name not in here.bodies or name not in there.bodies:
+                continue
+            short = here.bodies[name].mass - there.bodies[name].mass
+            for part in best_parts(way, short):
+                said.append(tell_lacking(part, *words))
+                tree.remove_subtree(part.root)
+    return said
 
 
 @dataclass(frozen=True, eq=False)

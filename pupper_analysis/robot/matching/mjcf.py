@@ -15,8 +15,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.free_base import delete_joint
-from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.matching.alignment import with_base
 from pupper_analysis.robot.matching.pairs import without_affixes

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import placement_of
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.joint_kinds import free_joints
+from pupper_analysis.models.mjcf import free_joints
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.robot import Robot

@@ -1,4 +1,9 @@
-"""How far a standing robot sags: where its servos let it come to rest on soft ground."""
+"""How far a standing robot sags: where its servos let it come to rest on soft ground.
+
+The way of a robot from its stand to where it comes to rest.
+
+How stiff an equilibrium is: whether it lasts where the feet let it move.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +14,415 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import lapack
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
 from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.servos import command_lead
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.contact_kinematics import Solution
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, Units
-from pupper_analysis.stance.sag.homotopy_path import CREEP_STEPS, HomotopyPath
-from pupper_analysis.stance.sag.stiffness import find_sliding_feet
-from pupper_analysis.stance.stand import Stand
+from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import interpolate_drop
+
+SMALL_SLIP = 0.01
+"""A sole that has slipped by less, in parts of the height at which the robot stands, rests where it
+has come to: some 3 mm of a biped of 0.3 m. MuJoCo's pivoted by 0.1 to 0.4 mm."""
+
+
+def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
+    """Returns the pinned feet that slide: what presses of them slips, and it is no small way.
+
+    A foot of one point slides where that point slips. A sole may pivot by a fraction of a
+    millimetre, all its points at their friction, until its leg is no longer twisted: where
+    there is an equilibrium so near, the sole rests in it.
+    """
+    loose, names = set(find_slipping_feet(system, solution)), tuple(system.anchors)
+    if not loose:
+        return ()
+    small = SMALL_SLIP * system.robot.stand_height
+    slips = np.linalg.norm(measure_slips(system, solution), axis=1)
+    found = []
+    for foot in system.robot.feet_with(system.stand.stance_feet):
+        points = [point for point in system.robot.feet[foot] if point in names]
+        pressed = [point for point in points if solution.forces[point][2] > 0]
+        if not pressed or not loose.issuperset(pressed):
+            continue
+        way = max(float(slips[names.index(point)]) for point in pressed)
+        if len(system.robot.feet[foot]) == 1 or way > small:
+            found.append(foot)
+    return tuple(found)
+
+
+def turning_stiffness(system: SagEquilibrium, solution: Solution) -> list[tuple[int, Array]]:
+    """Returns number and stiffness (2, 2) of feet that slip against a slip to the side (N/m).
+
+    Friction is against the slip s: f_t = -mu f_n s / |s|. Moved across, s turns, and with it
+    the force, by mu f_n / |s| to the side; along s nothing holds it.
+    """
+    slips: Array = measure_slips(system, solution)
+    found = []
+    forces, loose = system.stacked(solution), set(find_slipping_feet(system, solution))
+    for row, point in enumerate(system.anchors):
+        if point not in loose:
+            continue
+        mu, slip = system.sliding_friction[point], slips[row]
+        way = float(np.linalg.norm(slip))
+        if way > 0 and forces[row, 2] > 0:
+            along = slip / way
+            stiff = mu * forces[row, 2] / way * (np.eye(2) - np.outer(along, along))
+            found.append((row, stiff))
+    return found
+
+
+def find_slipping_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
+    """Returns the pinned feet that slip."""
+    forces, names = system.stacked(solution), tuple(system.anchors)
+    places = system.slips(solution.qpos, forces)
+    return tuple(names[row] for row, *_ in system.slipping_rows(forces, places))
+
+
+def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
+    """Returns how far the pinned feet that touch have slipped (n, 2), soles as one body (m)."""
+    begun = np.array([system.crept.get(foot, np.zeros(2)) for foot in system.anchors])
+    places = system.touch(solution.qpos).places[:, :2]
+    return system.as_one(places - begun.reshape(-1, 2))
+
+
+def find_idle_points(system: SagEquilibrium, depths: Array) -> set[str]:
+    """Returns the points of soles that touch, but are not pressed at depths (n,) (m)."""
+    soles = {point for points in system.robot.feet.values() if len(points) > 1 for point in points}
+    return {
+        foot
+        for foot, depth in zip(system.anchors, depths, strict=True)
+        if foot in soles and depth <= -system.laws[foot].margin
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Compliance:
+    """What holds an equilibrium against small motions that the feet allow.
+
+    Attributes:
+        hessian: (nv, nv) of the energy (N m/rad, N/m ...); not symmetric where feet slip.
+        mass: (nv, nv) the mass matrix.
+        free: (nv, k) a basis of the motions.
+    """
+
+    hessian: Array
+    mass: Array
+    free: Array
+
+    def reduced(self, without: Array | None = None) -> tuple[Array, Array]:
+        """Returns Hessian and mass matrix (k, k) of the motions.
+
+        Args:
+            without: (nv,) stiffness that is taken off the diagonal.
+        """
+        hessian = self.hessian if without is None else self.hessian - np.diag(without)
+        return self.free.T @ hessian @ self.free, self.free.T @ self.mass @ self.free
+
+    def stiffness(self, without: Array | None = None) -> float:
+        """Returns the least eigenvalue of the Hessian relative to the mass matrix (1/s^2)."""
+        real, _, scale, *_ = lapack.dggev(*self.reduced(without), compute_vl=0, compute_vr=0)
+        values = np.divide(real, scale, out=np.full(len(real), np.inf), where=scale != 0)
+        return float(values.min())
+
+
+def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) -> float:
+    """Returns the least eigenvalue of the Hessian where the feet allow it to move.
+
+    Args: as ``compliance_at``.
+    """
+    return compliance_at(system, solution, derivative).stiffness()
+
+
+def compliance_at(system: SagEquilibrium, solution: Solution, derivative: Array) -> Compliance:
+    """Returns what holds an equilibrium where the feet allow it to move.
+
+    Args:
+        system: The equations.
+        solution: The solution.
+        derivative: Of the equations there; see ``Equilibrium.derivative``.
+    """
+    n = system.robot.nv
+    touch = system.touch(solution.qpos)
+    config, places, jacobian = touch.config, touch.places, touch.jacobians.reshape(-1, n)
+    normal = jacobian[2::3]
+    rates = np.array(
+        [system.laws[f].rate(d) for f, d in zip(system.anchors, places[:, 2], strict=True)]
+    )
+    unpressed = find_idle_points(system, places[:, 2])
+    rates[[row for row, foot in enumerate(system.anchors) if foot in unpressed]] = 0.0
+    pushed = normal.copy()  # where a foot's normal force acts, with the friction it brings
+    moving = find_slipping_feet(system, solution)
+    for row, foot in enumerate(system.anchors):
+        if foot in moving and foot not in unpressed:
+            force = solution.forces[foot]
+            pushed[row] += force[:2] / force[2] @ jacobian[3 * row : 3 * row + 2]
+    hessian = derivative[:n, :n] + pushed.T @ (rates[:, None] * normal)
+    across = system.as_one(jacobian.reshape(-1, 3, n)[:, :2])
+    for row, stiff in turning_stiffness(system, solution):
+        hessian += across[row].T @ stiff @ across[row]
+    loose = {*moving, *unpressed}
+    sticks = [row for row, foot in enumerate(system.anchors) if foot not in loose]
+    held = across[sticks].reshape(-1, n)
+    if system.feet == "sliding":  # as a whole it may be anywhere, turned anyhow about z
+        held = np.eye(3, n)
+        held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
+    _, lengths, rows = np.linalg.svd(held)
+    least = max(held.shape) * np.finfo(float).eps * lengths.max(initial=0.0)
+    free = rows[np.count_nonzero(lengths > least) :].T  # what nothing of it is held of
+    return Compliance(hessian, config.mass_matrix(), free)
+
+
+_LEAST_STEP = 1 / 64  # of the feed-forward, in one step
+_CAREFUL = 1 / 64  # likewise: an unstable equilibrium is one only if such small steps lead to it
+_SHARE_TOLERANCE = 1e-7  # of the feed-forward: when a foot touches or lets go, to nanometres
+_MAX_EVENTS = 24  # feet that touch or let go on the way: more is chatter
+_NEARLY = 0.95  # of its friction: a foot that is about to slide, as far as a step can tell
+CREEP_STEPS = 20
+"""Backward Euler steps in which feet creep: with 20 a robot that falls after 15 s does after 14."""
+
+_LEAST_EULER = 1 / 4096
+"""Part of such a step that is tried at least: 0.1 ms of 12 s, in which contacts move less than what
+they give."""
+
+
+class HomotopyPath:
+    """The way of an equilibrium from the stand: feed-forward is taken away, then the feet creep.
+
+    Args:
+        system: The equations.
+        end: (nu,) what the servos are commanded at its end (rad); by default the stand's joint
+            positions, without any feed-forward.
+        exact: Whether its beginning is to be so to rounding; where it is only gone on from, not.
+
+    Attributes:
+        system: The equations; their feet touch as they do where the way has come to.
+        balance: What holds the stand itself.
+        share: Of the feed-forward, how much is taken away.
+        solution: The equilibrium there.
+        iterations: Newton steps so far.
+        crept: For how long feet have crept (s).
+
+    Raises:
+        StaticsInfeasibleError: If no contact forces balance the stand itself.
+        NoEquilibriumError: If it is no equilibrium on soft ground.
+    """
+
+    def __init__(
+        self, system: SagEquilibrium, end: Array | None = None, *, exact: bool = True
+    ) -> None:
+        self.system, stand = system, system.stand
+        self._looked_at: tuple[Solution, Array, float] | None = None
+        self.end: Array = stand.qpos[7:] if end is None else end
+        self.balance: GravityCompensation = stand_statics(
+            system.robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
+        )
+        self.share, self.iterations, self._events, self.crept = 0.0, 0, 0, 0.0
+        self._euler = math.inf
+        forces = {f: system.frame @ force for f, force in self.balance.contact_forces.items()}
+        sunk = system.sunk(np.array(list(forces.values())))
+        qpos = stand.qpos.copy()
+        qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
+        self._command(0.0)
+        self.solution = self._settled(Solution(qpos, forces), diagnose("as-it-stands-fed"), exact)
+
+    def follow(self, goal: float) -> None:
+        """Takes away the share ``goal`` of the feed-forward, in one step or in smaller ones.
+
+        Raises:
+            NoEquilibriumError: If the equilibrium ends before.
+        """
+        step = 1.0
+        while self.share < goal:
+            wanted = min(self.share + step, goal)
+            found = self._at(wanted)
+            if found is not None and step > _CAREFUL and self.look(found)[1] <= 0:
+                # A long step may end on another branch, beyond where this one is stable.
+                found = None
+            if found is not None:
+                wrong = self.system.against(found)
+                if not wrong:
+                    self.share, self.solution, step = wanted, found, 2 * step
+                    continue
+                if self._event(list(wrong), wanted, found):
+                    continue
+            step /= 2
+            if step < _LEAST_STEP:
+                raise NoEquilibriumError(
+                    self.share,
+                    diagnose(
+                        "feed-forward-needed",
+                        feet=Term(self.system.feet),
+                        kp=Quantity(self._softest(), "N m/rad"),
+                        share=self.share,
+                        sliding=self._about_to_slide(),
+                    ),
+                )
+
+    def look(self, solution: Solution) -> tuple[Array, float]:
+        """Returns derivative and stiffness at a solution: the way and its end ask for the same."""
+        system, seen = self.system, self._looked_at
+        if seen is None or seen[0] is not solution:
+            derivative = system.derivative(solution.qpos, system.stacked(solution))
+            seen = self._looked_at = (
+                solution,
+                derivative,
+                stiffness_at(system, solution, derivative),
+            )
+        return seen[1:]
+
+    def creep(self, seconds: float) -> None:
+        """Lets pinned feet creep.
+
+        Raises:
+            NoEquilibriumError: If the equilibrium ends before.
+        """
+        for _ in range(CREEP_STEPS):
+            self.creep_step(seconds / CREEP_STEPS)
+
+    def creep_step(self, seconds: float) -> None:
+        """Lets pinned feet creep, by one backward Euler step, or where it must by smaller ones.
+
+        Soles that are twisted creep by a millimetre within hundredths of a second, and then rest.
+
+        Raises:
+            NoEquilibriumError: If the equilibrium ends before.
+        """
+        left = seconds
+        while left > 0:
+            step = min(self._euler, left)
+            before = self.solution, dict(self.system.anchors), self.system.creeping()
+            self.system.begin_creep(self.solution, step)
+            try:
+                self.solution = self._settled(
+                    self.solution, diagnose("after-creep", time=self.crept)
+                )
+            except NoEquilibriumError:
+                self.solution, self.system.anchors, creeping = before
+                self.system.crept, self.system.yielding = creeping
+                self._euler = step / 4
+                if self._euler < _LEAST_EULER * seconds:
+                    raise
+                continue
+            self.crept += step
+            left -= step
+            self._euler = 2 * step
+
+    def _softest(self) -> float:
+        """Returns the least stiffness of a servo (N m/rad); joints that follow others have none."""
+        kp = self.system.kp
+        return float(kp[kp > 0].min(initial=np.inf))
+
+    def _about_to_slide(self) -> list[str]:
+        mu = self.system.sliding_friction
+        feet = [
+            foot
+            for foot, force in self.solution.forces.items()
+            if np.linalg.norm(force[:2]) > _NEARLY * mu[foot] * force[2]
+        ]
+        pinned = self.system.feet == "pinned"
+        return feet if pinned else []
+
+    def _command(self, share: float) -> None:
+        system = self.system
+        full = system.stand.qpos[7:] + command_lead(self.balance.joint_torques, system.kp)
+        system.command(full + share * (self.end - full))
+
+    def _at(self, share: float) -> Solution | None:
+        """Returns the equilibrium at a share, the feet touching as they do; None if none."""
+        self._command(share)
+        found = self.system.solve(self.solution)
+        self.iterations += 0 if found is None else len(found.residuals) - 1
+        return found
+
+    def _event(self, feet: list[str], wanted: float, there: Solution) -> bool:
+        """Goes on to where, before ``wanted``, the first of some feet touches or lets go.
+
+        Args:
+            feet: What is wrong at ``wanted``.
+            wanted: The share there.
+            there: The equilibrium there.
+
+        Returns:
+            Whether that place was found.
+        """
+        from scipy import optimize  # slow to import
+
+        known: dict[float, Solution | None] = {wanted: there}  # feet ask for the same places
+
+        def at(share: float) -> Solution | None:
+            if share not in known:
+                known[share] = self._at(share)
+            return known[share]
+
+        def amount(share: float, foot: str) -> float:
+            found = at(share)
+            if found is None:
+                raise ArithmeticError
+            return self.system.wrong(foot, found)
+
+        first, place = "", math.inf
+        for foot in feet:
+            try:
+                if amount(self.share, foot) >= 0:  # it just touched, and would let go at once
+                    share = self.share
+                else:
+                    share = optimize.brentq(
+                        amount, self.share, wanted, (foot,), xtol=_SHARE_TOLERANCE
+                    )
+            except ArithmeticError:
+                return False
+            if share < place:
+                first, place = foot, share
+        found = at(place)
+        if found is None:
+            return False
+        self._command(place)
+        self.share = place
+        self._switch(first, found)
+        return True
+
+    def _switch(self, foot: str, found: Solution) -> None:
+        self._events += 1
+        if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.contact_points)):
+            raise NoEquilibriumError(
+                self.share, diagnose("foot-neither-carries-nor-clears", subject=("foot", foot))
+            )
+        self.solution = self.system.switch(foot, found)
+
+    def _settled(self, guess: Solution, when: Diagnostic, exact: bool = True) -> Solution:
+        """Returns the equilibrium with the feet that touch in it, beginning with those that do."""
+        self.solution = guess
+        while True:
+            found = self.system.solve(self.solution, exact=exact)
+            if found is None:
+                told = diagnose("equilibrium-ends", when=when, loops=self._begun_closed())
+                raise NoEquilibriumError(self.share, told)
+            self.iterations += len(found.residuals) - 1
+            wrong = self.system.against(found)
+            if not wrong:
+                return found
+            self._switch(next(iter(wrong)), found)
+
+    def _begun_closed(self) -> bool:
+        """Tells whether loops begin closed, and far softer than they are when they have opened."""
+        stand, closure = self.system.stand, self.system.robot.closure
+        return closure is not None and not any(stand.depths.values())
+
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ from pupper_analysis.present.document import (
     Name,
     Table,
     number_cell,
+    text,
 )
 from pupper_analysis.present.verdict import verdict_of_files
-from pupper_analysis.present.words import text
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.analyze.analysis import Analysis

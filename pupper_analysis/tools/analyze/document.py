@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import text, word
 from pupper_analysis.present.documents.loads import (
     load_blocks,
     origins_text,
@@ -28,7 +29,6 @@ from pupper_analysis.present.documents.sources import (
 )
 from pupper_analysis.present.documents.standing import quantity_columns, task_text
 from pupper_analysis.present.verdict import verdict_lines, verdict_of_files
-from pupper_analysis.present.words import text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.tools.analyze.analysis import Analysis

@@ -17,11 +17,11 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import in_english, text
 from pupper_analysis.present.documents.loads import torque_plot
 from pupper_analysis.present.documents.simulated import deviation_table, height_plot
 from pupper_analysis.present.figures import style
 from pupper_analysis.present.figures.drawing import write_plots
-from pupper_analysis.present.words import in_english, text
 
 if TYPE_CHECKING:
     from pupper_analysis.tools.analyze.analysis import Analysis

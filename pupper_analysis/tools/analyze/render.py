@@ -29,9 +29,8 @@ from scipy import ndimage
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
-from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import compile_spec
-from pupper_analysis.present.figures.skeleton import (
+from pupper_analysis.models.mjcf import JointKind, compile_spec
+from pupper_analysis.present.figures.pose import (
     BOX_FACES,
     Skeleton,
     draw_skeleton,

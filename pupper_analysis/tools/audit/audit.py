@@ -12,11 +12,10 @@ import numpy as np
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Severity, Subject, diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.loading import Check, Found, ModelFile, read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.readers import Check, Found, ModelFile, reader_of
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model

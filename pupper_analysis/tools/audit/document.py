@@ -8,10 +8,10 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, term
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of, quote_line
 from pupper_analysis.present.formats import Annotation, CheckedItem
-from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import (
     RULES,

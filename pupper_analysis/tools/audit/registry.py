@@ -11,8 +11,8 @@ from types import MappingProxyType
 from pupper_analysis.base.diagnostics import Diagnostic, Severity
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.tools import formats
+from pupper_analysis.models.loading import Check
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.readers import Check
 
 FORMATS = ("urdf", "mjcf", *formats())
 

@@ -6,10 +6,10 @@ import math
 from dataclasses import replace
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import mass_text
 from pupper_analysis.present.documents.registry import build_document, document
 from pupper_analysis.present.documents.standing import quantity_columns
-from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.best.best import BestStance, BestStudy
 from pupper_analysis.tools.best.search import Objective

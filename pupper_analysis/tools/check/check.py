@@ -1,18 +1,25 @@
-"""Checks all models that a repository's configuration names, against its baseline."""
+"""Checks all models that a repository's configuration names, against its baseline.
+
+What has changed in a repository's models since a revision, as remarks.
+
+What an MJCF states of contacts, options, keyframes and motors no URDF can contradict, so that the
+last version is the only witness.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.diagnostics import Diagnostic, Severity
 from pupper_analysis.base.errors import OutputError, PupperAnalysisError
 from pupper_analysis.base.files import check_writable
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.compare.compare import compare_models
+from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.check.config import (
     GuardConfig,
@@ -20,7 +27,6 @@ from pupper_analysis.tools.check.config import (
     find_config,
     read_config,
 )
-from pupper_analysis.tools.check.history import of_history
 from pupper_analysis.tools.check.remarks import (
     REFUSED,
     BaselineEntry,
@@ -33,9 +39,71 @@ from pupper_analysis.tools.check.remarks import (
     of_error,
     read_baseline,
     relative_path,
+    to_baseline,
     write_baseline,
 )
+from pupper_analysis.tools.diff.compare import diff_models
 from pupper_analysis.tools.diff.version import open_revision
+
+TOGETHER = "simulation"
+"""The kind of a remark on what all changes of a file do together."""
+
+
+def of_history(
+    file: Path, before: Callable[[Path], Path], pair: GuardedPair, folder: Path
+) -> Iterator[Remark]:
+    """Yields a remark per change of a file, and one on what they do together.
+
+    None of a file that is new, or that could not be read before.
+
+    Args:
+        file: The file.
+        before: Returns where its old version is.
+        pair: Whose file it is.
+        folder: The configuration's.
+    """
+    old = before(file)
+    if not old.is_file():
+        return
+    try:
+        diff = diff_models(old, file, packages=pair.packages)
+    except PupperAnalysisError:
+        return
+    named = relative_path(file, folder)
+
+    def remark(
+        kind: str, element: str, told: Diagnostic, does: tuple[Diagnostic, ...], bad: Severity,
+        place: str,
+    ) -> Remark:  # fmt: skip
+        return Remark(
+            "diff", pair.name, kind, element, named, to_baseline(told), bad, told, about_kind(kind),
+            place or str(file), consequences=does,
+        )  # fmt: skip
+
+    for change in diff.changes:
+        bad = max(_severity(change.consequences), _of_effects(bool(change.effects)), key=_badness)
+        yield remark(
+            change.kind, change.element, change.diagnostic, change.consequences, bad,
+            change.new_place,
+        )  # fmt: skip
+    for told in diff.together:
+        yield remark(TOGETHER, "", told, (), _severity((told,)), "")
+
+
+def _badness(severity: Severity) -> int:
+    return -severity.rank
+
+
+def _of_effects(felt: bool) -> Severity:
+    return Severity.WARNING if felt else Severity.NOTE
+
+
+def _severity(consequences: tuple[Diagnostic, ...]) -> Severity:
+    """Returns how bad a change is: who meant one tells why; a robot that falls nobody means."""
+    felt = [told for told in consequences if told.code != "simulation-unchanged"]
+    if any(told.values.get("falls") or told.values.get("diverges") for told in felt):
+        return Severity.ERROR
+    return _of_effects(bool(felt))
 
 
 @dataclass(frozen=True, eq=False)

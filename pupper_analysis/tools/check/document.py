@@ -8,12 +8,10 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import Name, Text
+from pupper_analysis.present.document import Name, Text, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
-from pupper_analysis.present.formats import Annotation, CheckedItem
-from pupper_analysis.present.sarif import from_root
-from pupper_analysis.present.words import join_words, text, word
+from pupper_analysis.present.formats import Annotation, CheckedItem, from_root
 from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES

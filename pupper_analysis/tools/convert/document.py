@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.convert.model import Conversion
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from pupper_analysis.base.results import shorten
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
-from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 

@@ -17,8 +17,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models import git
 from pupper_analysis.models.free_base import join_free_base
-from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import compile_spec, name_all
+from pupper_analysis.models.mjcf import JointKind, compile_spec, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.places import Place

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS
 from pupper_analysis.tools.fit.result import Correlation, Estimate, Fit, MotionFit, Together, Told

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import (
     origins_text,
     torque_plot,
@@ -19,7 +20,6 @@ from pupper_analysis.present.documents.loads import (
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes
 from pupper_analysis.present.verdict import verdict_lines, verdict_word
-from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.force import ToolForce

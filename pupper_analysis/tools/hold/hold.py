@@ -1,4 +1,7 @@
-"""What a posture of a robot whose base is held costs, and whether it holds."""
+"""What a posture of a robot whose base is held costs, and whether it holds.
+
+What a robot whose base is held carries at its tool: in a posture, and in every one.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +11,191 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError
-from pupper_analysis.base.results import Tabular
+from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.efforts import EffortStatement
-from pupper_analysis.models.joint_kinds import has_free_joint
+from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.prepare.judge import judge_held
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import command_lead, command_ranges, servo_gains
 from pupper_analysis.robot.tool import Tool, find_tool
 from pupper_analysis.simulation.verdict import Verdict
-from pupper_analysis.stance.posture import Posture, find_posture, joint_units
+from pupper_analysis.stance.first_order import IDLE, borne_by_motors
+from pupper_analysis.stance.posture import Posture, check_held, find_posture, joint_units
 from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
-from pupper_analysis.tools.hold.payload import ToolPayload, tool_payload
 from pupper_analysis.tools.hold.reach import ReachLoad, reach_load
 from pupper_analysis.tools.hold.sag import SaggedPosture, sag_posture
 from pupper_analysis.tools.hold.verify import PostureVerification, verify_posture
+from pupper_analysis.tools.hold.ways import bound_together
 from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
+
+UNLIMITED = 1e4
+"""A payload above this many times the robot's mass is as good as unlimited."""
+
+_ROUNDS = 6
+"""Worst postures for lesser and lesser payloads: two or three mostly suffice."""
+
+_SETTLED = 1e-4
+"""A search ends where a payload changes by less of itself."""
+
+_STEP = 1e-6
+"""Of central differences (rad, m): levers of weights are sines."""
+
+_SOFTENS = 1e-6
+"""Less of the servos' stiffness that the robot's mass would take, at the tool, is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToolPayload(Result):
+    """The greatest point masses that the motors hold at a tool.
+
+    Attributes:
+        mass: In the posture (kg); infinite if no motor that bears it has a limit.
+        joint: Whose motor then is at its limit; "" if none is.
+        servos: The greatest that its servos hold in the posture (kg), whatever the motors do: with
+            more, gravity turns it over against their stiffness, or one is commanded beyond its
+            ``ctrlrange``. Infinite if no mass is too much.
+        servo: Whose command that is; "" if gravity turns it over.
+        somewhere: With more than this, a posture was found that is not held (kg).
+        weakest: The joint whose motor is beyond its limit there; "" if none is.
+        posture: (nu,) that posture (rad, m).
+    """
+
+    mass: float
+    joint: str
+    servos: float
+    servo: str
+    somewhere: float
+    weakest: str
+    posture: Array
+
+
+@check_arguments
+def tool_payload(
+    robot: Robot,
+    posture: Posture,
+    tool: Tool,
+    worst: WorstPostures,
+    *,
+    kp: ArrayLike | None = None,
+) -> ToolPayload:
+    """Finds the greatest point masses that the motors hold at a tool.
+
+    In a posture torques are linear in the mass, and the limit is in closed form. Over all postures
+    a mass M is lowered to what the worst postures for M hold, until these hold M.
+
+    Args:
+        robot: A robot whose base is held.
+        posture: The posture.
+        tool: Where the mass is.
+        worst: The worst postures without it.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+
+    Raises:
+        ConfigurationError: If the base is free.
+        ModelError: If the model has no position servos and no kp is given.
+    """
+    check_held(robot)
+    mass, joint = posture_payload(robot, posture.qpos, tool)
+    servos, servo = servo_payload(robot, posture, tool, kp)
+    most, weakest, place = _least(robot, tool, [posture.qpos, *worst.postures])
+    most = min(most, UNLIMITED * robot.total_mass)
+    loaded, bears = worst, _bearing(robot, posture, tool)
+    for _ in range(_ROUNDS if most > 0 else 0):
+        loaded = worst_postures(robot, posture, tool, payload=most, near=loaded, bearing=bears)
+        lower, name, at = _least(robot, tool, list(loaded.postures))
+        if not lower < most:
+            break
+        done = lower > (1 - _SETTLED) * most
+        most, weakest, place = lower, name, at
+        if done:
+            break
+    return ToolPayload(
+        mass=mass,
+        joint=joint,
+        servos=servos,
+        servo=servo,
+        somewhere=most if weakest else math.inf,
+        weakest=weakest,
+        posture=place,
+    )
+
+
+def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
+    """Returns the greatest mass (kg) at a tool in a posture (nu,), and whose motor binds."""
+    config, limits = Configuration(robot, qpos), robot.effort_limits
+    empty = config.by_motors(config.load())
+    rates = config.by_motors(tool.load_per_mass(config))
+    over = np.abs(empty) > limits
+    if over.any():
+        return 0.0, robot.joint_names[int(np.argmax(np.abs(empty) - limits))]
+    mass = borne_by_motors(empty, rates, limits)
+    if not math.isfinite(mass):
+        return math.inf, ""
+    left = np.where(np.isfinite(limits), limits - np.abs(empty + mass * rates), math.inf)
+    return mass, robot.joint_names[int(np.argmin(left))]
+
+
+def servo_payload(
+    robot: Robot, posture: Posture, tool: Tool, kp: ArrayLike | None = None
+) -> tuple[float, str]:
+    """Returns the greatest mass (kg) at a tool that servos hold in a posture, and whose command.
+
+    The stiffness of servos and gravity together, in the velocities W that couplings allow, is
+    W^T (K + G_0 + m G_1) W, linear in the mass; it loses definiteness at the least m > 0 of a
+    generalised eigenvalue problem. What is fed forward, q + tau / kp, is linear in the mass, too.
+
+    Returns:
+        The mass, and the joint whose command is at the end of its range; "" if it is the stiffness.
+    """
+    config, closure = Configuration(robot, posture.qpos), robot.closure
+    ways = np.eye(robot.nu) if closure is None else closure.ways(posture.qpos)
+    gains = servo_gains(robot, kp, None if kp is None else 0.0).kp
+    held = ways.T @ (config.static_rates({}) + np.diag(gains)) @ ways
+    columns = []
+    for step in _STEP * np.eye(robot.nu):
+        ends = [Configuration(robot, posture.qpos + way * step) for way in (1, -1)]
+        ahead, behind = (tool.load_per_mass(end) for end in ends)
+        columns.append((ahead - behind) / (2 * _STEP))
+    added = ways.T @ np.array(columns).T @ ways
+    held, added = (held + held.T) / 2, (added + added.T) / 2
+    if linalg.eigvalsh(held)[0] <= 0:
+        return 0.0, ""
+    softening = float(linalg.eigh(-added, held, eigvals_only=True)[-1])
+    # What is left of a mass that stiffens it everywhere is rounding.
+    stable = 1 / softening if softening > _SOFTENS / robot.total_mass else math.inf
+    lead = command_lead(config.by_motors(config.load()), gains)
+    borne = config.by_motors(tool.load_per_mass(config))
+    rates = command_lead(np.where(np.abs(borne) > IDLE, borne, 0.0), gains)
+    low, high = command_ranges(robot).T - posture.qpos
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = (np.where(rates > 0, high, low) - lead) / rates
+    room = np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)
+    first = int(np.argmin(room))
+    return (float(room[first]), robot.joint_names[first]) if room[first] < stable else (stable, "")
+
+
+def _least(robot: Robot, tool: Tool, postures: list[Array]) -> tuple[float, str, Array]:
+    """Returns the least that is carried in some postures, whose motor binds there, and where."""
+    found = [(*posture_payload(robot, qpos, tool), qpos) for qpos in postures]
+    return min(found, key=lambda one: one[0])
+
+
+def _bearing(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
+    """Tells which motors (nu,) may bear a payload: those that move it, or what moves with them."""
+    bears = np.isin(robot.joint_names, tool.chain)
+    closure = robot.closure
+    for joints in [] if closure is None else bound_together(closure, posture.qpos):
+        bears[joints] |= bears[joints].any()
+    return bears
+
 
 Array = NDArray[np.float64]
 

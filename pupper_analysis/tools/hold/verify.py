@@ -24,7 +24,6 @@ from pupper_analysis.robot.servos import (
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.robot.tool import Tool
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.balance import load_by_mujoco
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.nudge import Nudge, measure_response, simulate_nudge
 from pupper_analysis.simulation.rollout import (
@@ -33,7 +32,6 @@ from pupper_analysis.simulation.rollout import (
     settled_activations,
     simulate,
 )
-from pupper_analysis.simulation.settings import SimulationSettings
 from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.verify import (
     ANOTHER_ROBOT,
@@ -41,8 +39,9 @@ from pupper_analysis.simulation.verify import (
     JOINT_TOLERANCE,
     NUDGED,
     RESTING,
+    load_by_mujoco,
 )
-from pupper_analysis.simulation.watch import LAST, TOUCH, pushing_bodies
+from pupper_analysis.simulation.watch import LAST, TOUCH, SimulationSettings, pushing_bodies
 from pupper_analysis.stance.posture import Posture, check_held, with_give
 from pupper_analysis.tools.hold.sag import SaggedPosture
 

@@ -1,7 +1,12 @@
-"""The worst posture of each motor: searched for, from several postures, joint by joint."""
+"""The worst posture of each motor: searched for, from several postures, joint by joint.
+
+The search for the posture in which gravity asks most of a motor: from joint to joint.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,13 +14,202 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool
 from pupper_analysis.stance.posture import Posture, check_held, joint_ranges
 from pupper_analysis.tools.hold.looks import Looks
-from pupper_analysis.tools.hold.search import Search
 from pupper_analysis.tools.hold.ways import Ways
+
+_AGREED = 3
+"""Searches that end at the same torque, and then no other is begun."""
+
+_SAME = 1e-9  # in parts of the torque
+
+_SWEEPS = 30
+_GAIN = 1e-10  # of a sweep, in parts of the torque: less is rounding
+
+_CLOSER = 1e-6
+"""Gain of a sweep between a loop's places that is worth another, in parts of the torque."""
+
+_FINE = 1e-4
+"""How closely a joint of a loop is placed at the end (rad, m): the torque is 1e-8 of it off."""
+
+_SAMPLES = 24
+"""Looks along a joint that others follow, where torques are no single wave."""
+
+_PEAK = 1e-6
+"""How closely their greatest is then sought (rad, m): the torque at it is 1e-12 of it off."""
+
+_OUT = 1e300
+"""Less than any torque, turned over: where no loop closes."""
+
+_NO_SHARE = 1e-12
+
+
+class Search:
+    """Climbs from posture to posture to where a motor holds most.
+
+    Args:
+        robot: A robot whose base is held.
+        ways: How its joints move.
+        looks: What it holds.
+    """
+
+    def __init__(self, robot: Robot, ways: Ways, looks: Looks) -> None:
+        self._robot, self._ways, self._looks = robot, ways, looks
+        model = robot.structure.model
+        numbers = [robot.structure.joints[name] for name in robot.joint_names]
+        carried = np.array([[other in model.supports[one] for other in numbers] for one in numbers])
+        self._matters = carried | carried.T | (not looks.springs_alone)
+
+    def highest(self, joint: int, sign: float, starts: list[Array]) -> tuple[float, Array]:
+        """Returns the most that a motor holds with a sign (N m, N), and where, from some postures.
+
+        No other is begun from if several end alike.
+        """
+        ends: list[tuple[float, Array]] = []
+        for start in starts:
+            ends.append(self.climb(joint, sign, start))
+            best = max(ends, key=lambda end: end[0])
+            alike = sum(end[0] >= best[0] - _SAME * abs(best[0]) for end in ends)
+            if alike >= _AGREED:
+                break
+        if self._ways.bent.any():
+            return self.refine(joint, sign, *best)
+        return best
+
+    def refine(self, joint: int, sign: float, best: float, qpos: Array) -> tuple[float, Array]:
+        """Climbs on, with all joints of a loop at once, and between its places."""
+        ways = self._ways
+        for _ in range(_SWEEPS):
+            before = best
+            for way in self._chosen(joint):
+                if not ways.bent[way]:
+                    there = [ways.along(qpos, way, self._peak(joint, sign, qpos, way, best))]
+                else:
+                    there = ways.closed_before(qpos, way)
+                    nearest = max(
+                        [qpos, *there], key=lambda place: self._torque(joint, sign, place)
+                    )
+                    there = [nearest, self._between(joint, sign, nearest, way)]
+                for place in there:
+                    found = self._torque(joint, sign, place)
+                    if found > best:
+                        best, qpos = found, place
+            if best - before <= _CLOSER * abs(best):
+                break
+        return best, qpos
+
+    def climb(self, joint: int, sign: float, qpos: Array) -> tuple[float, Array]:
+        """Returns the most that a motor holds with a sign (N m, N), and where, near a posture."""
+        ways, best = self._ways, self._torque(joint, sign, qpos)
+        chosen = self._chosen(joint)
+        for _ in range(_SWEEPS):
+            before = best
+            for way in chosen:
+                if ways.bent[way]:
+                    there = ways.places(qpos, way)
+                else:
+                    there = [ways.along(qpos, way, self._peak(joint, sign, qpos, way, best))]
+                for place in there:
+                    found = self._torque(joint, sign, place)
+                    if found > best:
+                        best, qpos = found, place
+            if best - before <= _GAIN * abs(best):
+                break
+        return best, qpos
+
+    def torques(self, qpos: Array) -> Array:
+        """Returns what all motors hold in a posture (nu,) (N m, N); 0 at a dead point."""
+        found = np.array([self._torque(joint, 1.0, qpos) for joint in range(len(qpos))])
+        return np.where(np.isfinite(found), found, 0.0)
+
+    def _chosen(self, joint: int) -> list[int]:
+        """Returns the ways that matter to what a motor holds."""
+        loads = np.abs(self._ways.shares[joint]) > _NO_SHARE
+        matter = self._matters[loads].any(axis=0)
+        return [way for way, moved in enumerate(self._ways.moved) if matter[moved].any()]
+
+    def _between(self, joint: int, sign: float, qpos: Array, way: int) -> Array:
+        """Returns where along a way that bends, near a posture, a torque is greatest."""
+        from scipy import optimize  # slow to import
+
+        def lacking(position: float) -> float:
+            there = self._ways.bend(qpos, way, position)
+            return _OUT if there is None else -self._torque(joint, sign, there)
+
+        low, high = self._ways.around(qpos, way)
+        found = optimize.minimize_scalar(
+            lacking, bounds=(low, high), method="bounded", options={"xatol": _FINE}
+        )
+        ends = (self._ways.bend(qpos, way, at) for at in (low, float(found.x), high))
+        closed = [end for end in ends if end is not None]
+        return max(closed, key=lambda there: self._torque(joint, sign, there), default=qpos)
+
+    def _peak(self, joint: int, sign: float, qpos: Array, way: int, here: float) -> float:
+        """Returns where along a way, which does not bend, a torque is greatest (rad, m)."""
+        ways = self._ways
+        low, high = ways.span(qpos, way)
+
+        def at(length: float) -> float:
+            return self._torque(joint, sign, ways.along(qpos, way, length))
+
+        moved = ways.moved[way]
+        if len(moved) > 1 or not self._looks.springs_alone:
+            return _sampled(at, low, high)
+        if ways.slides[moved[0]]:
+            return max((low, high), key=at)
+        spring = sign * float(ways.shares[joint, moved[0]] * self._looks.stiffness[moved[0]])
+        third = 2 * math.pi / 3
+        ahead, behind = at(third) - spring * third, at(-third) + spring * third
+        mean = (here + ahead + behind) / 3
+        sine, cosine = (ahead - behind) / math.sqrt(3), here - mean
+        return _crest(cosine, sine, spring, low, high)
+
+    def _torque(self, joint: int, sign: float, qpos: Array) -> float:
+        load = self._looks.load(qpos)
+        if self._ways.constant[joint]:
+            return sign * float(self._ways.shares[joint] @ load)
+        closure = self._robot.closure
+        assert closure is not None
+        try:
+            pushed = closure.push(qpos)[joint]
+        except ConfigurationError:  # at a dead point nothing holds the loop
+            return -math.inf
+        return sign * float(load[joint] - pushed @ load)
+
+
+def _crest(cosine: float, sine: float, rate: float, low: float, high: float) -> float:
+    """Returns where in [low, high] a cos x + b sin x + r x is greatest."""
+    ends, size = [low, high], math.hypot(cosine, sine)
+    if abs(rate) <= size and size > 0:
+        # b cos x - a sin x + r = 0; of its two solutions in a turn one is a crest.
+        first, swing = math.atan2(sine, cosine), math.asin(rate / size)
+        base = first + swing
+        turns = range(
+            math.floor((low - base) / (2 * math.pi)) + 1,
+            math.floor((high - base) / (2 * math.pi)) + 1,
+        )
+        ends += [base + 2 * math.pi * turn for turn in turns]
+    return max(ends, key=lambda x: cosine * math.cos(x) + sine * math.sin(x) + rate * x)
+
+
+def _sampled(at: Callable[[float], float], low: float, high: float) -> float:
+    """Returns where in [low, high] a function is greatest that is no single wave."""
+    from scipy import optimize  # slow to import
+
+    looks = np.linspace(low, high, _SAMPLES)
+    top = int(np.argmax([at(look) for look in looks]))
+    ends = looks[max(top - 1, 0)], looks[min(top + 1, _SAMPLES - 1)]
+    if ends[1] - ends[0] < 1e-12:
+        return float(looks[top])
+    found = optimize.minimize_scalar(
+        lambda length: -at(length), bounds=ends, method="bounded", options={"xatol": _PEAK}
+    )
+    return float(max((found.x, looks[top]), key=at))
+
 
 Array = NDArray[np.float64]
 

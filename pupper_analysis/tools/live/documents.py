@@ -11,11 +11,11 @@ import numpy as np
 
 from pupper_analysis.base.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.loads import contact_table, torque_table
 from pupper_analysis.present.documents.simulated import SAG, run_rows, simulated_table
 from pupper_analysis.present.documents.standing import quantity_columns, stand_table, task_text
 from pupper_analysis.present.verdict import clause_text, verdict_clauses
-from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.joints import is_slide
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode

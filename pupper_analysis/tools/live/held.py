@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.prepare.convert.files import FileSource
+from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.present.scene import joint_axes
-from pupper_analysis.present.words import text
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.posture import Posture, find_posture

@@ -27,9 +27,9 @@ from pupper_analysis.present.document import (
     Table,
     Text,
     Words,
+    text,
 )
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.present.words import text
 from pupper_analysis.tools.live.door import (
     HEADERS,
     MOST_BYTES,

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
 from pupper_analysis.present.verdict import verdict_lines, verdict_word
-from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.path.plan import StancePath
 from pupper_analysis.tools.path.tracked import PathThere

@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterable
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.loads import mass_text, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import ground_text, robot_notes, task_text
 from pupper_analysis.present.verdict import verdict_lines, verdict_of_files
-from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.payload.limit import Bound, PayloadLimit
 from pupper_analysis.tools.payload.trial import Failure, PayloadTrial

@@ -24,9 +24,9 @@ from pupper_analysis.simulation.rollout import (
     forced_commands,
     roll_out,
 )
-from pupper_analysis.simulation.settings import SimulationSettings
 from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
+from pupper_analysis.simulation.watch import SimulationSettings
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]

@@ -10,6 +10,7 @@ import numpy as np
 
 from pupper_analysis.base.results import Result
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document, compare_results
 from pupper_analysis.present.documents.standing import (
@@ -19,7 +20,6 @@ from pupper_analysis.present.documents.standing import (
     task_text,
 )
 from pupper_analysis.present.verdict import verdict_lines, verdict_word
-from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.push.pushed import PushedStance
 from pupper_analysis.tools.push.recovery import PushRecovery

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import load_blocks, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.simulated import height_plot, motions_of, simulated_table
@@ -17,7 +18,6 @@ from pupper_analysis.present.documents.standing import (
     task_text,
 )
 from pupper_analysis.present.verdict import verdict_lines, verdict_word
-from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState

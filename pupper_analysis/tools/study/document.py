@@ -14,16 +14,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of
 from pupper_analysis.present.terminal import make_console
-from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.cells import column_label, metrics_in, standing_designs, unit_of
 from pupper_analysis.tools.study.measures import METRICS, text_key
-from pupper_analysis.tools.study.outcome import MetricSummary, StudyOutcome, pareto_front
+from pupper_analysis.tools.study.outcome import Chance, MetricSummary, StudyOutcome, pareto_front
 from pupper_analysis.tools.study.plots import LINES, MeansPlot, front_plot, study_plots
-from pupper_analysis.tools.study.probability import Chance
 from pupper_analysis.tools.study.study import Estimate
 
 if TYPE_CHECKING:

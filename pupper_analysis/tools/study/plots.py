@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.present.document import Name, Plot, Text, Words
+from pupper_analysis.present.document import Name, Plot, Text, Words, text, word
 from pupper_analysis.present.html.plots import (
     BOTTOM,
     LEFT,
@@ -25,7 +25,6 @@ from pupper_analysis.present.html.plots import (
     round_ticks,
     word_at,
 )
-from pupper_analysis.present.words import text, word
 from pupper_analysis.tools.study.cells import (
     Cells,
     EndMap,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.sync.models import Sync, difference_label, line_at
 from pupper_analysis.tools.sync.plan import UnwrittenCause

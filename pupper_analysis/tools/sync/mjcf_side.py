@@ -21,8 +21,7 @@ from pupper_analysis.models.efforts import (
     stated_by_actuator,
     stated_by_joint,
 )
-from pupper_analysis.models.joint_kinds import free_joints
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import free_joints, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.models.xml_text import SAME, Digits

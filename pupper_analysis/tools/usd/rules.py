@@ -10,8 +10,8 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Quantity, Severity, Term, diagnose
 from pupper_analysis.models.attributes import BY_KIND
+from pupper_analysis.models.loading import Check, Found
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.readers import Check, Found
 from pupper_analysis.models.stated.model import HINGE, SLIDE
 from pupper_analysis.tools.usd.model import BALL, WATER, Origin, UsdModel
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes
-from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.gait import Gait, Walk
 from pupper_analysis.tools.walk.intervals import TrackedInterval, TrackedIntervals

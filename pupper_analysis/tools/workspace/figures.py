@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from pupper_analysis.present.figures import style
-from pupper_analysis.present.figures.skeleton import Skeleton, draw_skeleton, hull_corners
+from pupper_analysis.present.figures.pose import Skeleton, draw_skeleton, hull_corners
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace, solve_stand_at

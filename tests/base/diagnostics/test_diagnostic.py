@@ -35,7 +35,7 @@ from pupper_analysis.base.diagnostics.catalogue import word_files
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import to_json
-from pupper_analysis.tools.study.record import from_record, to_record
+from pupper_analysis.tools.study.design import from_record, to_record
 from tests.support.rooms import PACKAGE, trees
 
 WORDS = {

@@ -11,8 +11,7 @@ import pytest
 
 from pupper_analysis.models.multibody import TreeBody
 from pupper_analysis.robot.compare.compare import Comparison
-from pupper_analysis.robot.compare.links import body_moments, fold_bodies
-from pupper_analysis.robot.compare.patterns import by_pattern
+from pupper_analysis.robot.compare.patterns import body_moments, by_pattern, fold_bodies
 from tests.present.test_comparison import lines
 from tests.support.robots import (
     Part,

@@ -14,9 +14,12 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.sag import steady_state as settle
 from pupper_analysis.stance.sag.contact_kinematics import integrate_step
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium
-from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
-from pupper_analysis.stance.sag.steady_state import minimum_stiffness, steady_state
-from pupper_analysis.stance.sag.stiffness import find_slipping_feet
+from pupper_analysis.stance.sag.steady_state import (
+    HomotopyPath,
+    find_slipping_feet,
+    minimum_stiffness,
+    steady_state,
+)
 from tests.support.cases import some
 from tests.support.engines import changed, mujoco_at
 from tests.support.variants import BASES_FIRST, NAMES, SKELETON_NAMES, load, stand_of

@@ -22,8 +22,7 @@ from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, own_servos
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
-from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
-from pupper_analysis.stance.sag.steady_state import follow_to_end
+from pupper_analysis.stance.sag.steady_state import HomotopyPath, follow_to_end
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.fit.consistency import unbounded_coms

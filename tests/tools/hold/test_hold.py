@@ -12,8 +12,8 @@ from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool
-from pupper_analysis.simulation.balance import load_by_mujoco
 from pupper_analysis.simulation.verdict import VerdictCode
+from pupper_analysis.simulation.verify import load_by_mujoco
 from pupper_analysis.stance.posture import find_posture
 from pupper_analysis.tools.hold.sag import sag_posture
 from pupper_analysis.tools.hold.verify import verify_posture

@@ -17,9 +17,13 @@ from pupper_analysis.present.document import Report
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.study.cells import Cells
 from pupper_analysis.tools.study.document import study_document
-from pupper_analysis.tools.study.outcome import SobolIndices, main_effects
+from pupper_analysis.tools.study.outcome import (
+    Certainty,
+    SobolIndices,
+    main_effects,
+    probability_interval,
+)
 from pupper_analysis.tools.study.plots import MOST_LINES, colour_of_share
-from pupper_analysis.tools.study.probability import Certainty, probability_interval
 from tests.present.test_html import EVIL, written
 from tests.support.commands import answer
 from tests.support.html_page import Page, shown

@@ -23,16 +23,14 @@ from pupper_analysis.tools.fit.write import write_randomisation
 from pupper_analysis.tools.study import figures
 from pupper_analysis.tools.study.cells import Cells, mean_map, split_panels
 from pupper_analysis.tools.study.outcome import (
+    certainty,
     main_effects,
     pareto_front,
+    probability_interval,
     sobol_indices,
     study_outcome,
 )
 from pupper_analysis.tools.study.plots import end_plots, mean_plots
-from pupper_analysis.tools.study.probability import (
-    certainty,
-    probability_interval,
-)
 from tests.support import study_metrics
 
 

@@ -20,7 +20,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.models.readers import Found
+from pupper_analysis.models.loading import Found
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import MjcfModel
 from pupper_analysis.models.transmission import ActuatorLaw, is_at_one_joint, law_of

@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.efforts import Motor, placeholder_efforts
-from pupper_analysis.models.readers import Found
+from pupper_analysis.models.loading import Found
 from pupper_analysis.models.stated.mjcf import line_of
 from pupper_analysis.models.stated.model import (
     HINGE,

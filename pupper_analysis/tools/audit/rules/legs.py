@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.models.readers import Found
+from pupper_analysis.models.loading import Found
 from pupper_analysis.models.stated.model import (
     HINGE,
     Array,

@@ -14,8 +14,8 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
+from pupper_analysis.models.loading import Found
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.geometry import (
     extent_points,
     known_points,

@@ -17,7 +17,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.attributes import PASSIVE
-from pupper_analysis.models.readers import Found
+from pupper_analysis.models.loading import Found
 from pupper_analysis.models.stated.geometry import known_points
 from pupper_analysis.models.stated.model import (
     HINGE,

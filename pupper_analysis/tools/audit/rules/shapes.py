@@ -14,7 +14,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.models.readers import Found
+from pupper_analysis.models.loading import Found
 from pupper_analysis.models.stated.geometry import extent_points, known_points, link_points
 from pupper_analysis.models.stated.model import (
     Array,

@@ -15,7 +15,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.models.readers import Found
+from pupper_analysis.models.loading import Found
 from pupper_analysis.models.stated.geometry import solid_of
 from pupper_analysis.models.stated.model import MjcfModel, Shape, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom

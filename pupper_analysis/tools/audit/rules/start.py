@@ -17,8 +17,8 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.efforts import effort_limit
-from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.readers import Found
+from pupper_analysis.models.loading import Found
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import Array, MjcfModel, RobotModel
 from pupper_analysis.robot.contact import ground_geom

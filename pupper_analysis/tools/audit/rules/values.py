@@ -15,10 +15,9 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, PASSIVE
-from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import TIMESTEPS
+from pupper_analysis.models.loading import Found
+from pupper_analysis.models.mjcf import TIMESTEPS, JointKind
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.mjcf import line_of
 from pupper_analysis.models.stated.model import MjcfModel, RobotModel, UrdfModel
 from pupper_analysis.models.xml import parse_numbers

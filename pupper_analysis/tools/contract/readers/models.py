@@ -8,10 +8,9 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.models.attributes import IN_A_TREE
-from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.loading import read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.readers import reader_of
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import MjcfModel, RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
