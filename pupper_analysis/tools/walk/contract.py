@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.contract.facts import Source
 
 Array = NDArray[np.float64]
 
@@ -135,21 +136,45 @@ class Contract:
         return replace(self, joints=tuple(self.joints[index] for index in order))
 
 
+_STATED = {
+    "default angle": "default",
+    "action scale": "action-scale",
+    "kp": "kp",
+    "kd": "kd",
+    "lower limit": "lower",
+    "upper limit": "upper",
+    "latency": "latency",
+}
+"""{quantity of a source's statements: the key}; a policy's step is ``rate``."""
+
+
+def of_source(source: Source) -> dict[str, Any]:
+    """Returns what a policy's file states, as a TOML would: what ``contract`` compares."""
+    found: dict[str, Any] = {}
+    for one in source.statements:
+        value = math.nan if one.value is None else one.value  # which is refused by its key
+        if one.quantity == "policy step":
+            found["rate"] = 1.0 / value if value > 0 else math.nan
+        elif (key := _STATED.get(one.quantity)) and (one.index is None or one.count == 1):
+            found[key] = value
+        elif key:
+            found.setdefault(key, []).append(value)
+    if source.order:
+        found["joints"] = list(source.order)
+    if source.observations:
+        found["observation"] = [name.strip() for name, _, _ in source.observations]
+    return found
+
+
 def of_rtneural(values: Mapping[str, Any], inputs: int, outputs: int) -> dict[str, Any]:
-    """Returns what an RTNeural JSON of Pupper's neural_controller states, as a TOML would.
+    """Returns what Pupper's neural_controller makes of an RTNeural JSON's observations.
 
     Its frame of 36 (33 without a commanded orientation) is that of
     ``neural_controller.cpp``: angular velocity, gravity, command, the commanded vertical, joint
     positions, last action; the newest frame first; clipped at 100; one action each 20 ms.
     """
-    names = ("action_scale", "kp", "kd", "default_joint_pos")
-    keys = ("action-scale", "kp", "kd", "default")
-    found = {key: values[name] for name, key in zip(names, keys, strict=True) if name in values}
-    for name, key in (("joint_lower_limits", "lower"), ("joint_upper_limits", "upper")):
-        if name in values:
-            found[key] = values[name]
     if "observation_history" not in values:
-        return found
+        return {}
     history = values["observation_history"]
     frame = inputs // history if isinstance(history, int) and history > 0 else 0
     terms = ["angular-velocity", "gravity", "command", "up-command"]
@@ -157,34 +182,7 @@ def of_rtneural(values: Mapping[str, Any], inputs: int, outputs: int) -> dict[st
         terms.pop()
     observation = [*terms, "joint-positions", "last-action"]
     layout = {"newest-first": True, "layout": BY_FRAME, "clip": 100.0, "rate": 50.0}
-    return {**found, "history": history, "observation": observation, **layout}
-
-
-def of_metadata(metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Returns what an ONNX file's metadata states, as mjlab and Isaac Lab export it."""
-    found: dict[str, Any] = {}
-    if metadata.get("joint_names"):
-        found["joints"] = [name.strip() for name in metadata["joint_names"].split(",")]
-    numbers = {
-        "default_joint_pos": "default",
-        "joint_stiffness": "kp",
-        "joint_damping": "kd",
-        "action_scale": "action-scale",
-    }
-    for name, key in numbers.items():
-        if metadata.get(name):
-            listed = [_number(one) for one in metadata[name].strip("[]() ").split(",")]
-            found[key] = listed[0] if len(listed) == 1 else listed
-    if metadata.get("observation_names"):
-        found["observation"] = [name.strip() for name in metadata["observation_names"].split(",")]
-    return found
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan  # which is refused by its key
+    return {"history": history, "observation": observation, **layout}
 
 
 _KEYS = (

@@ -1,4 +1,4 @@
-"""ONNX: the graph of a feed-forward or recurrent policy, read from its protocol buffers.
+"""ONNX: the network of a feed-forward or recurrent policy, made of its file's graph.
 
 Only what policies consist of is known; what is not is refused by its operator's name. Nothing is
 executed but the operations of ``network``. Fields are numbered as in onnx.proto (ONNX 1.16).
@@ -7,8 +7,7 @@ executed but the operations of ``network``. Fields are numbered as in onnx.proto
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,13 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.contract.readers import (
+    OnnxFile,
+    gather_fields,
+    integers_of,
+    text_of,
+)
+from pupper_analysis.tools.contract.readers.onnx import Message
 from pupper_analysis.tools.walk.network import (
     ACTIVATIONS,
     MOST_WEIGHTS,
@@ -38,81 +44,14 @@ _LISTS = {1: 4, 6: 5, 7: 7, 11: 10}
 """The field that holds numbers of a type, where they are not raw."""
 
 
-class _NoMessageError(ValueError):
-    """Bytes are no protocol buffer."""
-
-
-def _fields(data: memoryview) -> Iterator[tuple[int, Any]]:
-    """Yields (number, value) of a message: integers, or bytes, as they come."""
-    at, end = 0, len(data)
-
-    def varint() -> int:
-        nonlocal at
-        value = shift = 0
-        while True:
-            if at >= end or shift > 63:
-                raise _NoMessageError
-            byte = data[at]
-            at += 1
-            value |= (byte & 127) << shift
-            if byte < 128:
-                return value
-            shift += 7
-
-    while at < end:
-        key = varint()
-        kind = key & 7
-        if kind == 0:
-            yield key >> 3, varint()
-            continue
-        size = varint() if kind == 2 else {1: 8, 5: 4}.get(kind, -1)
-        if size < 0 or at + size > end:
-            raise _NoMessageError
-        yield key >> 3, data[at : at + size]
-        at += size
-
-
-def _gathered(data: memoryview) -> dict[int, list[Any]]:
-    found: dict[int, list[Any]] = {}
-    for number, value in _fields(data):
-        found.setdefault(number, []).append(value)
-    return found
-
-
-def _text(values: Sequence[Any], index: int = 0) -> str:
-    return bytes(values[index]).decode(errors="replace") if len(values) > index else ""
-
-
-def _integers(values: Sequence[Any]) -> list[int]:
-    """Returns signed integers, packed or one by one."""
-    flat: list[int] = []
-    for value in values:
-        if isinstance(value, int):
-            flat.append(value)
-        else:  # packed: each as the key of a message without a value
-            flat += _packed(value)
-    return [value - (1 << 64) if value >> 63 else value for value in flat]
-
-
-def _packed(data: memoryview) -> list[int]:
-    values, value, shift = [], 0, 0
-    for byte in data:
-        value |= (byte & 127) << shift
-        shift += 7
-        if byte < 128:
-            values.append(value)
-            value = shift = 0
-    return values
-
-
 def _floats(values: Sequence[Any]) -> list[float]:
     return [one for value in values for (one,) in struct.iter_unpack("<f", bytes(value))]
 
 
-def _tensor(path: Path, data: memoryview) -> tuple[str, Array]:
+def _tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
     """Returns a tensor's name and its numbers."""
-    tensor = _gathered(data)
-    name, dims = _text(tensor.get(8, ())), _integers(tensor.get(1, ()))
+    tensor = gather_fields(data)
+    name, dims = text_of(tensor, 8), integers_of(tensor.get(1, ()))
     kind = tensor.get(2, [0])[0]
     count = 1
     for dim in dims:
@@ -130,66 +69,45 @@ def _tensor(path: Path, data: memoryview) -> tuple[str, Array]:
         form = "<f4" if kind == 1 else "<f8"
         found = np.frombuffer(b"".join(map(bytes, tensor.get(_LISTS[kind], ()))), dtype=form)
     else:
-        found = np.array(_integers(tensor.get(_LISTS.get(kind, 5), ())))
+        found = np.array(integers_of(tensor.get(_LISTS.get(kind, 5), ())))
     if found.size != count:
         problem = diagnose("layer-sizes", layer=name, sizes=f"{dims}, {found.size}")
         raise ModelError(path, problem)
     return name, found.reshape(dims).astype(np.float64)
 
 
-@dataclass(frozen=True)
-class Graph:
-    """An ONNX file.
-
-    Attributes:
-        network: What it computes.
-        metadata: {key: text} that its exporter wrote.
-    """
-
-    network: Network
-    metadata: dict[str, str]
-
-
-def read_onnx(path: Path, data: bytes) -> Graph:
-    """Returns the network and the metadata of an ONNX file.
+def network_of(path: Path, file: OnnxFile) -> Network:
+    """Returns the network of an ONNX file.
 
     Args:
         path: The file, for messages.
-        data: Its content.
+        file: What was read of it.
 
     Raises:
-        ModelError: If it is none, or has operators that policies do not consist of.
+        ModelError: If it has none, or operators that policies do not consist of.
     """
     try:
-        model = _gathered(memoryview(data))
-        graph = _gathered(model[7][0])
-        metadata = {}
-        for entry in model.get(14, ()):
-            pair = _gathered(entry)
-            metadata[_text(pair.get(1, ()))] = _text(pair.get(2, ()))
-        return Graph(_network(path, graph), metadata)
-    except (_NoMessageError, KeyError, IndexError, TypeError, struct.error) as error:
+        return _network(path, file)
+    except (ValueError, KeyError, IndexError, TypeError, struct.error) as error:
         raise ModelError(path, diagnose("no-network")) from error
 
 
-def _network(path: Path, graph: dict[int, list[Any]]) -> Network:
+def _network(path: Path, file: OnnxFile) -> Network:
+    graph = file.graph
     constants = dict(_tensor(path, one) for one in graph.get(5, ()))
     if sum(one.size for one in constants.values()) > MOST_WEIGHTS:
         count = sum(one.size for one in constants.values())
         problem = diagnose("too-many-weights", layer="", count=count, most=MOST_WEIGHTS)
         raise ModelError(path, problem)
-    inputs = [_value(one) for one in graph[11]]
-    inputs = [(name, dims) for name, dims in inputs if name not in constants]
-    outputs = [_value(one) for one in graph[12]]
+    inputs, outputs = list(file.inputs.items()), list(file.outputs)
     nodes = [
-        _node(path, _gathered(one), number, constants) for number, one in enumerate(graph[1], 1)
+        _node(path, gather_fields(one), number, constants) for number, one in enumerate(graph[1], 1)
     ]
     if len(inputs) != len(outputs):
-        raise ModelError(
-            path, diagnose("states-unpaired", inputs=len(inputs), outputs=len(outputs))
-        )
+        problem = diagnose("states-unpaired", inputs=len(inputs), outputs=len(outputs))
+        raise ModelError(path, problem)
     memory = []
-    for (name, dims), (following, _) in zip(inputs[1:], outputs[1:], strict=True):
+    for (name, dims), following in zip(inputs[1:], outputs[1:], strict=True):
         if not dims or max(dims[:-1], default=1) > 1:
             raise ModelError(path, diagnose("layer-sizes", layer=name, sizes=str(dims)))
         memory.append((name, following, dims[-1]))
@@ -198,37 +116,28 @@ def _network(path: Path, graph: dict[int, list[Any]]) -> Network:
         raise ModelError(path, diagnose("layer-sizes", layer=inputs[0][0], sizes=str(inputs[0][1])))
     used = {name for node in nodes for name in node.inputs}
     kept = {name: value for name, value in constants.items() if name in used}
-    return checked(path, nodes, kept, (inputs[0][0], outputs[0][0]), memory, size)
+    return checked(path, nodes, kept, (inputs[0][0], outputs[0]), memory, size)
 
 
-def _value(data: memoryview) -> tuple[str, list[int]]:
-    """Returns the name and the sizes of an input or output; 1 where a size is a symbol."""
-    value = _gathered(data)
-    kind = _gathered(_gathered(value[2][0])[1][0])
-    shape = _gathered(kind[2][0]) if 2 in kind else {}
-    dims = [_gathered(dim).get(1, [1])[0] for dim in shape.get(1, ())]
-    return _text(value[1]), dims
-
-
-def _node(path: Path, node: dict[int, list[Any]], number: int, constants: dict[str, Array]) -> Node:
-    kind = _text(node.get(4, ()))
-    name = _text(node.get(3, ())) or f"layer {number} ({kind})"
-    inputs = tuple(_text(node[1], index) for index in range(len(node.get(1, ()))))
-    outputs = tuple(_text(node[2], index) for index in range(len(node[2])))
+def _node(path: Path, node: Message, number: int, constants: dict[str, Array]) -> Node:
+    kind = text_of(node, 4)
+    name = text_of(node, 3) or f"layer {number} ({kind})"
+    inputs = tuple(text_of(node, 1, index) for index in range(len(node.get(1, ()))))
+    outputs = tuple(text_of(node, 2, index) for index in range(len(node[2])))
     given: dict[str, Any] = {}
     for one in node.get(5, ()):
-        attribute = _gathered(one)
-        key = _text(attribute[1])
+        attribute = gather_fields(one)
+        key = text_of(attribute, 1)
         if 5 in attribute:
             given[key] = _tensor(path, attribute[5][0])[1]
         elif 3 in attribute:
-            given[key] = _integers(attribute[3])[0]
+            given[key] = integers_of(attribute[3])[0]
         elif 8 in attribute:
-            given[key] = _integers(attribute[8])
+            given[key] = integers_of(attribute[8])
         elif 2 in attribute:
             given[key] = struct.unpack("<f", bytes(attribute[2][0]))[0]
         elif 4 in attribute:
-            given[key] = _text(attribute[4])
+            given[key] = text_of(attribute, 4)
     if kind == "Constant" and "value" in given:
         constants[outputs[0]] = given["value"]
         return Node(name, lambda value: value, (outputs[0],), outputs)

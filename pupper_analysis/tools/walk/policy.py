@@ -6,15 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import orjson
-
-from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
-from pupper_analysis.base.inputs import MOST_FILE, is_input, read_input, read_toml
-from pupper_analysis.tools.walk.contract import Contract, contract_of, of_metadata, of_rtneural
+from pupper_analysis.base.inputs import is_input, read_toml
+from pupper_analysis.tools.contract.facts import Request
+from pupper_analysis.tools.contract.readers import onnx, read_onnx, read_rtneural
+from pupper_analysis.tools.contract.readers import rtneural as rtneural_reader
+from pupper_analysis.tools.walk import onnx_file, rtneural
+from pupper_analysis.tools.walk.contract import Contract, contract_of, of_rtneural, of_source
 from pupper_analysis.tools.walk.network import Network
-from pupper_analysis.tools.walk.onnx_file import read_onnx
-from pupper_analysis.tools.walk.rtneural import read_rtneural
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,23 +44,20 @@ class Policy:
         """
         path = Path(path)
         try:
-            data = read_input(path, MOST_FILE)
             beside = path.with_suffix(".toml") if contract is None else Path(contract)
             there = contract is not None or is_input(beside)
             toml: dict[str, Any] = read_toml(beside)[1] if there else {}
         except InputError as error:
             raise ModelError(error.path, error.cause) from error
-        if data.lstrip()[:1] == b"{":
-            try:
-                values = orjson.loads(data)
-            except orjson.JSONDecodeError as error:
-                problem = diagnose("policy-not-json", problem=str(error))
-                raise ModelError(path, problem) from error
-            network = read_rtneural(path, values)
+        if path.suffix == ".json":
+            values = read_rtneural(path).values
+            network, read = rtneural.network_of(path, values), rtneural_reader.read
             own = of_rtneural(values, network.inputs, network.outputs)
         else:
-            graph = read_onnx(path, data)
-            network, own = graph.network, of_metadata(graph.metadata)
+            network, read = onnx_file.network_of(path, read_onnx(path)), onnx.read
+            own = {}
+        for source in read(Request(path)):
+            own = of_source(source) | own
         stated = [(str(path), own), *([(str(beside), toml)] if there else [])]
         agreed = contract_of(path, stated, network.inputs, network.outputs)
         return cls(path.name, network, agreed)

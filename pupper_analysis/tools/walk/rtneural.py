@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ _ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}
 """How many arrays of weights a layer has."""
 
 
-def read_rtneural(path: Path, values: Any) -> Network:
+def network_of(path: Path, values: Mapping[str, Any]) -> Network:
     """Returns the network of an RTNeural JSON.
 
     Args:
@@ -37,8 +38,8 @@ def read_rtneural(path: Path, values: Any) -> Network:
     Raises:
         ModelError: If a layer is of another kind, or sizes do not fit; it names the layer.
     """
-    layers = values.get("layers") if isinstance(values, dict) else None
-    if not isinstance(layers, list) or not layers:
+    layers = values["layers"]
+    if not layers:
         raise ModelError(path, diagnose("no-network"))
     nodes: list[Node] = []
     constants: dict[str, Array] = {}

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.tools.walk import onnx_file
+from pupper_analysis.tools.contract.readers import read_onnx
+from pupper_analysis.tools.walk import onnx_file, rtneural
 from pupper_analysis.tools.walk.network import ACTIVATIONS, Network
-from pupper_analysis.tools.walk.rtneural import read_rtneural
 from tests.tools.walk import made
 
 ALIKE = 1e-6
@@ -40,7 +40,7 @@ def rows(count: int, size: int, seed: int = 0) -> Any:
 
 
 def read(layers: list[dict[str, Any]]) -> Network:
-    return read_rtneural(Path("made.json"), {"layers": layers})
+    return rtneural.network_of(Path("made.json"), {"layers": layers})
 
 
 @pytest.mark.parametrize("activation", BY_LOOPS)
@@ -113,6 +113,12 @@ def test_a_row_does_not_depend_on_its_neighbours() -> None:
         assert (network.forward(given[start:end])[0] == whole[start:end]).all()
 
 
+def read_graph(data: bytes, folder: Path) -> Network:
+    path = folder / "made.onnx"
+    path.write_bytes(data)
+    return onnx_file.network_of(path, read_onnx(path))
+
+
 def made_graphs() -> dict[str, bytes]:
     draw = np.random.default_rng(5)
     sizes = ((6, 8), (8, 5))
@@ -145,10 +151,10 @@ def made_graphs() -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("kind", made_graphs())
-def test_onnx_as_by_onnxruntime(kind: str) -> None:
+def test_onnx_as_by_onnxruntime(kind: str, tmp_path: Path) -> None:
     runtime = pytest.importorskip("onnxruntime")
     data = made_graphs()[kind]
-    network = onnx_file.read_onnx(Path("made.onnx"), data).network
+    network = read_graph(data, tmp_path)
     session = runtime.InferenceSession(data)
     names = [one.name for one in session.get_inputs()]
     theirs = [np.zeros(one.shape, np.float32) for one in session.get_inputs()[1:]]
@@ -160,14 +166,14 @@ def test_onnx_as_by_onnxruntime(kind: str) -> None:
         assert found == pytest.approx(action, abs=1e-5)  # theirs is of single precision
 
 
-def test_onnx_as_by_loops() -> None:
+def test_onnx_as_by_loops(tmp_path: Path) -> None:
     """Without onnxruntime, too: the same layers by loops, weights rounded as the file has them."""
     draw = np.random.default_rng(6)
     layers = [
         (draw.normal(size=(6, 8)), draw.normal(size=8)),
         (draw.normal(size=(8, 5)), np.ones(5)),
     ]
-    network = onnx_file.read_onnx(Path("m.onnx"), made.dense_onnx(layers, "Elu")).network
+    network = read_graph(made.dense_onnx(layers, "Elu"), tmp_path)
     row = rows(1, 6)[0]
     single = [[part.astype(np.float32).astype(float) for part in layer] for layer in layers]
     hidden = [BY_LOOPS["elu"](x) for x in product(row, *single[0])]
@@ -196,16 +202,16 @@ def test_what_does_not_fit_names_its_layer() -> None:
     assert "RTNeural" in refused([])
 
 
-def test_onnx_that_is_none_or_too_large() -> None:
+def test_onnx_that_is_none_or_too_large(tmp_path: Path) -> None:
     def told(data: bytes) -> str:
         with pytest.raises(ModelError) as caught:
-            onnx_file.read_onnx(Path("made.onnx"), data)
+            read_graph(data, tmp_path)
         return str(caught.value)
 
     assert "no network" in told(b"")
-    assert "no network" in told(b"\xff" * 40)
+    assert "no ONNX model" in told(b"\xff" * 40)
     whole = made.dense_onnx([(np.ones((2, 3)), np.ones(3))], "Relu")
-    assert "no network" in told(whole[:-20])
+    assert "no ONNX model" in told(whole[:-20])
     large = made.tensor("W", [1.0], dims=(40_000, 25_000))
     ends = [made.value("obs", 1, 2)], [made.value("y", 1, 3)]
     nodes = [made.node("MatMul", ("obs", "W"), ("y",))]

@@ -106,7 +106,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     bad.write_text('{"layers": [1]}', encoding="utf-8")
     assert "layer 1" in refusal(bad)
     (tmp_path / "bad.onnx").write_bytes(b"\x80\x04\x95pickle")
-    assert "network" in refusal(tmp_path / "bad.onnx")
+    assert "no ONNX model" in refusal(tmp_path / "bad.onnx")
 
 
 def test_a_network_of_another_size(tmp_path: Path) -> None:
