@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -90,11 +92,13 @@ _OPTIONS = {
 
 def with_line(cause: Cause, mjcf: MjcfFile) -> Cause:
     """Returns a cause with the line where its first element stands, where that is known."""
+    if cause.code in ("slippery", "soft"):
+        cause = replace(cause, elements=_as_stated(cause, mjcf))
     name = cause.elements[0] if cause.elements else ""
     line = None
     if cause.code in _SECTIONS:
         line = mjcf.place(_SECTIONS[cause.code], name).line
-    elif cause.code in ("exclude", "pair-friction"):
+    elif cause.code == "exclude" or " and " in name:
         tag = "exclude" if cause.code == "exclude" else "pair"
         ends = set(name.split(" and "))
         line = next(
@@ -105,6 +109,17 @@ def with_line(cause: Cause, mjcf: MjcfFile) -> Cause:
         places = (place.line for words, place in mjcf.elements(tag) if stated & words.keys())
         line = next(places, None)
     return replace(cause, line=line)
+
+
+def _as_stated(cause: Cause, mjcf: MjcfFile) -> tuple[str, ...]:
+    """Returns the names of contacts: of a pair where that states what a geom was given of it."""
+    model = mjcf.model
+    pairs = _pair_names(model, np.flatnonzero(_are_bad(model, "pair", cause.code)))
+    found = (
+        next((pair for pair in pairs if name in pair.split(" and ")), name)
+        for name in cause.elements
+    )
+    return tuple(dict.fromkeys(found))
 
 
 def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
@@ -139,10 +154,17 @@ def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
     return mujoco.mj_id2name(model, kind, number) or f"#{number}"
 
 
-def _motor_name(model: mujoco.MjModel, motor: int) -> str:
-    """Returns an actuator's name, or else its joint's."""
-    named = mujoco.mj_id2name(model, _OBJ.mjOBJ_ACTUATOR, motor)
-    return named or str(model.joint(int(model.actuator_trnid[motor, 0])).name)
+def _names(model: mujoco.MjModel, kind: mujoco.mjtObj, numbers: Iterable[int]) -> tuple[str, ...]:
+    return tuple(_name(model, kind, int(number)) for number in numbers)
+
+
+def _motor_names(model: mujoco.MjModel, motors: list[int]) -> tuple[str, ...]:
+    """Returns actuators' names, or else their joints'."""
+    named = {m: mujoco.mj_id2name(model, _OBJ.mjOBJ_ACTUATOR, m) for m in motors}
+    return tuple(
+        name or _name(model, _OBJ.mjOBJ_JOINT, int(model.actuator_trnid[m, 0]))
+        for m, name in named.items()
+    )
 
 
 LIMITS = ("forcerange", "actuatorfrcrange")
@@ -178,6 +200,15 @@ def _numerics(model: mujoco.MjModel) -> Iterator[Candidate]:
         yield Candidate("iterations", (f"{kind}, {model.opt.iterations} iterations",), exact)
 
 
+def _set(field: str, where: Any, value: Any = 0) -> Callable[[mujoco.MjModel], None]:
+    """Returns what gives elements of a model's array another value: by default none."""
+
+    def switch_off(other: mujoco.MjModel) -> None:
+        attrgetter(field)(other)[where] = value
+
+    return switch_off
+
+
 def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Forces beside the law of position servos: biases, gains that are no stiffness, delays."""
     model = bare.model
@@ -189,11 +220,7 @@ def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
         if model.actuator_biastype[m] == affine and model.actuator_biasprm[m, 0] != 0
     ]
     if biased:
-
-        def unbiased(other: mujoco.MjModel) -> None:
-            other.actuator_biasprm[biased, 0] = 0.0
-
-        yield Candidate("bias", tuple(_motor_name(model, m) for m in biased), unbiased)
+        yield Candidate("bias", _motor_names(model, biased), _set("actuator_biasprm", (biased, 0)))
     uneven = [
         m
         for m in motors
@@ -201,11 +228,8 @@ def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
         and 0 < -model.actuator_biasprm[m, 1] != model.actuator_gainprm[m, 0] > 0
     ]
     if uneven:
-
-        def even(other: mujoco.MjModel) -> None:
-            other.actuator_gainprm[uneven, 0] = -model.actuator_biasprm[uneven, 1]
-
-        yield Candidate("gain", tuple(_motor_name(model, m) for m in uneven), even)
+        even = _set("actuator_gainprm", (uneven, 0), -model.actuator_biasprm[uneven, 1])
+        yield Candidate("gain", _motor_names(model, uneven), even)
     fixed = mujoco.mjtGain.mjGAIN_FIXED.value
     varying = [
         m
@@ -213,19 +237,12 @@ def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
         if model.actuator_biastype[m] == affine and model.actuator_gaintype[m] != fixed
     ]
     if varying:
-
-        def steady(other: mujoco.MjModel) -> None:
-            other.actuator_gaintype[varying] = fixed
-
-        yield Candidate("gaintype", tuple(_motor_name(model, m) for m in varying), steady)
+        steady = _set("actuator_gaintype", varying, fixed)
+        yield Candidate("gaintype", _motor_names(model, varying), steady)
     late = [m for m in motors if model.actuator_delay[model.actuator_ctrladr[m]] > 0]
     if late:
-        controls = model.actuator_ctrladr[late]
-
-        def prompt(other: mujoco.MjModel) -> None:
-            other.actuator_delay[controls] = 0.0
-
-        yield Candidate("delay", tuple(_motor_name(model, m) for m in late), prompt)
+        prompt = _set("actuator_delay", model.actuator_ctrladr[late])
+        yield Candidate("delay", _motor_names(model, late), prompt)
 
 
 def _signs(bare: Bare, robot: Robot) -> Iterator[Candidate]:
@@ -236,44 +253,38 @@ def _signs(bare: Bare, robot: Robot) -> Iterator[Candidate]:
         m for joint in joints for m in drives_of(model, joint) if actuator_gear(model, m)[0] < 0
     ]
     if turned:
-
-        def straight(other: mujoco.MjModel) -> None:
-            other.actuator_gear[model.actuator_outadr[turned], 0] *= -1
-
-        yield Candidate("gear", tuple(_motor_name(model, m) for m in turned), straight)
+        outputs = model.actuator_outadr[turned]
+        straight = _set("actuator_gear", (outputs, 0), -model.actuator_gear[outputs, 0])
+        yield Candidate("gear", _motor_names(model, turned), straight)
     driving = [joint for joint in joints if model.dof_damping[model.jnt_dofadr[joint]] < 0]
     if driving:
-
-        def undamped(other: mujoco.MjModel) -> None:
-            other.dof_damping[model.jnt_dofadr[driving]] = 0.0
-
-        listed = tuple(str(model.joint(joint).name) for joint in driving)
-        yield Candidate("damping", listed, undamped)
+        undamped = _set("dof_damping", model.jnt_dofadr[driving])
+        yield Candidate("damping", _names(model, _OBJ.mjOBJ_JOINT, driving), undamped)
 
 
 def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Forces beside gravity and motors: springs, joints' limits, fluids; and gravity aside."""
     model = bare.model
-    joints = [model.joint(name).id for name in robot.joint_names]
-    sprung = [joint for joint in joints if model.jnt_stiffness[joint]]
-    tendons = np.flatnonzero(model.tendon_stiffness).tolist()
-    if sprung or tendons:
+    sprung = {
+        kind: (stiff != 0) | higher.any(axis=1)
+        for kind, stiff, higher in (
+            (_OBJ.mjOBJ_JOINT, model.jnt_stiffness, model.jnt_stiffnesspoly),
+            (_OBJ.mjOBJ_TENDON, model.tendon_stiffness, model.tendon_stiffnesspoly),
+        )
+    }
+    listed = sum((_names(model, kind, np.flatnonzero(of)) for kind, of in sprung.items()), ())
+    if listed:
 
         def slack(other: mujoco.MjModel) -> None:
-            other.jnt_stiffness[sprung] = 0.0
-            other.tendon_stiffness[:] = 0.0
+            other.jnt_stiffness[:] = other.tendon_stiffness[:] = 0.0
+            other.jnt_stiffnesspoly[:] = other.tendon_stiffnesspoly[:] = 0.0
 
-        named = [str(model.joint(joint).name) for joint in sprung]
-        named += [_name(model, _OBJ.mjOBJ_TENDON, tendon) for tendon in tendons]
-        yield Candidate("spring", tuple(named), slack)
+        yield Candidate("spring", listed, slack)
+    joints = [model.joint(name).id for name in robot.joint_names]
     limited = [joint for joint in joints if model.jnt_limited[joint]]
     if limited:
-
-        def unlimited(other: mujoco.MjModel) -> None:
-            other.jnt_limited[limited] = 0
-
-        listed = tuple(str(model.joint(joint).name) for joint in limited)
-        yield Candidate("range", listed, unlimited)
+        listed = _names(model, _OBJ.mjOBJ_JOINT, limited)
+        yield Candidate("range", listed, _set("jnt_limited", limited))
     if model.opt.density or model.opt.viscosity:
 
         def empty(other: mujoco.MjModel) -> None:
@@ -284,10 +295,8 @@ def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
             parts.append(f"wind ({', '.join(f'{speed:g}' for speed in model.opt.wind)}) m/s")
         yield Candidate("fluid", tuple(parts), empty)
     if model.opt.gravity[:2].any():
-
-        def upright(other: mujoco.MjModel) -> None:
-            other.opt.gravity[:] = 0.0, 0.0, -np.linalg.norm(model.opt.gravity)
-
+        down = 0.0, 0.0, -np.linalg.norm(model.opt.gravity)
+        upright = _set("opt.gravity", slice(None), down)
         stated = ", ".join(f"{part:g}" for part in model.opt.gravity)
         yield Candidate("gravity", (f"({stated}) m/s^2",), upright)
 
@@ -334,12 +343,9 @@ def _contacts(bare: Bare) -> Iterator[Candidate]:
     model = bare.model
     touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     even = model.pair_friction[:, 0] == model.pair_friction[:, 1]  # else see ``_pairs``
-    slick = even & (model.pair_friction[:, 0] < _SLIPPERY)
-    for code, geoms, pairs in (
-        ("slippery", model.geom_friction[:, 0] < _SLIPPERY, slick),
-        ("soft", model.geom_solref[:, 0] > _SOFT, model.pair_solref[:, 0] > _SOFT),
-    ):
-        found, stated = np.flatnonzero(geoms & touch), np.flatnonzero(pairs)
+    for code in ("slippery", "soft"):
+        found = np.flatnonzero(_are_bad(model, "geom", code) & touch)
+        stated = np.flatnonzero(_are_bad(model, "pair", code) & (even | (code == "soft")))
         if not len(found) and not len(stated):
             continue
 
@@ -355,14 +361,27 @@ def _contacts(bare: Bare) -> Iterator[Candidate]:
             else:
                 other.geom_solref[found] = other.pair_solref[stated] = _OWN_SOLREF
 
-        shapes = [*found.tolist(), *model.pair_geom2[stated].tolist()]
-        yield Candidate(code, tuple(dict.fromkeys(_shape(model, geom) for geom in shapes)), sound)
+        shapes = dict.fromkeys(_shape(model, geom) for geom in found.tolist())
+        yield Candidate(code, (*shapes, *_pair_names(model, stated)), sound)
+
+
+def _are_bad(model: mujoco.MjModel, of: str, code: str) -> NDArray[np.bool_]:
+    """Tells which contacts of geoms (``geom``) or pairs (``pair``) are slippery, or soft."""
+    if code == "slippery":
+        return np.asarray(getattr(model, f"{of}_friction")[:, 0] < _SLIPPERY)
+    return np.asarray(getattr(model, f"{of}_solref")[:, 0] > _SOFT)
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> str:
     """Returns a geom's name, or else its body's."""
     named = mujoco.mj_id2name(model, _OBJ.mjOBJ_GEOM, geom)
     return named or _name(model, _OBJ.mjOBJ_BODY, int(model.geom_bodyid[geom]))
+
+
+def _pair_names(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ...]:
+    """Returns the names of both geoms of each pair."""
+    both = np.column_stack([model.pair_geom1, model.pair_geom2])[pairs]
+    return tuple(" and ".join(_names(model, _OBJ.mjOBJ_GEOM, ends)) for ends in both)
 
 
 def _excludes(model: mujoco.MjModel) -> Iterator[Candidate]:
@@ -372,11 +391,7 @@ def _excludes(model: mujoco.MjModel) -> Iterator[Candidate]:
         if 0 not in pair and not set(pair) & _still(model):
             continue
         names = " and ".join(_name(model, _OBJ.mjOBJ_BODY, body) for body in pair)
-
-        def off(other: mujoco.MjModel, number: int = number) -> None:
-            other.exclude_signature[number] = 0  # the world and itself
-
-        yield Candidate("exclude", (names,), off)
+        yield Candidate("exclude", (names,), _set("exclude_signature", number))  # world and itself
 
 
 def _still(model: mujoco.MjModel) -> set[int]:
@@ -419,11 +434,7 @@ def _equalities(model: mujoco.MjModel) -> Iterator[Candidate]:
         kind = "weld" if model.eq_type[number] == kinds[0] else "connect"
         name = mujoco.mj_id2name(model, _OBJ.mjOBJ_EQUALITY, number)
         both = " and ".join(_name(model, _OBJ.mjOBJ_BODY, end) for end in ends)
-
-        def off(other: mujoco.MjModel, number: int = number) -> None:
-            other.eq_active0[number] = 0
-
-        yield Candidate(kind, (name or both,), off)
+        yield Candidate(kind, (name or both,), _set("eq_active0", number))
 
 
 def _limits(bare: Bare, robot: Robot) -> Iterator[Candidate]:
@@ -431,29 +442,18 @@ def _limits(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     model = bare.model
     joints = [model.joint(name).id for name in robot.joint_names]
     motors = [motor for joint in joints for motor in drives_of(model, joint)]
-    names = {motor: _motor_name(model, motor) for motor in motors}
     ranged = [m for m in motors if model.actuator_ctrllimited[model.actuator_ctrladr[m]]]
     if ranged:
-
-        def any_command(other: mujoco.MjModel) -> None:
-            other.actuator_ctrllimited[model.actuator_ctrladr[ranged]] = 0
-
-        yield Candidate("ctrlrange", tuple(names[motor] for motor in ranged), any_command)
+        any_command = _set("actuator_ctrllimited", model.actuator_ctrladr[ranged])
+        yield Candidate("ctrlrange", _motor_names(model, ranged), any_command)
     forced = [motor for motor in motors if model.actuator_forcelimited[motor]]
     if forced:
-
-        def any_force(other: mujoco.MjModel) -> None:
-            other.actuator_forcelimited[forced] = 0
-
-        yield Candidate("forcerange", tuple(names[motor] for motor in forced), any_force)
+        any_force = _set("actuator_forcelimited", forced)
+        yield Candidate("forcerange", _motor_names(model, forced), any_force)
     clamped = [joint for joint in joints if model.jnt_actfrclimited[joint]]
     if clamped:
-
-        def any_torque(other: mujoco.MjModel) -> None:
-            other.jnt_actfrclimited[clamped] = 0
-
-        listed = tuple(str(model.joint(joint).name) for joint in clamped)
-        yield Candidate("actuatorfrcrange", listed, any_torque)
+        listed = _names(model, _OBJ.mjOBJ_JOINT, clamped)
+        yield Candidate("actuatorfrcrange", listed, _set("jnt_actfrclimited", clamped))
 
 
 def _motors(bare: Bare) -> Iterator[Candidate]:
@@ -465,7 +465,7 @@ def _motors(bare: Bare) -> Iterator[Candidate]:
         def silent(other: mujoco.MjModel) -> None:
             other.actuator_gainprm[others] = other.actuator_biasprm[others] = 0.0
 
-        listed = tuple(_name(model, _OBJ.mjOBJ_ACTUATOR, motor) for motor in others)
+        listed = _names(model, _OBJ.mjOBJ_ACTUATOR, others)
         yield Candidate("motors-elsewhere", listed, silent)
 
     slow = [
@@ -475,31 +475,17 @@ def _motors(bare: Bare) -> Iterator[Candidate]:
         and model.actuator_dynprm[motor, 0] > SETTLES
     ]
     if slow:
-
-        def quick(other: mujoco.MjModel) -> None:
-            other.actuator_dynprm[slow, 0] = SETTLES
-
-        listed = tuple(_motor_name(model, motor) for motor in slow)
-        yield Candidate("timeconst", listed, quick)
+        quick = _set("actuator_dynprm", (slow, 0), SETTLES)
+        yield Candidate("timeconst", _motor_names(model, slow), quick)
 
 
 def _pairs(model: mujoco.MjModel) -> Iterator[Candidate]:
     """Friction of a pair of geoms that is not the same along both of its axes."""
     uneven = np.flatnonzero(model.pair_friction[:, 0] != model.pair_friction[:, 1])
     if len(uneven):
-
-        def even(other: mujoco.MjModel) -> None:
-            most = model.pair_friction[uneven][:, :2].max(axis=1)
-            other.pair_friction[uneven, :2] = most[:, None]
-
-        listed = tuple(
-            " and ".join(
-                _name(model, _OBJ.mjOBJ_GEOM, int(geoms[number]))
-                for geoms in (model.pair_geom1, model.pair_geom2)
-            )
-            for number in uneven.tolist()
-        )
-        yield Candidate("pair-friction", listed, even)
+        most = model.pair_friction[uneven][:, :2].max(axis=1)
+        even = _set("pair_friction", (uneven, slice(2)), most[:, None])
+        yield Candidate("pair-friction", _pair_names(model, uneven), even)
 
 
 def _passive(bare: Bare, robot: Robot) -> Iterator[Candidate]:
@@ -507,19 +493,14 @@ def _passive(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     model = bare.model
     loose = loose_joints(bare, robot)
     if loose:
-        dofs = model.jnt_dofadr[loose]
-
-        def locked(other: mujoco.MjModel) -> None:
-            other.dof_damping[dofs] = _LOCKED
-
-        listed = tuple(str(model.joint(joint).name) for joint in loose)
-        yield Candidate("loose-joints", listed, locked)
+        locked = _set("dof_damping", model.jnt_dofadr[loose], _LOCKED)
+        yield Candidate("loose-joints", _names(model, _OBJ.mjOBJ_JOINT, loose), locked)
     if model.nflex:
 
         def untouched(other: mujoco.MjModel) -> None:
             other.flex_contype[:] = other.flex_conaffinity[:] = 0
 
-        listed = tuple(_name(model, _OBJ.mjOBJ_FLEX, number) for number in range(model.nflex))
+        listed = _names(model, _OBJ.mjOBJ_FLEX, range(model.nflex))
         yield Candidate("flex", listed, untouched)
 
 

@@ -51,6 +51,7 @@ from pupper_analysis.robot.as_published import (
     ServoSource,
     ServosUsed,
 )
+from pupper_analysis.robot.contact import foot_geoms, ground_contacts
 from pupper_analysis.robot.fall import body_moved, nudge_velocity
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servo_gains
@@ -351,7 +352,9 @@ def makes_it_shake(robot: Robot, fails: Callable[[Robot], bool]) -> tuple[Cause,
     for candidate in shaking_causes(Bare.of(robot.mj_model, robot), robot):
         model = copy.copy(robot.mj_model)
         candidate.switch_off(model)
-        if not fails(replace(robot, mj_model=model)):
+        geoms = foot_geoms(robot.description, model, robot.contact_places)
+        other = replace(robot, mj_model=model, contacts=ground_contacts(model, geoms))
+        if not fails(other):
             return with_lines([candidate.cause(0.0)], robot)
     return ()
 

@@ -20,9 +20,10 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-_MASS = 0.05
-"""Masses of links that are alike differ by no more than this part of them: left and right ones of
-published robots are within 1 %."""
+_ALIKE = 0.05
+"""Masses of links that are alike differ by no more than this part of them, and the ways from joint
+to joint by no more than this part of a limb: left and right ones of published robots are within
+1 %. One of the two is enough: a digit that is wrong is in one of them."""
 
 _APART = 2e-3
 """Bodies that are further from the place of a mirror image are somewhere else (m)."""
@@ -31,7 +32,7 @@ _UNLIKE = {"armature": 3.0, "damping": 3.0, "frictionloss": 3.0, "range": 1.5, "
 """{attribute: the factor by which a joint differs from its like}. What was measured joint by joint
 differs by up to 2.1 in published robots (Aliengo's damping), what was designed by nothing."""
 
-_IMAGES = tuple(np.array([x, y, 1.0]) for x, y in itertools.product((1.0, -1.0), repeat=2))
+_IMAGES = tuple(np.diag([x, y, 1.0]) for x, y in itertools.product((1.0, -1.0), repeat=2))
 """Left and right, front and rear, both: where a limb's like may be, in the base's axes."""
 
 
@@ -44,24 +45,34 @@ class Limb:
         joints: The ids of its joints.
         kinds: Its joints' kinds.
         masses: What its bodies weigh, with what is fixed to them (kg).
+        lengths: From one joint to the next (m), which no mirror changes.
+        turns: |cos| between their axes, likewise.
     """
 
     bodies: tuple[int, ...]
     joints: tuple[int, ...]
     kinds: tuple[int, ...]
     masses: Array
+    lengths: Array
+    turns: Array
 
     def like(self, other: Limb) -> bool:
-        """Tells whether two limbs have the same joints and the same masses."""
-        if self.kinds != other.kinds or len(self.masses) != len(other.masses):
+        """Tells whether two limbs have the same joints, and are of one weight or one shape."""
+        if self.kinds != other.kinds:
+            return False
+        size = np.maximum(self.lengths, other.lengths).sum()
+        long = np.abs(self.lengths - other.lengths) <= _ALIKE * size
+        if size and long.all() and (np.abs(self.turns - other.turns) <= _ALIKE).all():
+            return True
+        if len(self.masses) != len(other.masses):
             return False
         most = np.maximum(self.masses, other.masses)
-        return bool((np.abs(self.masses - other.masses) <= _MASS * most).all())
+        return bool((np.abs(self.masses - other.masses) <= _ALIKE * most).all())
 
 
 def limbs_of(robot: Robot) -> list[Limb]:
     """Returns the limbs of a robot, each to an end that carries nothing that moves."""
-    model = robot.mj_model
+    model, data = robot.mj_model, _placed(robot)
     weld, base = model.body_weldid, int(model.body_weldid[model.body(robot.mj_base).id])
     found = []
     for end in limb_ends(model):
@@ -79,8 +90,20 @@ def limbs_of(robot: Robot) -> list[Limb]:
         ]
         masses = [float(model.body_mass[weld == body].sum()) for body in bodies]
         kinds = tuple(model.jnt_type[joints].tolist())
-        found.append(Limb(tuple(bodies), tuple(joints.tolist()), kinds, np.array(masses)))
+        lengths = np.linalg.norm(np.diff(data.xanchor[joints], axis=0), axis=1)
+        axes = data.xaxis[joints]
+        turns = np.abs((axes[1:] * axes[:-1]).sum(axis=1))
+        own = tuple(bodies), tuple(joints.tolist()), kinds
+        found.append(Limb(*own, np.array(masses), lengths, turns))
     return found
+
+
+def _placed(robot: Robot) -> mujoco.MjData:
+    """Returns data with everything where it is when all joints are at zero."""
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, robot.neutral())
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return data
 
 
 def limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
@@ -166,14 +189,22 @@ def _displaced(robot: Robot, limb: Limb, alike: list[Limb]) -> tuple[str | None,
 
     Of all images of limbs that are alike the one that begins nearest counts.
     """
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, robot.neutral())
-    mujoco.mj_kinematics(model, data)
+    model, data = robot.mj_model, _placed(robot)
     own = data.xpos[list(limb.bodies)]
-    images = [image * data.xpos[list(other.bodies)] for other in alike for image in _IMAGES]
-    gaps = [np.linalg.norm(own - image, axis=1) for image in images]
+    gaps = []
+    for other in alike:
+        there = data.xpos[list(other.bodies)]
+        images = (*_IMAGES, _turned(there[0], own[0]))  # of a ring, the next one's
+        gaps += [np.linalg.norm(own - there @ image.T, axis=1) for image in images]
     off = min(gaps, key=lambda gap: (float(np.round(gap[0], 3)), float(gap.max())))
     first = next((number for number, gap in enumerate(off) if gap > _APART), None)
     if first is None:
         return None, 0.0
     return str(model.body(limb.bodies[first]).name), float(off[first])
+
+
+def _turned(start: Array, end: Array) -> Array:
+    """Returns the rotation (3, 3) about the vertical that brings a place (3,) towards another."""
+    angle = np.arctan2(end[1], end[0]) - np.arctan2(start[1], start[0])
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

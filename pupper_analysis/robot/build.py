@@ -87,12 +87,6 @@ def build_robot(
     for foot, points in description.feet.items():
         feet = {other: own for other, own in feet.items() if other not in points} | {foot: points}
     foot_of = {point: foot for foot, points in feet.items() for point in points}
-    ground = contact.ground_geom(mj_model)
-    contacts = {
-        point: contact.combine_geoms(mj_model, geom, ground)
-        for point, (geom, _) in geoms.items()
-        if ground is not None
-    }
     # The keyframe may be that of the model with a free base.
     home = keyframe[len(keyframe) - mj_model.nq + mj_convention.qpos_index]
     return Robot(
@@ -110,7 +104,7 @@ def build_robot(
         foot_geoms=MappingProxyType({geom: foot_of[point] for point, (geom, _) in geoms.items()}),
         contact_radius=MappingProxyType(radius),
         feet=MappingProxyType(feet),
-        contacts=MappingProxyType(contacts),
+        contacts=contact.ground_contacts(mj_model, geoms),
         home=home,
         nominal=np.array([description.nominal.get(name, 0.0) for name in joint_names]),
         stand_height=stand_height(mj_model, mj_base, places, radius, keyframe, foot_depth),

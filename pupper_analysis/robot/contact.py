@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -223,6 +224,18 @@ def foot_geoms(
             raise ModelError(description.mjcf_source, problem)
         found[foot] = sphere, float(model.geom_size[sphere, 0])
     return found
+
+
+def ground_contacts(
+    model: mujoco.MjModel, geoms: Mapping[str, tuple[int, float]]
+) -> Mapping[str, ContactParameters]:
+    """Returns the parameters of contacts with the ground, by their points' ``foot_geoms``."""
+    ground = ground_geom(model)
+    if ground is None:
+        return MappingProxyType({})
+    return MappingProxyType(
+        {point: combine_geoms(model, geom, ground) for point, (geom, _) in geoms.items()}
+    )
 
 
 def stand_height(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from lxml import etree
 
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf import silence_mujoco
@@ -17,7 +15,7 @@ from pupper_analysis.present.verdict import in_words, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.tools.hold.hold import hold_posture
 from pupper_analysis.tools.stand.stance import study_stance
-from tests.support.planted import HELD, PLANTS, ROBOTS
+from tests.support.planted import HELD, PLANTS, ROBOTS, planted
 
 NEVER = {
     *("holds-in-mujoco", "fails-in-mujoco", "fails-alone", "collapses-as-published"),
@@ -47,17 +45,6 @@ def causes(verdict: Verdict) -> list[str]:
         elif code not in NEVER:
             found.append(code)
     return found
-
-
-def planted(folder: Path, robot: str, plant: str | None) -> tuple[Path, Path]:
-    """Returns the URDF and the MJCF of a robot in which something is planted, or nothing."""
-    urdf, root = ROBOTS[robot](folder)
-    root = copy.deepcopy(root)
-    if plant is not None:
-        PLANTS[plant][0](root)
-    mjcf = folder / "planted.xml"
-    mjcf.write_bytes(etree.tostring(root, pretty_print=True))
-    return urdf, mjcf
 
 
 def judged(robot: str, urdf: Path, mjcf: Path) -> Verdict:
@@ -117,6 +104,27 @@ SAMPLE = [PAIRS[int(number)] for number in np.random.default_rng(43).choice(len(
 @pytest.mark.parametrize(("robot", "plant"), SAMPLE)
 def test_of_a_sample_the_right_one_is_told(tmp_path: Path, robot: str, plant: str) -> None:
     assert right(tmp_path, robot, plant) is not False
+
+
+@pytest.mark.parametrize(
+    ("robot", "plant", "cause"),
+    [
+        ("quad", "springs", "springs-pull"),
+        ("quad", "springs that stiffen", "springs-pull"),
+        ("quad", "a tendon that stiffens", "springs-pull"),
+        ("pupper", "gravity aside", "gravity-aside"),
+        ("quad", "affine gains", "gain-is-not-fixed"),
+        ("ring", "soft contacts", "contacts-give-way"),
+        ("ring", "a pair's friction", "contacts-slip"),
+        ("ring", "a foot that does not touch", "limb-without-foot"),
+    ],
+)
+def test_what_nothing_else_explains_is_told(
+    tmp_path: Path, robot: str, plant: str, cause: str
+) -> None:
+    verdict = judged(robot, *planted(tmp_path, robot, plant))
+    assert not verdict.passed
+    assert cause in causes(verdict), in_words(verdict)
 
 
 @pytest.mark.longest

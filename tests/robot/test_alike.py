@@ -11,6 +11,7 @@ from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.alike import joints_unlike, limbs_without_feet
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.convert.model import convert_model
+from tests.support.planted import planted
 from tests.tools.convert.test_model import standing_urdf
 
 
@@ -49,6 +50,14 @@ def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
     [told] = limbs_without_feet(robot)
     assert told.values["gap"] is None
     assert "no collision shape" in str(told)
+
+
+def test_limbs_of_other_weights_are_alike_by_their_shape(tmp_path: Path) -> None:
+    """Six legs in a ring, each of another weight, one of which touches nothing."""
+    urdf, mjcf = planted(tmp_path, "ring", "a foot that does not touch")
+    [told] = limbs_without_feet(pa.load_robot(urdf, mjcf))
+    assert (told.values["feet"], told.values["alike"]) == (5, 6)
+    assert told.values["gap"] is None, "it is where the others' turned about the base are"
 
 
 def test_feet_that_are_named_are_as_they_are_meant(tmp_path: Path) -> None:

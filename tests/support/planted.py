@@ -6,6 +6,7 @@ if it does anything.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -326,6 +327,32 @@ def _spring(root: Element) -> None:
     joint.set("springref", "1")
 
 
+def _pull(stiffness: str, way: float) -> Plant:
+    """Springs turn all rolls to one side, by half of a servo's stiffness (N m) at first.
+
+    Args:
+        stiffness: MJCF's, of parts of a servo's stiffness: "c1 c2 c3" pulls by c1 x + c2 x^2 + ...
+        way: By which they are drawn (rad).
+    """
+
+    def plant(root: Element) -> None:
+        for joint, servo in list(zip(moving(root), servos(root), strict=True))[::3]:
+            kp = _gains(root, servo)[0]
+            parts = " ".join(f"{kp * float(part):g}" for part in stiffness.split())
+            joint.attrib.update({"stiffness": parts, "springref": f"{way:g}"})
+
+    return plant
+
+
+def _cord(root: Element) -> None:
+    """A tendon that stiffens as it is drawn does the same."""
+    kp = _gains(root, servos(root)[0])[0]
+    words = {"name": "cord", "springlength": "10", "stiffness": f"0 0 {5e-4 * kp:g}"}
+    cord = stated(root, "tendon/fixed", **words)
+    for joint in moving(root)[::3]:
+        etree.SubElement(cord, "joint", {"joint": joint.get("name"), "coef": "1"})
+
+
 def _disabled(root: Element) -> None:
     servos(root)[2].set("group", "3")
     option(actuatorgroupdisable="3")(root)
@@ -399,6 +426,9 @@ PLANTS: dict[str, tuple[Plant, Codes]] = {
     ),
     "a tendon's spring": (_tendon_spring, ("springs-pull",)),
     "a joint's spring": (_spring, ("springs-pull",)),
+    "springs": (_pull("0.02", 25.0), ("springs-pull",)),
+    "springs that stiffen": (_pull("0 0 5e-4", 10.0), ("springs-pull",)),
+    "a tendon that stiffens": (_cord, ("springs-pull",)),
     "a mocap obstacle": (_block(mocap=True), ("obstacles-touch",)),
     "an obstacle": (_block(mocap=False), ("obstacles-touch",)),
     "a delay": (each_servo(delay="0.1", nsample="101"), ("servos-are-late",)),
@@ -462,3 +492,14 @@ HELD = (
     "a delay",
 )
 """Those that can be planted in an arm."""
+
+
+def planted(folder: Path, robot: str, plant: str | None) -> tuple[Path, Path]:
+    """Returns the URDF and the MJCF of a robot in which something is planted, or nothing."""
+    urdf, root = ROBOTS[robot](folder)
+    root = copy.deepcopy(root)
+    if plant is not None:
+        PLANTS[plant][0](root)
+    mjcf = folder / "planted.xml"
+    mjcf.write_bytes(etree.tostring(root, pretty_print=True))
+    return urdf, mjcf
