@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pupper_analysis.base.arguments import check_arguments
@@ -146,14 +146,15 @@ def read_contract(
         found, said = _in_folder(folder, read, model, first.order, names or {})
         read += found
         notes += said
-    rest = [one for one in read if one is not first]
+    first, *rest = _named_apart([first, *(one for one in read if one is not first)])
     placed = [place_source(one, model, first.order, rest, names or {}) for one in (first, *rest)]
     for one in placed:
         own = [fact for fact in one.facts.values() if not fact.implied]
-        if not own and not (one.order and any(one.order)):
+        theirs = tuple(dict.fromkeys([*one.unknown, *_patterns(one.source)]))
+        # A network without names states how many joints it is for.
+        if not own and not any(one.order) and (theirs or one.notes or not one.settings):
             if one.notes:
                 raise ModelError(one.source.path, one.notes[0])
-            theirs = tuple(dict.fromkeys([*one.unknown, *_patterns(one.source)]))
             told = diagnose("contract-no-joint", model=first.name, names=theirs[:4],
                             joints=first.order[:4])  # fmt: skip
             raise ModelError(one.source.path, told)
@@ -176,6 +177,22 @@ def read_contract(
         notes=(*notes, *unstood),
         passed=all(one.severity.rank > worst for one in findings),
     )
+
+
+def _named_apart(read: Sequence[Source]) -> list[Source]:
+    """Returns sources whose names tell them apart: by as many folders as that takes."""
+
+    def called(one: Source, folders: int) -> str:
+        return "/".join((*one.path.absolute().parts[-1 - folders : -1], one.name))
+
+    done = []
+    for one in read:
+        others = [each for each in read if each is not one and each.path != one.path]
+        depths = range(len(one.path.absolute().parts) - 1)
+        apart = (called(one, depth) for depth in depths
+                 if called(one, depth) not in [called(each, depth) for each in others])  # fmt: skip
+        done.append(replace(one, name=next(apart, one.name)))
+    return done
 
 
 def _asked(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:

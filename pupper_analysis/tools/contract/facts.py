@@ -65,17 +65,22 @@ QUANTITIES: Final[Mapping[str, Kind]] = {
     "start angle": Kind("rad", None, 0),
     "start kp": Kind("N m/rad", None, 0),
     "start kd": Kind("N m s/rad", None, 0),
+    "friction coefficient": Kind("1", None, 0),
 }
 """Of joints. What passive joints damp is no gain of a servo; at which angles a model begins, and
-with which gains a robot stands up, need not be what its policy has."""
+with which gains a robot stands up, need not be what its policy has; a friction of PhysX is no
+torque."""
 
 SETTINGS: Final[Mapping[str, Kind]] = {
     "time step": Kind("s", None),
     "decimation": Kind("1", None),
     "policy step": Kind("s", _ERROR),
     "latency": Kind("s", _ERROR),
+    "actions": Kind("1", _ERROR),
+    "observed numbers": Kind("1", None),
 }
-"""Of a source as a whole: how a policy's step is made up may differ, the step may not."""
+"""Of a source as a whole: how a policy's step is made up may differ, the step may not; and how many
+numbers are observed depends on how many steps of them are."""
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,23 @@ from dataclasses import dataclass
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.stated.model import RobotModel
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.contract.facts import QUANTITIES, SETTINGS, Kind, Role, Statement
-from pupper_analysis.tools.contract.orders import Placed, mirror_of, mirrored_sign, permutation
+from pupper_analysis.tools.contract.orders import (
+    Placed,
+    like_mirror,
+    mirror_of,
+    mirrored_sign,
+    permutation,
+)
 
 _SAME = 2e-6
 """Relative: what single precision and seven printed digits leave of a number."""
+
+_TOLERANCES = {kind: getattr(Tolerances(), kind)
+               for kind in ("effort", "velocity", "damping", "friction")}  # fmt: skip
+
+_LIMITS = ("lower limit", "upper limit")
 
 _FINE = 5
 """Digits after the point from which on a number was worked out: others may be rounded from it."""
@@ -87,11 +99,16 @@ def find_all(
 
 
 def agree(one: Statement, two: Statement) -> bool:
-    """Whether two numbers are one: the same, or the one rounded from the other, worked out."""
+    """Whether two numbers are one: the same, or the one rounded from the other, worked out.
+
+    What models state is held as near as ``crosscheck`` holds them.
+    """
     a, b = one.value, two.value
     if a is None or b is None:
         return True  # nobody knows
-    if a == b or abs(a - b) <= _SAME * max(abs(a), abs(b)):
+    if a == b or abs(a - b) <= _TOLERANCES.get(one.quantity, _SAME) * max(abs(a), abs(b)):
+        return True
+    if one.quantity in _LIMITS and abs(a - b) <= Tolerances().limit:
         return True
     for rounded, fine in ((one, two), (two, one)):
         written = fine.decimals is None or fine.decimals >= _FINE
@@ -146,7 +163,7 @@ def _grouped(
         slip, unit = _slip(quantity, a, b)
         severity = kind.severity
         # What asks for less than the model allows may be meant.
-        if quantity in ("lower limit", "upper limit") and _inside(quantity, first, other, members):
+        if quantity in _LIMITS and _inside(quantity, first, other, members):
             severity = Severity.NOTE
         if quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b)):
             severity = Severity.NOTE
@@ -278,7 +295,7 @@ def _mirrored(
             if one is None or two is None or one.value is None or two.value is None:
                 continue
             sign = mirrored_sign(model, joint, other) if kind.mirrored < 0 else 1
-            if not sign or abs(one.value - sign * two.value) <= 1e-3 * abs(one.value) + 1e-9:
+            if like_mirror(one.value, two.value, sign):
                 continue
             told = diagnose("contract-mirror", subject=("joint", joint), what=Term(quantity),
                             mirror=other, one=Quantity(one.value, kind.unit),
@@ -292,11 +309,13 @@ def _mirrored(
 
 def _orders(placed: Sequence[Placed]) -> Iterator[Disagreement]:
     """Yields where what feeds a policy has its joints in another order than another that does."""
+    # What was assumed is nobody's; what says which motor each joint is may have any order.
     feeding = [one for one in placed if one.source.role is not Role.MODEL and one.order
-               and (one.facts or one.source.motors)]  # fmt: skip
+               and one.how != "assumed" and (one.facts or one.source.motors)]  # fmt: skip
     for first, other in ((feeding[0], one) for one in feeding[1:]):
         moved = permutation(first.order, other.order)
-        if not moved or set(first.order) != set(other.order):
+        mapped = first.source.motors and other.source.motors
+        if not moved or mapped or set(first.order) != set(other.order):
             continue
         words = tuple(f"{a} → {b} ({joint})" for a, b, joint in moved)
         told = diagnose("contract-order", first=first.source.name, second=other.source.name,

@@ -10,7 +10,13 @@ from itertools import pairwise
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.robot.matching.pairs import without_affixes
-from pupper_analysis.tools.contract.facts import Role, Source, Statement, matches
+from pupper_analysis.tools.contract.facts import (
+    QUANTITIES,
+    Role,
+    Source,
+    Statement,
+    matches,
+)
 
 
 @dataclass(frozen=True)
@@ -148,11 +154,10 @@ def _order(
     sizes = {len(source.motors)} if source.motors else lists
     if not sizes:
         return (), "", []
-    named = next((one for one in others if one.motor_names), None)
-    if source.motors and named is not None and max(source.motors) < len(named.motor_names):
-        motors = name_joints(named.motor_names, joints, given)
-        found = [motors.get(named.motor_names[one], "") for one in source.motors]
-        return tuple(found), "motors", []
+    named = next(filter(None, map(_motor_names, others)), {})
+    if source.motors and set(source.motors) <= set(named):
+        motors = name_joints(list(named.values()), joints, given)
+        return tuple(motors.get(named[one], "") for one in source.motors), "motors", []
     policies = [one for one in others if one.role is Role.POLICY and len(one.order) in sizes]
     if policies and source.role is Role.DEPLOYMENT:  # it runs that policy
         names = name_joints(policies[0].order, joints, given)
@@ -164,12 +169,46 @@ def _order(
     if not (trainers and all(one.breadth_first for one in trainers)):
         kept.reverse()
     fits = [one for one in kept if source.motors and _whole_limbs(one, source.motors, model)]
-    order = (fits or kept)[-1]
+    # That in which left and right are least unlike: a list in another order is like no mirror.
+    wrong = {one: _unlike(one, source, model) for one in dict.fromkeys((fits or kept)[::-1])}
+    order = min(wrong, key=wrong.__getitem__)
+    if wrong[order] > MOST_UNLIKE:
+        return (), "", []
     if order == joints:
         told = diagnose("contract-order-of-file", file=source.name, first=order[:3])
     else:
         told = diagnose("contract-order-by-depth", file=source.name, first=order[:3])
     return order, "assumed", [told]
+
+
+MOST_UNLIKE = 1 / 3
+"""Share of the pairs of left and right whose numbers may be unlike in an order that is assumed."""
+
+
+def _unlike(order: tuple[str, ...], source: Source, model: RobotModel) -> float:
+    """Returns the share of pairs of left and right that a source's lists contradict in an order."""
+    said = {(one.quantity, order[one.index]): one.value for one in source.statements
+            if one.index is not None and one.count == len(order)}  # fmt: skip
+    pairs = [(joint, other) for joint in order if (other := mirror_of(joint, order))]
+    signs = {pair: (1, mirrored_sign(model, *pair)) for pair in pairs}
+    alike = [like_mirror(said[what, one], said[what, two], signs[one, two][kind.mirrored < 0])
+             for what, kind in QUANTITIES.items() if kind.mirrored
+             for one, two in pairs if (what, one) in said]  # fmt: skip
+    return alike.count(False) / max(1, len(alike))
+
+
+def like_mirror(one: float | None, two: float | None, sign: int) -> bool:
+    """Whether two numbers are each other's mirror image, or nobody knows."""
+    if one is None or two is None or not sign:
+        return True
+    return abs(one - sign * two) <= 1e-3 * abs(one) + 1e-9
+
+
+def _motor_names(source: Source) -> dict[int, str]:
+    """Returns {number of a motor: name of its joint}, as a source states them."""
+    if source.order and source.motors:
+        return dict(zip(source.motors, source.order, strict=False))
+    return dict(enumerate(source.motor_names))
 
 
 def _whole_limbs(order: tuple[str, ...], motors: tuple[int, ...], model: RobotModel) -> bool:

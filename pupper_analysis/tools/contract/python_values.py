@@ -144,6 +144,7 @@ _CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
 _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
 _AS_IT_IS: Final = ("array", "asarray", "tensor", "list", "tuple", "dict", "sorted", "freeze")
 """Calls that give back the values that they are given."""
+_PROJECT: Final = ("setup.py", "pyproject.toml", ".git")
 _COPIES: Final = ("copy", "deepcopy", "replace")
 
 
@@ -318,10 +319,14 @@ class Evaluator:
         return None
 
     def _tops(self, path: Path) -> Iterator[Path]:
-        """Yields the folders above a file up to that of its package."""
-        for folder in path.parents:
+        """Yields the folders above a file up to that of its project, or of its package."""
+        above = list(path.parents)
+        top = [number for number, folder in enumerate(above)
+               if any((folder / mark).exists() for mark in _PROJECT)]  # fmt: skip
+        for number, folder in enumerate(above):
             yield folder
-            if not is_input(folder / "__init__.py") and folder != path.parent:
+            within = top and number < top[0]
+            if not within and not is_input(folder / "__init__.py") and number:
                 return
 
     def _forget(self, body: list[ast.stmt], scope: Scope) -> None:

@@ -171,13 +171,22 @@ num_actions: 12
 """
 
 
+def field(number: int, data: bytes | int) -> bytes:
+    """Returns a field of a message, as Protocol Buffers write it."""
+    if isinstance(data, int):
+        return bytes([number << 3, data])
+    assert len(data) < 1 << 14
+    return bytes([number << 3 | 2, len(data) & 127 | 128, len(data) >> 7]) + data
+
+
+def tensor(name: str, *sizes: int) -> bytes:
+    """Returns a ValueInfoProto: name (1), type (2: tensor 1: shape 2: dim 1: value 1)."""
+    dims = b"".join(field(1, field(1, size) if size else field(2, b"batch")) for size in sizes)
+    return field(1, name.encode()) + field(2, field(1, field(1, 1) + field(2, dims)))
+
+
 def onnx(**metadata: str) -> bytes:
     """Returns a model of Protocol Buffers with an opset and metadata, as ONNX has them."""
-
-    def field(number: int, data: bytes) -> bytes:
-        assert len(data) < 1 << 14
-        size = bytes([len(data) & 127 | 128, len(data) >> 7])
-        return bytes([number << 3 | 2]) + size + data
 
     said = b"\x08\x07"  # ir_version, a varint
     for key, value in metadata.items():

@@ -15,7 +15,9 @@ from tests.tools.contract.sources import (
     MJCF,
     UNITREE_GYM,
     URDF,
+    field,
     listed,
+    tensor,
     write_all,
 )
 
@@ -32,15 +34,102 @@ def contract(*paths: str | Path) -> Contract:
     return read_contract(URDF, *paths, stand=False)
 
 
-PAIRS = [(trainer, other) for trainer in TRAINERS for other in OTHERS
-         if (trainer, other) != ("isaac_cfg.py", "policy.json")]  # fmt: skip
+PAIRS = [(trainer, other) for trainer in TRAINERS for other in OTHERS]
 
 
-def test_lists_of_isaac_labs_policies_go_by_depth(sources: dict[str, Path]) -> None:
-    (read,) = [one for one in contract(sources["isaac_cfg.py"], sources["policy.json"]).sources
-               if one.role == "policy"]  # fmt: skip
-    assert {name[-2:] for name in read.order[:4]} == {"_1"}
-    assert {name[-2:] for name in read.order[8:]} == {"_3"}
+@pytest.mark.parametrize(
+    ("angles", "kinds"),
+    [([ANGLES[3 * leg + part] for part in range(3) for leg in range(4)], {"_1"}),
+     (ANGLES, {"_1", "_2", "_3"})],
+)  # fmt: skip
+def test_lists_go_by_depth_unless_left_and_right_were_unlike(
+    sources: dict[str, Path], angles: list[float], kinds: set[str]
+) -> None:
+    """Of Isaac Lab's policies; a list that no order makes alike is not read."""
+    path = sources["policy.json"]
+    text = path.read_text()
+    path.write_text(text.replace(listed(ANGLES), listed(angles)))
+    found = contract(sources["isaac_cfg.py"], path)
+    (read,) = [one for one in found.sources if one.role == "policy"]
+    assert {name[-2:] for name in read.order[:4]} == kinds
+    assert found.findings == ()
+    path.write_text(text.replace(listed(ANGLES), listed(range(12))))
+    found = contract(sources["isaac_cfg.py"], path)
+    assert not [one for one in found.facts if one.source == path.name and "angle" in one.quantity]
+    assert any(one.code == "contract-list-unread" for one in found.notes)
+
+
+def test_what_says_which_motor_each_joint_is_may_have_any_order(sources: dict[str, Path]) -> None:
+    """As rl_sar's: a robot's table names its motors, a policy's goes by their numbers."""
+    folder = sources["deploy.yaml"].parent / "more"
+    folder.mkdir()
+    base, policy = folder / "base.yaml", folder / "config.yaml"
+    motors = [*JOINTS[3:6], *JOINTS[:3], *JOINTS[6:]]
+    base.write_text(
+        f"pupper:\n  joint_names: {listed(motors)}\n  joint_mapping: {listed(range(12))}\n"
+        f"  fixed_kp: {listed([80] * 12)}\n  default_dof_pos: {listed([0.0] * 12)}\n"
+    )
+    numbers = [3, 4, 5, 0, 1, 2, *range(6, 12)]
+    policy.write_text(
+        f"pupper/walk:\n  JOINT_MAPPING: {listed(numbers)}\n  rl_kp: {listed([5.0] * 12)}\n"
+        f"  default_dof_pos: {listed(ANGLES)}\n"
+    )
+    found = contract(sources["gym_cfg.py"], base, policy)
+    assert found.findings == ()
+    order = {one.name: (one.how, one.order) for one in found.sources}
+    assert order["config.yaml:pupper/walk"] == ("motors", tuple(JOINTS))
+    policy.write_text(policy.read_text().replace(listed(numbers), listed(range(12))))
+    wrong = contract(sources["gym_cfg.py"], base, policy).findings
+    assert {one.kind for one in wrong} == {"default angle"}
+    moved = {joint for one in wrong for joint in one.joints}
+    assert moved == set(JOINTS[:6]) - {JOINTS[1], JOINTS[4]}
+
+
+def test_files_of_one_name_are_told_apart(sources: dict[str, Path]) -> None:
+    real = sources["deploy.yaml"].parent / "real" / "deploy.yaml"
+    real.parent.mkdir()
+    text = sources["deploy.yaml"].read_text()
+    real.write_text(text.replace("step_dt: 0.02", "step_dt: 0.01"))
+    found = contract(sources["gym_cfg.py"], sources["deploy.yaml"], real)
+    names = {one.name for one in found.sources if one.role == "deployment"}
+    assert names == {f"{real.parents[1].name}/deploy.yaml", "real/deploy.yaml"}
+    assert {one.sources[1] for one in found.findings} == {"real/deploy.yaml"}
+    assert len([one for one in found.facts if one.source == "real/deploy.yaml"
+                and one.quantity == "kp"]) == 12  # fmt: skip
+
+
+def test_how_many_actions_a_network_gives_is_held_against_the_others(
+    sources: dict[str, Path],
+) -> None:
+    network = sources["policy.onnx"].with_name("bare.onnx")
+    graph = field(12, tensor("actions", 0, 12)) + field(11, tensor("obs", 0, 36))
+    network.write_bytes(field(7, graph))
+    gym = sources["gym_cfg.py"]
+    gym.write_text(gym.read_text() + "    class env:\n        num_actions = 12\n")
+    found = contract(gym, network)
+    assert found.findings == ()
+    said = {one.quantity: one.value for one in found.facts if one.source == network.name}
+    assert said == {"actions": 12, "observed numbers": 36}
+    gym.write_text(gym.read_text().replace("num_actions = 12", "num_actions = 10"))
+    (finding,) = contract(gym, network).findings
+    assert (finding.kind, finding.values) == ("actions", (10, 12))
+
+
+def test_settings_in_yaml_are_those_of_legged_gym(sources: dict[str, Path]) -> None:
+    """As HumanoidVerse has them: names, lists of limits, tables of gains by parts of names."""
+    path = sources["deploy.yaml"].with_name("robot.yaml")
+    path.write_text(
+        f"robot:\n  dof_names: {listed(JOINTS)}\n  dof_effort_limit_list: {listed([3.0] * 12)}\n"
+        "  init_state:\n    default_joint_angles:\n"
+        + "".join(f"      {one}: {at}\n" for one, at in zip(JOINTS, ANGLES, strict=True))
+        + "  control:\n    stiffness: {leg: 5.0, _3: 6.0}\n    action_scale: 0.75\n"
+    )
+    found = contract(path, sources["policy.json"])
+    (read,) = [one for one in found.sources if one.path == str(path)]
+    assert (read.role, read.how) == ("trainer", "named")
+    (finding,) = found.findings
+    assert (finding.kind, finding.values) == ("kp", (6.0, 5.0))
+    assert set(finding.joints) == set(JOINTS[2::3])
 
 
 @pytest.mark.parametrize(("trainer", "other"), PAIRS)

@@ -15,20 +15,7 @@ from pupper_analysis.tools.contract.readers import (
     read_rtneural,
     text_of,
 )
-from tests.tools.contract.sources import ONNX, onnx
-
-
-def field(number: int, data: bytes | int) -> bytes:
-    """Returns a field of a message, as Protocol Buffers write it."""
-    if isinstance(data, int):
-        return bytes([number << 3, data])
-    return bytes([number << 3 | 2, len(data)]) + data
-
-
-def tensor(name: str, *sizes: int) -> bytes:
-    """Returns a ValueInfoProto: name (1), type (2: tensor 1: shape 2: dim 1: value 1)."""
-    dims = b"".join(field(1, field(1, size) if size else field(2, b"batch")) for size in sizes)
-    return field(1, name.encode()) + field(2, field(1, field(1, 1) + field(2, dims)))
+from tests.tools.contract.sources import ONNX, field, onnx, tensor
 
 
 def test_an_onnx_files_metadata_and_ends_are_read(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ def read(request: Request) -> Iterator[Source]:
     if not moving:
         return
     statements = []
+    motors = _motors(model.mj_model) if isinstance(model, MjcfModel) and model.mj_model else {}
     for joint in moving:
         for attribute in IN_A_TREE:
             value = joint.stated.get(attribute.kind)
@@ -39,7 +40,9 @@ def read(request: Request) -> Iterator[Source]:
             _, child = model.words(attribute)
             place = model.file.place("joint", joint.name, child)  # type: ignore[attr-defined]
             if isinstance(model, MjcfModel):
-                place = model.file.stated("joint", joint.name, attribute.mjcf) or place
+                there = model.file.stated("joint", joint.name, attribute.mjcf)
+                driven = motors.get(joint.name) if attribute.kind == "effort" else None
+                place = there or (driven and _of_actuator(model, *driven, _RANGES)) or place
             statements.append(Statement(attribute.kind, float(value), place, joint.name))
     if isinstance(model, MjcfModel) and model.mj_model is not None:
         statements += _servos(model, model.mj_model)
@@ -68,17 +71,30 @@ def _servos(model: MjcfModel, compiled: mujoco.MjModel) -> Iterator[Statement]:
             continue
         name = compiled.joint(int(compiled.actuator_trnid[number, 0])).name
         gear = float(np.ravel(actuator_gear(compiled, number))[0])
-        place = _of_actuator(model, compiled, number)
+        place = _of_actuator(model, compiled, number, ("kp", "kv", "biasprm", "gainprm"))
         yield Statement("kp", float(kp) * gear**2, place, name)
         if kd > 0:
             yield Statement("kd", float(kd) * gear**2, place, name)
 
 
-def _of_actuator(model: MjcfModel, compiled: mujoco.MjModel, number: int) -> Place:
+_RANGES = ("ctrlrange", "forcerange")
+
+
+def _motors(compiled: mujoco.MjModel) -> dict[str, tuple[mujoco.MjModel, int]]:
+    """Returns {joint: the actuator that drives it alone}."""
+    turned = [number for number in range(compiled.nu)
+              if compiled.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_JOINT]  # fmt: skip
+    return {compiled.joint(int(compiled.actuator_trnid[one, 0])).name: (compiled, one)
+            for one in turned}  # fmt: skip
+
+
+def _of_actuator(
+    model: MjcfModel, compiled: mujoco.MjModel, number: int, words: tuple[str, ...]
+) -> Place:
     name = compiled.actuator(number).name
     if not name:
         return model.file.numbered("actuator", number)
-    stated = model.file.stated("actuator", name, ("kp", "kv", "biasprm", "gainprm"))
+    stated = model.file.stated("actuator", name, words)
     return stated or model.file.place("actuator", name)
 
 

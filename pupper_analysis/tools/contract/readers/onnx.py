@@ -25,7 +25,9 @@ _INPUTS, _OUTPUTS, _CONSTANTS = 11, 12, 5
 _LISTS = {
     "default_joint_pos": "default angle",
     "joint_stiffness": "kp",
+    "kp": "kp",
     "joint_damping": "kd",
+    "kd": "kd",
     "action_scale": "action scale",
 }
 
@@ -74,7 +76,7 @@ def read(request: Request) -> Iterator[Source]:
     said = file.metadata
     statements = []
     for key, quantity in _LISTS.items():
-        texts = [text.strip() for text in said.get(key, "").strip("[]() ").split(",") if text]
+        texts = _parts(said.get(key, ""))
         place = Place(request.path, element=key)
         for index, text in enumerate(texts):
             try:
@@ -83,19 +85,27 @@ def read(request: Request) -> Iterator[Source]:
                 value, digits, shown = None, None, text
             statements.append(Statement(quantity, value, place, index=index, count=len(texts),
                                         decimals=digits, expression=shown))  # fmt: skip
-    order = tuple(name.strip() for name in said.get("joint_names", "").split(",") if name)
+    named = "joint_names" if "joint_names" in said else "dof_names"  # holosoma's
     seen = Place(request.path, element="observation_names")
-    names = filter(None, said.get("observation_names", "").split(","))
-    if statements or order:
-        yield Source(
-            request.path.name,
-            request.path,
-            Role.POLICY,
-            tuple(statements),
-            order=order,
-            order_place=Place(request.path, element="joint_names"),
-            observations=tuple((name, None, seen) for name in names),
-        )
+    for ends, what in ((file.outputs, "actions"), (file.inputs, "observed numbers")):
+        sizes = next(iter(ends.values()), [])
+        if sizes:
+            place = Place(request.path, element=next(iter(ends)))
+            statements.append(Statement(what, float(sizes[-1]), place))
+    yield Source(
+        request.path.name,
+        request.path,
+        Role.POLICY,
+        tuple(statements),
+        order=tuple(_parts(said.get(named, ""))),
+        order_place=Place(request.path, element=named),
+        observations=tuple((one, None, seen) for one in _parts(said.get(seen.element or "", ""))),
+    )
+
+
+def _parts(text: str) -> list[str]:
+    """Returns what a list in metadata holds, with its brackets and quotes or without."""
+    return [part for one in text.strip("[]() ").split(",") if (part := one.strip(" \"'"))]
 
 
 def gather_fields(data: int | memoryview) -> Message:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,6 +20,7 @@ from pupper_analysis.tools.contract.python_values import (
     Instance,
     Unknown,
 )
+from pupper_analysis.tools.contract.readers.tables import settings_of, steps_of
 
 SUFFIXES = (".py",)
 
@@ -45,6 +47,7 @@ def read(request: Request) -> Iterator[Source]:
     evaluator = Evaluator(request.folders)
     module = evaluator.module(request.path)
     found: list[Source] = []
+    roots: list[Node] = []
     for name, node in module.names.items():
         if name in module.imported or (request.name and name != request.name):
             continue
@@ -55,6 +58,13 @@ def read(request: Request) -> Iterator[Source]:
         source = _of_class(name, request.path, root) or _of_graph(name, request.path, root)
         if source is not None:
             found.append(source)
+            roots.append(root)
+    # What another one is made of is no configuration of its own.
+    parts = [{one.value.kind for one in _walk(root, set())} - {root.value.kind} for root in roots]
+    if not request.name:
+        whole = [not root.value.of or all(root.value.kind not in each for each in parts)
+                 for root in roots]  # fmt: skip
+        found = [one for one, alone in zip(found, whole, strict=True) if alone]
     scales = [] if request.name else list(_loose_scales(module.names, module.imported))
     for source in found:
         has = {one.quantity for one in source.statements}
@@ -73,9 +83,7 @@ def _made(evaluator: Evaluator, node: Node) -> Node | None:
         if isinstance(value, Function) and isinstance(value.node.args.args, list):
             arguments = value.node.args
             free = arguments.args[: len(arguments.args) - len(arguments.defaults)]
-            known = [evaluator.value(each.annotation, value.around)
-                     for each in free if each.annotation is not None]  # fmt: skip
-            classes = [one for one in known if isinstance(one.value, Class)]
+            classes = [one for each in free if (one := _class_of(evaluator, each, value))]
             if len(classes) != len(free):
                 return None
             given = [Node(evaluator.make(one.value, [], {}), one.place) for one in classes]
@@ -90,6 +98,13 @@ def _made(evaluator: Evaluator, node: Node) -> Node | None:
     except RecursionError as error:
         raise ModelError(node.place.file, diagnose("contract-too-deep")) from error
     return None
+
+
+def _class_of(evaluator: Evaluator, argument: ast.arg, function: Function) -> Node | None:
+    """Returns the class that an argument is annotated with, or the first of several."""
+    names = [] if argument.annotation is None else ast.walk(argument.annotation)
+    found = (evaluator.value(one, function.around) for one in names if isinstance(one, ast.Name))
+    return next((one for one in found if isinstance(one.value, Class)), None)
 
 
 def _loose_scales(names: dict[str, Node], imported: set[str]) -> Iterator[Statement]:
@@ -134,7 +149,7 @@ def _of_graph(name: str, path: Path, root: Node) -> Source | None:
     actions = [one for one in instances if one.value.kind.removesuffix("Cfg") in _MOTIONS]
     for action in actions:
         statements += _of_action(action, angles)
-    statements += _of_time(root)
+    statements += steps_of(root)
     observations = tuple(_observed(root))
     if not (robots or actions):
         return None
@@ -179,6 +194,8 @@ def _of_robot(robot: Node) -> Iterator[Statement]:
         patterns = () if names is None else names.texts
         for word, quantity in _OF_ACTUATORS.items():
             node = inner.get(word)
+            if quantity == "friction" and not first_wins and node is not None and node.number:
+                quantity = "friction coefficient"
             if node is not None and not isinstance(node.value, Unknown | str | list):
                 yield from per_joint(quantity, node, patterns)
             elif node is not None:
@@ -195,17 +212,6 @@ def _of_action(action: Node, angles: list[Statement]) -> Iterator[Statement]:
             yield replace(one, quantity="action offset", implied=True)
     else:
         yield from per_joint("action offset", offset, patterns)
-
-
-def _of_time(root: Node) -> Iterator[Statement]:
-    step = root.get("sim", "dt") or root.get("sim", "mujoco", "timestep")
-    often = root.get("decimation") or root.get("control", "decimation")
-    if step is not None and step.number is not None:
-        yield state("time step", step)
-    if often is not None and often.number is not None:
-        yield state("decimation", often)
-        if step is not None and step.number is not None:
-            yield Statement("policy step", step.number * often.number, often.place)
 
 
 def _observed(root: Node) -> Iterator[tuple[str, float | None, Place]]:
@@ -233,34 +239,5 @@ _KNOWN = ("base_ang_vel", "projected_gravity", "generated_commands", "joint_pos_
 
 
 def _of_class(name: str, path: Path, root: Node) -> Source | None:
-    angles = root.get("init_state", "default_joint_angles")
-    if angles is None or not isinstance(angles.value, dict):
-        return None
-    statements = list(per_joint("default angle", angles))
-    for word, quantity in (("stiffness", "kp"), ("damping", "kd")):
-        table = root.get("control", word)
-        if table is not None and isinstance(table.value, dict):
-            # A gain is of all joints whose names have its key in them.
-            for key, node in table.value.items():
-                statements.append(state(quantity, node, f".*{re.escape(str(key))}.*"))
-    scale = root.get("control", "action_scale")
-    statements += per_joint("action scale", scale)
-    hips = root.get("control", "hip_scale_reduction")
-    if hips is not None and hips.number is not None and scale is not None and scale.number:
-        # Source: walk-these-ways, LeggedRobot._compute_torques: of each leg's first joint.
-        less = Statement("action scale", scale.number * hips.number, hips.place, r".*hip.*")
-        statements.append(less)
-    statements += [replace(one, quantity="action offset", implied=True)
-                   for one in per_joint("default angle", angles)]  # fmt: skip
-    armature = root.get("asset", "armature")
-    if armature is not None and armature.number:
-        statements += per_joint("armature", armature)
-    statements += _of_time(root)
-    scales = root.get("normalization", "obs_scales")
-    observed = () if scales is None else tuple(
-        (word, node.number, node.place) for word, node in scales.value.fields.items()
-        if isinstance(node, Node) and node.number is not None
-    )  # fmt: skip
-    statements += [Statement(f"observation {word}", number, place)
-                   for word, number, place in observed]  # fmt: skip
-    return Source(name, path, Role.TRAINER, tuple(statements))
+    statements = tuple(settings_of(root))
+    return Source(name, path, Role.TRAINER, statements) if statements else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MOST_FILE, read_input
 from pupper_analysis.models.places import source_name
-from pupper_analysis.tools.contract.facts import Request, Role, Source
+from pupper_analysis.tools.contract.facts import Request, Role, Source, Statement
 from pupper_analysis.tools.contract.readers.tables import of_table, read_documents
 
 SUFFIXES = (".json",)
@@ -62,5 +62,10 @@ def _last(sizes: Any) -> int:
 def read(request: Request) -> Iterator[Source]:
     """Yields what a policy states beside its layers."""
     for document in read_documents(request):
-        if document.get("layers") is not None:
-            yield from of_table(request, request.path.name, document, Role.POLICY)
+        layers = document.get("layers")
+        if layers is not None:
+            file = read_rtneural(request.path)
+            sizes = (("actions", file.outputs), ("observed numbers", file.inputs))
+            more = tuple(Statement(what, float(size), layers.place) for what, size in sizes if size)
+            for one in of_table(request, request.path.name, document, Role.POLICY):
+                yield replace(one, statements=(*one.statements, *more))

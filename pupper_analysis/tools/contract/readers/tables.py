@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
@@ -22,26 +23,38 @@ from pupper_analysis.tools.contract.marked import read_marked
 SUFFIXES = (".yaml", ".yml", ".json")
 
 _NAMES = ("joint_names", "joints", "dof_names", "joint_name")
+_MOTORS = (
+    "joint_ids_map",
+    "leg_joint2motor_idx",
+    "joint2motor_idx",
+    "joint2motor",
+    "joint_mapping",
+)
 _LISTS = {
     "default_joint_pos": "default angle", "default_angles": "default angle",
     "default_joint_angles": "default angle", "default_dof_pos": "default angle",
-    "stiffness": "kp", "kps": "kp", "kp": "kp", "joint_stiffness": "kp", "fixed_kp": "kp",
+    "default_joint_positions": "default angle", "default_dof_angles": "default angle",
+    "stiffness": "kp", "kps": "kp", "kp": "kp", "joint_stiffness": "kp", "joint_kp": "kp",
     "rl_kp": "kp",
-    "damping": "kd", "kds": "kd", "kd": "kd", "joint_damping": "kd", "fixed_kd": "kd",
+    "damping": "kd", "kds": "kd", "kd": "kd", "joint_damping": "kd", "joint_kd": "kd",
     "rl_kd": "kd",
     "action_scale": "action scale", "action_scales": "action scale",
     "torque_limits": "effort", "effort_limits": "effort", "joint_effort_limits": "effort",
-    "velocity_limits": "velocity",
+    "dof_effort_limit_list": "effort",
+    "velocity_limits": "velocity", "dof_vel_limit_list": "velocity",
     "joint_lower_limits": "lower limit", "joint_upper_limits": "upper limit",
+    "dof_pos_lower_limit_list": "lower limit", "dof_pos_upper_limit_list": "upper limit",
+    "dof_armature_list": "armature",
     "joint_signs": "sign", "motor_signs": "sign", "joint_directions": "sign",
-    "init_kps": "start kp", "init_kds": "start kd",
+    "init_kps": "start kp", "init_kds": "start kd", "fixed_kp": "start kp", "fixed_kd": "start kd",
 }  # fmt: skip
 """{key of a table: quantity}."""
 
 _TIMES = {
     "step_dt": "policy step", "control_dt": "policy step", "policy_dt": "policy step",
     "simulation_dt": "time step", "dt": "time step", "control_decimation": "decimation",
-    "decimation": "decimation", "latency": "latency",
+    "decimation": "decimation", "latency": "latency", "num_actions": "actions",
+    "num_obs": "observed numbers", "num_observations": "observed numbers",
 }  # fmt: skip
 
 _OBSERVED = {"ang_vel_scale": "ang_vel", "dof_pos_scale": "dof_pos", "dof_vel_scale": "dof_vel",
@@ -89,14 +102,17 @@ def of_table(
     request: Request, name: str, table: Node, role: Role, rate: Node | None = None
 ) -> Iterator[Source]:
     """Yields what a flat table states of joints, if it states anything."""
+    table = Node({key.lower(): node for key, node in table.value.items()}, table.place)
     named = next((found for word in _NAMES if (found := table.get(word))), None)
     order = () if named is None else named.texts
-    motors = table.get("joint_ids_map") or table.get("leg_joint2motor_idx")
+    motors = next((found for word in _MOTORS if (found := table.get(word))), None)
     indices = [] if motors is None else [one.number for one in motors.items]
     statements = list(_listed(table, order, [int(one) for one in indices if one is not None]))
     for action in _below(table.get("actions")):
         statements += _flat("action scale", action.get("scale"))
         statements += _flat("action offset", action.get("offset"))
+    trainer = list(settings_of(table))
+    statements += trainer
     states_joints = bool(statements) or bool(order)
     for word, quantity in _TIMES.items():
         node = table.get(word)
@@ -118,7 +134,7 @@ def of_table(
     yield Source(
         name,
         request.path,
-        role,
+        Role.TRAINER if trainer else role,
         tuple(statements),
         order=order if all(order) else (),
         order_place=None if named is None else named.place,
@@ -129,10 +145,16 @@ def of_table(
 
 def _listed(table: Node, order: tuple[str, ...], motors: list[int]) -> Iterator[Statement]:
     known = set(order) | {".*"}
+    # Source: rl_sar, ReadYaml: a robot's table is for getting up, a policy's counts over it.
+    to_start = table.get("fixed_kp") is not None and table.get("rl_kp") is None
     for word, quantity in _LISTS.items():
         node = table.get(word)
         if node is None:
             continue
+        if to_start and quantity == "effort":
+            continue
+        if to_start and quantity == "default angle":
+            quantity = "start angle"
         for one in _flat(quantity, node):
             # A text is a name of a parameter, not an expression: nothing is said of joints.
             if one.value is None or (one.joint and one.joint not in known and order):
@@ -184,3 +206,50 @@ def _of_limits(request: Request, document: Node) -> Iterator[Source]:
                 found.append(stated(quantity, node, joint))
     if found:
         yield Source(request.path.name, request.path, Role.DRIVER, tuple(found))
+
+
+def steps_of(root: Node) -> Iterator[Statement]:
+    """Yields the steps of a trainer and of its policy."""
+    step = root.get("sim", "dt") or root.get("sim", "mujoco", "timestep")
+    often = root.get("decimation") or root.get("control", "decimation")
+    if step is not None and step.number is not None:
+        yield stated("time step", step)
+    if often is not None and often.number is not None:
+        yield stated("decimation", often)
+        if step is not None and step.number is not None:
+            yield Statement("policy step", step.number * often.number, often.place)
+
+
+def settings_of(root: Node) -> Iterator[Statement]:
+    """Yields what legged_gym's settings state, and those of its kin: classes, or tables."""
+    angles = root.get("init_state", "default_joint_angles")
+    if angles is None or not isinstance(angles.value, dict):
+        return
+    for one in per_joint("default angle", angles):
+        yield one
+        yield replace(one, quantity="action offset", implied=True)
+    for word, quantity in (("stiffness", "kp"), ("damping", "kd")):
+        table = root.get("control", word)
+        if table is not None and isinstance(table.value, dict):
+            # A gain is of all joints whose names have its key in them.
+            for key, node in table.value.items():
+                yield stated(quantity, node, f".*{re.escape(str(key))}.*")
+    scale = root.get("control", "action_scale")
+    yield from per_joint("action scale", scale)
+    hips = root.get("control", "hip_scale_reduction")
+    if hips is not None and hips.number is not None and scale is not None and scale.number:
+        # Source: walk-these-ways, LeggedRobot._compute_torques: of each leg's first joint.
+        yield Statement("action scale", scale.number * hips.number, hips.place, r".*hip.*")
+    armature = root.get("asset", "armature")
+    if armature is not None and armature.number:
+        yield from per_joint("armature", armature)
+    yield from steps_of(root)
+    for word, what in (("num_actions", "actions"), ("num_observations", "observed numbers")):
+        count = root.get("env", word)
+        if count is not None and count.number:
+            yield stated(what, count)
+    scales = root.get("normalization", "obs_scales")
+    held = {} if scales is None else getattr(scales.value, "fields", scales.value)
+    for word, node in held.items() if isinstance(held, dict) else ():
+        if node.number is not None:
+            yield stated(f"observation {word}", node)
