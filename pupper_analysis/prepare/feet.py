@@ -222,6 +222,11 @@ def _by_link(robot: Robot, name: str, frames: tuple[str, str], joints: Array) ->
     return int(robot.mj_model.body_weldid[body]), place
 
 
+def made_frame(point: str) -> str:
+    """Returns what the frame of a contact point is called that neither file has."""
+    return f"{point} (contact)"
+
+
 def with_feet(
     robot: Robot, feet: Sequence[Foot], replaced: Mapping[str, Diagnostic] | None = None
 ) -> Description:
@@ -250,7 +255,7 @@ def with_feet(
         points = []
         for number, point in enumerate(foot.points, start=1):
             name = foot.name if len(foot.points) == 1 else f"{foot.name}/{number}"
-            frame = f"{name} (contact)"
+            frame = made_frame(name)
             own = int(model.geom_bodyid[point.geom])  # its weight is what MuJoCo's contact knows
             bodies[model.body(own).name].add_site(name=frame, pos=point.center)
             world = data.xpos[own] + data.xmat[own].reshape(3, 3) @ point.center

@@ -187,7 +187,7 @@ IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ),
     (*STUDY, "--dry-run"): (
         *(("--figures",), ("--report", "r.html")),
-        *(("--minimise", "servo_sag"), ("--maximise", "servo_sag")),
+        *(("--minimise", "servo_sag"), ("--maximise", "servo_sag"), ("--write", "1")),
     ),
     ("walk", "v3", "--policy", "policy.json"): (("--fit", "fit.json"),),
     ("walk", "v3", "--policy", "policy.json", "--orders"): (

@@ -9,3 +9,5 @@ from .variables import log_uniform as log_uniform
 from .variables import normal as normal
 from .variables import uniform as uniform
 from .variables import values as values
+from .write import WrittenDesign as WrittenDesign
+from .write import write_design as write_design

@@ -57,6 +57,15 @@ def _list_metrics(context: click.Context, _: click.Parameter, asked: bool) -> No
     help="Metric or parameter to maximise on the Pareto front; e.g. leg_scale. Repeatable.",
 )
 @click.option(
+    "--write",
+    "numbers",
+    multiple=True,
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Write design N of the table (from 1) as a URDF and an MJCF with its gains, and its "
+    "stance, to design-N in the output folder. Repeatable.",
+)
+@click.option(
     "--list-metrics",
     is_flag=True,
     is_eager=True,
@@ -76,6 +85,7 @@ def command(
     figures: bool,
     minimise: tuple[str, ...],
     maximise: tuple[str, ...],
+    numbers: tuple[int, ...],
     report_path: Path | None,
     json_path: Path | None,
     style: str,
@@ -102,9 +112,11 @@ def command(
       pupper-analysis study legs.toml -o legs/ --dry-run
       pupper-analysis study legs.toml -o legs/ --minimise servo_sag --maximise leg_scale
       pupper-analysis study legs.toml -o legs/ --report legs.html --maximise leg_scale
+      pupper-analysis study legs.toml -o legs/ --write 3
 
     \b
-    Exit status: 0 all designs were measured, 2 bad input, 130 interrupted.
+    Exit status: 0 all designs were measured, 1 the files of a written design give other numbers,
+    2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.study import document as report
     from pupper_analysis.tools.study.of_variants import Study
@@ -112,7 +124,7 @@ def command(
     from pupper_analysis.tools.study.study import estimate_study
 
     if dry_run:
-        refuse_idle("--dry-run", "figures", "report_path", "minimise", "maximise")
+        refuse_idle("--dry-run", "figures", "report_path", "minimise", "maximise", "numbers")
     study = Study.read(file, own_metrics=not dry_run)
     objectives = check_objectives(study, minimise, maximise)
     if dry_run:
@@ -142,7 +154,25 @@ def command(
         if style == "markdown":
             shared.show_results([("", outcome)], style)
         shared.write_page(report_path, outcome)
-    shared.finish_command(json_path, table.to_dict(orient="list"), passed=True)
+    passed = _write_designs(study, numbers, folder, style, everything) if numbers else True
+    shared.finish_command(json_path, table.to_dict(orient="list"), passed=passed)
+
+
+def _write_designs(
+    study: DesignStudy, numbers: tuple[int, ...], folder: Path, style: str, everything: bool
+) -> bool:
+    """Writes designs as robots; returns whether their files give the study's numbers."""
+    from pupper_analysis.tools.study.document import written_document
+    from pupper_analysis.tools.study.write import write_design
+
+    passed = True
+    for number in dict.fromkeys(numbers):
+        written = write_design(study, number, folder)
+        _show(written_document(written), style, everything)
+        for path in (written.urdf, written.mjcf, written.stance):
+            shared.confirm_written(path)
+        passed = passed and written.passed
+    return passed
 
 
 def _show(document: Document, style: str, everything: bool) -> None:

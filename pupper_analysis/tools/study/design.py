@@ -9,6 +9,7 @@ import hashlib
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
@@ -382,7 +383,7 @@ def check_range(name: str, low: float, high: float) -> None:
         known = UNBOUNDED
     elif named is not None:
         known = DesignNumber(
-            0.0, math.inf, "x", open=name.partition(":")[0] in ("mass", "inertia", "kp")
+            0.0, math.inf, "x", open=name.partition(":")[0] in ("mass", "inertia", "length", "kp")
         )
     below = low <= known.low if known.open else low < known.low
     if (math.isfinite(low) and below) or (math.isfinite(high) and high > known.high):
@@ -440,8 +441,7 @@ def row_of(maker: Maker, numbers: Mapping[str, float], metrics: tuple[Metric, ..
         return {**told, **fallen} if isinstance(error, FALLS) else told
     for metric in metrics:
         try:
-            found = metric.function(design)
-            row.update(_columns(metric.name, found))
+            row.update(_columns(metric.name, metric.function(design)))
         except Exception as error:
             if isinstance(error, FALLS) and metric.fallen is not None:
                 row[metric.name] = metric.fallen
@@ -462,6 +462,15 @@ def failure_columns(kind: str, reason: Diagnostic) -> Row:
     """Returns a row's columns of what failed."""
     kept = orjson.dumps(to_record(reason)).decode()
     return {"failure": kind, "reason": str(reason), "diagnostic": kept}
+
+
+def measured_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:
+    """Returns {column: value} of the metrics that a design has; one that fails has none."""
+    row: dict[str, float] = {}
+    for metric in metrics:
+        with suppress(PupperAnalysisError):
+            row.update(_columns(metric.name, metric.function(design)))
+    return row
 
 
 def _columns(name: str, found: Any) -> Row:

@@ -24,6 +24,7 @@ from pupper_analysis.tools.study.measures import METRICS, text_key
 from pupper_analysis.tools.study.outcome import Chance, MetricSummary, StudyOutcome, pareto_front
 from pupper_analysis.tools.study.plots import LINES, MeansPlot, front_plot, study_plots
 from pupper_analysis.tools.study.study import Estimate
+from pupper_analysis.tools.study.write import WrittenDesign
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -182,18 +183,21 @@ def _front(outcome: StudyOutcome) -> list[doc.Block]:
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
         blocks.append(front_plot(standing_designs(outcome.table), front, objectives))
-    blocks.append(_front_table(front, objectives, tuple(outcome.variables)))
+    blocks.append(_front_table(front, objectives, tuple(outcome.variables), outcome.table))
     return blocks
 
 
 def _front_table(
-    front: pd.DataFrame, objectives: Mapping[str, str], variables: Sequence[str]
+    front: pd.DataFrame,
+    objectives: Mapping[str, str],
+    variables: Sequence[str],
+    whole: pd.DataFrame,
 ) -> doc.Table:
     ways = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
     title = text("designs-worth-building-no-other", objectives=ways)
     others = [name for name in variables if name not in objectives]
     measured = [name for name in metrics_in(front, tuple(variables)) if name not in objectives]
-    return _table(title, front, [*objectives, *others, *measured[:LINES]])
+    return _table(title, front, [*objectives, *others, *measured[:LINES]], whole)
 
 
 def _shares(outcome: StudyOutcome) -> list[doc.Block]:
@@ -295,14 +299,18 @@ def _designs(outcome: StudyOutcome) -> doc.Table:
     return replace(_table(text("designs-title"), outcome.table, columns), detail=True)
 
 
-def _table(title: doc.Words, table: pd.DataFrame, columns: Sequence[str]) -> doc.Table:
-    """Returns rows of a study's table, with their numbers in its order."""
+def _table(
+    title: doc.Words, table: pd.DataFrame, columns: Sequence[str], whole: pd.DataFrame | None = None
+) -> doc.Table:
+    """Returns rows of a study's table, with their numbers in the whole of it (``--write N``)."""
+    whole = table if whole is None else whole
+    numbers = {design: number for number, design in enumerate(whole["design"], start=1)}
     places = [name for name in columns if name in table]
     failed = "failure" in table and table["failure"].notna().any()
     rows: list[tuple[doc.Cell, ...]] = []
     shown = table if len(table) <= MOST_ROWS else table.head(MOST_ROWS)
-    for order, (_, row) in enumerate(shown.iterrows(), start=1):
-        cells: list[doc.Cell] = [doc.number_cell(order, "g")]
+    for _, row in shown.iterrows():
+        cells: list[doc.Cell] = [doc.number_cell(numbers[row["design"]], "g")]
         for name in places:
             value = float(row[name])
             cells.append(doc.number_cell(value if math.isfinite(value) else None, ".5g"))
@@ -425,7 +433,7 @@ def measured_document(
     blocks = [measured]
     if objectives:
         front = pareto_front(standing_designs(table), objectives)
-        blocks.append(_front_table(front, objectives, tuple(variables)))
+        blocks.append(_front_table(front, objectives, tuple(variables), table))
     return doc.Document(text("study-of-designs"), doc.Name(name), tuple(blocks), told=lines)
 
 
@@ -445,6 +453,32 @@ def metrics_document() -> doc.Document:
 
 
 # Studies on a terminal: the bar while they run.
+
+
+def written_document(written: WrittenDesign) -> doc.Document:
+    """Returns what a design that was written is, and what is measured of its files."""
+    rows = tuple(
+        (
+            doc.Name(column_label(name)),
+            doc.number_cell(value, ".6g"),
+            doc.number_cell(written.found[name], ".6g"),
+        )
+        for name, value in written.measured.items()
+    )
+    columns = (
+        doc.Column(text("metric"), left=True),
+        doc.Column(text("measured-in-the-study")),
+        doc.Column(text("measured-of-the-files")),
+    )
+    numbers = ", ".join(f"{name} {value:g}" for name, value in written.numbers.items())
+    return doc.Document(
+        text("design-written", number=written.number),
+        text("design-of", number=written.number, numbers=doc.Name(numbers)),
+        (doc.Table(text("what-was-measured"), columns, rows),),
+        told=(text("its-command", command=doc.Name(written.command)),),
+        passed=written.passed,
+        failures=tuple(map(doc.tell, written.failures)),
+    )
 
 
 @contextmanager

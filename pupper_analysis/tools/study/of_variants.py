@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.models.description import Description
 from pupper_analysis.pupper.named import split_word
 from pupper_analysis.pupper.variant_files import describe_variant
 from pupper_analysis.pupper.variants import BASES, Scaled, VariantSpec, variant_spec
@@ -27,13 +28,30 @@ class Variants(Scaled):
         Raises:
             VariantError: If a scale is not a finite positive number, or nothing can be made so.
         """
+        return self._made(scales, without_visuals)
+
+    def _made(
+        self, scales: Mapping[str, float], kept: Callable[[Description], Description]
+    ) -> Robot:
         spec = self.scaled(scales)
         depth = BASES[spec.base].foot_depth(spec.leg_scale)
-        return build_robot(without_visuals(describe_variant(spec)), foot_depth=depth)
+        return build_robot(kept(describe_variant(spec)), foot_depth=depth)
 
     def asked(self) -> dict[str, Any]:
         """Returns the spec."""
         return {"base": self.spec.base, **self.scales}
+
+
+class WholeVariants(Variants):
+    """The same robots with all that is only looked at."""
+
+    def robot(self, scales: Mapping[str, float]) -> Robot:
+        """Makes the variant of some scales.
+
+        Raises:
+            VariantError: As ``Variants.robot``.
+        """
+        return self._made(scales, lambda whole: whole)
 
 
 class Study(study.DesignStudy):
@@ -44,6 +62,12 @@ class Study(study.DesignStudy):
     as well, with other arguments of ``load_robot``; of variants ``leg_scale`` and
     ``torso_mass_scale`` can be varied, too.
     """
+
+    def whole_source(self) -> RobotSource:
+        """Returns the source of the same robots with all that is only looked at."""
+        if isinstance(self.source, Variants):
+            return WholeVariants(self.source.spec)
+        return super().whole_source()
 
     def _source(self, robot: Any) -> RobotSource:
         if isinstance(robot, str):

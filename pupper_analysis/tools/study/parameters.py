@@ -25,6 +25,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.fields import FIELDS
+from pupper_analysis.tools.study.lengths import stretch_links
 
 # Names of factors on a robot's numbers, and the joints and bodies that they mean.
 
@@ -34,6 +35,7 @@ OF_JOINTS = tuple(name for name, field in FIELDS.items() if field.per == "joint"
 KINDS = {
     "mass": "mass and inertia of bodies",
     "inertia": "inertia of bodies about their centres of mass",
+    "length": "length of links, to the next joint or the foot; their mass in proportion",
     "com_x": "offset of bodies' centres of mass along x of the URDF's link (m)",
     "com_y": "the same along y (m)",
     "com_z": "the same along z (m)",
@@ -56,7 +58,7 @@ AXES = ("com_x", "com_y", "com_z")
 ADDED = (*AXES, *OF_JOINTS)
 """Kinds that are no factors of what the files say, and have no bounds."""
 
-BODIES = ("mass", "inertia", *AXES)
+BODIES = ("mass", "inertia", "length", *AXES)
 SERVOS = ("kp", "kd")
 
 
@@ -213,15 +215,21 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
         return robot
     urdf, mjcf = robot.description.trees()
     sides: tuple[tuple[ModelTree, str], ...] = ((urdf, robot.base), (mjcf, robot.mj_base))
+    lengths = wanted.pop("length", {})
     for kind, joints in wanted.items():
         for joint, factor in joints.items():
             for tree, base in sides:
                 _scale(tree, tree.moved_by(joint) or base, kind, joint, factor, robot)
     if offsets:
         move_coms(robot, (urdf, mjcf), offsets)
+    height = stretch_links(robot, (urdf, mjcf), lengths) if lengths else robot.stand_height
     built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
-    _check(robot, built, wanted.get("mass", {}))
-    if offsets and "mass" not in wanted:  # which move the whole's, too
+    built = replace(built, stand_height=height)
+    masses = dict(wanted.get("mass", {}))
+    for joint, factor in lengths.items():
+        masses[joint] = masses.get(joint, 1.0) * factor
+    _check(robot, built, masses)
+    if offsets and not masses:  # which move the whole's, too
         check_coms(robot, built, offsets)
     return built
 

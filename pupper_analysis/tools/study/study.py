@@ -23,6 +23,7 @@ from pupper_analysis.base.errors import ConfigurationError, InputError, StudyErr
 from pupper_analysis.base.inputs import is_input, read_toml
 from pupper_analysis.base.provenance import list_versions
 from pupper_analysis.base.results import Result
+from pupper_analysis.prepare.convert.files import FileSource
 from pupper_analysis.robot.joints import placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import check_point, find_place, split_place
@@ -160,6 +161,12 @@ class DesignStudy:
             source: RobotSource = robot
             return source
         raise ConfigurationError("robot", diagnose("no-source-of-robots", given=repr(robot)))
+
+    def whole_source(self) -> RobotSource:
+        """Returns the source of the same robots with all that is only looked at."""
+        if isinstance(self.source, FileSource):
+            return FileSource(self.source.files, self.source.files.load())
+        return self.source
 
     @property
     def spreads(self) -> dict[str, dict[str, Any]]:

@@ -1,0 +1,168 @@
+"""Links of another length: as variants do it, and as both engines' own models have it."""
+
+from __future__ import annotations
+
+import contextlib
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.base.arrays import inertia_of
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.pupper.variants import variant_spec
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.study.lengths import stretch_of, stretched_inertia
+from pupper_analysis.tools.study.of_variants import Variants
+from pupper_analysis.tools.study.parameters import scale_robot
+from tests.support.legged import quadruped
+from tests.support.random_legged import irregular_biped, written
+
+
+def test_a_stretched_box_is_the_longer_box() -> None:
+    """MuJoCo integrates both: a box of twice the length, turned, at a distance, of one density."""
+
+    def weighed(half_length: float) -> mujoco.MjModel:
+        return mujoco.MjModel.from_xml_string(
+            f'<mujoco><worldbody><body><freejoint/><geom type="box" euler="20 -30 40" density="800"'
+            f' size="0.02 0.03 {half_length}"/></body></worldbody></mujoco>'
+        )
+
+    def inertia(model: mujoco.MjModel) -> np.ndarray:
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.body_iquat[1])
+        axes = rotation.reshape(3, 3)
+        return axes @ np.diag(model.body_inertia[1]) @ axes.T
+
+    short, long = weighed(0.1), weighed(0.2)
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, short.geom_quat[0])
+    data = mujoco.MjData(short)
+    mujoco.mj_kinematics(short, data)
+    along = data.geom_xmat[0].reshape(3, 3)[:, 2]
+    matrix = np.eye(3) + np.outer(along, along)
+    com = np.array([0.1, 0.2, 0.3])
+    got = stretched_inertia(
+        inertia_of(short.body_mass[1], com, inertia(short)), matrix, np.zeros(3), 2.0
+    )
+    assert got.mass == pytest.approx(long.body_mass[1], rel=1e-12)
+    np.testing.assert_allclose(got.inertia, inertia(long), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(got.lever, com + along * (along @ com), rtol=1e-12)
+
+
+def test_pupper_by_patterns_is_pupper_by_scale() -> None:
+    """``leg_scale`` goes through yourdfpy and MjSpec, by code of its own."""
+    source = Variants(variant_spec("v3"))
+    expected = source.robot({"leg_scale": 1.3})
+    found = scale_robot(source.robot({}), {"length:*_2": 1.3, "length:*_3": 1.3})
+    for name in ("body_mass", "body_pos", "body_ipos", "body_inertia", "site_pos", "key_qpos",
+                 "geom_size", "geom_pos"):  # fmt: skip
+        np.testing.assert_allclose(
+            getattr(found.mj_model, name), getattr(expected.mj_model, name), atol=1e-12
+        )
+    for one, other in zip(found.pin_model.inertias, expected.pin_model.inertias, strict=True):
+        np.testing.assert_allclose(
+            one.toDynamicParameters(), other.toDynamicParameters(), atol=1e-12
+        )
+    for one, other in zip(
+        found.pin_model.jointPlacements, expected.pin_model.jointPlacements, strict=True
+    ):
+        np.testing.assert_allclose(one.homogeneous, other.homogeneous, atol=1e-12)
+    assert found.stand_height == pytest.approx(expected.stand_height, rel=1e-6)
+
+
+@pytest.fixture(scope="module", params=["straight", "irregular"])
+def own(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    """Legs of others: four of two links, or a biped's of five, whose frames are turned."""
+    folder = tmp_path_factory.mktemp("own")
+    straight = request.param == "straight"
+    pair = quadruped(folder) if straight else written(irregular_biped(7), folder)
+    return pa.load_robot(pair.urdf, pair.mjcf)
+
+
+def with_length(robot: Robot) -> list[str]:
+    """Returns the joints whose links have a length."""
+    found = []
+    for joint in robot.joint_names:
+        with contextlib.suppress(pa.ConfigurationError):
+            stretch_of(robot, joint, 1.0)
+            found.append(joint)
+    return found
+
+
+def placed(robot: Robot, joint: str) -> tuple[np.ndarray, np.ndarray]:
+    """Returns where a joint's link is, by Pinocchio and by MuJoCo, at angles that are not zero."""
+    qpos = robot.posed(np.linspace(-0.2, 0.3, robot.nu))
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    link = UrdfTree.of(robot.description.urdf).moved_links[joint]
+    return Configuration(robot, qpos).frame_position(link), data.joint(joint).xanchor.copy()
+
+
+def test_ones_own_links_grow_in_both_engines(own: Robot) -> None:
+    """Links between two joints get longer by the factor, across the second joint's axis alone."""
+    urdf = UrdfTree.of(own.description.urdf)
+    upper = {
+        joint: next(one.name for one in urdf.below[link] if one.moves)
+        for joint, link in urdf.moved_links.items()
+        if sum(one.moves for one in urdf.below.get(link, ())) == 1
+    }
+    measurable = [joint for joint in with_length(own) if joint in upper][:2]
+    found = {
+        (joint, upper[joint]): scale_robot(own, {f"length:{joint}": 1.5}) for joint in measurable
+    }
+    assert len(found) == 2
+    for (joint, end), longer in found.items():
+        link = urdf.moved_links[joint]
+        normal = urdf.joints[end].origin.rotation @ np.array(
+            [float(word) for word in urdf.joints[end].element.find("axis").get("xyz").split()]
+        )
+        at = urdf.joints[end].origin.translation
+        across = at - normal * (normal @ at) / (normal @ normal)
+        moved = placed(longer, end)[0] - placed(own, end)[0]
+        assert np.linalg.norm(moved) == pytest.approx(0.5 * np.linalg.norm(across), rel=1e-9)
+        both = placed(longer, end)
+        apart = both[0] - both[1]
+        before = placed(own, end)[0] - placed(own, end)[1]
+        np.testing.assert_allclose(apart, before, atol=1e-9)  # the files' frames stay as apart
+        mass = own.mj_model.body_mass.sum()
+        body = own.mj_model.body(own.mj_model.jnt_bodyid[own.mj_model.joint(joint).id])
+        grown = longer.mj_model.body_mass.sum() - mass
+        group = own.mj_model.body_weldid == own.mj_model.body_weldid[body.id]
+        assert grown == pytest.approx(0.5 * own.mj_model.body_mass[group].sum(), rel=1e-9), link
+
+
+def test_engines_agree_on_a_stretched_robot(own: Robot) -> None:
+    """The mass matrix at a random state: a lever or tensor that one file alone got differs."""
+    factors = {f"length:{joint}": 1.3 for joint in with_length(own)}
+    assert len(factors) >= 4
+    longer = scale_robot(own, factors)
+    for robot in (own, longer):
+        qpos = robot.posed(np.random.default_rng(3).uniform(-0.3, 0.3, robot.nu))
+        ours = Configuration(robot, qpos).mass_matrix()
+        data = mujoco.MjData(robot.mj_model)
+        robot.mj_convention.set_state(data, qpos)
+        mujoco.mj_forward(robot.mj_model, data)
+        dense = np.zeros((robot.mj_model.nv, robot.mj_model.nv))
+        mujoco.mj_fullM(robot.mj_model, data, dense)
+        index = robot.mj_convention.qvel_index
+        np.testing.assert_allclose(ours, dense[np.ix_(index, index)], atol=1e-9)
+    assert longer.stand_height > own.stand_height
+
+
+@pytest.mark.parametrize(("pattern", "message"), [
+    ("{base}", "is the base"),
+    ("nothing*", "nothing"),
+])  # fmt: skip
+def test_what_has_no_length_is_refused(own: Robot, pattern: str, message: str) -> None:
+    with pytest.raises(pa.PupperAnalysisError, match=message):
+        scale_robot(own, {f"length:{pattern.format(base=own.base)}": 1.2})
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("inf"), float("nan")])
+def test_what_is_no_factor_is_refused(own: Robot, factor: float) -> None:
+    with pytest.raises(pa.ConfigurationError):
+        scale_robot(own, {"length:*": factor})

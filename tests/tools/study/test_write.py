@@ -1,0 +1,147 @@
+"""Designs as files: what is measured of them is what the study measured."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.stance_fields import TYPED, read_stance_file, task_of
+from pupper_analysis.tools.study.design import Maker
+from pupper_analysis.tools.study.write import WrittenDesign, stance_text, write_design
+from tests.support.commands import answer
+from tests.support.legged import quadruped
+
+METRICS = ["total_mass", "peak_utilisation", "torque", "servo_sag", "stands"]
+
+
+def written(
+    robot: Any, vary: dict[str, Any], folder: Path, number: int = 1, **options: Any
+) -> WrittenDesign:
+    study = pa.Study(robot, vary, METRICS, **options)
+    study.run(folder, workers=1)
+    return write_design(study, number, folder)
+
+
+@pytest.fixture(scope="module")
+def heavy(tmp_path_factory: pytest.TempPathFactory) -> WrittenDesign:
+    """A v3 of longer legs, heavier hips and stiffer servos: the second of two designs."""
+    vary = {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}
+    return written("v3", vary, tmp_path_factory.mktemp("study"), 2)
+
+
+def test_files_give_what_the_study_measured(heavy: WrittenDesign) -> None:
+    assert heavy.passed
+    assert heavy.numbers == {"leg_scale": 1.2, "mass:*_1": 1.1, "kp": 10.0}
+    assert len(heavy.measured) == 4 + 12
+    for name, value in heavy.measured.items():
+        assert heavy.found[name] == pytest.approx(value, rel=1e-6, abs=1e-9)
+    assert heavy.measured["servo_sag"] > 1e-3  # not all are zeros that agree
+
+
+def test_bare_engines_read_the_design(heavy: WrittenDesign) -> None:
+    """Masses and gains, by the importers that MuJoCo and Pinocchio bring along."""
+    base = pa.load_variant("v3")
+    urdf = pin.buildModelFromUrdf(str(heavy.urdf), pin.JointModelFreeFlyer())
+    model = mujoco.MjModel.from_xml_path(str(heavy.mjcf))
+    for leg in ("front_r", "front_l", "back_r", "back_l"):
+        hip, knee = f"leg_{leg}_1", f"leg_{leg}_3"
+        old, new = (one.inertias[one.getJointId(hip)].mass for one in (base.pin_model, urdf))
+        assert new == pytest.approx(1.1 * old, rel=1e-9)
+        old, new = (one.inertias[one.getJointId(knee)].mass for one in (base.pin_model, urdf))
+        assert new == pytest.approx(1.2 * old, rel=1e-9)
+    assert model.body_mass.sum() == pytest.approx(sum(one.mass for one in urdf.inertias), rel=1e-9)
+    assert model.actuator_gainprm[:, 0] == pytest.approx(10.0)
+    assert model.actuator_biasprm[:, 1] == pytest.approx(-10.0)
+
+
+def test_stand_of_the_files_is_that_of_the_design(heavy: WrittenDesign) -> None:
+    """The command that is printed, beside the same design made in memory, on soft ground."""
+    words = shlex.split(heavy.command)[1:]
+    found = json.loads(answer(*words, "--json", "-").stdout)
+    study = pa.Study("v3", {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}, METRICS)
+    design = Maker(study.source, study.task, study.point).design(heavy.numbers)
+    torques = pa.stance.stand_statics(design.robot, design.held).joint_torques
+    held = found["statics"]["joint_torques"]
+    np.testing.assert_allclose(held, torques, rtol=1e-9, atol=1e-9)
+
+
+def test_ones_own_robot_with_its_payload_and_stance(tmp_path: Path) -> None:
+    """Payload and a tilted stance are in what is written; the payload is a link of both files."""
+    pair = quadruped(tmp_path)
+    files = {"urdf": str(pair.urdf), "mjcf": str(pair.mjcf)}
+    found = written(
+        files, {"payload": [0.5], "pitch": [0.1], "kp": [80.0], "kd": [2.0]}, tmp_path / "out"
+    )
+    assert found.passed, found.failures
+    before = mujoco.MjModel.from_xml_path(files["mjcf"]).body_mass.sum()
+    after = mujoco.MjModel.from_xml_path(str(found.mjcf)).body_mass.sum()
+    assert after == pytest.approx(before + 0.5, rel=1e-9)
+    assert 'pitch = "0.1rad"' in found.stance.read_text()
+
+
+def test_what_is_there_is_not_replaced(heavy: WrittenDesign) -> None:
+    folder = heavy.urdf.parent.parent
+    study = pa.Study("v3", {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}, METRICS)
+    write_design(study, 2, folder)  # the same: nothing is to be written
+    text = heavy.urdf.read_text()
+    try:
+        heavy.urdf.write_text(text + "<!-- mine -->")
+        with pytest.raises(pa.OutputError):
+            write_design(study, 2, folder)
+        assert heavy.urdf.read_text().endswith("mine -->")
+    finally:
+        heavy.urdf.write_text(text)
+    with pytest.raises(pa.ConfigurationError, match="no design 3: the study has 2"):
+        write_design(study, 3, folder)
+
+
+def test_files_of_another_robot_are_reported(
+    heavy: WrittenDesign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is written is not taken on trust: a writer that loses a gram is found."""
+    from pupper_analysis.tools.study import write
+
+    study = pa.Study("v3", {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}, METRICS)
+    loaded = write.load_robot
+
+    def heavier(*files: Any, **options: Any) -> pa.Robot:
+        return pa.robot.with_payload(loaded(*files, **options), 1e-3)
+
+    monkeypatch.setattr(write, "load_robot", heavier)
+    found = write_design(study, 2, heavy.urdf.parent.parent)
+    assert not found.passed
+    assert {one.values["metric"] for one in found.failures} >= {"total_mass", "peak_utilisation"}
+
+
+def test_a_stance_as_a_file_is_the_stance(tmp_path: Path) -> None:
+    """Typed again it is the same task, to the last bit."""
+    task = pa.StandTask(
+        height=0.1234567890123, roll=0.05, com="inside", com_margin=0.011,
+        foot_offsets={"FL": (0.01, -0.02)}, swing={"FR": 0.03}, ground=pa.Ground(slope=0.1),
+    )  # fmt: skip
+    (tmp_path / "stance.toml").write_text(stance_text(task))
+    values = read_stance_file(tmp_path / "stance.toml")
+    for name, value in values.items():
+        if not (TYPED[name].per or TYPED[name].axes or TYPED[name].choices):
+            values[name] = shared.parse_measure(name, TYPED[name].kind, value, value)
+    assert task_of(values) == task
+
+
+def test_the_command_writes_and_proves(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(
+        'robot = "v3"\nmeasure = ["total_mass"]\n[vary]\nkp = { values = [5, 10] }\n'
+    )
+    done = answer("study", str(tmp_path / "s.toml"), "-o", str(tmp_path / "o"), "--write", "2")
+    assert done.returncode == 0, done.stderr
+    assert "Design 2" in done.stdout
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "o/design-2/v3-leg1-torso1.xml"))
+    assert model.actuator_gainprm[:, 0] == pytest.approx(10)
