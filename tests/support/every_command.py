@@ -53,6 +53,9 @@ DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQACC,
 )
 
+ABOVE, LOAD, SLOPE = (0.0, 0.0, 0.05), 0.3, math.radians(3)
+"""Where the stance that a file states has a mass (m, kg), and on which slope it is (rad)."""
+
 OWN = "the file by itself"
 """With which the line of the own run begins."""
 
@@ -74,14 +77,32 @@ class Truth(StrEnum):
 
 
 @silence_mujoco()
-def truth_of(path: Path, plain: Path, base: str = "trunk") -> Truth:
-    """Simulates a file; one that has no keyframe from the plain file's, by the joints' names."""
+def truth_of(
+    path: Path, plain: Path, base: str = "trunk", *, slope: float = 0.0, load: float = 0.0
+) -> Truth:
+    """Simulates a file; one that has no keyframe from the plain file's, by the joints' names.
+
+    Args:
+        path: The file.
+        plain: The file of which it is an edit.
+        base: The body that shall stay where it is.
+        slope: By which gravity is turned, so that the ground rises towards x (rad).
+        load: Of a mass that is welded to the base ``ABOVE`` (kg).
+    """
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+        if load:
+            spec.body(base).add_body(
+                pos=ABOVE, mass=load, inertia=[1e-6] * 3, explicitinertial=True
+            )
+        model = spec.compile()
     except ValueError:
         return Truth.REFUSED
     if not 1e-5 <= model.opt.timestep <= 0.1:
         return Truth.REFUSED
+    down, turned = model.opt.gravity.copy(), (math.cos(slope), math.sin(slope))
+    model.opt.gravity[0] = turned[0] * down[0] + turned[1] * down[2]
+    model.opt.gravity[2] = turned[0] * down[2] - turned[1] * down[0]
     stated = not model.nkey or re.search(r"<key\b[^>]*\bctrl=", path.read_text())
     servos = model.actuator_biastype != mujoco.mjtBias.mjBIAS_NONE
     driven = servos | (model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE)
@@ -134,9 +155,11 @@ class Cell:
     added: bool
     word: str
     own_falls: bool | None = None
+    truth: Truth | None = None  # of what else it is about than the row
 
     def wrong(self, truth: Truth) -> str:
         """Returns what is better than the truth; empty if nothing is."""
+        truth = self.truth or truth
         if self.refused:
             return ""
         if self.own_falls is False and truth is Truth.FALLS:
@@ -229,6 +252,47 @@ def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
     return replace(_cell(not stance.verdict.passed, page, ""), word=stance.verdict.code.name)
 
 
+def _convert(_: Path, mjcf: Path, folder: Path) -> Cell:
+    """The URDF that is made of the MJCF, beside it: both are no better than the MJCF alone."""
+    made = folder / "made.urdf"
+    done = answer("convert", str(mjcf), "-o", str(made), folder=folder)
+    if not made.is_file():
+        return _cell(*done)
+    cell = _cell(*answer("stand", str(made), str(mjcf), folder=folder))
+    return replace(cell, word=f"{done.stdout.split()[0]}, {cell.word}")
+
+
+def _written(_: Path, mjcf: Path, folder: Path) -> Cell:
+    """The MJCF that is made of that URDF: what is said of it is no better than what it does."""
+    between, made = folder / "made.urdf", folder / "made.xml"
+    answer("convert", str(mjcf), "-o", str(between), folder=folder)
+    if not between.is_file():
+        return Cell(False, True, False, False, "no URDF")
+    done = answer("convert", str(between), "-o", str(made), folder=folder)
+    cell = _cell(*done)
+    if not made.is_file():
+        return cell
+    stood = _cell(*answer("stand", str(made), folder=folder))
+    return replace(
+        stood,
+        passed=cell.passed or stood.passed,
+        word=f"{cell.word}, {stood.word}",
+        truth=truth_of(made, made),
+    )
+
+
+def _stance(urdf: Path, mjcf: Path, folder: Path) -> Cell:
+    """A stance that a file states: on a slope, with a payload, as ``live`` saves it."""
+    (folder / "stance.toml").write_text(
+        f'slope = "{math.degrees(SLOPE)}deg"\npayload = {LOAD}\n'
+        f'payload_at = "{",".join(map(str, ABOVE))}"\n'
+    )
+    cell = _command("stand", "--stance", "stance.toml")(urdf, mjcf, folder)
+    alone = truth_of(mjcf, folder.parent / "plain" / mjcf.name)
+    there = truth_of(mjcf, folder.parent / "plain" / mjcf.name, slope=SLOPE, load=LOAD)
+    return replace(cell, truth=alone if there is Truth.STANDS else there)
+
+
 COMMANDS: dict[str, Ask] = {
     "stand": _command("stand"),
     "payload": _command("payload", "--at", "0,0,5cm"),
@@ -240,6 +304,11 @@ COMMANDS: dict[str, Ask] = {
     "python": _python,
     "live": _live,
 }
+
+FILES: dict[str, Ask] = {"convert": _convert, "written": _written, "stance": _stance}
+"""Those of files that are made, or that state a stance."""
+
+STANDING = COMMANDS | FILES
 
 HELD: dict[str, Ask] = {"hold": _command("hold")}
 """Those that are asked of arms."""
@@ -329,7 +398,7 @@ def row_of(
     for command in commands if truths is None or row.truth in truths else ():
         place = folder / command
         place.mkdir()
-        row.cells[command] = COMMANDS[command](pair.urdf, pair.mjcf, place)
+        row.cells[command] = STANDING[command](pair.urdf, pair.mjcf, place)
     row.seconds = time.monotonic() - begun
     return row
 
@@ -340,13 +409,13 @@ def main() -> None:
     options.add_argument("--only", default="", help="part of the names of edits to try")
     options.add_argument("--truth", nargs="*", choices=[*Truth], help="only what comes to this")
     options.add_argument(
-        "--commands", nargs="*", choices=[*COMMANDS, *HELD], default=[*COMMANDS, *HELD]
+        "--commands", nargs="*", choices=[*STANDING, *HELD], default=[*STANDING, *HELD]
     )
     options.add_argument("--csv", type=Path, help="Write the table here.")
     asked = options.parse_args()
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as top:
-        standing = [one for one in asked.commands if one in COMMANDS]
+        standing = [one for one in asked.commands if one in STANDING]
         for number, (name, write) in enumerate(edits() if standing else ()):
             if asked.only not in name:
                 continue

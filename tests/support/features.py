@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -39,6 +40,17 @@ def servos_as(attributes: str) -> Edit:
 
 def one_servo(attributes: str) -> Edit:
     return put('joint="FL_knee" kp="150" kv="1"', f'joint="FL_knee" {attributes}', 1)
+
+
+def shown(attributes: str) -> Edit:
+    """Gives each link a shape that is only seen, and the compiler an attribute."""
+    seen = '<geom type="sphere" size="0.03" contype="0" conaffinity="0" group="2"/>'
+
+    def edit(text: str) -> str:
+        text = text.replace("<compiler ", f"<compiler {attributes} ", 1)
+        return re.sub(r"(<inertial [^>]*/>)", rf"\1{seen}", text)
+
+    return edit
 
 
 def knees(attributes: str) -> Edit:
@@ -96,6 +108,10 @@ FEATURES: dict[str, Edit] = {
         "<worldbody>",
         '<worldbody><body name="ball" pos="2 0 0.2"><freejoint/><geom size="0.1"/></body>',
     ),
+    "shapes that are only seen": shown(""),
+    "inertiafromgeom": shown('inertiafromgeom="true"'),
+    "discardvisual": shown('discardvisual="true"'),
+    "inertiafromgeom and discardvisual": shown('inertiafromgeom="true" discardvisual="true"'),
     # ---- equality, tendons
     "knees coupled": section('<equality><joint joint1="FL_knee" joint2="FR_knee"/></equality>'),
     "a tendon's spring": section(

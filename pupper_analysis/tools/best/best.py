@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from numpy.typing import ArrayLike
 
@@ -12,7 +12,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Place
-from pupper_analysis.stance.stand import Stand
+from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.workspace import Interval
 from pupper_analysis.statics.equilibrium import ForceDistribution
@@ -125,6 +125,8 @@ def best_stance(
     search = StanceSearch(robot, _objective(objective), task, point, distribution, kp)
     search.run()
     space, best, payload = search.space, search.best, None
+    # As whoever types it has it: where joints are to spare, a search has them from what was near.
+    best = replace(best, stand=solve_stand(robot, best.stand.task))
     if search.objective is Objective.PAYLOAD:
         nominal, payload = (
             payload_limit(robot, stand, point, kp=kp, kd=kd)

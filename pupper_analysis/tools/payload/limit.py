@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -322,7 +322,7 @@ class _Search:
         self._robot, self._task, self._point = robot, task, point
         self._kp, self._kd = kp, kd
         model_with_servos(robot, kp, kd)  # refuses what cannot be driven
-        self.at = lru_cache(maxsize=None)(self._at)
+        self._last = 0.0, self._at(0.0)
 
     def bounds(self) -> dict[str, Bound]:
         """Returns the bounds {name: bound} by the stand, the motors and the servos."""
@@ -357,6 +357,12 @@ class _Search:
             found = asked[first](above) or (bounds[first].failure, bounds[first].where)
             bounds[first] = _bisect(asked[first], near, above, found, EXACT * near)
         return bounds
+
+    def at(self, mass: float) -> _Held:
+        """Returns how it stands with a mass (kg); one is kept: fifty robots are half a gigabyte."""
+        if self._last[0] != mass:
+            self._last = mass, self._at(mass)
+        return self._last[1]
 
     def _at(self, mass: float) -> _Held:
         """Puts a mass on the robot (kg)."""

@@ -136,3 +136,21 @@ def test_what_an_mjcf_says_of_contacts_stays(tmp_path: Path) -> None:
     assert robot.mj_model.opt.impratio == stated.impratio
     cones = [each for each in robot.description.added if isinstance(each, Options)]
     assert not any("cone" in each.values for each in cones)
+
+
+@pytest.mark.parametrize("stated", ["", '<option impratio="5"/>'])
+def test_who_frees_a_base_and_lays_the_ground_says_how_it_grips(
+    stated: str, tmp_path: Path
+) -> None:
+    """Unless the file of the robot, which is bolted down on nothing, says so.
+
+    One that was made of a bolted URDF crept on a slope on which the URDF stood.
+    """
+    pair = legged(tmp_path, free=False)
+    text = pair.mjcf.read_text().replace("<worldbody>", f"{stated}<worldbody>", 1)
+    pair.mjcf.write_text(text)
+    robot = pa.load_robot(mjcf=pair.mjcf)
+    assert robot.floating
+    gripped = any(note.code == "contacts-made-to-hold" for note in robot.notes)
+    assert gripped is not bool(stated)
+    assert robot.mj_model.opt.impratio == (5 if stated else 100)

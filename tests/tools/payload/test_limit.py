@@ -8,16 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from weakref import ref
 
 import mujoco
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.stability import free_of_friction
 from pupper_analysis.robot.tool import Place, find_tool
 from pupper_analysis.simulation.rollout import STATE, begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability, stand_stability
+from pupper_analysis.stance import soft_ground
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.tools.payload import limit as payload
 from pupper_analysis.tools.payload.limit import (
@@ -319,3 +322,21 @@ def test_what_holds_is_no_bound_and_what_never_does_is_nothing() -> None:
     assert simulated(5.0).mass == math.inf
     assert simulated(5.0, verdict=-1.0).mass == 0.0
     assert simulated(5.0, verdict=-1.0).failure is Failure.UNLOADED
+
+
+def test_robots_that_were_loaded_are_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each has MuJoCo's model with its meshes: of ANYmal C fifty took half a gigabyte."""
+    made: list[ref[pa.Robot]] = []
+    alive: list[int] = []
+
+    def seen(*asked: Any) -> pa.Robot:
+        loaded = with_payload(*asked)
+        made.append(ref(loaded))
+        alive.append(sum(one() is not None for one in made))
+        return loaded
+
+    monkeypatch.setattr(soft_ground, "with_payload", seen)
+    monkeypatch.setattr("pupper_analysis.robot.robot._MOST_SPARE", 1)  # lent to whoever asks next
+    payload_limit(load("v3"), None, ON_TOP)
+    assert len(made) > 20
+    assert max(alive) <= 4  # not the thirty that were made
