@@ -101,27 +101,6 @@ class Balance:
         coordinates = search(particular, free, cost, target, friction)
         return None if coordinates is None else particular + free @ coordinates
 
-    def greatest_load(self, load: Array, friction: Array, most: float) -> tuple[float, Array]:
-        """Returns the greatest m, and f (3 n,) in the cones that balance weight + m load.
-
-        Args:
-            load: (6,).
-            friction: (n,) coefficients.
-            most: Nothing above is looked for.
-
-        Returns:
-            m, 0 where not even the weight is borne, and f.
-        """
-        particular, free = self._by_singular_values
-        per_load = np.linalg.lstsq(self.base, load, rcond=1e-12)[0]
-        wide = np.column_stack([free, per_load])
-        last = np.eye(1, wide.shape[1], wide.shape[1] - 1)
-        bounds = np.concatenate([last, -last]), np.array([most, 0.0])
-        found = self._conic(particular, wide, 0 * last.T @ last, -last[0], friction, bounds)
-        if found is None or not self._balances(particular):
-            return 0.0, particular
-        return max(0.0, float(found[-1])), particular + wide @ found
-
     def _without_cones(self, cost: Array | TangentialMetric, target: Array) -> Array | None:
         """Returns the f (3 n,) that balances with the least |cost f - target|; see ``solve``."""
         if isinstance(cost, np.ndarray):

@@ -43,15 +43,6 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def test_a_file_that_succeeds_is_there(tmp_path: Path) -> None:
-    path = tmp_path / "new" / "file.txt"
-    with whole_file(path, OWN) as file:
-        file.write(b"all of it")
-        assert not path.exists()
-    assert path.read_text() == "all of it"
-    assert list(path.parent.iterdir()) == [path]
-
-
 def test_a_file_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "file.txt"
     path.write_text("old")

@@ -51,15 +51,6 @@ def fails_at(what: str, monkeypatch: pytest.MonkeyPatch, error: BaseException) -
     monkeypatch.setattr(Path, "replace", replace)
 
 
-def test_all_are_written_and_nothing_else_is_left(folder: Path) -> None:
-    (folder / "a.bak").write_bytes(b"mine")
-    kept = both(folder, backup=True)
-    assert kept == (folder / "a.bak2", folder / "b.bak")
-    assert contents(folder) == {
-        "a": b"new a", "b": b"new b", "a.bak": b"mine", "a.bak2": b"old a", "b.bak": b"old b"
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize(
     "error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()]
 )

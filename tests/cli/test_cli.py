@@ -128,21 +128,6 @@ def test_write_makes_files_that_load(tmp_path: Path) -> None:
     assert model.body_mass.sum() == pytest.approx(3.642)
 
 
-def test_analyze_lists_the_variants() -> None:
-    result = run("analyze_variant.py", "--list")
-    assert result.returncode == 0
-    for text in ("original", "long-leg", "heavy", "v3", "v3-long-leg", "v3-heavy", "4.676"):
-        assert text in result.stdout
-
-
-@pytest.mark.parametrize("script", ["analyze_variant.py", "view_pupper.py", "stand_pupper.py"])
-def test_help_of_each_command_teaches(script: str) -> None:
-    result = run(script, "--help")
-    assert result.returncode == 0
-    assert "Usage:" in result.stdout
-    assert "--help" in result.stdout
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -173,16 +158,6 @@ def test_bad_input_is_one_line_and_exit_status_2(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("option", ["--output", "--json"])
-def test_a_place_that_cannot_be_written(option: str, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("in the way")
-    result = run("analyze_variant.py", "original", option, str(tmp_path / "file" / "x"))
-    assert result.returncode == 2
-    assert "file" in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
-    assert result.stdout == ""
-
-
 def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
     from click.testing import CliRunner
 
@@ -195,19 +170,6 @@ def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch)
     assert "FAILED original: " in result.stdout
     assert "FAILED original: a joint is off by" in result.stdout
     assert "0 of 1 verified" in result.stdout
-
-
-def test_view_prints_the_model_without_a_window() -> None:
-    result = run("view_pupper.py", "--fixed-base", "--headless")
-    assert result.returncode == 0, result.stderr
-    assert "nq=12, nv=12, nu=12" in result.stdout
-    assert 'data.sensor("body_gyro")' in result.stdout
-
-
-def test_drop_prints_its_result_without_a_window() -> None:
-    result = run("stand_pupper.py", "--headless")
-    assert result.returncode == 0, result.stderr
-    assert "final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)" in result.stdout
 
 
 @pytest.mark.parametrize(

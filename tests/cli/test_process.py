@@ -20,9 +20,8 @@ import pytest
 
 from pupper_analysis import cli
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.cli.process import Ended, PatientStream, ending_signals
+from pupper_analysis.cli.process import Ended
 from tests.support.cases import some
-from tests.support.commands import run_command
 from tests.support.repository import ROOT
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -86,15 +85,6 @@ def test_results_are_written_where_standard_output_fails(
     problem = f"error: cannot write standard output: {os.strerror(number)}\n"
     assert said == ("" if status == 0 else problem)
     monkeypatch.undo()
-
-
-def test_a_stream_that_works_is_written_to() -> None:
-    below = io.BytesIO()
-    stream = PatientStream(below)  # type: ignore[arg-type]
-    assert stream.write(b"abc") == 3
-    assert below.getvalue() == b"abc"
-    assert stream.failure is None
-    assert not stream.isatty()
 
 
 def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
@@ -232,13 +222,6 @@ def test_no_result_is_written_after_a_signal(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_handlers_come_back() -> None:
-    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
-    with ending_signals():
-        assert signal.getsignal(signal.SIGTERM) is not before[1]
-    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
-
-
 # ------------------------------------------------------------------------------------- errors
 
 
@@ -304,12 +287,6 @@ def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     err = capsys.readouterr().err
     assert "Traceback" in err
     assert 'raise ZeroDivisionError("of' in err
-
-
-def test_debug_is_known_before_and_after_the_command(capfd: pytest.CaptureFixture[str]) -> None:
-    for arguments in (["--debug", "audit", "--list-rules"], ["audit", "--list-rules", "--debug"]):
-        assert run_command(capfd, *arguments)[0] == 0
-    assert "--debug" in run_command(capfd, "--help")[1]
 
 
 def test_an_error_with_a_name_in_lines_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,15 +9,12 @@ from xml.etree import ElementTree
 import pytest
 
 from pupper_analysis.present.documents.comparison import (
-    SHORT,
-    SHOWN,
     comparison_cases,
     comparison_remarks,
 )
 from pupper_analysis.present.formats import write_github, write_junit
 from pupper_analysis.robot.compare import mjcf_only as extras
 from pupper_analysis.robot.compare.compare import Comparison
-from pupper_analysis.robot.compare.engines import EXTRAS
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from tests.support.printing import printed
 from tests.support.robots import (
@@ -66,12 +63,6 @@ def test_the_verdict_names_the_first_cause(files: Files) -> None:
     )
 
 
-def test_agreement_is_said(tmp_path: Path) -> None:
-    text = lines(compared(write_parts(tmp_path, quadruped(), quadruped())))
-    assert text[0] == "AGREE: no difference within the tolerances"
-    assert not any(line.startswith("1.") for line in text)
-
-
 def test_joints_of_one_file_alone_are_the_cause(tmp_path: Path) -> None:
     parts = quadruped()
     still = changed(parts, "shank3", kind="fixed")
@@ -87,68 +78,6 @@ def test_differences_alike_are_one_group(files: Files) -> None:
     assert "damping 0.1 N m s/rad in the URDF, 0.3 N m s/rad in the MJCF" in text[group]
     assert text[group + 2].startswith("   likewise on 7 more: ")
     assert not any(line.startswith("3.") for line in text)
-
-
-def test_all_of_a_group_are_printed_with_all(files: Files) -> None:
-    text = lines(compared(files), True)
-    for joint in (f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)):
-        assert any(line.split()[1:3] == ["damping", joint] for line in text), joint
-
-
-def test_no_effect_is_said(tmp_path: Path) -> None:
-    comparison = compared(
-        write_parts(tmp_path, quadruped(), changed(quadruped(), "thigh0", friction=0.9))
-    )
-    assert "   no effect on the dynamics\n" in printed(comparison, everything=False)
-
-
-def test_the_rest_is_counted_and_printed_with_all(tmp_path: Path) -> None:
-    comparison = compared(write_parts(tmp_path, quadruped(), many(quadruped())))
-    count = len(comparison.differences)
-    assert count > SHORT
-    short, full = lines(comparison), lines(comparison, True)
-    groups = min(count, SHOWN)
-    assert short[-1].startswith(f"with -v: {groups - SHORT} more of these; All differences")
-    assert not any(line.startswith(f"{SHORT + 1}. ") for line in short)
-    assert any(line.startswith(f"{groups}. ") for line in full)
-    listed = [line.split()[:1] for line in full]
-    for number, difference in enumerate(comparison.differences, start=1):
-        assert [str(number)] in listed
-        assert any(difference.element in line and difference.kind in line for line in full)
-
-
-LONG = "knee_of_the_left_hind_leg_whose_name_is_as_long_as_a_whole_line_of_a_terminal_is_wide_1"
-
-
-@pytest.mark.parametrize("spring", [False, True])
-@pytest.mark.parametrize("width", [80, 100, 120])
-def test_nothing_is_cut_off(tmp_path: Path, width: int, spring: bool) -> None:
-    urdf = changed(quadruped(), "shank1", joint=LONG)
-    mjcf = mjcf_text(changed(urdf, "shank1", mass=0.9, upper=0.8))
-    if spring:
-        mjcf = mjcf.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
-    comparison = compared(write(tmp_path, urdf_text(urdf), mjcf))
-    text = printed(comparison, width=width)
-    assert "link shank1: mass 0.21 kg in the URDF, 0.9 kg in the MJCF" in text
-    assert f"joint {LONG}: upper limit" in text
-    after = text[text.index("Deviation relative to") :].splitlines()
-    for quantity in comparison.check.quantities:
-        rows = " ".join(line for line in after if line.startswith(f"{quantity.name} "))
-        for side, relative in quantity.edges.items():
-            # A side of zeros everywhere is left out: the MJCF has nothing that a URDF has not.
-            assert f"{relative:.1e}" in rows or (side == EXTRAS and not spring)
-    assert "…" not in text
-
-
-def test_brackets_in_names_are_printed(tmp_path: Path) -> None:
-    """Names that look like markup are not taken for it."""
-    urdf = changed(quadruped(), "shank1", joint="[red]knee")
-    mjcf = changed(urdf, "shank1", upper=0.8)
-    files = write(tmp_path, urdf_text(urdf), mjcf_text(mjcf), stem="go[blue]1")
-    text = printed(compared(files))
-    assert "joint [red]knee: upper limit" in text
-    assert "go[blue]1.urdf:" in text
-    assert "go[blue]1.xml:" in text
 
 
 # ------------------------------------------------------------------------------------- machines
@@ -212,15 +141,6 @@ def test_cases_of_an_agreeing_pair_pass(tmp_path: Path) -> None:
     assert len(names) == len(set(names))
 
 
-def test_every_body_has_a_case_whether_or_not_it_differs(tmp_path: Path) -> None:
-    """Otherwise the number of tests changes with the result."""
-    same = compared(write_parts(tmp_path, quadruped(), quadruped()))
-    other = compared(write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0)))
-    assert {case.name for case in comparison_cases(same)} == {
-        case.name for case in comparison_cases(other)
-    }
-
-
 def test_failed_cases_tell_what_and_where(files: Files) -> None:
     failed = failures(compared(files))
     assert "mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)" in failed["parameters of base"]
@@ -230,15 +150,6 @@ def test_failed_cases_tell_what_and_where(files: Files) -> None:
     assert "foot positions agree" not in failed
     assert "the same joints" not in failed
     assert "the differences explain the deviations" not in failed
-
-
-def test_a_joint_left_over_fails_its_case(tmp_path: Path) -> None:
-    still = changed(quadruped(), "shank3", kind="fixed")
-    comparison = compared(write_parts(tmp_path, still, quadruped()))
-    assert failures(comparison)["the same joints"].startswith("joint knee3 is not in ")
-    (joints, *_) = comparison_cases(comparison)
-    assert [one.code for one in joints.diagnostics] == ["joint-not-in-file"]
-    assert all(remark.diagnostic is not None for remark in comparison_remarks(comparison))
 
 
 @pytest.mark.parametrize("case", ["mass", "limit"])

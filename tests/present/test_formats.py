@@ -34,7 +34,6 @@ from pupper_analysis.present.formats import (
 )
 from pupper_analysis.present.terminal import SafeConsole, print_document
 from tests.support.commands import run_command
-from tests.support.printing import printed
 from tests.support.stubs import problem
 
 
@@ -73,23 +72,6 @@ def test_a_place_with_a_line() -> None:
 )
 def test_places_of_annotations_are_file_and_line(place: str | None, parameters: str) -> None:
     assert write_github([Annotation("warning", "t", "m", place)]) == f"::warning {parameters}::m"
-
-
-def test_control_characters_are_escaped() -> None:
-    line = write_github([Annotation("notice", "a: b, c %\nd", "5 %: a, b\r\n100 %25", None)])
-    assert line == "::notice title=a%3A b%2C c %25%0Ad::5 %25: a, b%0D%0A100 %2525"
-    assert "\n" not in line
-
-
-def test_what_would_act_on_a_log_is_shown() -> None:
-    line = write_github([Annotation("error", "a\u202e", "b\u009b\x1b[31m\u2028", "c\u202e.xml:3")])
-    assert line == (r"::error file=c\u202e.xml,line=3,title=a\u202e::b\x9b\x1b[31m\u2028")
-
-
-def test_one_line_each() -> None:
-    assert write_github([]) == ""
-    two = write_github([Annotation("error", "a", "x"), Annotation("error", "b", "y")])
-    assert two.splitlines() == ["::error title=a::x", "::error title=b::y"]
 
 
 TEXT = st.text(st.sampled_from("ab%:,\n\r=0A25D3C ") | st.characters(codec="utf-8"), max_size=30)
@@ -149,11 +131,6 @@ def test_junit_has_codes_and_values() -> None:
     assert found["problem"] == {"problem": "<a>"}
 
 
-def test_junit_without_cases() -> None:
-    root = ElementTree.fromstring(write_junit("empty", []))
-    assert root.get("tests") == "0"
-
-
 CHARACTERS = st.characters(
     codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff"
 )
@@ -171,13 +148,6 @@ def test_junit_is_xml_whatever_the_names(names: list[str], failure: str | None) 
 
 
 HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] :smile:"
-
-
-def test_what_would_act_is_shown() -> None:
-    shown = escape_control(HOSTILE)
-    assert shown.startswith("a\\n::error::forged\\x1b[31mred\\x9b31m\\u202eb\\u2028c\\rd")
-    assert shown.isprintable()
-    assert escape_control("Füße ≤ 3°") == "Füße ≤ 3°"
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -217,14 +187,3 @@ def test_names_in_a_model_are_shown(tmp_path: Path, capfd: pytest.CaptureFixture
         assert not set("\x1b\x9b\u202e") & set(text) or style == "github"
         assert "::error::forged" in text or style == "github"
         assert not any(line.lstrip().startswith("::error::forged") for line in text.splitlines())
-
-
-def test_a_table_with_long_names_loses_no_column() -> None:
-    """As on a humanoid: a terminal wraps the line, but no header, name or number is cut."""
-    heads = ("joint", "torque", "simulated", "position")
-    name = "left_shoulder_pitch_joint" * 5
-    columns = tuple(Column(Name(head), "N m" if head == "torque" else "") for head in heads)
-    table = Table(Name("title"), columns, ((Name(name), *map(Name, ("+1.5", "+2.5", "+3.5"))),))
-    lines = printed(Document(Name(""), Name("robot"), (table,))).splitlines()
-    assert lines[4].split() == ["joint", "(N", "m)", "simulated", "position"]
-    assert lines[6].split() == [name, "+1.5", "+2.5", "+3.5"]

@@ -43,7 +43,6 @@ from pupper_analysis.present.documents import sources
 from pupper_analysis.present.html import plots, write
 from pupper_analysis.present.html.write import scene_of
 from pupper_analysis.present.scene import coarsen_mesh, describe_scene, shapes_of
-from pupper_analysis.tools.audit.audit import RULES
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.commands import answer
 from tests.support.html_page import Page, shown
@@ -294,20 +293,6 @@ def audit() -> pa.checks.Audit:
         first = Page(written(found)).root.find(".//div[@class='sides']")
         assert first.find(".//pre").text_content() == '<mass value="-1"/>'
         return found
-
-
-def test_findings_are_told() -> None:
-    one = audit()
-    page = page_of(one)
-    rows = page.tables()["Findings, the worst first"]
-    assert [row["rule"] for row in rows] == [finding.rule for finding in one.findings]
-    assert rows[0]["severity"] == "error"
-    assert [row["what the rule looks for"] for row in rows] == [
-        RULES[finding.rule].title for finding in one.findings
-    ]
-    assert rows[0]["line"] == f"bad.urdf:{one.findings[0].line}"
-    assert one.findings[0].todo in page.shown()
-    assert "✗ ERRORS" in page.shown()
 
 
 def test_warnings_are_no_pass_without_more() -> None:
@@ -634,28 +619,6 @@ def test_bad_arguments_are_refused(tmp_path: Path) -> None:
     with pytest.raises(pa.OutputError):
         pa.report.write_report(audit(), tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_page_opens_in_chinese_if_asked() -> None:
-    page = Page(written(audit(), language="zh"))
-    assert page.root.get("lang") == "zh-Hans"
-    assert page.root.find(".//button[@id='language']").text == "English"
-
-
-def test_commands_write_it(tmp_path: Path) -> None:
-    urdf, mjcf = ROOT / "urdf" / "pupper_v3.urdf", ROOT / "mjcf" / "pupper_v3.xml"
-    for arguments in (
-        ("audit", str(urdf)),
-        ("crosscheck", str(urdf), str(mjcf)),
-        ("stand", "original"),
-    ):
-        file = tmp_path / f"{arguments[0]}.html"
-        found = answer(*arguments, "--report", str(file))
-        assert found.returncode == 0, found
-        assert Page(file.read_text(encoding="utf-8")).root.find(".//h1") is not None
-    refused = answer("audit", str(urdf), "--report", str(tmp_path))
-    assert refused.returncode == 2
-    assert "it is a folder" in refused.stderr
 
 
 def test_a_report_goes_to_standard_output() -> None:

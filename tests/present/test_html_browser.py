@@ -226,15 +226,6 @@ def test_a_table_sorts_by_number_and_back(opened: Opened) -> None:
     assert column() == given
 
 
-def test_powers_of_ten_sort_as_numbers(opened: Opened) -> None:
-    table = opened.page.locator("figure.table", has_text="Cross-check:")
-    table.locator("th", has_text="relative").locator("button").click()
-    texts = table.locator("tbody tr td:nth-child(7)").all_inner_texts()
-    values = [float(text) for text in texts]
-    assert values == sorted(values)
-    assert len(set(values)) > 5
-
-
 def test_a_drawing_tells_its_values(opened: Opened) -> None:
     drawing = opened.page.locator("figure.plot", has_text="Height of the simulated base")
     svg = drawing.locator("svg").first

@@ -228,15 +228,6 @@ def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     opened.takes(pa.stance.solve_stand_as_simulated(load("v3"), refused.value.nearest.task))
 
 
-def test_what_cannot_be_held_is_told(opened: Opened) -> None:
-    opened.press(opened.row("what counts").locator("input").first)
-    opened.press(opened.page.get_by_role("option", name="base at an offset"))
-    opened.set("offset x (mm)", 0)
-    opened.set("slope (°)", 40)
-    wait_for(lambda: "in balance" not in opened.words(), "it stands")
-    assert "friction too low" in opened.words() or "Out of reach" in opened.words()
-
-
 def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
     def twin() -> bool:
         """Whether something is orange, which the torso's yellow is not, shadowed or not."""
@@ -345,29 +336,6 @@ def test_a_page_that_is_loaded_again_goes_on_where_it_was(
     one.page.get_by_text("v3, 15.170 kg").first.wait_for()
     wait_for(lambda: asked() == [State(payload=12.0, roll=3.0)], "it begins anew")
     one.close()
-
-
-def test_the_page_changes_to_chinese_and_back(browser: Any, served: Page) -> None:  # noqa: F811
-    address = served.address.removeprefix("http://").removesuffix("/")
-    one = Opened(browser, write_link(address, State(roll=4.0), "zh"))
-    stand = pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(4.0)))
-    one.takes(stand)
-    assert "受力平衡，未超出电机上限" in one.words()
-    one.set("俯仰 (°)", 3)
-    both = pa.StandTask(roll=np.radians(4.0), pitch=np.radians(3.0))
-    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), both))
-    one.tab("分享")
-    one.button("English")
-    one.page.get_by_text("as Python").first.wait_for()  # the tab stays
-    one.tab("Stance")
-    one.page.get_by_text("pitch (°)").first.wait_for()
-    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), both))
-    assert "in balance, within" in one.words()
-    assert not re.search("[\u4e00-\u9fff]", one.words())
-    one.set("roll (°)", 0)
-    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(pitch=np.radians(3.0))))
-    one.close()
-    assert one.complaints == []
 
 
 def test_on_a_phone_the_robot_is_above_the_sliders(browser: Any, served: Page) -> None:  # noqa: F811

@@ -247,13 +247,6 @@ def test_what_is_wrong_is_in_the_answer(state: State, kind: type[Exception]) -> 
     assert render_panel(stance_document(found, None, None), ENGLISH)
 
 
-def test_what_slides_is_shown_without_forces() -> None:
-    slope = model_of("original").answer(State(slope=44.0))
-    if slope.stand is not None:
-        assert isinstance(slope.refusal, pa.StaticsInfeasibleError)
-        assert "friction" in render_panel(stance_document(slope, None, None), ENGLISH)
-
-
 def test_robots_are_kept_and_not_all_of_them() -> None:
     model = model_of()
     first = model.robot(State(leg_scale=1.1))
@@ -333,24 +326,6 @@ def test_links_and_commands_lead_back() -> None:
     assert parse_state(words[words.index("--state") + 1]) == RICH
     assert "&" not in export.write_link("127.0.0.1:80", RICH)
     assert "#" not in export.write_link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))
-
-
-def test_commands_take_a_payload(tmp_path: Path) -> None:
-    done = run_command(
-        "stand", "v3", "--payload", "1", "--payload-at", "0,0,8cm", "--json", "s.json",
-        folder=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    robot = pa.robot.with_payload(load("v3"), 1.0, (0.0, 0.0, 0.08))
-    expected = pa.stance.stand_statics(
-        robot, pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask())
-    )
-    saved = json.loads((tmp_path / "s.json").read_text())["statics"]["joint_torques"]
-    assert saved == pytest.approx(expected.joint_torques, abs=1e-9)
-    for wrong in (["--payload", "-1"], ["--payload-at", "1,2"], ["--payload", "nan"]):
-        refused = run_command("stand", "v3", *wrong, folder=tmp_path)
-        assert refused.returncode == 2
-        assert refused.stderr.startswith("error: ")
 
 
 def test_nothing_in_a_name_acts() -> None:
