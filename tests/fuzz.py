@@ -550,8 +550,8 @@ STANCE = {
 COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
     "stand": {**STANCE, "--minimum-stiffness": (), "--figure": ("out.png", ".", "")},
     "workspace": {**STANCE, "--figure": ("out.png", ".")},
-    "payload": {**STANCE, "--at": ("0,0,0", "1e308,0,0", "nan,0,0", "1", "0.1,0,5cm")},
-    "best": {**STANCE, "--at": ("0,0,0", "a")},
+    "payload": STANCE,
+    "best": STANCE,
     "path": {
         **STANCE,
         "--seconds": ("1", "0", "-1", "nan", "1e9", "1e-9", "inf", "x"),

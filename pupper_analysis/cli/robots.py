@@ -250,12 +250,23 @@ def told_apart(meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Rob
 
 
 def print_notes(robot: Robot, *, everything: bool = False) -> None:
-    """Prints what was assumed of a robot of files."""
-    from pupper_analysis.present.documents.standing import assumption_texts
+    """Prints what was assumed of a robot of files: warnings, and how much else was added.
+
+    Args:
+        robot: The robot.
+        everything: Print all of it.
+    """
+    from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
+    from pupper_analysis.present.document import tell, text
     from pupper_analysis.present.terminal import make_console
     from pupper_analysis.present.terminal import print_notes as print_lines
 
-    print_lines(make_console(), assumption_texts(robot), everything=everything)
+    notes = merge_diagnostics(robot.notes)
+    shown = [one for one in notes if everything or one.severity is not Severity.NOTE]
+    lines = [*map(tell, shown)]
+    if left := len(notes) - len(shown):
+        lines.append(text("things-were-added", robot=robot.name, count=left))
+    print_lines(make_console(), lines, everything=everything)
 
 
 def with_robot(command: Command) -> Command:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,23 +125,34 @@ class RobotAndTask:
             **given,
         )
 
-    def robot(self, words: tuple[str, ...]) -> Robot:
-        """Returns the robot that is meant; v3 by default."""
+    def robot(self, words: tuple[str, ...], *, payload_sought: bool = False) -> Robot:
+        """Returns the robot that is meant; v3 by default.
+
+        Args:
+            words: What names it.
+            payload_sought: Whether the command seeks a payload, which has a place without a mass.
+        """
+        if not self.payload and not payload_sought:
+            refuse_alone(("--payload",), "payload_at")
         meant = self.which.one(words) or "v3"
         _refuse_idle([meant])
         return self._loaded(meant)
 
     def robots(self, words: tuple[str, ...], *, default: tuple[str, ...]) -> list[Robot]:
         """Returns the robots that are meant, by names of their own."""
+        if not self.payload:
+            refuse_alone(("--payload",), "payload_at")
         meant = self.which.all(words) or default
         _refuse_idle(meant)
         return told_apart(meant, [self._loaded(one) for one in meant])
 
     def _loaded(self, meant: str | VariantSpec | RobotFiles) -> Robot:
-        """Returns a robot as it was asked for; of one of files it is told what was assumed."""
+        """Returns a robot as it was asked for; of one of files its notes follow the answer."""
         robot = self._as_asked(robot_from(meant, fixed_base=self.fixed_base, as_is=self.as_is))
         if isinstance(meant, RobotFiles) and self.style == "text":  # Markdown has them in its page
-            print_notes(robot, everything=self.everything)
+            # After the answer, or the refusal: what is read first is what was asked.
+            context = click.get_current_context()
+            context.call_on_close(partial(print_notes, robot, everything=self.everything))
         return robot
 
     def _as_asked(self, robot: Robot) -> Robot:
@@ -150,9 +161,7 @@ class RobotAndTask:
         from pupper_analysis.robot.payload import with_payload
         from pupper_analysis.robot.servos import with_options
 
-        if not self.payload:
-            refuse_alone(("--payload",), "payload_at")
-        place = shared.parse_place("payload-at", self.payload_at or "0,0,0")
+        place = self.place
         robot = with_efforts(robot, parse_efforts(self.effort, robot))
         loaded = with_payload(robot, self.payload, place)
         if self.payload:  # in every title, figure and result
@@ -161,6 +170,11 @@ class RobotAndTask:
             name = f"{loaded.name} + {self.payload:.6g} kg at {frame}({where}) mm"
             loaded = replace(loaded, name=name)
         return with_options(loaded, self.integrator, self.cone, self.impratio)
+
+    @property
+    def place(self) -> tuple[str | float, ...]:
+        """Where the payload is: (x, y, z) in the base frame, or with a frame before it (m)."""
+        return shared.parse_place("payload-at", self.payload_at or "0,0,0")
 
     def show(self, result: Result, robot: Robot) -> None:
         """Shows a result of that robot as it was asked for."""
@@ -284,15 +298,6 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
             )
         gains = [value if this else gain for this, gain in zip(chosen, gains, strict=True)]
     return gains
-
-
-at_option = click.option(
-    "--at",
-    default="0,0,0",
-    metavar="[FRAME,]X,Y,Z",
-    help="Position of the payload in the base frame, or that of a link, site or body (m); "
-    "e.g. 0,0,8cm or right_hand,0,0,5cm.",
-)
 
 
 def draw_stand(robot: Robot, stand: Stand, statics: GravityCompensation, path: Path | None) -> None:

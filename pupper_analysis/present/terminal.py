@@ -106,7 +106,10 @@ def print_document(out: Console, document: Document, *, everything: bool = False
         place += isinstance(block, Sides)
         if everything or not _left_out(document, block):
             _print_block(out, block, place, everything=everything)
-    print_notes(out, document.notes, everything=everything)
+    if document.brief and not everything:
+        _count_notes(out, document)
+    else:
+        print_notes(out, document.notes, everything=everything)
     if not everything:
         _print_left_out(out, document)
 
@@ -114,6 +117,11 @@ def print_document(out: Console, document: Document, *, everything: bool = False
 def print_summary(out: Console, document: Document) -> None:
     """Prints a document's verdict and key figures, and how many notes it has."""
     print_head(out, document)
+    _count_notes(out, document)
+
+
+def _count_notes(out: Console, document: Document) -> None:
+    """Says how many notes a document has."""
     if count := len(document.notes):
         said = f"  {count} note{'s' if count > 1 else ''} on what was assumed: -v"
         _say(out, Text(said, "dim"))

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
+    Group,
     Quantity,
     Severity,
     Term,
     diagnose,
 )
 from pupper_analysis.models.transmission import MadeServo
-from pupper_analysis.present.document import Text, text
+from pupper_analysis.present.document import Block, Document, Name, Text, Words, text
 from pupper_analysis.robot.as_published import (
     Cause,
     OwnCommands,
@@ -103,6 +104,71 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
     if not verdict.passed:
         return tuple(lines)
     return tuple(line.marked("warn") if line.mark == "bad" else line for line in lines)
+
+
+def lines_to_read(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
+    """Returns a verdict's lines: what is against it or was assumed for it, and all the others."""
+    clauses, lines = verdict_clauses(verdict), verdict_lines(verdict)
+    quiet = [one.good and one.told.group is not Group.ASSUMED for one in clauses]
+    first = tuple(line for line, less in zip(lines, quiet, strict=True) if not less)
+    return first, tuple(line for line, less in zip(lines, quiet, strict=True) if less)
+
+
+class Judged(Protocol):
+    """A result that has a verdict."""
+
+    @property
+    def name(self) -> str:
+        """The robot's name."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the verdict is good."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether it does what is asked, and what that rests on."""
+
+
+def judged_document(
+    kind: Words,
+    judged: Judged,
+    blocks: Iterable[Block],
+    answer: Iterable[Words],
+    *,
+    details: Iterable[Words] = (),
+    failures: Iterable[Words] = (),
+    word: Words | None = None,
+    notes: Iterable[Words] = (),
+) -> Document:
+    """Returns the document of a result that is judged, whose head is its answer.
+
+    The one rule of short answers: the verdict and what is against it, the key figures, and what was
+    assumed for it. What else the verdict rests on, and all tables, a terminal has with -v.
+
+    Args:
+        kind: What is told.
+        judged: The result.
+        blocks: Its tables and plots.
+        answer: Its key figures: some three lines.
+        details: What else is told of it.
+        failures: What is against it besides the verdict.
+        word: The verdict in a word or two, if it is another than the judge's.
+        notes: What was assumed, found or left out on the way.
+    """
+    first, more = lines_to_read(judged.verdict)
+    return Document(
+        kind,
+        Name(judged.name),
+        tuple(blocks),
+        passed=judged.passed,
+        verdict=word or verdict_word(judged.verdict),
+        failures=(*(() if judged.passed else first), *failures),
+        told=(*answer, *(first if judged.passed else ())),
+        details=(*details, *more),
+        brief=True,
+        notes=tuple(notes),
+    )
 
 
 def verdict_word(verdict: Verdict) -> Text:

@@ -115,7 +115,7 @@ def test_analyze_own_variant_in_another_stance(tmp_path: Path) -> None:
     )
     assert result.returncode == 0, result.stderr + result.stdout
     assert "v3-leg1.2-torso1.3" in result.stdout
-    assert "height 0.1500 m, roll 2.9 deg, pitch -2.9 deg, yaw 5.7 deg" in result.stdout
+    assert "height 150.0 mm, roll 2.9 deg, pitch -2.9 deg, yaw 5.7 deg" in result.stdout
     assert list(tmp_path.iterdir()) == []
 
 

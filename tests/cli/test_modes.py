@@ -172,12 +172,12 @@ IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("stand", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
     ("stand", "--leg-scale", "1.1"): (("--as-is",),),
     ("workspace", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
-    ("payload", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
+    ("payload", "v3"): (("--as-is",),),
     ("path", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
     ("push", "v3", "v3-heavy"): (("--as-is",), ("--payload-at", "0,0,1cm")),
     ("hold", "v3"): (("--as-is",),),
-    ("best", "margin", "v3"): (("--at", "0,0,1cm"), ("--as-is",), ("--payload-at", "0,0,1cm")),
-    ("best", "utilisation"): (("--at", "0,0,1cm"),),
+    ("best", "margin", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
+    ("best", "utilisation"): (("--payload-at", "0,0,1cm"),),
     ("sync", *V3): (("--take-absent",), ("--partial",), ("--backup",)),
     ("sync", *V3, "--take", "urdf", "--dry-run"): (("--backup",),),
     ("convert", V3[1], "-o", "new.urdf"): (
@@ -196,7 +196,7 @@ IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("live", "v3", "--drop", "--headless"): (("--csv", "a.csv"), ("--fixed-base",)),
     ("live", "v3", "--demo", "squat", "--headless"): (("--seconds", "3"), ("--port", "1")),
     ("live", "v3", "--no-browser"): (("--headless",),),
-    ("live", "arm.urdf", "--no-browser"): (("--state", "height:120"),),
+    ("live", "arm.urdf", "--no-browser"): (("--stance", "height:120"),),
     ("check", "--init"): (("--config", "a.toml"),),
 }
 """{command line: what does nothing in it}, besides the modes above."""
@@ -207,7 +207,7 @@ SERVOS = {"kp", "kd", "integrator", "cone", "impratio"}
 ALWAYS = {
     "stand": {"minimum_stiffness", "explain", "effort", "payload", *SERVOS},
     "workspace": {"effort", "payload"},
-    "payload": {"at", "continuous", "effort", "payload", *SERVOS},
+    "payload": {"payload_at", "continuous", "effort", "payload", *SERVOS},
     "best": {"effort", "payload", *SERVOS},
     "path": {"seconds", "effort", "payload", *SERVOS},
     "push": {"directions", "resolution", "effort", "payload", *SERVOS},

@@ -136,7 +136,8 @@ FIELDS: tuple[tuple[str, str, str, str, float | str, float], ...] = (
     ("stance", "Motor torques", "hip", "simulated (N m)", RUN.joint_torques[0], 1),
     ("stance", "Motor torques", "knee", "min-max (N m)",
      STANCE.min_max_torque.joint_torques[1], 1),
-    ("stance", "Motor torques", "knee", "position (rad)", STANCE.joint_positions[1], 1),
+    ("stance", "Motor torques", "knee", "position (°)",
+     math.degrees(STANCE.joint_positions[1]), 1),
     *(("stance", "Contact forces on the feet, in world axes", foot, f"force {axis} (N)",
        STANCE.statics.foot_loads[foot].force[number], 1)
       for foot in ("FR", "RL") for number, axis in enumerate("xyz")),
@@ -153,14 +154,14 @@ FIELDS: tuple[tuple[str, str, str, str, float | str, float], ...] = (
        "N m s/rad)", name, column, value, scale)
       for column, one in (("with feed-forward", RUN), ("without", ANALYSIS.sagging))
       for name, value, scale in (
-          ("base height", one.base_height, 1),
+          ("base height", one.base_height, 1e3),
           ("loss of height", one.height_loss, 1e3),
           ("of it joint deflection", one.servo_sag, 1e3),
-          ("of it contact penetration", one.contact_sag, 1e3),
+          ("of it change of contact penetration", one.contact_sag, 1e3),
           ("drift of height, last second", one.height_drift, 1e3),
           ("tilt against the task", math.degrees(one.tilt), 1),
           ("foot slip", one.foot_slip["RL"], 1e3),
-          ("joint error", one.joint_error, 1),
+          ("joint error", math.degrees(one.joint_error), 1),
           ("torque off prediction, of the largest", one.torque_error, 100),
           ("vertical foot force off prediction", one.force_error, 100))),
     *(("analysis", "Joints, in actuator order", joint.name, column, getattr(joint, field), 1)
@@ -189,9 +190,9 @@ FIELDS: tuple[tuple[str, str, str, str, float | str, float], ...] = (
      math.degrees(workspace().intervals["roll"].high), 1),
     ("path", "The path", "least com margin", "value", PATH.com_margin[1], 1e3),
     ("path", "How MuJoCo follows it", "joint error", "value",
-     there().tracking.joint_error, 1),
+     math.degrees(there().tracking.joint_error), 1),
     ("path", "How MuJoCo follows it", "joint error, rms", "value",
-     there().tracking.joint_error_rms, 1),
+     math.degrees(there().tracking.joint_error_rms), 1),
     ("files", "All differences, the most important first", "1", "in the URDF",
      files().differences[0].urdf, 1),
     ("files", "All differences, the most important first", "1", "in the MJCF",

@@ -103,8 +103,8 @@ def test_a_stance_that_fails() -> None:
     )
     text = " ".join(printed(stance_document(failing)))
     assert text.startswith(
-        "FAILS stub: FAILS in MuJoCo: it sank height 0.1044 m, roll 1.0 deg, pitch 0.0 deg, "
-        "yaw 0.0 deg motors work at"
+        "FAILS stub: FAILS in MuJoCo: it sank height 104.4 mm, roll 1.0 deg, pitch 0.0 deg, "
+        "yaw 0.0 deg on rigid ground, motors work at"
     )
     assert "without feed-forward, no sag is predicted: why" in text
     assert (
@@ -123,7 +123,7 @@ def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
     )  # fmt: skip
     study: Any = Stub(best=best, stance=stance(), passed=True)
     text = " ".join(printed(best_document(study)))
-    assert "best of 5 stances: payload 2.34 kg, against 1.11 kg as asked height 0.1044 m" in text
+    assert "best of 5 stances: payload 2.34 kg, against 1.11 kg as asked height 104.4 mm" in text
     assert "yaw -3.3 °" in text
     assert "nudged: at 3.46 s the robot tips (FL)" in text
 

@@ -101,7 +101,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         {"published": published(0.016)},
         VerdictCode.HOLDS_ALTERED,
         True,
-        "as published, torques are off by 1.6 %, a joint by 0.01 rad, the height by -18 mm; an "
+        "as published, torques are off by 1.6 %, a joint by 0.57 deg, the height by -18 mm; an "
         "<exclude> prevents contact of foot and floor (line 17)",
     ),
     "not as published": (
@@ -131,7 +131,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         },
         VerdictCode.LIMB_WITHOUT_FOOT,
         False,
-        "3 of 4 limbs that are alike have a foot, and calf has none: calf is 0.18 m from where",
+        "3 of 4 limbs that are alike have a foot, and calf has none: calf is 180 mm from where",
     ),
     "on balls": (
         {"remarks": (diagnose("on-balls-for-soles", count=8),)},

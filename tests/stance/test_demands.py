@@ -86,7 +86,7 @@ def told(task: pa.StandTask, *demands: str) -> str:
 
 
 def test_limits_are_told_with_their_units() -> None:
-    assert told(TASK, "height") == "height 0.15 m"
+    assert told(TASK, "height") == "height 150 mm"
     turned = pa.StandTask(roll=math.radians(11.5), pitch=math.radians(-4.25), joint_margin=0.02)
     assert told(turned, "roll") == "roll 11.5 deg (0.2007 rad)"  # 0.20071: cut, not rounded
     assert told(turned, "pitch") == "pitch -4.25 deg (-0.0741 rad)"
@@ -230,9 +230,9 @@ def test_a_refusal_says_what_was_asked_in_both_languages() -> None:
     with pytest.raises(pa.StanceUnreachableError) as refused:
         pa.solve_stand(pa.load_variant("v3"), pa.StandTask(height=0.4, swing={"FL": 0.02}))
     told = pickle.loads(pickle.dumps(refused.value)).diagnostic
-    assert "height 0.4000 m" in told.text("en")
+    assert "height 400.0 mm" in told.text("en")
     chinese = told.text("zh")
-    assert "高度 0.4000 m" in chinese
+    assert "高度 400.0 mm" in chinese
     assert "FL 抬起 20 mm" in chinese
     assert "height" not in chinese
     assert from_record(to_record(told)).text("zh") == chinese

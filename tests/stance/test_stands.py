@@ -116,7 +116,7 @@ def test_what_is_out_of_reach_stops_the_sequence_and_is_named() -> None:
     with pytest.raises(pa.StanceUnreachableError) as caught:
         pa.solve_stands(robot, tasks)
     assert caught.value.where == "tasks[3]"
-    assert str(caught.value).startswith("tasks[3]: stance out of reach (height 0.5000 m")
+    assert str(caught.value).startswith("tasks[3]: stance out of reach (height 500.0 mm")
 
 
 def test_what_is_out_of_reach_can_be_left_out() -> None:

@@ -86,7 +86,7 @@ def test_a_task_says_what_it_asks() -> None:
         com_margin=0.01,
     )
     for words in (
-        "height 0.1500 m",
+        "height 150.0 mm",
         "roll 5.7 deg",
         "FL moved by (10, -20) mm",
         "RR lifted 20 mm",

@@ -214,7 +214,7 @@ def _compare_path(found: Agreement, run: Commands, stood: Answer, stance: dict[s
 
 def _compare_payload(found: Agreement, run: Commands, stood: Answer) -> None:
     """What is said to be carried is carried by ``stand``; 3 % more is not."""
-    done, content = run("payload", "--at", PAYLOAD_PLACE)
+    done, content = run("payload", "--payload-at", PAYLOAD_PLACE)
     found.codes["payload"] = f"exit {done.returncode}"
     if done.returncode == 0 and stood.returncode != 0:
         found.disagreements.append("payload: exit 0 where stand fails")
@@ -237,7 +237,7 @@ def _compare_payload(found: Agreement, run: Commands, stood: Answer) -> None:
 def _compare_best(found: Agreement, run: Commands) -> None:
     """The stance that ``best`` finds is the one that ``stand`` and ``payload`` answer of."""
     for objective in ("utilisation", "margin", "payload"):
-        at = ("--at", PAYLOAD_PLACE) if objective == "payload" else ()
+        at = ("--payload-at", PAYLOAD_PLACE) if objective == "payload" else ()
         done, content = run("best", *at, robot=(objective, *run.robot))
         found.codes[f"best {objective}"] = f"exit {done.returncode}"
         if not content:

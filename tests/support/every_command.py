@@ -295,7 +295,7 @@ def _stance(urdf: Path, mjcf: Path, folder: Path) -> Cell:
 
 COMMANDS: dict[str, Ask] = {
     "stand": _command("stand"),
-    "payload": _command("payload", "--at", "0,0,5cm"),
+    "payload": _command("payload", "--payload-at", "0,0,5cm"),
     "push": _command("push", "--directions", "3", "--resolution", "2"),
     "path": _command("path", "--seconds", "3", "--height", "0.34"),
     "best": _command("best", before=("margin",)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import text
+from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
@@ -17,11 +17,16 @@ from pupper_analysis.stance.workspace import BaseWorkspace
 def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> doc.Document:
     """Returns how far a base can go; see ``build``."""
     rows: list[tuple[doc.Cell, ...]] = []
+    ranges = []
     for direction, interval in workspace.intervals.items():
         angle = direction in ("roll", "pitch", "yaw")
-        scale = math.degrees(1.0) if angle else 1e3
-        ends = (doc.number_cell(end, "+.1f", scale=scale) for end in (interval.low, interval.high))
-        rows.append((text(direction), *ends, doc.Name("°" if angle else "mm")))
+        scale, unit = (math.degrees(1.0), "°") if angle else (1e3, "mm")
+        low, high = (
+            doc.number_cell(end, "+.1f", scale=scale) for end in (interval.low, interval.high)
+        )
+        rows.append((text(direction), low, high, doc.Name(unit)))
+        ends = {"low": low.text, "high": high.text, "unit": unit}
+        ranges.append(text("range-of-direction", direction=text(direction), **ends))
     table = doc.Table(
         text("how-far-the-base"),
         quantity_columns(text("from"), text("to"), of="direction"),
@@ -32,6 +37,10 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         text("workspace"),
         doc.Name("" if robot is None else robot.name),
         (table, view_block(robot, workspace.start, None)),
-        told=(task_text(workspace.start.task),),
+        told=(
+            task_text(workspace.start.task),
+            text("range-in-short", ranges=join_words(ranges)),
+        ),
+        brief=True,
         notes=robot_notes(robot),
     )

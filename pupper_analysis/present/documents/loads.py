@@ -107,7 +107,10 @@ def torque_table(
             doc.number_cell(statics.joint_torques[index], "+.4f"),
             doc.number_cell(limits[index], "g"),
             utilisation_cell(float(statics.motor_utilisation[index]), limits[index]),
-            *(doc.number_cell(values[index], "+.4f") for values in more.values()),
+            *(
+                doc.number_cell(values[index], "+.2f" if column.unit == "°" else "+.4f")
+                for column, values in more.items()
+            ),
         )
         for index, name in enumerate(statics.joint_names)
     ]

@@ -167,6 +167,17 @@ def motions_of(runs: Sequence[StandVerification]) -> list[doc.Motion]:
     ]
 
 
+def contact_text(sag: float) -> doc.Text:
+    """Says how much deeper the feet are in the ground, or how much less deep.
+
+    Args:
+        sag: By which contacts lower the base (m); below zero where servos that give way take load
+            off the contacts.
+    """
+    shown = f"{1e3 * abs(sag):.2f}"
+    return text("contacts-rise" if sag < 0 and float(shown) else "contacts-sink", depth=shown)
+
+
 def run_rows(
     runs: Sequence[Any], names: Collection[str] | None = None
 ) -> tuple[tuple[doc.Cell, ...], ...]:
@@ -203,10 +214,10 @@ SAG = ("loss-of-height", "of-it-servo-sag", "of-it-contact-softness")
 """Quantities of a run that are predicted, too."""
 
 _QUANTITIES: tuple[tuple[str, str, Callable[[StandVerification], float], str, float], ...] = (
-    ("base-height", "m", lambda run: run.base_height, ".5f", 1.0),
+    ("base-height", "mm", lambda run: run.base_height, ".2f", 1e3),
     ("loss-of-height", "mm", lambda run: run.height_loss, ".3f", 1e3),
     ("of-it-servo-sag", "mm", lambda run: run.servo_sag, ".3f", 1e3),
-    ("of-it-contact-softness", "mm", lambda run: run.contact_sag, ".3f", 1e3),
+    ("of-it-contact-softness", "mm", lambda run: run.contact_sag, "+.3f", 1e3),
     (
         "deviation-of-height-last-second",
         "mm",
@@ -217,7 +228,7 @@ _QUANTITIES: tuple[tuple[str, str, Callable[[StandVerification], float], str, fl
     ("drift-of-height-last-second", "mm/s", lambda run: run.height_drift, "+.4f", 1e3),
     ("tilt-against-the-task", "°", lambda run: math.degrees(run.tilt), ".4f", 1.0),
     ("foot-slip", "mm", lambda run: max(run.foot_slip.values()), ".4f", 1e3),
-    ("joint-error", "rad", lambda run: run.joint_error, ".1e", 1.0),
+    ("joint-error", "°", lambda run: math.degrees(run.joint_error), ".1e", 1.0),
     ("torque-off-prediction-of-the-largest", "%", lambda run: run.torque_error, ".3f", 100.0),
     ("vertical-foot-force-off-prediction", "%", lambda run: run.force_error, ".3f", 100.0),
 )

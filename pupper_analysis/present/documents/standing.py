@@ -52,6 +52,11 @@ def ground_text(depths: Iterable[float]) -> Text:
     )
 
 
+def ground_word(depths: Iterable[float]) -> Text:
+    """Says of which ground numbers are: of feet that sink in by ``depths`` (m), or do not."""
+    return text("on-simulated-ground" if max(depths, default=0.0) else "on-rigid-ground")
+
+
 def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
     """Returns how high a stand is, and how far from falling, from touching and from slipping."""
     near, links = stand.ground_clearance, stand.self_clearance

@@ -124,7 +124,7 @@ def command(
     analyses, robots = _analyze_all(meant, task, everything=everything, shown=shown)
     folder = None if no_figures else output
     rows = _compared(meant, analyses)
-    if shown:
+    if shown and (everything or len(rows) > 1):
         _print_comparison(rows)
     if style == "markdown":
         from pupper_analysis.tools.analyze import comparison

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import text, word
+from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.loads import (
     load_blocks,
     origins_text,
@@ -16,6 +16,7 @@ from pupper_analysis.present.documents.loads import (
 )
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.simulated import (
+    contact_text,
     height_plot,
     motions_of,
     run_rows,
@@ -28,7 +29,7 @@ from pupper_analysis.present.documents.sources import (
     page_of,
 )
 from pupper_analysis.present.documents.standing import quantity_columns, task_text
-from pupper_analysis.present.verdict import verdict_lines, verdict_of_files
+from pupper_analysis.present.verdict import lines_to_read, verdict_of_files
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.tools.analyze.analysis import Analysis
@@ -38,6 +39,7 @@ from pupper_analysis.tools.analyze.analysis import Analysis
 def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Document:
     """Returns all that was found out about one robot; see ``build``."""
     runs = (analysis.verification, analysis.sagging)
+    first, more = lines_to_read(analysis.verdict)
     blocks: list[doc.Block] = [
         view_block(robot, analysis.stand, analysis.statics, motions_of(runs)),
         *_structure(analysis, robot),
@@ -62,7 +64,9 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         passed=analysis.verified,
         verdict=_verdict_word(analysis),
         failures=tuple(map(doc.tell, analysis.failures)),
-        told=(*_key_figures(analysis), *verdict_lines(analysis.verdict), *_surprises(analysis)),
+        told=(*_key_figures(analysis), *first, *_fall(analysis.sagging)),
+        details=(*more, *_surprises(analysis)),
+        brief=True,
         notes=tuple(map(doc.tell, analysis.notes)),
     )
 
@@ -125,11 +129,15 @@ def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
             "sag-without-feed-forward",
             loss=_millimetre_digits(without.height_loss),
             servo=_millimetre_digits(without.servo_sag),
-            contact=_millimetre_digits(without.contact_sag),
+            contact=contact_text(without.contact_sag),
         )
-    else:
-        yield text("does-not-stand-without-feed-forward")
-        yield from map(doc.tell, without.failures)
+
+
+def _fall(without: StandVerification) -> Iterable[doc.Words]:
+    """Says that it does not stand without feed-forward, if so."""
+    if not without.passed:
+        why = join_words(map(doc.tell, without.failures), "semicolon")
+        yield text("does-not-stand-without-feed-forward", why=why).marked("warn")
 
 
 def _millimetre_digits(length: float) -> str:

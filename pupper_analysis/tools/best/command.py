@@ -7,11 +7,9 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.modes import refuse_idle
 from pupper_analysis.cli.robots import robot_argument
 from pupper_analysis.cli.stance_options import (
     RobotAndTask,
-    at_option,
     draw_stand,
     robot_and_task,
 )
@@ -20,7 +18,6 @@ from pupper_analysis.cli.stance_options import (
 @shared.command("best")
 @click.argument("objective", type=click.Choice(["utilisation", "margin", "payload"]))
 @robot_argument
-@at_option
 @robot_and_task
 @shared.figure_option
 @shared.json_option
@@ -29,7 +26,6 @@ def command(
     asked: RobotAndTask,
     objective: str,
     words: tuple[str, ...],
-    at: str,
     figure: Path | None,
     json_path: Path | None,
     report_path: Path | None,
@@ -37,14 +33,14 @@ def command(
     """Search for the best stance: the base's pose and the place of each foot are free.
 
     OBJECTIVE is utilisation (lowest peak of torque / limit), margin (CoM deepest inside the support
-    polygon) or payload (largest, at --at). The search starts from the given stance (as for `stand`)
-    and keeps its ground, swing feet and margins. It takes a few seconds. The result is then printed
-    and simulated as by `stand`.
+    polygon) or payload (largest, at --payload-at). The search starts from the given stance (as for
+    `stand`) and keeps its ground, swing feet and margins. It takes a few seconds. The result is
+    then printed and simulated as by `stand`.
 
     \b
     Examples:
       pupper-analysis best utilisation v3
-      pupper-analysis best payload v3-heavy --at 0,0,8cm --figure best.png
+      pupper-analysis best payload v3-heavy --payload-at 0,0,8cm --figure best.png
       pupper-analysis best margin original --swing FL=2cm --com inside --self-clearance 4mm
 
     \b
@@ -54,13 +50,11 @@ def command(
     from pupper_analysis.tools.best.best import study_best
     from pupper_analysis.tools.best.search import Objective
 
-    if objective != "payload":
-        refuse_idle(objective, "at")
-    task, place = asked.task(), shared.parse_place("at", at)
-    robot = asked.robot(words)
+    task = asked.task()
+    robot = asked.robot(words, payload_sought=objective == "payload")
     kp, kd = asked.gains(robot)
     with shared.show_progress("searching for the best stance, and simulating it"):
-        result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
+        result = study_best(robot, Objective(objective), task, asked.place, kp=kp, kd=kd)
     asked.show(result, robot)
     draw_stand(robot, result.stance.stand, result.stance.statics, figure)
     shared.write_page(report_path, result, [robot])

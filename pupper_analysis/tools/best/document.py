@@ -28,12 +28,14 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     found = stance_document(study.stance, robot)
     blocks: tuple[doc.Block, ...] = (_coordinates(study.best), *found.blocks)
     told: tuple[doc.Words, ...] = (_search(study.best), *found.told)
+    details = found.details
     failures, verdict = found.failures, found.verdict
     if study.best.payload is not None:
         loaded = document(study.best.payload)
         blocks = (*(block for block in loaded.blocks if isinstance(block, doc.Table)), *blocks)
         # The stance of both is the same, and told once.
         told += tuple(line for line in loaded.told if line not in found.told)
+        details += tuple(line for line in loaded.details if line not in found.details)
         failures += loaded.failures
         verdict = verdict if loaded.passed else loaded.verdict
     return replace(
@@ -44,7 +46,7 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
         verdict=verdict,
         failures=failures,
         told=told,
-        brief=False,  # where it stands is the answer, and is a table
+        details=details,
     )
 
 

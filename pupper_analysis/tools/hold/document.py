@@ -19,7 +19,7 @@ from pupper_analysis.present.documents.loads import (
 )
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes
-from pupper_analysis.present.verdict import verdict_lines, verdict_word
+from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.force import ToolForce
@@ -35,10 +35,9 @@ _RINGS = 12
 def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
     """Returns what a posture that is held costs, and whether it holds; see ``build``."""
     limits, run = hold.limits.tolist(), hold.verification
-    verdict = verdict_lines(hold.verdict)
-    return doc.Document(
+    return judged_document(
         text("held-posture"),
-        doc.Name(hold.name),
+        hold,
         (
             _torques(hold, limits),
             torque_plot(hold.statics, run.joint_torques.tolist(), limits),
@@ -49,15 +48,9 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             _force(hold),
             force_plot(hold.force),
         ),
-        passed=hold.passed,
-        verdict=verdict_word(hold.verdict),
-        failures=() if hold.passed else tuple(line for line in verdict if line.mark != "good"),
-        told=(
-            _posture(hold),
-            *(line for line in verdict if hold.passed or line.mark == "good"),
-            *_told(hold),
-        ),
-        notes=(_agreement(hold), *robot_notes(robot)),
+        (_posture(hold), *_told(hold)),
+        details=(_agreement(hold),),
+        notes=robot_notes(robot),
     )
 
 

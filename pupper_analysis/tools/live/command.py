@@ -22,19 +22,21 @@ from pupper_analysis.cli.robots import (
     shown_robot,
     with_robot,
 )
+from pupper_analysis.cli.stance_fields import TYPED, options_of, stance_option, task_of
+from pupper_analysis.cli.stance_options import GAINS, LOAD
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
-    from pupper_analysis.tools.live.state import LiveSource
+    from pupper_analysis.tools.live.state import LiveSource, State
 
 _ROBOT = frozenset(("words", *(one.name for one in fields(RobotOptions))))
 _USES = {
     "--mujoco": {*_ROBOT, "viewer", "headless", "fixed_base"},
     "--drop": {*_ROBOT, "dropped", "headless", "seconds"},
     "--demo": {*_ROBOT, "dropped", "headless", "demo", "csv"},
-    "the page": {*_ROBOT, "state", "language", "host", "port", "no_browser"},
+    "the page": {*_ROBOT, "stance", "language", "host", "port", "no_browser"},
 }
 """What each mode uses."""
 
@@ -43,10 +45,10 @@ _USES = {
 @robot_argument
 @add_options(FILES, VARIANT)
 @click.option(
-    "--state",
+    "--stance",
     default="",
-    metavar="STATE",
-    help="Initial state of the page, as the page's address shows it; e.g. 'height:120;roll:5'.",
+    help="Initial stance of the page: a TOML file, as it saves one, or what its address shows; "
+    "e.g. 'height:120;roll:5'.",
 )
 @click.option(
     "--language",
@@ -90,7 +92,7 @@ _USES = {
 def command(
     which: RobotOptions,
     words: tuple[str, ...],
-    state: str,
+    stance: str,
     language: str,
     host: str,
     port: int | None,
@@ -120,7 +122,7 @@ def command(
       pupper-analysis live
       pupper-analysis live long-leg --port 8080 --no-browser
       pupper-analysis live v3 --language zh
-      pupper-analysis live v3 --state 'height:120;roll:5;lift:FL,20'
+      pupper-analysis live v3 --stance 'height:120;roll:5;lift:FL,20'
       pupper-analysis live go1.urdf
       pupper-analysis live long-leg --mujoco --fixed-base
       pupper-analysis live go2.urdf --drop --headless
@@ -138,7 +140,7 @@ def command(
         if not _show_in_mujoco(robot, demo, dropped, headless, fixed_base, seconds, csv):
             click.get_current_context().exit(shared.FAILED)
         return
-    _open_page(meant, state, language, host, port, browser=not no_browser)
+    _open_page(meant, stance, language, host, port, browser=not no_browser)
 
 
 def _show_in_mujoco(
@@ -164,9 +166,35 @@ def _show_in_mujoco(
     return True
 
 
+def _read_stance(text: str) -> State:
+    """Returns the state of a page's address, or of a stance's file.
+
+    Raises:
+        ConfigurationError: If it is none, or none that the sliders have.
+    """
+    from pupper_analysis.tools.live.state import OF_THE_ROBOT, on_page, parse_state, state_of_task
+
+    if not Path(text).is_file():
+        return parse_state(text)
+
+    def typed(**_: object) -> None:
+        """Takes the options of a stance."""
+
+    options = add_options((stance_option,), LOAD, GAINS, options_of())
+    given = click.command(options(typed)).make_context("stance", ["--stance", text]).params
+    more = {"payload": given["payload"]}
+    if given["payload_at"] is not None:
+        place = shared.parse_place("payload-at", given["payload_at"])
+        more["payload_at"] = on_page(OF_THE_ROBOT["payload_at"], place)
+    for name in ("kp", "kd"):
+        for gain in given[name]:
+            _, more[name] = shared.parse_number_assignment(name, f"*={gain}")
+    return state_of_task(task_of({name: given[name] for name in TYPED}), **more)
+
+
 def _open_page(
     meant: str | VariantSpec | RobotFiles,
-    state: str,
+    stance: str,
     language: str,
     host: str,
     port: int | None,
@@ -178,16 +206,16 @@ def _open_page(
     from pupper_analysis.tools.live.held import HeldPage
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.server import Page, serve
-    from pupper_analysis.tools.live.state import load_source, parse_state
+    from pupper_analysis.tools.live.state import load_source
 
     import_viser()  # before anything is loaded
-    begin = parse_state(state)
+    begin = _read_stance(stance)
     source: LiveSource
     if isinstance(meant, RobotFiles):
         with shared.show_progress("preparing the robot: feet, start pose, servos"):
             source = load_source(RobotFiles.of(*meant.models, **meant.options))
         if not source.loaded.floating:
-            refuse_idle(str(meant), "state")
+            refuse_idle(str(meant), "stance")
         print_notes(source.robot({}))
     else:
         from pupper_analysis.pupper.variants import variant_spec

@@ -107,7 +107,7 @@ def live_command(source: LiveSource, state: State, language: str = "en") -> str:
     """Returns the command that opens a page with the same state."""
     words = [PROGRAM, "live", *source.arguments({})]
     words += [] if language == "en" else ["--language", language]
-    return quote_words([*words, "--state", str(state)] if str(state) else words)
+    return quote_words([*words, "--stance", str(state)] if str(state) else words)
 
 
 def _options(state: State) -> list[str]:

@@ -315,6 +315,29 @@ def format_number(number: float) -> str:
     return repr(number).removesuffix(".0")
 
 
+def state_of_task(task: StandTask, **more: Any) -> State:
+    """Returns the state of a page that asks for a task.
+
+    Args:
+        task: The task.
+        **more: What is asked of the robot, as a ``State`` has it.
+
+    Raises:
+        ConfigurationError: If it asks for what no slider has.
+    """
+    values = {name: value for name, value in task.values().items() if value != FIELDS[name].usual}
+    place = "offset" if "offset" in values else "centre"
+    if values.get("com") == "inside":
+        place, _ = "inside", values.pop("com")
+    for name in values:
+        if name not in SHOWN:
+            raise ConfigurationError(
+                "stance", diagnose("entry-unknown", entry=name, known=[*SHOWN])
+            )
+    asked = {name: on_page(SHOWN[name], value) for name, value in values.items()}
+    return State(place, **asked, **more)
+
+
 def _plainly(value: Any) -> str:
     parts = value if isinstance(value, tuple) else (value,)
     return ",".join(quote(p, safe="") if isinstance(p, str) else format_number(p) for p in parts)
@@ -331,7 +354,7 @@ def parse_state(text: str) -> State:
     """
     if len(text) > _MOST_LETTERS:
         raise ConfigurationError(
-            "state", diagnose("text-too-long", count=len(text), most=_MOST_LETTERS)
+            "stance", diagnose("text-too-long", count=len(text), most=_MOST_LETTERS)
         )
     given: dict[str, Any] = {}
     for part in filter(None, (part.strip() for part in text.split(";"))):
@@ -341,7 +364,7 @@ def parse_state(text: str) -> State:
             of, *said = _split(name, value, 1 + max(1, len(field.axes)))
             given.setdefault(field.name, {})[unquote(of)] = _value(name, said)
         elif (field.name if field else name) in given:
-            raise ConfigurationError("state", diagnose("said-twice", entry=name))
+            raise ConfigurationError("stance", diagnose("said-twice", entry=name))
         elif name == "place":
             given[name] = value
         elif field is not None:
@@ -351,7 +374,7 @@ def parse_state(text: str) -> State:
             given[field.name] = (unquote(frame), *found) if framed else found  # type: ignore[misc]
         else:
             told = diagnose("entry-unknown", entry=name, known=[*_BY_ADDRESS, "place"])
-            raise ConfigurationError("state", told)
+            raise ConfigurationError("stance", told)
     return State(**given)
 
 
@@ -359,7 +382,7 @@ def _split(name: str, value: str, count: int) -> list[str]:
     parts = value.split(",")
     if len(parts) != count:
         told = diagnose("values-by-commas", given=f"{name}:{value}", count=count)
-        raise ConfigurationError("state", told)
+        raise ConfigurationError("stance", told)
     return parts
 
 
@@ -373,7 +396,7 @@ def _number(name: str, text: str) -> float:
         return check_finite(name, float(text))
     except ValueError:
         told = diagnose("part-is-no-number", part=text, given=name)
-        raise ConfigurationError("state", told) from None
+        raise ConfigurationError("stance", told) from None
 
 
 class LiveVariants(Scaled):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
-from pupper_analysis.present.verdict import verdict_lines, verdict_word
+from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.path.plan import StancePath
 from pupper_analysis.tools.path.tracked import PathThere
@@ -19,15 +21,26 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     """Returns the path to a stance, which its view steps through; see ``build``."""
     path, tracking = there.path, there.tracking
     motion = doc.Motion(text("the-path"), path.time, path.qpos)
-    verdict = verdict_lines(there.verdict)
-    return doc.Document(
+    answer = (
+        task_text(there.stand.task),
+        text(
+            "path-in-short",
+            seconds=f"{path.time[-1]:.4g}",
+            share=f"{100 * path.peak_utilisation:.0f}",
+            joint=doc.Name(path.peak_joint),
+            time=f"{path.peak_time:.2f}",
+        ),
+        text(
+            "tracking-in-short",
+            torque=f"{100 * tracking.torque_error:.1f}",
+            slip=f"{1e3 * max(tracking.foot_slip.values()):.1f}",
+        ),
+    )
+    return judged_document(
         text("path-to-a-stance"),
-        doc.Name(there.name),
+        there,
         (view_block(robot, there.stand, None, [motion]), *path_blocks(path, tracking)),
-        passed=there.passed,
-        verdict=verdict_word(there.verdict),
-        failures=() if there.passed else verdict,
-        told=(task_text(there.stand.task), *(verdict if there.passed else ())),
+        answer,
         notes=robot_notes(robot),
     )
 
@@ -113,10 +126,10 @@ def _tracked(tracking: PathTracking) -> doc.Table:
     return _facts(
         text("how-it-is-followed"),
         (text("torque-error-of-the-largest"), "%", 100 * tracking.torque_error, ".1f"),
-        (text("joint-error"), "rad", tracking.joint_error, ".3f"),
-        (text("joint-error-rms"), "rad", tracking.joint_error_rms, ".3f"),
+        (text("joint-error"), "°", math.degrees(tracking.joint_error), ".2f"),
+        (text("joint-error-rms"), "°", math.degrees(tracking.joint_error_rms), ".2f"),
         (text("error-of-height"), "mm", 1e3 * tracking.height_error, ".1f"),
-        (text("error-of-orientation"), "rad", tracking.orientation_error, ".3f"),
+        (text("error-of-orientation"), "°", math.degrees(tracking.orientation_error), ".2f"),
         (text("foot-slip"), "mm", 1e3 * max(tracking.foot_slip.values()), ".1f"),
     )
 

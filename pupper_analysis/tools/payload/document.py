@@ -9,8 +9,13 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.loads import mass_text, view_block
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.documents.standing import ground_text, robot_notes, task_text
-from pupper_analysis.present.verdict import verdict_lines, verdict_of_files
+from pupper_analysis.present.documents.standing import (
+    ground_text,
+    ground_word,
+    robot_notes,
+    task_text,
+)
+from pupper_analysis.present.verdict import judged_document, verdict_of_files
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.payload.limit import Bound, PayloadLimit
 from pupper_analysis.tools.payload.trial import Failure, PayloadTrial
@@ -20,25 +25,21 @@ from pupper_analysis.tools.payload.trial import Failure, PayloadTrial
 def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Document:
     """Returns what a stance can carry; see ``build``."""
     found = tuple(_found(limit))
-    lines = verdict_lines(limit.verdict)
-    return doc.Document(
+    return judged_document(
         text("payload-title"),
-        doc.Name(limit.name),
+        limit,
         (view_block(robot, limit.stand, None), payload_table(limit)),
-        passed=limit.passed,
-        verdict=_word(limit),
-        failures=() if limit.passed else (*lines, *found),
-        told=(
-            payload_text(limit),
+        (payload_text(limit), task_text(limit.stand.task)),
+        details=(
             *(found if limit.passed else ()),
-            task_text(limit.stand.task),
             text(
                 "base-of-the-loaded-stand",
                 place=", ".join(f"{1e3 * value:z.1f}" for value in limit.offset),
             ),
             ground_text(limit.stand.depths.values()),
-            *(lines if limit.passed else ()),
         ),
+        failures=() if limit.passed else found,
+        word=_word(limit),
         notes=robot_notes(robot),
     )
 
@@ -66,6 +67,7 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
         place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
         link=limit.link,
         mass=mass_text(limit.mass),
+        ground=ground_word(limit.stand.depths.values()),
         failure=_failure(limit.failure, limit.where),
     )
 

@@ -19,7 +19,7 @@ from pupper_analysis.present.documents.standing import (
     robot_notes,
     task_text,
 )
-from pupper_analysis.present.verdict import verdict_lines, verdict_word
+from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.push.pushed import PushedStance
 from pupper_analysis.tools.push.recovery import PushRecovery
@@ -29,33 +29,20 @@ from pupper_analysis.tools.push.trial import PushTrial
 @build_document.register(PushedStance)
 def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
     """Returns how hard a stance can be pushed, each way; see ``build``."""
-    return doc.Document(
+    unpushed = pushed.recovery.unpushed
+    return judged_document(
         text("pushes"),
-        doc.Name(pushed.name),
+        pushed,
         (
             view_block(robot, pushed.stand, None),
             _table(pushed),
             push_plot({pushed.name: pushed.recovery}, pushed.name),
         ),
-        passed=pushed.passed,
-        verdict=verdict_word(pushed.verdict),
-        failures=tuple(_against(pushed)),
-        told=(
-            *_weakest(pushed),
-            task_text(pushed.stand.task),
-            *(verdict_lines(pushed.verdict) if pushed.passed else ()),
-            ground_text(pushed.stand.depths.values()),
-        ),
+        (*_weakest(pushed), task_text(pushed.stand.task)),
+        details=(ground_text(pushed.stand.depths.values()),),
+        failures=(text("it-does-not-stand-so"),) if unpushed else (),
         notes=robot_notes(robot),
     )
-
-
-def _against(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Says what is against the stand that was pushed, and that none was survived if none was."""
-    if not pushed.passed:
-        yield from verdict_lines(pushed.verdict)
-    if pushed.recovery.unpushed:
-        yield text("it-does-not-stand-so")
 
 
 def _weakest(pushed: PushedStance) -> Iterable[doc.Words]:

@@ -10,14 +10,20 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import load_blocks, view_block
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.documents.simulated import height_plot, motions_of, simulated_table
+from pupper_analysis.present.documents.simulated import (
+    contact_text,
+    height_plot,
+    motions_of,
+    simulated_table,
+)
 from pupper_analysis.present.documents.standing import (
     ground_text,
+    ground_word,
     robot_notes,
     stand_table,
     task_text,
 )
-from pupper_analysis.present.verdict import verdict_lines, verdict_word
+from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState
@@ -40,38 +46,26 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             run,
             stance.limits.tolist(),
             stance.limit_origins,
-            {doc.Column(text("position"), "rad"): stance.joint_positions.tolist()},
+            {doc.Column(text("position"), "°"): np.degrees(stance.joint_positions).tolist()},
         ),
         stand_table(stand, stance.statics),
         simulated_table(run),
         height_plot([run], float(stand.qpos[2])),
     ]
-    verdict = verdict_lines(stance.verdict)
-    return doc.Document(
+    return judged_document(
         text("stance"),
-        doc.Name(stance.name),
-        tuple(blocks),
-        passed=stance.passed,
-        verdict=verdict_word(stance.verdict),
-        failures=() if stance.passed else tuple(line for line in verdict if line.mark != "good"),
-        told=(
-            task_text(stance.stand.task),
-            *_answer(stance),
-            *(line for line in verdict if stance.passed or line.mark == "good"),
-        ),
-        details=tuple(_details(stance)),
-        brief=True,
-        notes=(*_disagreement(run), *robot_notes(robot)),
+        stance,
+        blocks,
+        (task_text(stance.stand.task), *_answer(stance), *_disagreement(run)),
+        details=_details(stance),
+        notes=robot_notes(robot),
     )
 
 
 def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
     """Says that the two models are not of one robot, if by the MJCF the stand is out of balance."""
     if run.mujoco_residual > DISAGREEMENT:
-        yield text(
-            "the-two-models-disagree",
-            residual=f"{run.mujoco_residual:.1e}",
-        )
+        yield text("the-two-models-disagree", residual=f"{run.mujoco_residual:.1e}").marked("warn")
 
 
 def _answer(stance: Stance) -> Iterable[doc.Words]:
@@ -80,7 +74,12 @@ def _answer(stance: Stance) -> Iterable[doc.Words]:
     if np.isfinite(shares).any():
         most = int(np.nanargmax(np.where(np.isfinite(shares), shares, np.nan)))
         share = f"{100 * float(shares[most]):.0f}"
-        yield text("load-of-motors", share=share, joint=doc.Name(stance.statics.joint_names[most]))
+        yield text(
+            "load-of-motors",
+            ground=ground_word(stance.stand.depths.values()),
+            share=share,
+            joint=doc.Name(stance.statics.joint_names[most]),
+        )
     settled = stance.settled
     if settled is not None and not settled.failures:
         yield text("sags-by", loss=f"{1e3 * settled.height_loss:z.1f}")
@@ -103,7 +102,7 @@ def _settles(stance: Stance, settled: SteadyState) -> doc.Words:
         height=f"{1e3 * ((stance.stand.task.height or 0.0) - settled.height_loss):.2f}",
         loss=f"{1e3 * settled.height_loss:z.2f}",
         servo=f"{1e3 * settled.servo_sag:z.2f}",
-        contact=f"{1e3 * settled.contact_sag:z.2f}",
+        contact=contact_text(settled.contact_sag),
     )
     if settled.failures:
         why = join_words(map(doc.tell, settled.failures), "semicolon")

@@ -323,7 +323,7 @@ def test_the_usual_state_is_exported_in_few_words() -> None:
 def test_links_and_commands_lead_back() -> None:
     assert export.write_link("127.0.0.1:80", State()) == "http://127.0.0.1:80/"
     words = shlex.split(export.live_command(LiveVariants(pa.VARIANTS["v3"]), RICH))
-    assert parse_state(words[words.index("--state") + 1]) == RICH
+    assert parse_state(words[words.index("--stance") + 1]) == RICH
     assert "&" not in export.write_link("127.0.0.1:80", RICH)
     assert "#" not in export.write_link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))
 
@@ -543,9 +543,9 @@ def test_a_browser_says_where_it_comes_from_and_what_it_asks_for() -> None:
         ["v3", "--base", "v3"],
         ["--urdf", "a.urdf"],
         ["v3", "--urdf", "a.urdf", "--mjcf", "a.xml"],
-        ["v3", "--state", "nonsense"],
-        ["v3", "--state", "lift:tail,20"],
-        ["v3", "--state", "payload:-1"],
+        ["v3", "--stance", "nonsense"],
+        ["v3", "--stance", "lift:tail,20"],
+        ["v3", "--stance", "payload:-1"],
         ["v3", "--port", "99999"],
         ["v3", "--host", "203.0.113.7"],
         ["--leg-scale", "-1"],

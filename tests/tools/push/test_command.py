@@ -21,7 +21,7 @@ COARSE = ("--directions", "4", "--resolution", "0.3")
 def test_two_robots_are_pushed(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, figure = tmp_path / "all.json", tmp_path / "push.png"
     output = ("--figure", str(figure), "--json", str(path))
-    status, out, err = run_command(capfd, "push", "original", "heavy", *COARSE, *output)
+    status, out, err = run_command(capfd, "push", "original", "heavy", "-v", *COARSE, *output)
     assert status == 0, err
     content = json.loads(path.read_text())
     assert list(content) == ["generator", "provenance", "original", "heavy"]
@@ -112,7 +112,7 @@ def test_a_variant_and_a_derived_one(capfd: pytest.CaptureFixture[str], tmp_path
 BAD = {
     "name and files": (["v3", "--urdf", "a.urdf"], "a.urdf: there is no such file"),
     "no such robot": (["spot"], "'spot'"),
-    "too high": (["v3", "--height", "0.3"], "height 0.1919 m"),
+    "too high": (["v3", "--height", "0.3"], "height 191.9 mm"),
     "too few directions": (["v3", "--directions", "2"], "not between 3 and 360"),
     "no resolution": (["v3", "--resolution", "0"], "not positive"),
     "figure in a folder": (["v3", "--figure", "."], "it is a folder"),

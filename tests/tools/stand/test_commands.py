@@ -59,7 +59,17 @@ def test_workspace_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path
 
 def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
-    arguments = ("original", "--at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
+    arguments = (
+        "original",
+        "--payload-at",
+        "1cm,0,0.08",
+        "--kp",
+        "30",
+        "--kd",
+        "1",
+        "--yaw",
+        "0.1",
+    )
     status, out, err = run_command(capfd, "payload", *arguments, "--json", str(path))
     assert status == 0, err
     content = json.loads(path.read_text())
@@ -110,7 +120,7 @@ def test_best_finds_the_largest_margin(capfd: pytest.CaptureFixture[str], tmp_pa
 def test_best_finds_the_largest_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     status, out, err = run_command(
-        capfd, "best", "payload", "v3", "--at", "0,0,0.08", "--json", str(path)
+        capfd, "best", "payload", "v3", "--payload-at", "0,0,0.08", "--json", str(path)
     )
     assert status == 0, err
     content = json.loads(path.read_text())
@@ -203,9 +213,9 @@ def test_the_help_teaches_with_examples(name: str) -> None:
 BAD = {
     "CSV in a folder": (["path", "v3", "--seconds", "2", "--csv", "."], "it is a folder"),
     "no duration": (["path", "v3", "--seconds", "-2"], "seconds"),
-    "no point": (["payload", "v3", "--at", "1,2"], "not of the form X,Y,Z"),
+    "no point": (["payload", "v3", "--payload-at", "1,2"], "not of the form X,Y,Z"),
     "no objective": (["best", "speed"], "'speed' is not one of"),
-    "out of reach": (["workspace", "v3", "--height", "0.3"], "height 0.1919 m"),
+    "out of reach": (["workspace", "v3", "--height", "0.3"], "height 191.9 mm"),
     "heavy legs": (["payload", "v3", "--slope", "0.8", "--pitch", "-0.8"], "1.030 is needed"),
     "two robots": (["workspace", "v3", "--base", "v3"], "give the robot once"),
     "figure in a folder": (["workspace", "v3", "--figure", "."], "it is a folder"),
