@@ -105,7 +105,7 @@ def test_what_names_no_robot_or_two_is_refused(
 
 @pytest.mark.parametrize("file", [URDF, MJCF], ids=["urdf", "mjcf"])
 def test_one_file_is_enough_to_stand(capfd: pytest.CaptureFixture[str], file: Path) -> None:
-    status, out, _ = run_command(capfd, "stand", str(file))
+    status, out, _ = run_command(capfd, "stand", str(file), "-v")
     assert status == 0
     assert out.startswith("HOLDS (from one file) pupper_v3: ")
     made = "MJCF" if file is URDF else "URDF"
