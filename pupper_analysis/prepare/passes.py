@@ -27,8 +27,7 @@ from pupper_analysis.models.additions import (
     Options,
 )
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.joint_kinds import has_free_joint
-from pupper_analysis.models.mjcf import name_all
+from pupper_analysis.models.mjcf import has_free_joint, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import (
