@@ -95,8 +95,10 @@ docs-links: $(VENV)/.ready-docs ## build the site, and ask the web for all addre
 wheel: $(VENV)/.ready-dev ## build the wheel into dist/
 	$(BIN)/python -m build --wheel
 
-dist: $(VENV)/.ready-dev ## build wheel and source distribution into dist/, as a release does
+dist: $(VENV)/.ready-dev ## build wheel and source distribution into dist/, as a release does, and check them
 	$(BIN)/python -m build
+	$(BIN)/python -m twine check --strict dist/*
+	$(BIN)/python scripts/check_release.py --dist dist
 
 clean: ## delete the virtual environment and all that was made
 	rm -rf $(VENV) $(LOWEST) build dist output .pytest_cache .hypothesis .mypy_cache .ruff_cache

@@ -1,14 +1,23 @@
 """Says whether a tag may be released: it is the version that package, citation and changelog have.
 
-python scripts/check_release.py v0.2.0
+    python scripts/check_release.py v0.2.0
+    python scripts/check_release.py --dist dist
+
+With ``--dist``: whether a wheel and a source distribution hold what they must, and state what
+pyproject.toml states.
 """
 
 from __future__ import annotations
 
 import re
 import sys
+import tarfile
 import tomllib
+import zipfile
+from collections.abc import Iterator
+from email.parser import Parser
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -45,5 +54,68 @@ def main(tag: str, root: Path = ROOT) -> None:
     print(f"{tag} may be released")
 
 
+def faults(folder: Path, root: Path = ROOT) -> Iterator[str]:
+    """Yields what is wrong with the distributions in a folder."""
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    stem = f"{project['name'].replace('-', '_')}-{project['version']}"
+    wheels, sources = sorted(folder.glob("*.whl")), sorted(folder.glob("*.tar.gz"))
+    expected = [f"{stem}-py3-none-any.whl", f"{stem}.tar.gz"]
+    found = [path.name for path in (*wheels, *sources)]
+    if found != expected:
+        yield f"there are {found}, not {expected}"
+        return
+    with zipfile.ZipFile(wheels[0]) as wheel:
+        names = set(wheel.namelist())
+        metadata = wheel.read(f"{stem}.dist-info/METADATA").decode()
+    yield from (f"METADATA: {one}" for one in _metadata_faults(metadata, project, root))
+    package = root / "pupper_analysis"
+    ours = [
+        path.relative_to(root).as_posix()
+        for pattern in ("*.py", "*.pyi", "*.toml", "*.js", "*.css", "py.typed")
+        for path in package.rglob(pattern)
+        if "__pycache__" not in path.parts
+    ]
+    ours += [
+        f"pupper_analysis/pupper/{path.relative_to(root).as_posix()}"
+        for folder in ("urdf", "mjcf")
+        for path in (root / folder).rglob("*")
+        if path.is_file()
+    ]
+    yield from (f"the wheel lacks {name}" for name in ours if name not in names)
+    yield from (f"the wheel has {name}" for name in names if name.startswith("tests/"))
+    with tarfile.open(sources[0]) as source:
+        inside = set(source.getnames())
+    for name in ("README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "pyproject.toml", "tests"):
+        if not any(one.startswith(f"{stem}/{name}") for one in inside):
+            yield f"the source distribution lacks {name}"
+
+
+def _metadata_faults(text: str, project: dict[str, Any], root: Path) -> Iterator[str]:
+    """Yields where metadata are not the project's."""
+    stated = Parser().parsestr(text)
+    readme = (root / project["readme"]).read_text(encoding="utf-8")
+    for key, expected in {
+        "Version": [project["version"]],
+        "Requires-Python": [project["requires-python"]],
+        "Classifier": project["classifiers"],
+        "Provides-Extra": list(project["optional-dependencies"]),
+    }.items():
+        if sorted(stated.get_all(key, [])) != sorted(expected):
+            yield f"{key} is {stated.get_all(key)}, not {expected}"
+    if stated.get_payload().strip() != readme.strip():
+        yield "the description is not the README"
+
+
+def check_distributions(folder: Path, root: Path = ROOT) -> None:
+    """Ends with status 1, and what is wrong, unless the distributions may be published."""
+    found = list(faults(folder, root))
+    if found:
+        raise SystemExit("\n".join(found))
+    print(f"{folder}: wheel and source distribution have what they must")
+
+
 if __name__ == "__main__":
-    main(sys.argv[1])
+    if sys.argv[1] == "--dist":
+        check_distributions(Path(sys.argv[2]))
+    else:
+        main(sys.argv[1])

@@ -6,11 +6,14 @@ import ast
 import csv
 import importlib
 import re
+import tarfile
 import tomllib
+import zipfile
 from pathlib import Path
 
 import click
 import pytest
+import yaml
 
 import pupper_analysis as pa
 from pupper_analysis import cli
@@ -251,6 +254,87 @@ def test_a_release_needs_one_version_everywhere(tmp_path: Path) -> None:
     release.main(f"v{pa.__version__}")
     with pytest.raises(SystemExit, match=r"CHANGELOG\.md has"):
         release.main("v99.0.0")
+
+
+def _wheel(folder: Path, metadata: str, names: list[str]) -> None:
+    with zipfile.ZipFile(folder / "some_robot-1.2.3-py3-none-any.whl", "w") as wheel:
+        wheel.writestr("some_robot-1.2.3.dist-info/METADATA", metadata)
+        for name in names:
+            wheel.writestr(name, "")
+
+
+def test_distributions_are_checked_before_they_are_published(tmp_path: Path) -> None:
+    """A project of its own: sound, then without a file, with an old README, of another Python."""
+    check = script("scripts/check_release.py")
+    root, dist = tmp_path / "root", tmp_path / "dist"
+    for folder in (root / "pupper_analysis", root / "urdf", root / "mjcf", dist):
+        folder.mkdir(parents=True)
+    (root / "pyproject.toml").write_text(
+        '[project]\nname = "some-robot"\nversion = "1.2.3"\nreadme = "README.md"\n'
+        'requires-python = ">=3.11"\nclassifiers = ["Typing :: Typed"]\n'
+        "[project.optional-dependencies]\nlive = []\n"
+    )
+    (root / "README.md").write_text("# Robot\n")
+    (root / "pupper_analysis/words.toml").touch()
+    (root / "urdf/a.urdf").touch()
+    names = ["pupper_analysis/words.toml", "pupper_analysis/pupper/urdf/a.urdf"]
+    sound = (
+        "Metadata-Version: 2.4\nName: some-robot\nVersion: 1.2.3\nRequires-Python: >=3.11\n"
+        "Classifier: Typing :: Typed\nProvides-Extra: live\n\n# Robot\n"
+    )
+    with tarfile.open(dist / "some_robot-1.2.3.tar.gz", "w:gz") as source:
+        for name in (
+            "README.md",
+            "LICENSE",
+            "CHANGELOG.md",
+            "CITATION.cff",
+            "tests",
+            "pyproject.toml",
+        ):
+            source.addfile(tarfile.TarInfo(f"some_robot-1.2.3/{name}"))
+    _wheel(dist, sound, names)
+    assert list(check.faults(dist, root)) == []
+    _wheel(dist, sound, names[1:])
+    assert list(check.faults(dist, root)) == ["the wheel lacks pupper_analysis/words.toml"]
+    for old, new, word in (
+        ("# Robot", "# Old", "README"),
+        (">=3.11", ">=3.10", "Requires-Python"),
+        ("Provides-Extra: live\n", "", "Provides-Extra"),
+        ("Typed", "Untyped", "Classifier"),
+    ):
+        _wheel(dist, sound.replace(old, new), names)
+        (found,) = check.faults(dist, root)
+        assert word in found
+    _wheel(dist, sound, names)
+    (dist / "some_robot-1.2.2.tar.gz").touch()
+    with pytest.raises(SystemExit, match=r"1\.2\.2"):
+        check.check_distributions(dist, root)
+
+
+def test_pythons_of_the_classifiers_are_tested_on_both_systems() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    stated = [
+        one.rpartition(" ")[2] for one in project["classifiers"] if re.search(r":: 3\.\d", one)
+    ]
+    workflow = (ROOT / ".github/workflows/ci.yml").read_text()
+    tested = re.search(r"python-version: \[(.+)\]", workflow)
+    systems = re.search(r"os: \[(.+)\]", workflow)
+    assert tested is not None
+    assert systems is not None
+    assert re.findall(r"[\d.]+", tested[1]) == stated
+    assert project["requires-python"] == f">={stated[0]}"
+    assert [one.strip() for one in systems[1].split(",")] == ["ubuntu-latest", "macos-latest"]
+
+
+def test_issues_ask_for_the_result_as_data() -> None:
+    for path in (ROOT / ".github/ISSUE_TEMPLATE").glob("*.yml"):
+        form = yaml.safe_load(path.read_text())
+        if path.name != "config.yml":
+            assert {"name", "description", "body"} <= form.keys()
+    wrong = yaml.safe_load((ROOT / ".github/ISSUE_TEMPLATE/wrong-answer.yml").read_text())
+    (asked,) = [one for one in wrong["body"] if one["id"] == "json"]
+    assert "--json" in asked["attributes"]["description"]
+    assert asked["validations"]["required"]
 
 
 def test_workflows_call_targets_that_are_there() -> None:

@@ -41,6 +41,11 @@ def test_the_two_commands_are_targets() -> None:
         assert re.search(rf"^{command.split()[1]}:", makefile, flags=re.MULTILINE)
 
 
+def test_it_is_read_in_four_minutes() -> None:
+    """At most 800 words, with commands and tables."""
+    assert len(README.split()) <= 800
+
+
 def test_the_table_of_variants_is_true() -> None:
     rows = re.findall(r"^\| ([\w-]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| (.*) \|$", README, re.M)
     assert [row[0] for row in rows] == list(pa.VARIANTS)
