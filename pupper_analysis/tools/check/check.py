@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 
 from pupper_analysis.base.arguments import check_arguments
@@ -25,6 +26,7 @@ from pupper_analysis.tools.check.config import (
     GuardConfig,
     GuardedPair,
     find_config,
+    guards,
     read_config,
 )
 from pupper_analysis.tools.check.remarks import (
@@ -37,6 +39,7 @@ from pupper_analysis.tools.check.remarks import (
     of_audit,
     of_comparison,
     of_error,
+    of_guard,
     read_baseline,
     relative_path,
     to_baseline,
@@ -286,6 +289,14 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
         else:
             agree, notes = comparison.agree, comparison.notes
             remarks = [*of_comparison(comparison, pair, folder), *remarks]
+    packages = guards()
+    for tool, sources in pair.guards.items() if not _refused(remarks) else ():
+        try:
+            found = import_module(f"{packages[tool]}.guard").guard(files, sources, pair.names)
+        except PupperAnalysisError as error:
+            remarks.append(of_error(error, tool, pair, files[0], folder))
+        else:
+            remarks += of_guard(tool, found, pair, folder)
     names = tuple(relative_path(file, folder) for file in files)
     return PairCheck(pair.name, names, agree, 0, 0, pair.disabled, notes), remarks
 

@@ -23,6 +23,7 @@ from pupper_analysis.base.errors import ConfigurationError, InputError, ModelErr
 from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.inputs import MOST_TEXT, is_input, read_input
 from pupper_analysis.base.kinds import MODEL
+from pupper_analysis.base.tools import other_tools, own_tools
 from pupper_analysis.models.loading import kind_of
 from pupper_analysis.models.places import source_name
 from pupper_analysis.robot.matching.match import read_mapping
@@ -119,6 +120,8 @@ class GuardedPair:
         tolerances: Of the comparison.
         strict: Whether names, damping that a URDF does not state, and tilts are differences.
         disabled: {rule of the audit that is not run: the reason}.
+        guards: {tool: what it is asked to hold against the models}, of tools that have a
+            ``guard.py``.
     """
 
     name: str
@@ -131,6 +134,7 @@ class GuardedPair:
     tolerances: Tolerances
     strict: bool
     disabled: Mapping[str, str]
+    guards: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +195,14 @@ _WILD: Final = "*?["
 _SHARED: Final = ("strict", "tolerances", "packages", "disable")
 _TOP: Final = ("baseline", "fail-on", *_SHARED, "pair")
 _PAIR: Final = ("name", "urdf", "mjcf", "map", "map-file", "feet", "base", *_SHARED)
+
+
+def guards() -> dict[str, str]:
+    """Returns {tool: its package} of those that guard: their names are keys of a pair."""
+    tools = {**other_tools(), **own_tools()}
+    return {name: one.package for name, one in tools.items() if (one.folder / "guard.py").is_file()}
+
+
 _KINDS: Final = tuple(kind.name for kind in fields(Tolerances))
 
 
@@ -226,7 +238,7 @@ class _Reader:
 
     def pairs(self, entry: dict[str, Any], key: Key) -> Iterator[GuardedPair]:
         """Yields the robots of an entry: one, or one for each file that its pattern matches."""
-        self.check_keys(entry, key, _PAIR)
+        self.check_keys(entry, key, (*_PAIR, *guards()))
         given = {kind: self.text(entry, key, kind) for kind in ("urdf", "mjcf")}
         patterns = {kind: text for kind, text in given.items() if text is not None}
         if not any(char in text for text in patterns.values() for char in _WILD):
@@ -263,7 +275,7 @@ class _Reader:
         return [path.relative_to(self.folder).as_posix() for path in paths]
 
     def pair(self, entry: dict[str, Any], key: Key) -> GuardedPair:
-        self.check_keys(entry, key, _PAIR)
+        self.check_keys(entry, key, (*_PAIR, *guards()))
         name = self.text(entry, key, "name")
         urdf, mjcf = (self.model(entry, key, kind) for kind in ("urdf", "mjcf"))
         if not name:
@@ -284,7 +296,18 @@ class _Reader:
             tolerances=tolerances.changed(given),
             strict=self.flag(entry, key, "strict"),
             disabled={**self.disabled(top, ()), **self.disabled(entry, key)},
+            guards={tool: self.sources(entry, key, tool) for tool in guards() if tool in entry},
         )
+
+    def sources(self, entry: dict[str, Any], key: Key, tool: str) -> tuple[Path, ...]:
+        """Returns files or folders that a tool is asked for; of a file also FILE:NAME."""
+        found = self.texts(entry, key, tool)
+        for text in found:
+            path = self.folder / text
+            if not path.exists() and not (self.folder / text.rpartition(":")[0]).is_file():
+                told = diagnose("pair-file-missing", key=tool, file=text)
+                raise self.file.error((*key, tool), told)
+        return tuple(self.folder / text for text in found)
 
     def model(self, entry: dict[str, Any], key: Key, kind: str) -> Path | None:
         text = self.text(entry, key, kind)

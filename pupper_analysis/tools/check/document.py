@@ -183,10 +183,15 @@ def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[
     found = [
         _annotation(group, place)
         for group in _findings(check.remarks)
-        for place in (_places(group[0]) if in_a_change else [group[0].place])
+        for place in (_places(group[0]) if in_a_change or _guarded(group[0]) else [group[0].place])
     ]
     found += [_of_baseline("stale", told, check) for told in stale_entries(check)]
     return found
+
+
+def _guarded(remark: Remark) -> bool:
+    """Whether a tool that guards found it: it is told at each of its lines."""
+    return remark.check not in ("crosscheck", "audit", "diff")
 
 
 def _of_baseline(kind: str, told: Diagnostic, check: RepositoryCheck) -> Annotation:
@@ -272,6 +277,10 @@ def check_cases(check: RepositoryCheck) -> Iterator[CheckedItem]:
         if len(pair.files) > 1:
             own = [r for r in check.remarks if r.check == "crosscheck" and r.pair == pair.name]
             yield _case(f"{pair.name}: crosscheck", own)
+    guarded = dict.fromkeys((one.pair, one.check) for one in check.remarks if _guarded(one))
+    for name, tool in guarded:
+        own = [r for r in check.remarks if (r.pair, r.check) == (name, tool)]
+        yield _case(f"{name}: {tool}", own)
     files = [file for pair in check.pairs for file in pair.files]
     files += [remark.file for remark in check.remarks if remark.check == "audit"]
     for file in dict.fromkeys(files):

@@ -59,7 +59,8 @@ class Remark(Result):
     """One difference between two files, or one finding in a file.
 
     Attributes:
-        check: ``crosscheck``, ``audit``, or ``diff`` for what has changed since a revision.
+        check: ``crosscheck``, ``audit``, ``diff`` for what has changed since a revision, or the
+            tool that guards: ``contract``.
         pair: The name of the pair of which it is a difference; "" for a finding, which is the
             file's, whatever pairs have that.
         kind: The difference's kind; ``joint``, ``part``, ``agreement`` or ``base`` for what is no
@@ -200,6 +201,37 @@ def of_audit(audit: Audit, folder: Path) -> Iterator[Remark]:
             finding.diagnostic,
             RULES[finding.rule].title,
             finding.place.path,
+        )
+
+
+def of_guard(
+    tool: str, findings: Iterable[Any], pair: GuardedPair, folder: Path
+) -> Iterator[Remark]:
+    """Yields a remark per finding of a tool that guards.
+
+    Args:
+        tool: Its name.
+        findings: Each with its ``kind``, ``joints``, ``severity``, ``diagnostic``, ``effects`` and
+            ``places`` (``file:line``, one or two).
+        pair: Whose models they are about.
+        folder: Of the configuration.
+    """
+    for one in findings:
+        file, _, line = one.places[0].rpartition(":")
+        plain = line.isdecimal() or line.startswith("<")
+        yield Remark(
+            tool,
+            pair.name,
+            one.kind,
+            ", ".join(one.joints),
+            relative_path(file if plain else one.places[0], folder),
+            to_baseline(one.diagnostic),
+            one.severity,
+            one.diagnostic,
+            about_kind(one.kind),
+            one.places[0],
+            next(iter(one.places[1:]), None),
+            consequences=one.effects,
         )
 
 

@@ -20,10 +20,14 @@ from pupper_analysis.tools.contract.facts import (
     Source,
     readers,
 )
-from pupper_analysis.tools.contract.findings import Disagreement, find_all
+from pupper_analysis.tools.contract.findings import (
+    Disagreement,
+    Pose,
+    find_all,
+    pose_effects,
+)
 from pupper_analysis.tools.contract.orders import Placed, place_source
-from pupper_analysis.tools.contract.poses import Pose, pose_effects, stand_poses
-from pupper_analysis.tools.contract.readers.models import read_stated
+from pupper_analysis.tools.contract.readers.models import match_names, read_stated
 
 MOST_FILES = 2_000
 """Files of a folder that are looked at."""
@@ -142,12 +146,14 @@ def read_contract(
     # By its joints all is ordered: an MJCF's, as it is what trainers and engines go by.
     models.sort(key=lambda one: one.path.suffix.lower() not in (".xml", ".mjcf"))
     first, model = models[0], read_stated(Request(models[0].path))
+    names, unmatched = match_names(models, names or {})
+    notes += unmatched
     for folder in folders:
-        found, said = _in_folder(folder, read, model, first.order, names or {})
+        found, said = _in_folder(folder, read, model, first.order, names)
         read += found
         notes += said
     first, *rest = _named_apart([first, *(one for one in read if one is not first)])
-    placed = [place_source(one, model, first.order, rest, names or {}) for one in (first, *rest)]
+    placed = [place_source(one, model, first.order, rest, names) for one in (first, *rest)]
     for one in placed:
         own = [fact for fact in one.facts.values() if not fact.implied]
         theirs = tuple(dict.fromkeys([*one.unknown, *_patterns(one.source)]))
@@ -164,7 +170,7 @@ def read_contract(
                                   names=one.unknown))  # fmt: skip
     placed.sort(key=lambda one: list(Role).index(one.source.role))
     paths = list(dict.fromkeys(one.path for one in models))
-    poses, unstood = stand_poses(paths, placed, first.order) if stand else ((), [])
+    poses, unstood = _stood(paths, placed, first.order) if stand else ((), [])
     findings = pose_effects(find_all(placed, model, first.order), poses)
     worst = Severity(fail_on).rank
     return Contract(
@@ -177,6 +183,14 @@ def read_contract(
         notes=(*notes, *unstood),
         passed=all(one.severity.rank > worst for one in findings),
     )
+
+
+def _stood(
+    paths: Sequence[Path], placed: Sequence[Placed], joints: tuple[str, ...]
+) -> tuple[tuple[Pose, ...], list[Diagnostic]]:
+    from pupper_analysis.tools.contract.poses import stand_poses  # PlaCo, which a guard lacks
+
+    return stand_poses(paths, placed, joints)
 
 
 def _named_apart(read: Sequence[Source]) -> list[Source]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
 from pupper_analysis.base.results import Result
@@ -75,6 +75,31 @@ class Disagreement(Result):
     def message(self) -> str:
         """It in one sentence, with what it does."""
         return "; ".join(map(str, (self.diagnostic, *self.effects)))
+
+
+@dataclass(frozen=True, eq=False)
+class Pose(Result):
+    """How a robot stands in the default pose of a source.
+
+    Attributes:
+        source: The source's name.
+        height: Of the base over the feet in that pose (m).
+        moved: The greatest angle by which a joint is moved so that all feet are on the ground
+            (rad); None where it does not stand.
+        sag: By how much the base sinks with the source's gains (m); None if not known.
+        utilisation: The greatest share of a motor's limit; None likewise.
+        stays: Whether it stays up in simulation with these gains and no feed-forward; None if
+            that was not simulated.
+        problem: Why something is not known; None if nothing.
+    """
+
+    source: str
+    height: float
+    moved: float | None
+    sag: float | None
+    utilisation: float | None
+    stays: bool | None
+    problem: Diagnostic | None
 
 
 def find_all(
@@ -383,3 +408,19 @@ def _observations(placed: Sequence[Placed]) -> Iterator[Disagreement]:
                                 first=names[0], second=names[1])  # fmt: skip
                 yield Disagreement("observations", "", (), names, (a, b), "1", Severity.ERROR, told,
                               (here.path, there.path))  # fmt: skip
+
+
+def pose_effects(
+    findings: tuple[Disagreement, ...], poses: tuple[Pose, ...]
+) -> tuple[Disagreement, ...]:
+    """Adds to findings of default angles how far apart the robot stands in both."""
+    heights = {pose.source: pose.height for pose in poses}
+    done = []
+    for one in findings:
+        both = [heights.get(name) for name in one.sources]
+        if one.kind == "default angle" and None not in both and both[0] != both[1]:
+            apart = Quantity(abs((both[0] or 0.0) - (both[1] or 0.0)), "m")
+            told = diagnose("contract-effect-height", height=apart)
+            one = replace(one, effects=(*one.effects, told))
+        done.append(one)
+    return tuple(done)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import NoEquilibriumError, PupperAnalysisError
-from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.configuration import Configuration
@@ -19,38 +18,13 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import solve_stand, stand_statics
-from pupper_analysis.tools.contract.findings import Disagreement
+from pupper_analysis.tools.contract.findings import Pose
 from pupper_analysis.tools.contract.orders import Placed
 
 Array = NDArray[np.float64]
 
 _PART = 0.5
 """Least share of a robot's joints whose default angles a source states, to be stood in them."""
-
-
-@dataclass(frozen=True, eq=False)
-class Pose(Result):
-    """How a robot stands in the default pose of a source.
-
-    Attributes:
-        source: The source's name.
-        height: Of the base over the feet in that pose (m).
-        moved: The greatest angle by which a joint is moved so that all feet are on the ground
-            (rad); None where it does not stand.
-        sag: By how much the base sinks with the source's gains (m); None if not known.
-        utilisation: The greatest share of a motor's limit; None likewise.
-        stays: Whether it stays up in simulation with these gains and no feed-forward; None if
-            that was not simulated.
-        problem: Why something is not known; None if nothing.
-    """
-
-    source: str
-    height: float
-    moved: float | None
-    sag: float | None
-    utilisation: float | None
-    stays: bool | None
-    problem: Diagnostic | None
 
 
 def stand_poses(
@@ -145,19 +119,3 @@ def _stood(
     except PupperAnalysisError as error:
         problem = error.diagnostic
     return Pose(name, height, moved, sag, use, stays, problem)
-
-
-def pose_effects(
-    findings: tuple[Disagreement, ...], poses: tuple[Pose, ...]
-) -> tuple[Disagreement, ...]:
-    """Adds to findings of default angles how far apart the robot stands in both."""
-    heights = {pose.source: pose.height for pose in poses}
-    done = []
-    for one in findings:
-        both = [heights.get(name) for name in one.sources]
-        if one.kind == "default angle" and None not in both and both[0] != both[1]:
-            apart = Quantity(abs((both[0] or 0.0) - (both[1] or 0.0)), "m")
-            told = diagnose("contract-effect-height", height=apart)
-            one = replace(one, effects=(*one.effects, told))
-        done.append(one)
-    return tuple(done)

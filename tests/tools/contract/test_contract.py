@@ -132,6 +132,52 @@ def test_settings_in_yaml_are_those_of_legged_gym(sources: dict[str, Path]) -> N
     assert set(finding.joints) == set(JOINTS[2::3])
 
 
+def test_joints_of_other_names_are_matched_by_structure(
+    tmp_path: Path, sources: dict[str, Path]
+) -> None:
+    """A URDF with numbers for names is held against the MJCF, and what goes by its names."""
+    urdf, text = tmp_path / "numbered.urdf", URDF.read_text()
+    names = {joint: f"m{number}" for number, joint in enumerate(JOINTS)}
+    for joint, name in names.items():
+        text = text.replace(f'<joint name="{joint}"', f'<joint name="{name}"')
+    for number, link in enumerate(re.findall(r'<link name="(leg_[^"]*)"', text)):
+        text = text.replace(f'"{link}"', f'"body{number}"')
+    urdf.write_text(text)
+    deploy = sources["config.yaml"]
+    deploy.write_text(deploy.read_text().replace(listed(JOINTS), listed(names.values())))
+    found = read_contract(MJCF, urdf, deploy, stand=False)
+    assert any(one.code == "contract-matched" for one in found.notes)
+    said = {(one.source, one.joint) for one in found.facts if one.quantity in ("effort", "kp")}
+    assert said >= {("numbered.urdf", joint) for joint in JOINTS}
+    assert said >= {("config.yaml:walker", joint) for joint in JOINTS}
+    assert {one.kind for one in found.findings} == {"kd"}  # 0.25 deployed, 0.1 in the MJCF
+    (order,) = {one.order for one in found.sources if one.name == "config.yaml:walker"}
+    assert order == tuple(JOINTS)
+    first = text.index('name="m4"')
+    urdf.write_text(text[:first] + text[first:].replace('effort="3', 'effort="2', 1))
+    (finding,) = [one for one in read_contract(MJCF, urdf, stand=False).findings
+                  if one.kind == "effort" and not one.slip]  # fmt: skip
+    assert finding.joints == (JOINTS[4],)
+
+
+def test_a_usd_is_a_model_as_the_others(tmp_path: Path) -> None:
+    from tests.tools.usd import written
+
+    path = written.write(tmp_path)
+    deploy = tmp_path / "deploy.yaml"
+    deploy.write_text("joint_names: [hip, knee]\njoint_lower_limits: [-0.523599, -2.09440]\n")
+    found = read_contract(path, deploy, stand=False)
+    assert found.findings == ()
+    stated = {one.joint: one for one in found.facts
+              if one.source == path.name and one.quantity == "lower limit"}  # fmt: skip
+    assert stated["knee"].value == pytest.approx(-2.0943951)
+    assert stated["knee"].place.startswith(f"{path}:<")
+    deploy.write_text(deploy.read_text().replace("-2.09440", "-2.3"))
+    (finding,) = read_contract(path, deploy, stand=False).findings
+    assert (finding.kind, finding.joints) == ("lower limit", ("knee",))
+    assert finding.places == (f"{deploy}:2", stated["knee"].place)
+
+
 @pytest.mark.parametrize(("trainer", "other"), PAIRS)
 def test_what_agrees_is_silent(sources: dict[str, Path], trainer: str, other: str) -> None:
     found = contract(sources[trainer], sources[other])

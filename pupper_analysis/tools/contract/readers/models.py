@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import mujoco
 import numpy as np
 
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.attributes import IN_A_TREE
 from pupper_analysis.models.loading import read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
@@ -16,6 +18,7 @@ from pupper_analysis.models.stated.model import MjcfModel, RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import actuator_gear
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.tools.contract.facts import QUANTITIES, Request, Role, Source, Statement
 from pupper_analysis.tools.contract.orders import depth_first
 
@@ -108,3 +111,33 @@ def _keyframe(model: MjcfModel, compiled: mujoco.MjModel) -> Iterator[Statement]
         if joint.moves and not joint.name.startswith("("):
             at = compiled.jnt_qposadr[compiled.joint(joint.name).id]
             yield Statement("start angle", float(compiled.key_qpos[key, at]), place, joint.name)
+
+
+def match_names(
+    models: Sequence[Source], given: Mapping[str, str]
+) -> tuple[dict[str, str], list[Diagnostic]]:
+    """Returns {a URDF's name of a joint: the MJCF's} where these differ, and what was assumed.
+
+    As ``crosscheck`` matches them: by name, by link, and by where they are.
+
+    Args:
+        models: The models; only one URDF beside one MJCF is matched so.
+        given: {name: joint of the MJCF}, as the user says; it counts over what is found.
+    """
+    files = [read_model(one.path) for one in models if reader_of(one.path) is None]
+    urdf = next((one for one in files if isinstance(one, UrdfFile)), None)
+    mjcf = next((one for one in files if not isinstance(one, UrdfFile)), None)
+    orders = {tuple(sorted(one.order)) for one in models}
+    if urdf is None or mjcf is None or len(orders) < 2:
+        return dict(given), []
+    theirs = {name for one in models for name in one.order}
+    known = {old: new for old, new in given.items() if old in theirs and new in theirs}
+    try:
+        with silence_mujoco():
+            match = match_models(urdf, mjcf, names=known)
+    except PupperAnalysisError as error:
+        return dict(given), [diagnose("contract-unmatched", why=error.diagnostic)]
+    names = {old: new for new, old in match.urdf_joint.items() if old != new}
+    told = [diagnose("contract-matched", pairs=[f"{old} = {new}" for old, new in names.items()][:6],
+                     count=len(names))] if names else []  # fmt: skip
+    return {**names, **given}, told
