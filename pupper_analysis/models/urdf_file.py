@@ -81,6 +81,14 @@ class UrdfFile:
         found = innermost_element(element, child, lambda parent, tag: parent.find(tag))
         return Place(self.path, line_of(found))
 
+    def nth(self, link: str, tag: str, number: int) -> Place:
+        """Finds the n-th element of a tag, from 0, in a link; the link where it has no so many."""
+        element = self._named.get(("link", link))
+        found = [] if element is None else element.findall(tag)
+        if number >= len(found):
+            return self.place("link", link)
+        return Place(self.path, line_of(found[number]))
+
     @cached_property
     def _named(self) -> dict[tuple[str, str | None], etree._Element]:
         """{(tag, name): element}; those below the root go before those deeper down."""

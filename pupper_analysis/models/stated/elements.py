@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import mujoco
@@ -59,14 +60,12 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
     """
     model = file.model
     found: dict[Key, Element] = {}
-    names, seen = geom_names(model), dict[int, int]()
+    names = geom_names(model)
     touching = touching_geoms(model)
     for geom, name in enumerate(names):
-        body = int(model.geom_bodyid[geom])
-        number = seen[body] = seen.get(body, -1) + 1
         values = _values(model, "geom", geom)
         values["friction"] = values["friction"][: _FRICTION_OF[int(model.geom_condim[geom])]]
-        place = _place_of_geom(file, model.geom(geom).name, model.body(body).name, number)
+        place = partial(place_of_geom, file, geom)
         found["geom", name] = Element(
             geom, values, place, read_shape(model, geom), geom in touching
         )
@@ -104,17 +103,29 @@ def _nth(places: list[Place], number: int, count: int, file: MjcfFile) -> Place:
     return places[number] if len(places) == count else Place(file.path)
 
 
-def _place_of_geom(file: MjcfFile, name: str, body: str, number: int) -> Callable[[str], Place]:
-    def place(word: str) -> Place:
-        words = _SHAPE_WORDS if word == "shape" else (word,) if word else ()
-        if not name:
-            return file.nth(body, "geom", number, words)
-        return (file.stated("geom", name, words) if words else None) or file.place("geom", name)
+def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
+    """Finds where a geom's attribute is stated, in itself or a default class; see `Element`.
 
-    return place
+    Args:
+        file: What it is of.
+        geom: Its row in MuJoCo's arrays.
+        word: The attribute; ``"shape"`` is any that a shape has, ``"touches"`` any that says what
+            it touches, ``""`` is the geom itself.
+    """
+    model = file.model
+    name, body = model.geom(geom).name, model.geom_bodyid[geom]
+    words = _WORDS_OF.get(word, (word,))
+    if not name:
+        number = geom - int(model.body_geomadr[body])
+        return file.nth(model.body(body).name, "geom", number, words)
+    return (file.stated("geom", name, words) if words else None) or file.place("geom", name)
 
 
-_SHAPE_WORDS: Final = ("size", "fromto", "type", "pos", "quat", "mesh")
+_WORDS_OF: Final = {
+    "shape": ("size", "fromto", "type", "pos", "quat", "mesh"),
+    "touches": ("contype", "conaffinity"),
+    "": (),
+}
 
 
 def _stating(file: MjcfFile, tag: str, otherwise: Place) -> Callable[[str], Place]:
@@ -199,7 +210,7 @@ def list_collisions(model: UrdfModel) -> dict[Key, Element]:
         touching = [shape for shape in link.shapes if shape.collides]
         for number, shape in enumerate(touching, 1):
             name = link.name if number == 1 else f"{link.name} #{number}"
-            place = model.file.place("link", link.name, "collision/geometry")
+            place = model.file.nth(link.name, "collision", number - 1)
             found["collision", name] = Element(number - 1, {}, _at(place), shape)
     return found
 

@@ -266,7 +266,9 @@ class RobotModel:
             yield from self.descendants(child.name)
 
     def fixed_group(self, name: str) -> list[Link]:
-        """Returns a body and all that is fixed to it, directly or not."""
+        """Returns a body and all that is fixed to it, directly or not; nothing of the world."""
+        if name not in self.links:
+            return []
         group = [self.links[name]]
         for child in self.children(name):
             if not child.moving:
@@ -274,11 +276,12 @@ class RobotModel:
         return group
 
     def carrier(self, name: str) -> str:
-        """Returns the moving body, or root, to which a body is fixed."""
-        link = self.links[name]
-        while not link.moving and link.parent is not None:
-            link = self.links[link.parent]
-        return link.name
+        """Returns the moving body, or root, to which a body is fixed; the world is its own."""
+        link = self.links.get(name)
+        while link is not None and not link.moving and link.parent is not None:
+            name = link.parent
+            link = self.links.get(name)
+        return name
 
     def is_negligible(self, body: Link) -> bool:
         """Whether a body weighs less than 1e-4 of all: a placeholder, or a label stuck on."""

@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -39,7 +40,8 @@ from pupper_analysis.models.loading import reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.models.stated.elements import touching_geoms
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.stated.elements import place_of_geom, touching_geoms
 from pupper_analysis.models.stated.geometry import DIRECTIONS, describe_shape, support_of
 from pupper_analysis.models.stated.mjcf import read_mjcf_model, read_shape
 from pupper_analysis.models.stated.model import Pose, RobotModel, Shape
@@ -96,10 +98,12 @@ class _Placed:
     Attributes:
         shape: As its file has it.
         world: The same, placed in the world.
+        place: Returns where it is stated.
     """
 
     shape: Shape
     world: Shape
+    place: Callable[[], Place]
 
     def reach(self, directions: Array) -> Array | None:
         """Returns its support function (n,) in the world (m)."""
@@ -131,7 +135,7 @@ def compare_collisions(
     data = _start(mjcf.model)
     elsewhere = {matched.mjcf_body[name] for name in moved if name in matched.mjcf_body}
     tried = {
-        name: _of_limb(name, matched, one, two, data)
+        name: _of_limb(name, matched, (one, urdf), (two, mjcf), data)
         for name, body in matched.mjcf_body.items()
         if body in two.links and elsewhere.isdisjoint((body, *two.ancestors(body)))
     }
@@ -164,9 +168,14 @@ Limb = tuple[tuple[_Placed, ...], tuple[_Placed, ...]]
 
 
 def _of_limb(
-    name: str, matched: Match, one: RobotModel, two: RobotModel, data: mujoco.MjData
+    name: str,
+    matched: Match,
+    of_urdf: tuple[RobotModel, UrdfFile],
+    of_mjcf: tuple[RobotModel, MjcfFile],
+    data: mujoco.MjData,
 ) -> Limb | None:
     """Returns what touches of all that moves with a joint; None where its extent is not known."""
+    (one, urdf_file), (two, mjcf_file) = of_urdf, of_mjcf
     body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base
     ends = matched.mjcf_body.get(base), matched.urdf_link.get(base)
     if not ({body, ends[0]} <= two.links.keys() and {link, ends[1]} <= one.links.keys()):
@@ -178,14 +187,19 @@ def _of_limb(
     to_base = one.links[str(ends[1])].pose.inverse()
     place = _pose(data, carrier) * to_body * to_base
     urdf = tuple(
-        _placed_shapes(place * part.pose, shape)
+        _placed_shape(
+            place * part.pose, shape, partial(urdf_file.nth, part.name, "collision", number)
+        )
         for part in one.fixed_group(link)
-        for shape in part.shapes
-        if shape.collides
+        for number, shape in enumerate(shape for shape in part.shapes if shape.collides)
     )
     moving = model.body_weldid[model.geom_bodyid] == model.body_weldid[carrier]
     mjcf = tuple(
-        _placed_shapes(_pose(data, int(model.geom_bodyid[geom])), read_shape(model, geom))
+        _placed_shape(
+            _pose(data, int(model.geom_bodyid[geom])),
+            read_shape(model, geom),
+            partial(place_of_geom, mjcf_file, geom, "shape"),
+        )
         for geom in _touching_the_world(model)
         if moving[geom]
     )
@@ -199,8 +213,8 @@ def _pose(data: mujoco.MjData, body: int) -> Pose:
     return Pose(data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy())
 
 
-def _placed_shapes(pose: Pose, shape: Shape) -> _Placed:
-    return _Placed(shape, replace(shape, pose=pose * shape.pose))
+def _placed_shape(pose: Pose, shape: Shape, place: Callable[[], Place]) -> _Placed:
+    return _Placed(shape, replace(shape, pose=pose * shape.pose), place)
 
 
 def _touching_the_world(model: mujoco.MjModel) -> list[int]:
@@ -247,10 +261,13 @@ def _of_feet(
 ) -> Iterator[Difference]:
     for name, (one, two) in feet.items():
         subject, sides = ("joint", name), (_lowest(one), _lowest(two))
-        at = (
-            urdf.place("link", matched.urdf_link[name], "collision").path,
-            mjcf.place("body", matched.mjcf_body[name], "geom").path,
-        )
+        here, there = sides[0][2], sides[1][2]
+        link, body = matched.urdf_link[name], matched.mjcf_body[name]
+        if there is not None:
+            stated = there.place()
+        else:
+            stated = mjcf.place("body", body) if here is None else _untouched(mjcf, body, here)
+        at = ((urdf.place("link", link) if here is None else here.place()).path, stated.path)
         both = {"one": sides[0][1], "two": sides[1][1], **FORMATS.named}
         if not (one and two):
             told = diagnose("foot-touches-in-one-file", subject=subject, **both)
@@ -267,7 +284,16 @@ def _of_feet(
                 **both,
             )
             effects = {"contact surface": Effect(abs(lower), abs(lower), math.inf)}
-            yield Difference("collision", name, sides[0][0], sides[1][0], "m", told, effects, *at)
+            yield Difference(
+                "collision",
+                name,
+                sides[0][0],
+                sides[1][0],
+                "m",
+                told,
+                effects,
+                *at,
+            )
 
 
 def _reach(shapes: Sequence[_Placed], directions: Array) -> Array:
@@ -276,13 +302,34 @@ def _reach(shapes: Sequence[_Placed], directions: Array) -> Array:
     return np.asarray(np.max(reaches, axis=0))
 
 
-def _lowest(shapes: Sequence[_Placed]) -> tuple[float, Diagnostic | Term]:
+def _untouched(mjcf: MjcfFile, body: str, other: _Placed) -> Place:
+    """Finds what keeps a foot from touching: contacts off, or the bits of the geom at its place.
+
+    Args:
+        mjcf: The file.
+        body: The body of the foot.
+        other: What touches there in the other file.
+    """
+    model = mjcf.model
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
+        stated = (place for words, place in mjcf.elements("flag") if "contact" in words)
+        return next(stated, Place(mjcf.path))
+    data, moving = _start(model), model.body_weldid == model.body_weldid[model.body(body).id]
+    geoms = np.flatnonzero(moving[model.geom_bodyid])
+    if not len(geoms):
+        return mjcf.place("body", body)
+    away = np.linalg.norm(data.geom_xpos[geoms] - other.world.pose.position, axis=1)
+    nearest = geoms[np.flatnonzero(away < away.min() + SAME_CONTACT)[-1]]  # drawn ones go before
+    return place_of_geom(mjcf, int(nearest), "touches")
+
+
+def _lowest(shapes: Sequence[_Placed]) -> tuple[float, Diagnostic | Term, _Placed | None]:
     """Returns the height (m) of the lowest point of shapes, and the shape that has it."""
     if not shapes:
-        return math.nan, Term("none")
+        return math.nan, Term("none"), None
     heights = [float(-_reach([shape], _DOWN)[0]) for shape in shapes]
     first = int(np.argmin(heights))
-    return heights[first], describe_shape(shapes[first].shape)
+    return heights[first], describe_shape(shapes[first].shape), shapes[first]
 
 
 def _of_others(limbs: Mapping[str, Limb]) -> Iterator[Diagnostic]:

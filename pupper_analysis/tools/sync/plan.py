@@ -176,9 +176,12 @@ def make_plan(
         plan.notes |= side.notes
         stated = (both.urdf if other == "urdf" else both.mjcf).joints
         efforts = {name: stated[name].effort for name in matched.robot.joint_names}
+        warned = dict[Key, Diagnostic]()
         for name, why in placeholders_among(matched.robot, efforts).items():
-            if ("effort", name) in keys and ("effort", name) not in plan.left:
-                plan.notes["effort", name] = diagnose("effort-taken-is-placeholder", why=why)
+            note = diagnose("effort-taken-is-placeholder", why=why)
+            if ("effort", name) in keys and note not in warned.values():  # one for all alike
+                warned["effort", name] = note
+        plan.notes = warned | plan.notes | warned  # before what is said of how it is written
     return plan
 
 

@@ -1209,3 +1209,25 @@ def test_a_shape_of_many_times_the_robots_extent_is_told(tmp_path: Path) -> None
 
 def test_a_joint_that_cannot_move_has_no_start_to_be_outside_of(tmp_path: Path) -> None:
     assert "start-outside-limits" not in rules_of(tmp_path, ARM.format(shape="", limit=0.5))
+
+
+def test_legs_on_the_world_have_no_lever_to_their_base(tmp_path: Path) -> None:
+    """As where a base was fused with the world: there is no link that two legs share."""
+    leg = (
+        "<body><joint name='hip{0}' axis='0 1 0'/><geom size='0.05'/>"
+        "<body pos='0 0 -0.2'><joint name='knee{0}' axis='0 1 0'/><geom size='0.05'/></body></body>"
+    )
+    motors = "".join(
+        f"<motor joint='{name}{side}' ctrllimited='true' ctrlrange='-{{0}} {{0}}'/>"
+        for name in ("hip", "knee")
+        for side in (0, 1)
+    )
+    bodies = leg.format(0) + leg.format(1)
+    path = tmp_path / "fused.xml"
+    for effort, found in ((9.0, False), (0.1, True)):
+        path.write_text(
+            f"<mujoco><worldbody>{bodies}</worldbody>"
+            f"<actuator>{motors.format(effort)}</actuator></mujoco>"
+        )
+        rules = [one.rule for one in audit_model(path).findings]
+        assert ("mass-beyond-motors" in rules) is found

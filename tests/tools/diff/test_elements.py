@@ -60,6 +60,8 @@ def test_what_both_files_state_the_comparison_sees(tmp_path: Path, name: str) ->
     comparison = pa.compare_models(ROOT / "urdf/pupper_v3.urdf", after)
     assert not comparison.agree
     assert {difference.kind for difference in comparison.differences} == {FELT[name].urdf}
+    line = f"{FELT[name].file}:{FELT[name].line}"
+    assert any(str(difference.mjcf_place).endswith(line) for difference in comparison.differences)
 
 
 def test_several_changes_are_also_told_together(tmp_path: Path) -> None:

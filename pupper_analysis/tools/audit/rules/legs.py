@@ -83,9 +83,9 @@ def legs_of(robot: RobotModel) -> Iterator[Leg]:
         if not link.moving or link.joints[-1].kind != HINGE:
             continue
         knee = link.joints[-1]
-        above = robot.links[robot.carrier(knee.parent)]
+        above = robot.links.get(robot.carrier(knee.parent))
         end = _end(robot, link)
-        if not above.moving or above.joints[-1].kind != HINGE or end is None:
+        if above is None or not above.moving or above.joints[-1].kind != HINGE or end is None:
             continue
         hip = above.joints[-1]
         cosine = float(hip.axis @ knee.axis)
