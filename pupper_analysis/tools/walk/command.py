@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     "--vary",
     metavar="QUANTITY,...",
     help="Find how far each may change before the command is no longer tracked: all, or some of "
-    "mass, com, friction, kp, kd, delay, strength, legs.",
+    "mass, com, friction, kp, kd, delay, strength, legs, payload, push-forward, push-left.",
 )
 @shared.file_option(
     "--fit", "fitted", help="With --vary: a fit's JSON; where it says that the real robot is."

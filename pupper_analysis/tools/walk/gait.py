@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -12,13 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.base.results import Result
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import bodies_on_ground
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT
 from pupper_analysis.simulation.rollout import STATE
+from pupper_analysis.statics.equilibrium import gravity_compensation
 from pupper_analysis.tools.walk.contract import Contract
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Run, Stage, rotations, simulate_cases, stage_of
@@ -108,6 +110,8 @@ class Walk(Result):
         contract: What it observes, and what its actions mean.
         joints: The robot's, in actuator order.
         limits: (nu,) torque that each motor can give (N m); infinite without a limit.
+        standing: (nu,) torque that holds the robot still in the policy's default pose, by statics
+            on all feet (N m); None where none does.
         mass: kg.
         gaits: One for each seed; the first starts exactly in the default pose.
         integrator: MuJoCo's.
@@ -121,6 +125,7 @@ class Walk(Result):
     contract: Contract
     joints: tuple[str, ...]
     limits: Array
+    standing: Array | None
     mass: float
     gaits: tuple[Gait, ...]
     integrator: str
@@ -206,6 +211,7 @@ def simulate_walk(
         contract=policy.contract,
         joints=robot.joint_names,
         limits=robot.effort_limits,
+        standing=_standing_torques(stage),
         mass=robot.total_mass,
         gaits=gaits,
         integrator=mujoco.mjtIntegrator(int(stage.model.opt.integrator)).name[6:],
@@ -213,6 +219,15 @@ def simulate_walk(
         rate=1.0 / (stage.substeps * stage.timestep),
         warm_up=warm_up,
     )
+
+
+def _standing_torques(stage: Stage) -> Array | None:
+    """Returns the torques (nu,) of statics in the pose in which runs start; None without."""
+    try:
+        config = Configuration(stage.robot, stage.default)
+        return gravity_compensation(config).joint_torques
+    except StaticsInfeasibleError:
+        return None
 
 
 def joint_torques(stage: Stage, run: Run) -> Array:
@@ -372,8 +387,3 @@ def _contacts(
         others |= bodies_on_ground(model, data, robot.foot_geoms)
     total = max(1, len(states))
     return {foot: count / total for foot, count in counts.items()}, tuple(sorted(others))
-
-
-def spread_of(values: Sequence[float]) -> tuple[float, float, float]:
-    """Returns the least, the middle and the greatest of some values."""
-    return min(values), float(np.median(values)), max(values)

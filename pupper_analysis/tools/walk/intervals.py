@@ -40,7 +40,7 @@ class Quantity:
         unit: ``x`` of a factor.
         nominal: Its value where nothing is changed.
         range: (least, greatest) that is tried: beyond it, no robot of the kind is.
-        apply: Changes a copy of the model; None of a delay, which is no property of it.
+        apply: Changes a copy of the model; None of a delay or a push, which are none of it.
     """
 
     unit: str
@@ -60,6 +60,11 @@ def _base(stage: Stage, model: mujoco.MjModel) -> int:
 def _mass(stage: Stage, model: mujoco.MjModel, value: float) -> None:
     model.body_mass[_base(stage, model)] *= value
     model.body_inertia[_base(stage, model)] *= value
+
+
+def _payload(stage: Stage, model: mujoco.MjModel, value: float) -> None:
+    """Puts a part of the robot's mass on to it as a point at the base's centre of mass."""
+    model.body_mass[_base(stage, model)] += value * stage.robot.total_mass
 
 
 def _com(stage: Stage, model: mujoco.MjModel, value: float) -> None:
@@ -114,9 +119,15 @@ QUANTITIES: Mapping[str, Quantity] = {
     "delay": Quantity("s", 0.0, (0.0, 0.2), None),
     "strength": Quantity("x", 1.0, (0.05, 4.0), _strength),
     "legs": Quantity("x", 1.0, (0.5, 2.0), _legs),
+    "payload": Quantity("1", 0.0, (0.0, 2.0), _payload),
+    "push-forward": Quantity("m/s", 0.0, (-3.0, 3.0), None),
+    "push-left": Quantity("m/s", 0.0, (-3.0, 3.0), None),
 }
 """Mass and com (forward) are those of the base's body, friction that of all contacts, the legs'
-length that beyond the first joint of each limb, at the same masses."""
+length that beyond the first joint of each limb, at the same masses. A payload is in parts of the
+robot's mass, at its base's com; a push, of one action, is its impulse over the robot's mass."""
+
+_PUSHES = {"push-forward": (1.0, 0.0), "push-left": (0.0, 1.0)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +206,10 @@ class TrackedIntervals(Result):
 def changed_case(stage: Stage, name: str, value: float, command: Array, seed: int) -> Case:
     """Returns a run of a robot of which one quantity has another value."""
     quantity, latency = QUANTITIES[name], stage.policy.contract.latency
+    if name in _PUSHES:
+        impulse = value * stage.robot.total_mass
+        push = (impulse * _PUSHES[name][0], impulse * _PUSHES[name][1])
+        return Case(stage.model, command, latency, seed, push=push)
     if quantity.apply is None:
         return Case(stage.model, command, latency + value, seed)
     model = copy.copy(stage.model)

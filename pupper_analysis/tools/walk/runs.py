@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import model_with_servos, servo_gains
+from pupper_analysis.robot.servos import model_with_servos, servo_gains, servos_used
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT, Upright
-from pupper_analysis.simulation.rollout import full_state
+from pupper_analysis.simulation.rollout import FORCED, STATE, full_state
 from pupper_analysis.tools.walk.contract import BY_FRAME, Contract
 from pupper_analysis.tools.walk.policy import Policy
 
@@ -37,6 +38,9 @@ _BATCH = 16
 
 _JOINT_SPREAD, _SPEED_SPREAD = 0.05, 0.05
 """By how much the starts of seeds differ (rad; m/s, rad/s): a robot that was put down by hand."""
+
+PUSHED = 2.0
+"""When a run is pushed (s): it walks by then."""
 
 _NEAR = 0.9
 """Of what is a fall: what is nearer is looked at by the judge."""
@@ -52,6 +56,8 @@ class Case:
         delay: Of commands at the servos (s).
         seed: Of its start; 0: exactly the default pose, at rest.
         lift: How much higher it stands than the stage's robot (m), as on longer legs.
+        push: (2,) forward and to the left, on the base's com during one action after ``PUSHED``
+            (N s), in the world.
     """
 
     model: mujoco.MjModel
@@ -59,6 +65,7 @@ class Case:
     delay: float
     seed: int = 0
     lift: float = 0.0
+    push: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +103,7 @@ class Stage:
         default: (nq,) the pose in which a run starts.
         substeps: Time steps per action.
         upright: What a fall is measured against.
+        imu: The site at which is observed; None: the base.
     """
 
     robot: Robot
@@ -107,6 +115,7 @@ class Stage:
     default: Array
     substeps: int
     upright: Upright
+    imu: int | None
 
     @property
     def timestep(self) -> float:
@@ -125,7 +134,7 @@ def stage_of(robot: Robot, policy: Policy) -> Stage:
         ConfigurationError: If the base is fixed, or it has no feet.
         ModelError: If a joint has no motor, if the policy states no gains and the robot has no
             servos, or their joints do not fit.
-        UnknownNameError: If the policy names a joint that the robot has not.
+        UnknownNameError: If the policy names a joint or a site that the robot has not.
     """
     robot.check_floating()
     contract = policy.contract
@@ -140,6 +149,11 @@ def stage_of(robot: Robot, policy: Policy) -> Stage:
         damping = np.zeros(robot.nu) if own is None else own.kd.copy()
         stiffness[joints], damping[joints] = kp, kd
         servos = model_with_servos(robot, stiffness, damping)
+    elif kp is not None or kd is not None:
+        key = "kp" if kp is None else "kd"
+        raise ModelError(policy.name, diagnose("contract-lacks", key=key))
+    elif servos_used(robot).source is ServoSource.ADDED:  # they are nobody's
+        raise ModelError(policy.name, diagnose("policy-without-gains"))
     else:
         servos = model_with_servos(robot)
     model = servos.model
@@ -164,7 +178,19 @@ def stage_of(robot: Robot, policy: Policy) -> Stage:
         default=default,
         substeps=substeps,
         upright=Upright.of(robot, default),
+        imu=_imu(model, policy),
     )
+
+
+def _imu(model: mujoco.MjModel, policy: Policy) -> int | None:
+    """Returns the site at which a policy observes; None if it is the base."""
+    name = policy.contract.imu
+    if not name:
+        return None
+    sites = [model.site(index).name for index in range(model.nsite)]
+    if name not in sites:
+        raise UnknownNameError(policy.name, "site", name, sites)
+    return sites.index(name)
 
 
 def joint_indices(robot: Robot, policy: Policy) -> Integers:
@@ -233,7 +259,8 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
     commands = np.array([case.command for case in cases])
     lifts = np.array([case.lift for case in cases])
     uprights = [lifted(stage.upright, case.lift) for case in cases]
-    observer = Observer(stage, commands)
+    pushes, pushed = _pushes(stage, cases)
+    observer = Observer(stage, commands, [case.model for case in cases])
     memory = stage.policy.network.start(count)
     asked = np.tile(stage.ctrl, (count, ticks + 1, 1))  # [:, k]: from tick k - 1 on
     going, steps = np.arange(count), np.arange(stage.substeps)
@@ -246,7 +273,14 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
         due = np.clip((first + steps - delays[going, None]) // stage.substeps + 1, 0, tick + 1)
         control = asked[going[:, None], due]
         models = [cases[index].model for index in going.tolist()]
-        states, _ = runner.rollout(models, data, current, control)
+        if tick == pushed:
+            forces = np.repeat(pushes[going, None], stage.substeps, axis=1)
+            forced = np.concatenate([control, forces], axis=2)
+            states, _ = runner.rollout(models, data, current, forced, control_spec=FORCED)
+            # What a state does not hold, the next rollout leaves as it is.
+            data.xfrc_applied[:] = 0.0
+        else:
+            states, _ = runner.rollout(models, data, current, control)
         kept[going, first : first + stage.substeps] = states
         control_kept[going, first : first + stage.substeps] = control
         current = states[:, -1]
@@ -278,6 +312,15 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
         )
         for index, case in enumerate(cases)
     ]
+
+
+def _pushes(stage: Stage, cases: Sequence[Case]) -> tuple[Array, int]:
+    """Returns the forces on bodies (runs, 6 nbody) of pushes, and in which action; -1: in none."""
+    step = stage.substeps * stage.timestep
+    forces = np.zeros((len(cases), stage.model.nbody, 6))
+    forces[:, stage.model.body(stage.robot.mj_base).id, :2] = [case.push for case in cases]
+    any_pushed = bool(forces.any())
+    return (forces / step).reshape(len(cases), -1), round(PUSHED / step) if any_pushed else -1
 
 
 def lifted(upright: Upright, lift: float) -> Upright:
@@ -342,13 +385,15 @@ class Observer:
     Args:
         stage: The policy on its robot.
         commands: (runs, 3) what they are commanded.
+        models: Of each.
 
     Attributes:
         last: (runs, n) their last actions.
     """
 
-    def __init__(self, stage: Stage, commands: Array) -> None:
-        self._stage, self._commands = stage, commands
+    def __init__(self, stage: Stage, commands: Array, models: Sequence[mujoco.MjModel]) -> None:
+        self._stage, self._commands, self._models = stage, commands, models
+        self._data = None if stage.imu is None else mujoco.MjData(stage.model)
         self._contract: Contract = stage.policy.contract
         self.last = np.zeros((len(commands), self._contract.actions))
         shape = (len(commands), self._contract.history, self._contract.frame)
@@ -386,16 +431,16 @@ class Observer:
         convention, joints = stage.robot.mj_convention, stage.joints
         qpos = states[:, 1 + convention.qpos_index]
         qvel = states[:, 1 + stage.model.nq + convention.qvel_index]
-        turned = rotations(qpos[:, 3:7])
+        linear, angular, gravity = self._sensed(states, going, qpos, qvel)
         phase = contract.phase_offsets + (
             2 * math.pi * contract.phase_rate * tick * stage.substeps * stage.timestep
         )
         runs = len(going)
         up = np.array([0.0, 0.0, 1.0])
         values = {
-            "linear-velocity": np.einsum("rji,rj->ri", turned, qvel[:, :3]),
-            "angular-velocity": qvel[:, 3:6],
-            "gravity": -turned[:, 2, :],
+            "linear-velocity": linear,
+            "angular-velocity": angular,
+            "gravity": gravity,
             "command": self._commands[going],
             "up-command": np.tile(up, (runs, 1)),
             "joint-positions": contract.signs * qpos[:, 7 + joints] - contract.default,
@@ -404,3 +449,23 @@ class Observer:
             "phase": np.tile(np.concatenate([np.cos(phase), np.sin(phase)]), (runs, 1)),
         }
         return np.concatenate([values[term.name] * term.scale for term in contract.terms], axis=1)
+
+    def _sensed(
+        self, states: Array, going: Integers, qpos: Array, qvel: Array
+    ) -> tuple[Array, Array, Array]:
+        """Returns linear and angular velocities, and where gravity points, in the IMU's frame."""
+        if self._data is None:
+            turned = rotations(qpos[:, 3:7])
+            linear = np.einsum("rji,rj->ri", turned, qvel[:, :3])
+            return linear, qvel[:, 3:6], -turned[:, 2, :]
+        data, site = self._data, self._stage.imu
+        found, velocity = np.empty((len(going), 9)), np.empty(6)
+        for row, (run, state) in enumerate(zip(going.tolist(), states, strict=True)):
+            model = self._models[run]
+            mujoco.mj_setState(model, data, state, STATE)
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_comVel(model, data)
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 1)
+            found[row] = (*velocity[3:], *velocity[:3], *-data.site_xmat[site, 6:])
+        return found[:, :3], found[:, 3:6], found[:, 6:]

@@ -55,7 +55,32 @@ def test_what_is_changed(still: Policy) -> None:
     low = data.geom_xpos[list(stage.robot.foot_geoms), 2].min()
     assert long.lift > 0.01
     assert low + long.lift == pytest.approx(0.01995, abs=1e-9)
+    loaded = changed_case(stage, "payload", 0.5, np.zeros(3), 0).model
+    assert loaded.body_mass.sum() == pytest.approx(1.5 * stage.model.body_mass.sum())
     assert changed_case(stage, "delay", 0.02, np.zeros(3), 0).delay == 0.02
+
+
+def test_a_push_is_its_impulse(still: Policy) -> None:
+    """Over the mass it is the step of the velocity of the com, less what the feet hold."""
+    stage = stage_of(load("v3"), still)
+    model, data = stage.model, mujoco.MjData(stage.model)
+    cases = [changed_case(stage, "push-left", value, np.zeros(3), 0) for value in (0.0, 0.3, -0.3)]
+    speeds = []
+    for run in simulate_cases(stage, cases, 2.1, 1.0):
+        found = []
+        for at in (round(2.0 / stage.timestep) - 1, round(2.02 / stage.timestep) - 1):
+            mujoco.mj_setState(model, data, run.states[at], mujoco.mjtState.mjSTATE_FULLPHYSICS)
+            mujoco.mj_forward(model, data)
+            mujoco.mj_subtreeVel(model, data)
+            found.append(data.subtree_linvel[0].copy())
+        speeds.append(found[1] - found[0])
+    still_step, left, right = (step[1] for step in speeds)
+    assert abs(still_step) < 1e-3
+    assert 0.1 < left < 0.3
+    assert -0.3 < right < -0.1
+    alone = next(iter(simulate_cases(stage, cases[:1], 2.1, 1.0)))  # nothing stays of a push
+    beside = next(iter(simulate_cases(stage, cases, 2.1, 1.0)))
+    assert (alone.states == beside.states).all()
 
 
 def test_limbs() -> None:

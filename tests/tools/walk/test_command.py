@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import legged
 from tests.support.commands import check_refusal, run_command
 from tests.tools.walk import made
 
@@ -79,3 +80,31 @@ def test_bad_input(
         ((str(policy), "--contract", str(policy)), "TOML"),
     ):
         check_refusal(capfd, folder, (*words, *more), told)
+
+
+def test_a_robot_without_servos_or_joints_of_the_policy_is_a_line(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    values = json.loads(made.still(tmp_path / "still.json").read_text())
+    without = {key: value for key, value in values.items() if key not in ("kp", "kd")}
+    bare = tmp_path / "bare.json"
+    bare.write_text(json.dumps(without))
+    (tmp_path / "motors").mkdir()
+    made_of = legged.quadruped(tmp_path / "motors", floor=True, actuators="motor")
+    check_refusal(
+        capfd, folder, ("walk", str(made_of.mjcf), "--policy", str(bare)), "states no kp and kd"
+    )
+    named = tmp_path / "named.json"
+    named.write_text(json.dumps(values))
+    named.with_suffix(".toml").write_text(f"joints = {[f'j{k}' for k in range(12)]}")
+    check_refusal(capfd, folder, ("walk", "v3", "--policy", str(named)), "j0")
+    few = made.still(tmp_path / "few.json", default_joint_pos=[0.0] * 11)
+    check_refusal(capfd, folder, ("walk", "v3", "--policy", str(few)), "default")
+    large = tmp_path / "large.onnx"
+    tensor = made.tensor("W", [1.0], dims=(40_000, 25_000))
+    ends = [made.value("obs", 1, 2)], [made.value("y", 1, 3)]
+    large.write_bytes(made.onnx([made.node("MatMul", ("obs", "W"), ("y",))], [tensor], *ends))
+    check_refusal(capfd, folder, ("walk", "v3", "--policy", str(large)), "1000000000 weights")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -10,9 +11,11 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.simulation.rollout import full_state
+from pupper_analysis.tools.walk.contract import Term
 from pupper_analysis.tools.walk.gait import simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import simulate_cases, stage_of
+from pupper_analysis.tools.walk.runs import Observer, simulate_cases, stage_of
 from tests.support.variants import load
 from tests.tools.walk import made
 
@@ -62,6 +65,8 @@ def test_torques_and_motion_of_bare_mujoco(still: Policy) -> None:
     assert 0.8 < gait.margin < 0.95  # it sags
     assert all(share == 1.0 for share in gait.duty.values())
     assert gait.power < 0.01
+    assert walk.standing is not None  # it stands: what the gait asks for is what statics do
+    assert rms.sum() == pytest.approx(np.abs(walk.standing).sum(), rel=0.15)
 
 
 def test_any_number_of_workers(still: Policy) -> None:
@@ -85,6 +90,34 @@ def test_a_delay_is_that_of_the_commands(still: Policy) -> None:
     assert (late.targets[:15] == stage.ctrl).all()
     assert (late.targets[15] == now.targets[0]).all()
     assert (now.targets[0] != moving.ctrl).any()
+
+
+def test_what_an_imu_on_a_leg_observes_is_what_mujocos_sensors_do(still: Policy) -> None:
+    spec = mujoco.MjSpec.from_file(str(load("v3").description.mjcf_source))
+    spec.body("leg_front_r_2").add_site(name="imu", pos=[0.1, 0.2, 0.3], quat=[0.8, 0.6, 0.0, 0.0])
+    for kind in ("velocimeter", "gyro"):
+        sensor = getattr(mujoco.mjtSensor, f"mjSENS_{kind.upper()}")
+        spec.add_sensor(name=kind, type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu")
+    model = spec.compile()
+    data, stage = mujoco.MjData(model), stage_of(load("v3"), still)
+    draw = np.random.default_rng(0)
+    qpos = stage.default + 0.1 * draw.normal(size=19)
+    qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    stage.robot.mj_convention.set_state(data, qpos, draw.normal(size=18))
+    mujoco.mj_forward(model, data)
+    names = ("linear-velocity", "angular-velocity", "gravity")
+    contract = replace(still.contract, terms=tuple(map(Term, names)), history=1)
+    watching = replace(
+        stage, model=model, policy=replace(still, contract=contract), imu=model.site("imu").id
+    )
+    seen = Observer(watching, np.zeros((1, 3)), [model]).observe(
+        full_state(model, data)[None], np.array([0]), 0
+    )[0]
+    down = data.site("imu").xmat.reshape(3, 3).T @ [0.0, 0.0, -1.0]
+    sensed = [data.sensor("velocimeter").data, data.sensor("gyro").data, down]
+    assert seen == pytest.approx(np.concatenate(sensed), abs=1e-12)
+    with pytest.raises(PupperAnalysisError, match="eye"):
+        stage_of(load("v3"), still.with_contract(imu="eye"))
 
 
 def test_what_falls_says_so(still: Policy) -> None:
@@ -119,6 +152,14 @@ def test_standing_does_not_track_a_speed(still: Policy) -> None:
 def test_bad_arguments(still: Policy, changed: dict[str, object], told: str) -> None:
     with pytest.raises(PupperAnalysisError, match=told):
         simulate_walk(load("v3"), still, **changed)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("gain", "told"), [({"kp": None}, "kp"), ({"kd": None}, "kd")])
+def test_one_gain_alone_is_not_passed_over(
+    still: Policy, gain: dict[str, object], told: str
+) -> None:
+    with pytest.raises(PupperAnalysisError, match=f"states {told}"):
+        stage_of(load("v3"), still.with_contract(**gain))
 
 
 def test_joints_that_do_not_fit(still: Policy) -> None:
