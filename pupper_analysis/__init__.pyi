@@ -34,6 +34,7 @@ from .robot.robot import Robot as Robot
 from .simulation.verify import verify_stand as verify_stand
 from .stance.judge import Stand as Stand
 from .stance.sag.steady_state import steady_state as steady_state
+from .stance.soft_ground import solve_stand_as_simulated as solve_stand_as_simulated
 from .stance.stand import solve_stand as solve_stand
 from .stance.stand import solve_stands as solve_stands
 from .stance.task import StandTask as StandTask

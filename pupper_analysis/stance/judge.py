@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
@@ -35,7 +35,7 @@ _ERRORS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Stand(Result):
+class Stand(Tabular):
     """A solved stand. Its errors are Pinocchio's, computed anew from ``qpos``.
 
     Attributes:
@@ -102,6 +102,17 @@ class Stand(Result):
                 return found
         self._statics.append((ref(robot), distribution, find()))
         return self._statics[-1][2]
+
+    def _columns(self) -> dict[str, Any]:
+        """One row per foot: where its sphere's centre shall be (m), if it carries, how deep (m)."""
+        feet = list(self.foot_targets)
+        places = np.array([self.foot_targets[foot] for foot in feet]).reshape(-1, 3)
+        return {
+            "foot": feet,
+            **{axis: places[:, index] for index, axis in enumerate("xyz")},
+            "carries": [foot in self.stance_feet for foot in feet],
+            "depth": [self.depths.get(foot, 0.0) for foot in feet],
+        }
 
     def of_task(self, task: StandTask) -> Stand:
         """Returns the same stand as that of another task, which it satisfies as well."""

@@ -97,6 +97,26 @@ def test_a_task_says_what_it_asks() -> None:
         assert words in str(task)
 
 
+@pytest.mark.parametrize(
+    ("word", "typed"),
+    [
+        ("slope", r"ground=pa\.Ground\(slope=\.\.\.\)"),
+        ("uphill", r"ground=pa\.Ground\(uphill=\.\.\.\)"),
+        ("step", r"ground=pa\.Ground\(heights=\.\.\.\)"),
+        ("move", r"foot_offsets=\.\.\."),
+        ("payload", "with_payload"),
+    ],
+)
+def test_a_word_that_lives_elsewhere_is_shown_its_place(word: str, typed: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=f"^{word}: .*{typed}"):
+        pa.StandTask(**{word: 0.1})  # type: ignore[arg-type]
+
+
+def test_a_word_that_nobody_knows_is_pythons_own_error() -> None:
+    with pytest.raises(TypeError, match="unexpected keyword argument 'wings'"):
+        pa.StandTask(wings=2)  # type: ignore[call-arg]
+
+
 def test_an_offset_goes_with_the_centre_and_with_no_other_com() -> None:
     assert pa.StandTask(offset=(0.01, 0.0), com="centre").com == "centre"
     for com in ("inside", (0.0, 0.0)):

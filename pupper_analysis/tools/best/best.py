@@ -15,7 +15,7 @@ from pupper_analysis.robot.tool import Place
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.workspace import Interval
-from pupper_analysis.statics.equilibrium import ForceDistribution
+from pupper_analysis.statics.equilibrium import ForceDistribution, to_distribution
 from pupper_analysis.tools.best.search import EvaluatedStance, Objective, StanceSearch
 from pupper_analysis.tools.best.space import JOINT_RESERVE, StanceSpace
 from pupper_analysis.tools.payload.limit import PayloadLimit, payload_limit
@@ -61,11 +61,11 @@ class BestStance(Result):
 @check_arguments
 def best_stance(
     robot: Robot,
-    objective: Objective = Objective.UTILISATION,
+    objective: Objective | str = Objective.UTILISATION,
     *,
     task: StandTask | None = None,
     point: Place = (0.0, 0.0, 0.0),
-    distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
+    distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> BestStance:
@@ -100,7 +100,7 @@ def best_stance(
 
     Args:
         robot: A robot with a floating base.
-        objective: What shall be best.
+        objective: What shall be best; or its name, such as ``"margin"``.
         task: Where the search begins, and all that is not searched over; the nominal stand by
             default.
         point: Where the payload is, as in ``with_payload``.
@@ -122,7 +122,9 @@ def best_stance(
         NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
     """
     robot.check_tree("the best stance")
-    search = StanceSearch(robot, _objective(objective), task, point, distribution, kp)
+    search = StanceSearch(
+        robot, _objective(objective), task, point, to_distribution(distribution), kp
+    )
     search.run()
     space, best, payload = search.space, search.best, None
     # As whoever types it has it: where joints are to spare, a search has them from what was near.
@@ -214,7 +216,7 @@ def study_best(
 
     Args:
         robot: The robot.
-        objective: What shall be best.
+        objective: What shall be best; or its name, such as ``"margin"``.
         task: Where the search begins, and all that is not searched over.
         point: Where the payload is, as in ``with_payload``.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
@@ -31,6 +32,11 @@ from pupper_analysis.prepare.convert.files import RobotFiles
     help="Only list what is added to your files so that the robot can stand, pass by pass.",
 )
 @robot_and_task
+@shared.output_option(
+    "--csv",
+    holds=kinds.STAND_TABLE,
+    help="Write the table of joints as CSV to this file, or to standard output (-).",
+)
 @shared.figure_option
 @shared.json_option
 @shared.report_option
@@ -39,6 +45,7 @@ def command(
     words: tuple[str, ...],
     minimum_stiffness: bool,
     explain: bool,
+    csv: Path | None,
     figure: Path | None,
     json_path: Path | None,
     report_path: Path | None,
@@ -68,7 +75,7 @@ def command(
       pupper-analysis stand long-leg --slope 5deg --uphill 90deg --pitch 0.05
       pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 --figure stance.png
       pupper-analysis stand --base v3 --leg-scale 1.2 --minimum-stiffness
-      pupper-analysis stand g1.xml --height 70cm
+      pupper-analysis stand g1.xml --height 70cm --csv joints.csv
       pupper-analysis stand go2.urdf --explain
       pupper-analysis stand go1.urdf go1.xml --foot FL=FL_foot --foot FR=FR_foot \\
         --foot RL=RL_foot --foot RR=RR_foot --kp 100 --kd 3 --kp '*calf*=150'
@@ -88,6 +95,9 @@ def command(
     with shared.show_progress("solving the stance, and simulating it"):
         result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
     asked.show(result, robot)
+    if csv is not None:
+        result.to_csv(csv)
+        shared.confirm_written(csv)
     draw_stand(robot, result.stand, result.statics, figure)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

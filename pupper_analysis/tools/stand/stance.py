@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import csv
+import io
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError, NoStiffnessError
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import STAND_TABLE
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.robot import Robot
@@ -27,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Stance(Result):
+class Stance(Tabular):
     """A stance, what it costs, and whether it holds.
 
     Attributes:
@@ -66,6 +71,35 @@ class Stance(Result):
     unsettled: Diagnostic | None
     loops_open: float | None
     minimum_stiffness: float | None
+
+    def _columns(self) -> dict[str, ArrayLike]:
+        return {
+            "joint": self.statics.joint_names,
+            "position": self.joint_positions,
+            "torque": self.statics.joint_torques,
+            "limit": self.limits,
+            "utilisation": self.statics.motor_utilisation,
+            "simulated_torque": self.verification.joint_torques,
+        }
+
+    def to_csv(self, path: str | Path, *, force: bool = False) -> None:
+        """Writes the table of joints, with a header line that names the units.
+
+        Args:
+            path: The file.
+            force: Replace what is no such table, too.
+
+        Raises:
+            OutputError: If the file cannot be written, or is no such table.
+        """
+        units = ("", " (rad)", " (N m)", " (N m)", "", " (N m)")
+        columns = self._columns()
+        text = io.StringIO(newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(name + unit for name, unit in zip(columns, units, strict=True))
+        writer.writerows(zip(*(np.asarray(one).tolist() for one in columns.values()), strict=True))
+        with whole_file(Path(path), STAND_TABLE, force=force) as file:
+            file.write(text.getvalue().encode())
 
     @property
     def overloaded(self) -> tuple[str, ...]:

@@ -105,7 +105,7 @@ def test_best_stance_has_the_least_utilisation(name: str) -> None:
 
 def test_best_stance_has_the_largest_margin() -> None:
     """As long as it may be, and the com where the nearest edges are equally far."""
-    robot, found = load("v3"), best_stance(load("v3"), Objective.MARGIN)
+    robot, found = load("v3"), best_stance(load("v3"), "margin")
     check_kept(robot, found)
     assert found.value == pytest.approx(com_margin(robot, found.stand), rel=1e-9)
     half = np.ptp([place[0] for place in found.stand.contact_points.values()]) / 2
@@ -243,7 +243,9 @@ def test_best_stance_has_the_least_torque() -> None:
 def test_best_stance_refuses_wrong_requests() -> None:
     robot = load("v3")
     with pytest.raises(pa.ConfigurationError, match="objective"):
-        best_stance(robot, "speed")  # type: ignore[arg-type]
+        best_stance(robot, "speed")
+    with pytest.raises(pa.ConfigurationError, match="distribution: 'all' is none of"):
+        best_stance(robot, "margin", distribution="all")
     with pytest.raises(pa.ConfigurationError, match="point"):
         best_stance(robot, Objective.PAYLOAD, point=(0.0, 0.0))  # type: ignore[arg-type]
     with pytest.raises(pa.StanceUnreachableError):

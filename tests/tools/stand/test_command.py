@@ -19,6 +19,37 @@ from tests.support.commands import check_refusal, run_command
 from tests.support.printing import printed
 
 
+def test_the_table_of_joints_is_a_file_and_a_dataframe(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Each column from its own: torques with their sign, a share of each motor's own limit."""
+    path = tmp_path / "joints.csv"
+    status, out, err = run_command(capfd, "stand", "v3", "--height", "12cm", "--csv", str(path))
+    assert status == 0, err
+    assert out.endswith(f"written: {path}\n")
+    robot = load_variant("v3")
+    stance = study_stance(robot, StandTask(height=0.12))
+    table = stance.to_dataframe()
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    assert rows[0] == [
+        *("joint", "position (rad)", "torque (N m)", "limit (N m)", "utilisation"),
+        "simulated_torque (N m)",
+    ]
+    assert [row[0] for row in rows[1:]] == list(robot.joint_names) == list(table["joint"])
+    numbers = np.array([row[1:] for row in rows[1:]], dtype=float)
+    np.testing.assert_array_equal(numbers, table.drop(columns="joint").to_numpy())
+    np.testing.assert_array_equal(numbers[:, 0], stance.stand.qpos[7:])
+    np.testing.assert_allclose(numbers[:, 3], np.abs(numbers[:, 1]) / numbers[:, 2], rtol=1e-12)
+    np.testing.assert_allclose(numbers[:, 4], numbers[:, 1], atol=1e-6)
+    sunk, rigid = stance.stand.to_dataframe(), stance.rigid.to_dataframe()
+    np.testing.assert_allclose(sunk["z"] + sunk["depth"], rigid["z"], rtol=1e-12)
+    y = dict(zip(sunk["foot"], sunk["y"].to_numpy(), strict=True))
+    assert y["FL"] > 0 > y["FR"]
+    path.write_text("mine\n")
+    status, _, err = run_command(capfd, "stand", "v3", "--csv", str(path))
+    assert (status, path.read_text()) == (2, "mine\n"), err
+
+
 def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     arguments = ("v3", "--swing", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
