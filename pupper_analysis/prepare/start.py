@@ -55,6 +55,15 @@ third are put aside by the second, and stand below the hips by the fourth."""
 _KEY_DIGITS = 6
 """Decimals of a keyframe's angles and height: a micrometre, which the servos make up for."""
 
+_NEAR = 1e-3
+"""How much a radian off a pose counts beside a sole that is off by the robot's height: it decides
+between postures that lay soles alike, and keeps none from being laid."""
+
+_LEVEL = 1e-3
+"""Parts of its height by which a sole may be off in a start (m), from which a stand is solved."""
+
+_ROUNDING = 1e-9  # rad
+
 _LOWEST, _HIGHEST = 0.25, 0.98  # parts of a leg's length
 
 
@@ -79,17 +88,20 @@ def stands_at(robot: Robot, joints: Mapping[str, float]) -> bool:
 
 
 def first_stand(robot: Robot) -> Stand | None:
-    """Returns the robot's nominal stand, or None if it is out of reach."""
+    """Returns the robot's nominal stand, or None if it is out of reach, or in no balance."""
     try:
-        return solve_stand(robot, explain=False)
+        stand = solve_stand(robot, explain=False)
+        stand_statics(robot, stand)  # a com that may be anywhere inside may be a hair outside
     except PupperAnalysisError:
         return None
+    return stand
 
 
 def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
     """Finds a stand in the middle of the heights that the legs can reach.
 
-    The feet are where one of some poses has them, seen from above.
+    The feet are where one of some poses has them, seen from above; or else where legs that lay
+    their soles as they can, each for itself, come to have them.
 
     Args:
         robot: The robot with feet.
@@ -99,27 +111,96 @@ def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         The robot with that as its nominal stand; None if it stands nowhere.
     """
     poses = list(poses)
-    return _found(robot, poses) or _found(robot, [_put_aside(robot, pose) for pose in poses])
+    found = _found(robot, poses) or _found(robot, [_put_aside(robot, pose) for pose in poses])
+    return found or next(filter(None, (_laid(robot, pose) for pose in poses)), None)
+
+
+def _laid(robot: Robot, pose: Array) -> Robot | None:
+    """Finds a stand on feet that lie where the legs, bent, have them; see ``found_start``."""
+    length = leg_length(robot, robot.posed(pose))
+    heights = np.round(length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS), 3)
+    for margin in _MARGINS:
+        laid = [(height, _lay_feet(robot, pose, height, margin)) for height in heights.tolist()]
+        found = _from_middle(
+            [
+                _starting(replace(robot, nominal=joints), joints, height)
+                for height, joints in laid
+                if joints is not None
+            ]
+        )
+        if found is not None:
+            return found
+    return None
+
+
+def _lay_feet(robot: Robot, pose: Array, height: float, margin: float) -> Array | None:
+    """Returns joint positions (nu,) near a pose with all feet level below the base, if there are.
+
+    And with the com over the middle of the feet, which are wherever that has them: of the six
+    numbers that place a sole only its height and tilt count.
+
+    Args:
+        robot: The robot.
+        pose: (nu,) which they are near.
+        height: Of the base (m).
+        margin: How far off their limits joints are (rad), or two fifths of a narrow range.
+    """
+    from scipy import optimize  # slow to import
+
+    low = np.clip(robot.lower_limits, -np.pi, np.pi)
+    high = np.clip(robot.upper_limits, -np.pi, np.pi)
+    inside = np.minimum(margin, 0.4 * (high - low)) - _ROUNDING
+    radii = np.array(list(robot.contact_radius.values()))
+
+    def off(joints: Array) -> Array:
+        config = Configuration(robot, robot.posed(joints))
+        places = config.foot_positions()
+        touching = np.array([places[point] for point in robot.contact_radius])
+        aside = (config.center_of_mass() - touching.mean(axis=0))[:2]
+        return np.concatenate([touching[:, 2] - radii + height, aside])
+
+    found = optimize.least_squares(
+        lambda joints: np.concatenate([off(joints) / height, _NEAR * (joints - pose)]),
+        np.clip(pose, low + inside + _ROUNDING, high - inside - _ROUNDING),
+        bounds=(low + inside, high - inside),
+    ).x
+    return found if np.abs(off(found)).max() < _LEVEL * height else None
+
+
+def _starting(robot: Robot, joints: Array, height: float) -> Robot:
+    """Returns a robot whose nominal stand begins at joint positions (nu,), so high (m)."""
+    return replace(robot, home=np.concatenate([robot.home[:7], joints]), stand_height=height)
+
+
+def _from_middle(starts: Sequence[Robot]) -> Robot | None:
+    """Returns the first that stands, from the middle outwards; None if none does.
+
+    Legs that are straight where the search began may move the com once they are bent: the nominal
+    stand then has it in the centre, which may be out of reach here.
+    """
+    middle = len(starts) // 2
+    ordered = sorted(range(len(starts)), key=lambda number: abs(number - middle))
+    return next((starts[n] for n in ordered if first_stand(starts[n]) is not None), None)
 
 
 def _found(robot: Robot, poses: Sequence[Array]) -> Robot | None:
     for margin in _MARGINS:
         best: tuple[list[Stand], Robot] = [], robot
         for pose in poses:
-            placed = replace(robot, nominal=pose, home=np.concatenate([robot.home[:7], pose]))
+            placed = _starting(replace(robot, nominal=pose), pose, robot.stand_height)
             stands = _longest_run(placed, pose, margin, len(best[0]))
             best = max(best, (stands, placed), key=lambda found: len(found[0]))
         stands, placed = best
-        middle = len(stands) // 2
-        for number in sorted(range(len(stands)), key=lambda one: abs(one - middle)):
-            joints = stands[number].joint_positions(robot)
-            height = round(float(stands[number].task.height or 0.0), 3)
-            home = np.concatenate([robot.home[:7], joints])
-            found = replace(placed, home=home, stand_height=height)
-            # Legs that are straight where the search began may move the com once they are bent:
-            # the nominal stand then has it in the centre, which may be out of reach here.
-            if first_stand(found) is not None:
-                return found
+        found = _from_middle(
+            [
+                _starting(
+                    placed, one.joint_positions(robot), round(float(one.task.height or 0.0), 3)
+                )
+                for one in stands
+            ]
+        )
+        if found is not None:
+            return found
     return None
 
 

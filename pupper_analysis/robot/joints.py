@@ -197,7 +197,12 @@ def named_positions(
 
 
 def check_in_range(
-    robot: Robot, joint: str, position: float, ends: tuple[float, float], argument: str
+    robot: Robot,
+    joint: str,
+    position: float,
+    ends: tuple[float, float],
+    argument: str,
+    bonds: tuple[str, ...] = (),
 ) -> None:
     """Checks that a joint's position is within its range.
 
@@ -210,7 +215,8 @@ def check_in_range(
         problem = diagnose(
             "joint-out-of-range",
             subject=("joint", joint),
-            position=Quantity(position, unit),
+            position=Quantity(round(position, 9), unit),
+            bonds=bonds or None,
             low=Quantity(low, unit),
             high=Quantity(high, unit),
         )

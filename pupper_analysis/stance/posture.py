@@ -119,11 +119,14 @@ def find_posture(
     for joint, position in given.items():
         qpos[robot.joint_names.index(joint)] = position
     placed = np.array([robot.joint_names.index(joint) for joint in given], dtype=np.int64)
-    qpos, tendons = _closed(robot, qpos, placed), tendon_ranges(robot)
+    start, tendons = qpos, tendon_ranges(robot)
+    qpos = _closed(robot, start, placed)
     if source is PostureSource.MIDDLE and (tendons.room(qpos) < 0).any():
         qpos = _closed(robot, _within(robot, qpos, ranges, placed), placed)
-    for joint, position, ends in zip(robot.joint_names, qpos, ranges, strict=True):
-        check_in_range(robot, joint, float(position), tuple(ends.tolist()), "joints")
+    moved = np.abs(qpos - start) > _SLACK
+    for joint, position, ends, by in zip(robot.joint_names, qpos, ranges, moved, strict=True):
+        bonds = robot.closure.bonds if robot.closure is not None and by else ()
+        check_in_range(robot, joint, float(position), tuple(ends.tolist()), "joints", bonds)
     for problem in tendons.at_ends(qpos, -AT_END):
         raise ConfigurationError("joints", problem)
     return Posture(robot.joint_names, qpos, source, name, tuple(given))

@@ -7,13 +7,16 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
+import shapely
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import StanceUnreachableError
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.start import clip_to_limits
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.servos import own_servos
 from tests.support import random_legged
 from tests.support.legged import biped, quadruped
@@ -96,3 +99,39 @@ def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> 
     assert start.first_stand(robot) is None
     assert own_servos(robot).keys() == set(robot.joint_names)
     assert {"no-start-pose", "servos-added"} <= {note.code for note in robot.notes}
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("seed", [40000, 40005, 40019])
+def test_soles_that_legs_cannot_turn_lie_where_these_have_them(seed: int, tmp_path: Path) -> None:
+    """Legs of five joints, bent, have their soles turned otherwise than straight ones.
+
+    In MuJoCo's model all corners of both boxes are on the ground, and the com is between them.
+    """
+    robot = pa.load_robot(*random_legged.written(random_legged.irregular_biped(seed), tmp_path))
+    stand = pa.solve_stand(robot)
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(model, data)
+    corners = [
+        data.geom_xpos[geom] + data.geom_xmat[geom].reshape(3, 3) @ (model.geom_size[geom] * signs)
+        for geom in np.flatnonzero((model.geom_type == 6) & (model.geom_contype != 0))
+        for signs in ([1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1])
+    ]
+    assert np.abs(np.array(corners)[:, 2]).max() < 1e-6
+    area = shapely.MultiPoint(np.array(corners)[:, :2]).convex_hull
+    assert area.contains(shapely.Point(data.subtree_com[0][:2]))
+    assert pa.judge_stand(robot, stand).own is not None
+
+
+def test_a_pose_laid_by_its_legs_has_level_soles(tmp_path: Path) -> None:
+    robot = pa.load_robot(*biped(tmp_path))
+    for height in (0.9 * robot.stand_height, robot.stand_height):
+        joints = start._lay_feet(robot, clip_to_limits(robot), height, 0.05)
+        assert joints is not None
+        places = Configuration(robot, robot.posed(joints)).foot_positions()
+        lowest = [place[2] - robot.contact_radius[point] for point, place in places.items()]
+        assert lowest == pytest.approx([-height] * len(lowest), abs=1e-4 * height)
+        assert (joints >= robot.lower_limits).all()
+        assert (joints <= robot.upper_limits).all()
+    assert start._lay_feet(robot, clip_to_limits(robot), 9.0, 0.05) is None

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.stance.posture import find_posture
+from tests.support import arm
 from tests.support.random_legged import drawn, written
 from tests.support.variants import load
 
@@ -64,3 +67,19 @@ def test_joints_without_limits_stand_once_and_again() -> None:
     assert np.isinf(endless.upper_limits).all()
     tasks = [pa.StandTask(height=0.13, joint_margin=margin) for margin in (0.0, 0.1, 0.0)]
     assert all(stand.solved for stand in pa.solve_stands(endless, tasks))
+
+
+def test_a_weld_that_puts_a_joint_out_of_its_range_is_named(tmp_path: Path) -> None:
+    """As the file is built the elbow is straight, and its range begins at 0.2 rad."""
+    files = tmp_path / "arm.urdf", tmp_path / "arm.xml"
+    weld = '<equality><weld name="bolt" body1="world" body2="hand"/></equality></mujoco>'
+    texts = arm.URDF, arm.MJCF.replace("</mujoco>", weld)
+    for file, text in zip(files, texts, strict=True):
+        file.write_text(text)
+    robot = pa.load_robot(*files)
+    with pytest.raises(ConfigurationError) as refused:
+        find_posture(robot)
+    told = str(refused.value)
+    assert "elbow at 0 rad, outside [0.2, 2.4]" in told or "elbow at -0 rad" in told
+    assert "weld bolt" in told
+    assert "within the ranges" in told
