@@ -119,8 +119,8 @@ def _bounds(robot: Robot, posterior: Posterior) -> Iterator[_Bound]:
         if KINDS[one.kind].positive:
             least = _LEAST * one.stated if one.kind in ("mass", "kp") else 0.0
             value = Quantity(least, one.unit)
-            told = diagnose("held-above-zero", parameter=one.name, least=value)
-            yield _Bound(-np.eye(1, len(parameters), at), np.array([-least]), told)
+            finding = diagnose("held-above-zero", parameter=one.name, least=value)
+            yield _Bound(-np.eye(1, len(parameters), at), np.array([-least]), finding)
     for link in dict.fromkeys(one.subject for one in parameters if one.kind == "com"):
         yield from _within_hull(robot, posterior, place, link)
 
@@ -139,8 +139,8 @@ def _within_hull(
             matrix[axis, at], known[axis] = 1.0, 0.0
     # What the file says is not called impossible here: its audit does.
     reach = np.maximum(reach, normals @ stated) + _OUTSIDE
-    told = diagnose("com-held-in-hull", link=link, margin=Quantity(_OUTSIDE, "m"))
-    yield _Bound(normals @ matrix, reach - normals @ known, told)
+    finding = diagnose("com-held-in-hull", link=link, margin=Quantity(_OUTSIDE, "m"))
+    yield _Bound(normals @ matrix, reach - normals @ known, finding)
 
 
 def _inertia(robot: Robot, link: str) -> pin.Inertia:

@@ -67,10 +67,10 @@ def parameter_tables(estimates: Iterable[Estimate]) -> list[doc.Block]:
     """Returns tables of estimates: what measurements tell by kind, and the rest in detail."""
     given = list(estimates)
     own = [one for one in given if one.kind not in OF_SURROUNDINGS]
-    told = [one for one in own if one.told is Told.DATA]
+    finding = [one for one in own if one.told is Told.DATA]
     blocks: list[doc.Block] = [
-        _table(text(TITLES[kind]), [one for one in told if one.kind == kind])
-        for kind in dict.fromkeys(one.kind for one in told)
+        _table(text(TITLES[kind]), [one for one in finding if one.kind == kind])
+        for kind in dict.fromkeys(one.kind for one in finding)
     ]
     for title, rest in (
         ("told-in-part", [one for one in own if one.told is Told.PARTLY]),
@@ -96,11 +96,11 @@ def _open(together: Iterable[Together]) -> Iterable[doc.Words]:
         names = doc.Name(", ".join(one.names[:_MOST]) + (", ..." if one.names[_MOST:] else ""))
         yield text("only-ratio-told" if one.ratio else "only-together-told", names=names)
         if one.remedies:
-            ways = [
+            named = [
                 text("remedy-and-factor", remedy=text(code), factor=f"{factor:.1f}")
                 for code, factor in one.remedies.items()
             ]
-            yield text("what-would-tell", ways=join_words(ways))
+            yield text("what-would-tell", ways=join_words(named))
 
 
 _MOST = 6
@@ -188,11 +188,11 @@ def plot_joints(
 @build_document.register(MotionFit)
 def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
     """Returns what logs of motions tell of a robot; see ``build_document``."""
-    told = (
+    finding = (
         *_errors(fit),
         text("motion-rests-on", seconds=f"{fit.seconds:.1f}", source=doc.Name(fit.source)),
     )
-    return describe_fit(fit, text("fit-of-motions"), told, [_joints(fit)])
+    return describe_fit(fit, text("fit-of-motions"), finding, [_joints(fit)])
 
 
 def _errors(fit: MotionFit) -> Iterator[doc.Words]:
@@ -226,13 +226,13 @@ def _joints(fit: MotionFit) -> doc.BarPlot:
 @build_document.register(StandFit)
 def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
     """Returns what stands at rest tell of a robot; see ``build_document``."""
-    told = (
+    finding = (
         text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
         _total(fit.total_mass),
         *_worst(fit.joint_residuals[:1]),
     )
     left: list[doc.Block] = [_residuals(fit), *_joint_residuals(fit.joint_residuals)]
-    return describe_fit(fit, text("fit-of-stands"), told, left)
+    return describe_fit(fit, text("fit-of-stands"), finding, left)
 
 
 def _total(mass: Estimate) -> doc.Words:
@@ -293,7 +293,7 @@ def _residuals(fit: StandFit) -> doc.BarPlot:
 @build_document.register(StandPlan)
 def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
     """Returns which stands to take, and the interval that they leave of each parameter."""
-    told = sum(one.told is Told.DATA for one in plan.expected)
+    finding = sum(one.told is Told.DATA for one in plan.expected)
     return doc.Document(
         text("plan-of-stands"),
         doc.Name(plan.name),
@@ -303,7 +303,7 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
                 "planned-stands",
                 stands=str(len(plan.stands)),
                 candidates=str(plan.candidates),
-                told=str(told),
+                told=str(finding),
                 parameters=str(len(plan.expected)),
             ),
             text("how-to-take-stands"),

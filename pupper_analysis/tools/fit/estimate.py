@@ -168,8 +168,8 @@ class Posterior:
         """Residuals less the parameters that they told: what ``chi2`` is on average."""
         n = len(self.mean)
         whole = np.linalg.inv(self.precision + self.information)
-        told = n - np.trace(whole @ self.precision)
-        return float(self.rows - told)
+        finding = n - np.trace(whole @ self.precision)
+        return float(self.rows - finding)
 
 
 NORMAL_95 = 1.959963984540054

@@ -164,8 +164,8 @@ def parse_prior(text: str) -> Prior:
         return Prior(kind.name, subject, share=value / 100)
     sizes = next((own for own in UNITS.values() if next(iter(own)) == kind.unit), {kind.unit: 1.0})
     if unit and unit not in sizes:
-        told = diagnose("prior-unit", text=text, unit=unit, wanted=kind.unit)
-        raise ConfigurationError("prior", told)
+        finding = diagnose("prior-unit", text=text, unit=unit, wanted=kind.unit)
+        raise ConfigurationError("prior", finding)
     return Prior(kind.name, subject, width=value * (sizes[unit] if unit else 1.0))
 
 
@@ -206,8 +206,10 @@ def give_widths(
     for prior in given:
         if prior not in used:
             known = tuple(dict.fromkeys(one[1] for one in wanted if one[0] == prior.kind))
-            told = diagnose("prior-of-nothing", kind=prior.kind, pattern=prior.subject, known=known)
-            raise ConfigurationError("prior", told)
+            finding = diagnose(
+                "prior-of-nothing", kind=prior.kind, pattern=prior.subject, known=known
+            )
+            raise ConfigurationError("prior", finding)
     return tuple(found)
 
 

@@ -102,8 +102,8 @@ def fit_files(
     vector = _rounded(vector, posterior)
     numbers, left = _numbers(robot, posterior, vector)
     models = write_numbers(robot, numbers, files=files, packages=packages)
-    told = (*held, *left, *models.notes)
-    contents = {Path("fit.json"): _json(posterior, vector, models, told, fit)}
+    finding = (*held, *left, *models.notes)
+    contents = {Path("fit.json"): _json(posterior, vector, models, finding, fit)}
     offsets = [
         (one.subject, value)
         for one, value in zip(posterior.parameters, vector.tolist(), strict=True)
@@ -118,7 +118,7 @@ def fit_files(
         )
         for name, spread in _spread(one, value, std)
     }
-    return FitFiles(models, vector, contents, spreads, told)
+    return FitFiles(models, vector, contents, spreads, finding)
 
 
 def _rounded(vector: Array, posterior: Posterior) -> Array:
@@ -334,8 +334,8 @@ def randomisation_text(spreads: Mapping[str, Mapping[str, Any]]) -> str:
     check_type("spreads", spreads, Mapping[str, Mapping[str, Any]])
     for name, given in spreads.items():
         if not isinstance(given, Mapping) or len(given) != 1:
-            told = diagnose("no-spread", name=name, given=repr(given))
-            raise ConfigurationError("spreads", told)
+            finding = diagnose("no-spread", name=name, given=repr(given))
+            raise ConfigurationError("spreads", finding)
     return "\n".join(_yaml(spreads)) + "\n"
 
 

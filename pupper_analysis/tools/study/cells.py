@@ -104,8 +104,8 @@ class Panel:
 
     def values(self) -> str:
         """Returns the fixed values with their units."""
-        told = [f"{name} = {value:g} {unit_of(name)}" for name, value in self.fixed.items()]
-        return ", ".join(one.rstrip() for one in told)
+        finding = [f"{name} = {value:g} {unit_of(name)}" for name, value in self.fixed.items()]
+        return ", ".join(one.rstrip() for one in finding)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +222,7 @@ def check_columns(table: pd.DataFrame, *columns: str) -> None:
     """
     for name in columns:
         if name not in table:
-            told = diagnose("column-unknown", column=name, known=map(str, table.columns))
-            raise ConfigurationError("column", told)
+            finding = diagnose("column-unknown", column=name, known=map(str, table.columns))
+            raise ConfigurationError("column", finding)
     if table.empty:
         raise ConfigurationError("table", diagnose("nothing-to-draw"))

@@ -140,10 +140,10 @@ def command(
     if style == "text":
         from pupper_analysis.tools.study.document import measured_document
 
-        told = measured_document(
+        finding = measured_document(
             file.stem, study.variables, table, rests_on(study.base), objectives
         )
-        _show(told, style, everything)
+        _show(finding, style, everything)
     if figures or report_path or style == "markdown":
         outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
         if figures:

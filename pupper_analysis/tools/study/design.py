@@ -367,8 +367,8 @@ def check_name(name: str, source: RobotSource) -> None:
         ConfigurationError: If there is none of that name; the message lists the names.
     """
     if Named.of(name) is None and name not in NUMBERS and name not in source.scales:
-        told = diagnose("no-number-to-vary", known=(*source.scales, *NUMBERS))
-        raise ConfigurationError(f"vary[{name!r}]", told)
+        finding = diagnose("no-number-to-vary", known=(*source.scales, *NUMBERS))
+        raise ConfigurationError(f"vary[{name!r}]", finding)
 
 
 def check_range(name: str, low: float, high: float) -> None:
@@ -387,7 +387,7 @@ def check_range(name: str, low: float, high: float) -> None:
         )
     below = low <= known.low if known.open else low < known.low
     if (math.isfinite(low) and below) or (math.isfinite(high) and high > known.high):
-        told = diagnose(
+        finding = diagnose(
             "out-of-range",
             first=low,
             last=high,
@@ -396,7 +396,7 @@ def check_range(name: str, low: float, high: float) -> None:
             high=known.high if math.isfinite(known.high) else None,
             unit=known.unit,
         )
-        raise ConfigurationError(f"vary[{name!r}]", told)
+        raise ConfigurationError(f"vary[{name!r}]", finding)
 
 
 FALLS = (
@@ -437,8 +437,8 @@ def row_of(maker: Maker, numbers: Mapping[str, float], metrics: tuple[Metric, ..
         design = maker.design(numbers)
     except Exception as error:
         fallen = {one.name: one.fallen for one in metrics if one.fallen is not None}
-        told = {**row, **failure_columns(failure_kind(error), reason_of(error))}
-        return {**told, **fallen} if isinstance(error, FALLS) else told
+        finding = {**row, **failure_columns(failure_kind(error), reason_of(error))}
+        return {**finding, **fallen} if isinstance(error, FALLS) else finding
     for metric in metrics:
         try:
             row.update(_columns(metric.name, metric.function(design)))
@@ -484,8 +484,8 @@ def _value(name: str, value: Any) -> float:
     try:
         return float(value)
     except (TypeError, ValueError) as error:
-        told = diagnose("measured-no-number", found=repr(value))
-        raise ConfigurationError(name, told) from error
+        finding = diagnose("measured-no-number", found=repr(value))
+        raise ConfigurationError(name, finding) from error
 
 
 def reason_of(error: BaseException) -> Diagnostic:

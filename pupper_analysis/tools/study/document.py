@@ -50,21 +50,21 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     blocks += _sure(outcome)
     blocks.append(_designs(outcome))
     failed = sum(one.designs for one in outcome.failures)
-    told: list[doc.Words] = [
+    finding: list[doc.Words] = [
         text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
     ]
-    told += map(doc.tell, outcome.rests_on)
+    finding += map(doc.tell, outcome.rests_on)
     if outcome.converted:
-        told.append(text("study-from-one-file"))
+        finding.append(text("study-from-one-file"))
     if len(outcome.table) < outcome.designs:
         left = outcome.designs - len(outcome.table)
-        told.append(text("count-more-are-not-measured", count=left))
+        finding.append(text("count-more-are-not-measured", count=left))
     if outcome.certainty is not None:
         both = outcome.certainty.both
-        told.append(text("it-stands-with-all-motors",
+        finding.append(text("it-stands-with-all-motors",
                          share=f"{both.probability:.1%}"))  # fmt: skip
     return doc.Document(
-        text("study-of-designs"), doc.Name(outcome.robot), tuple(blocks), told=tuple(told)
+        text("study-of-designs"), doc.Name(outcome.robot), tuple(blocks), told=tuple(finding)
     )
 
 
@@ -193,8 +193,8 @@ def _front_table(
     variables: Sequence[str],
     whole: pd.DataFrame,
 ) -> doc.Table:
-    ways = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
-    title = text("designs-worth-building-no-other", objectives=ways)
+    named = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
+    title = text("designs-worth-building-no-other", objectives=named)
     others = [name for name in variables if name not in objectives]
     measured = [name for name in metrics_in(front, tuple(variables)) if name not in objectives]
     return _table(title, front, [*objectives, *others, *measured[:LINES]], whole)
@@ -342,7 +342,7 @@ def estimate_document(
         workers: On how many processes; by default as many as this machine has cores.
     """
     count = workers or os.cpu_count() or 1
-    told = [
+    finding = [
         text(
             "count-designs-of-which-there",
             count=expected.designs,
@@ -360,7 +360,7 @@ def estimate_document(
         ),
     ]
     if expected.left_out:
-        told.append(
+        finding.append(
             text(
                 "not-timed",
                 names=join_words(map(doc.Name, expected.left_out)),
@@ -368,8 +368,8 @@ def estimate_document(
         )
     if expected.failures:
         kinds = join_words(map(word, expected.failures))
-        told.append(text("timed-that-failed", kinds=kinds))
-    return doc.Document(text("study-of-designs"), text("estimate-title"), (), told=tuple(told))
+        finding.append(text("timed-that-failed", kinds=kinds))
+    return doc.Document(text("study-of-designs"), text("estimate-title"), (), told=tuple(finding))
 
 
 def duration_text(seconds: float) -> str:
@@ -419,7 +419,7 @@ def measured_document(
     )
     kinds = table["failure"].dropna().value_counts().to_dict()
     ordered = sorted(kinds.items(), key=lambda item: (-int(item[1]), str(item[0])))
-    told = text(
+    finding = text(
         "count-designs-of-which-failed",
         count=len(table),
         failed=sum(int(count) for _, count in ordered),
@@ -428,8 +428,8 @@ def measured_document(
         named = join_words(
             text("count-kind", count=int(count), kind=word(str(kind))) for kind, count in ordered
         )
-        told = text("designs-kinds", designs=told, kinds=named)
-    lines = (told, *map(doc.tell, rests_on))
+        finding = text("designs-kinds", designs=finding, kinds=named)
+    lines = (finding, *map(doc.tell, rests_on))
     blocks = [measured]
     if objectives:
         front = pareto_front(standing_designs(table), objectives)

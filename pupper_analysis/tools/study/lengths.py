@@ -254,8 +254,8 @@ def _stretch_geom(
     kinds = mujoco.mjtGeom
     if geom.type == kinds.mjGEOM_MESH:
         if growth is None:
-            told = diagnose("mesh-without-axis", along=geom.parent.name)
-            raise ModelError(geom.meshname, told)
+            finding = diagnose("mesh-without-axis", along=geom.parent.name)
+            raise ModelError(geom.meshname, finding)
         meshes.setdefault(geom.meshname, []).append((geom, growth.copy()))
     elif growth is not None and geom.type == kinds.mjGEOM_BOX:
         geom.size = np.array(geom.size) * growth

@@ -341,8 +341,8 @@ def _imported(name: str) -> Function:
     try:
         found: Function = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
-        told = diagnose("metric-not-importable", name=name, problem=str(error))
-        raise ConfigurationError("measure", told) from error
+        finding = diagnose("metric-not-importable", name=name, problem=str(error))
+        raise ConfigurationError("measure", finding) from error
     note_input(getattr(sys.modules[module], "__file__", None) or "")
     return found
 

@@ -257,8 +257,8 @@ def study_outcome(
     Store(Path(folder)).asked()  # that it is a study's folder
     table = study.table(folder)
     if table.empty:
-        told = diagnose("study-has-no-design", folder=str(folder))
-        raise ConfigurationError("folder", told)
+        finding = diagnose("study-has-no-design", folder=str(folder))
+        raise ConfigurationError("folder", finding)
     variables = tuple(study.variables)
     metrics = metrics_in(table, variables)
     objectives = check_objectives(study, minimise, maximise) or _better(metrics)
@@ -282,11 +282,11 @@ def study_outcome(
 
 def rests_on(robot: Robot) -> tuple[Diagnostic, ...]:
     """Returns what stands of a robot rest on; see ``StudyOutcome``."""
-    told = [clause.told for clause in own_clauses(own_run(robot))]
+    finding = [clause.told for clause in own_clauses(own_run(robot))]
     with contextlib.suppress(ModelError):  # without servos gains are given
         servos = servos_used(robot)
-        told += [on_servos(servos, good=True).told] if servos.made else []
-    return tuple(told)
+        finding += [on_servos(servos, good=True).told] if servos.made else []
+    return tuple(finding)
 
 
 def check_objectives(
@@ -301,8 +301,8 @@ def check_objectives(
     for name in (*minimise, *maximise):
         if name.partition(".")[0] not in measured and name not in study.variables:
             known = (*measured, *study.variables)
-            told = diagnose("study-has-no-such", column=name, known=known)
-            raise ConfigurationError("minimise, maximise", told)
+            finding = diagnose("study-has-no-such", column=name, known=known)
+            raise ConfigurationError("minimise, maximise", finding)
     objectives = {**dict.fromkeys(minimise, "min"), **dict.fromkeys(maximise, "max")}
     if len(objectives) < len(minimise) + len(maximise):
         raise ConfigurationError("minimise, maximise", diagnose("column-there-twice"))
@@ -375,8 +375,8 @@ def _failures(table: pd.DataFrame) -> tuple[Failures, ...]:
         first = table[table["failure"] == kind].iloc[0]
         metric = first["failed_metric"] if isinstance(first["failed_metric"], str) else None
         share = float(count) / len(table)
-        reason, told = str(first["reason"]), _told(first.get("diagnostic"))
-        found.append(Failures(str(kind), metric, int(count), share, reason, told))
+        reason, finding = str(first["reason"]), _told(first.get("diagnostic"))
+        found.append(Failures(str(kind), metric, int(count), share, reason, finding))
     return tuple(found)
 
 
@@ -544,19 +544,19 @@ def sobol_indices(
     found = {}
     for metric in metrics:
         if metric not in table:
-            told = diagnose("none-of", value=metric, known=table.columns)
-            raise ConfigurationError("metrics", told)
+            finding = diagnose("none-of", value=metric, known=table.columns)
+            raise ConfigurationError("metrics", finding)
         values = table[metric].to_numpy(float)[order]
         lost = int((~np.isfinite(values)).sum())
         if lost:
-            told = diagnose(
+            finding = diagnose(
                 "designs-without-metric",
                 lost=lost,
                 designs=len(values),
                 metric=metric,
                 reasons=[Term(str(kind)) for kind in table["failure"].dropna().unique()],
             )
-            raise ConfigurationError("vary", told)
+            raise ConfigurationError("vary", finding)
         index = analysis.analyze(problem, values, calc_second_order=False, seed=seed)
         found[metric] = SobolIndices(
             metric,

@@ -89,8 +89,8 @@ class Named:
             return None
         if kind not in KINDS or not pattern:
             known = [f"{one}:NAME" for one in KINDS]
-            told = diagnose("no-number-of-a-model", kind=kind, known=known)
-            raise ConfigurationError(f"vary[{name!r}]", told)
+            finding = diagnose("no-number-of-a-model", kind=kind, known=known)
+            raise ConfigurationError(f"vary[{name!r}]", finding)
         first, _, rest = pattern.partition(":")
         return Named(kind, rest or "*", each=True) if first == EACH else Named(kind, pattern)
 
@@ -254,8 +254,8 @@ def _scale(tree: ModelTree, link: str, kind: str, joint: str, factor: float, rob
         try:
             (tree.scale_mass if kind == "mass" else tree.scale_inertia)(one, factor)
         except ValueError as error:
-            told = diagnose("inertia-follows-geoms", body=one)
-            raise ModelError(robot.description.mjcf_source, told) from error
+            finding = diagnose("inertia-follows-geoms", body=one)
+            raise ModelError(robot.description.mjcf_source, finding) from error
 
 
 def _check(before: Robot, after: Robot, factors: Mapping[str, float]) -> None:
@@ -423,13 +423,13 @@ def check_coms(before: Robot, after: Robot, offsets: Mapping[str, Array]) -> Non
              for joint, offset in offsets.items()), np.zeros(3),
         )  # fmt: skip
         if np.abs(new - old - asked).max() > _COM_TOLERANCE:
-            told = diagnose(
+            finding = diagnose(
                 "com-moved-otherwise",
                 file=place,
                 moved=Vector(tuple(new - old), "m"),
                 asked=Vector(tuple(asked), "m"),
             )
-            raise ModelError(before.description.mjcf_source, told)
+            raise ModelError(before.description.mjcf_source, finding)
 
 
 def _shares(robot: Robot, joint: str) -> tuple[float, float]:

@@ -111,11 +111,11 @@ class _Ready(threading.local):
             other = {name: own.get(name, "none") for name, version in work.versions.items()
                      if own.get(name) != version}  # fmt: skip
             if other:
-                told = [
+                finding = [
                     diagnose("version-there", package=name, there=one, here=work.versions[name])
                     for name, one in other.items()
                 ]
-                problem = diagnose("worker-of-other-versions", versions=told)
+                problem = diagnose("worker-of-other-versions", versions=finding)
                 raise StudyError(platform.node(), problem)
             maker = Maker(work.source, work.task, work.point)
             self.made[pickled] = work, maker, tuple(map(metric_of, work.metrics))
@@ -489,8 +489,8 @@ class Run:
                 if isinstance(error, BrokenExecutor):
                     self._lost(crew, error)
                 return
-            told = diagnose("workers-lost", error=type(error).__name__)
-            raise StudyError(self.store.folder, told) from error
+            finding = diagnose("workers-lost", error=type(error).__name__)
+            raise StudyError(self.store.folder, finding) from error
         self.progress.work += found.seconds
         self._keep(found.rows)
 

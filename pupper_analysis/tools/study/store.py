@@ -122,13 +122,13 @@ class Store:
         try:
             found: dict[str, Any] = orjson.loads(read_input(path, MOST_TEXT, own=True))
         except InputError as error:
-            told = error.cause
-            if told.code == "no-such-file":
-                told = diagnose("no-study-here")
-            raise StudyError(self.folder, told) from error
+            finding = error.cause
+            if finding.code == "no-such-file":
+                finding = diagnose("no-study-here")
+            raise StudyError(self.folder, finding) from error
         except ValueError as error:
-            told = diagnose("study-not-readable", problem=str(error))
-            raise StudyError(self.folder, told) from error
+            finding = diagnose("study-not-readable", problem=str(error))
+            raise StudyError(self.folder, finding) from error
         if not isinstance(found, dict) or found.get("format") != FORMAT:
             raise StudyError(self.folder, diagnose("study-of-another-format", format=FORMAT))
         return found
@@ -190,8 +190,8 @@ class Store:
                 # Into memory: a mapped file would be held open.
                 yield pq.read_table(path, columns=columns, memory_map=False)
             except (OSError, pa.ArrowException) as error:
-                told = diagnose("shard-damaged", file=path.name, problem=str(error))
-                raise StudyError(self.folder, told) from error
+                finding = diagnose("shard-damaged", file=path.name, problem=str(error))
+                raise StudyError(self.folder, finding) from error
 
 
 def design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:

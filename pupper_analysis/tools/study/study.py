@@ -144,8 +144,8 @@ class DesignStudy:
         find_place(self.base, self.point)
         self.time_limit = None if time_limit is None else check_finite("time_limit", time_limit)
         if self.time_limit is not None and self.time_limit <= 0:
-            told = diagnose("time-limit-not-positive", limit=self.time_limit)
-            raise ConfigurationError("time_limit", told)
+            finding = diagnose("time-limit-not-positive", limit=self.time_limit)
+            raise ConfigurationError("time_limit", finding)
         if not self.metrics:
             raise ConfigurationError("measure", diagnose("nothing-to-measure"))
         named = [one.name for one in self.metrics]

@@ -177,8 +177,8 @@ def values(numbers: Sequence[float]) -> Values:
     check_type("values", numbers, Sequence[float])
     listed = tuple(check_finite("values", value) for value in numbers)
     if not 1 <= len(listed) <= MOST_LEVELS:
-        told = diagnose("values-out-of-range", count=len(listed), most=MOST_LEVELS)
-        raise ConfigurationError("values", told)
+        finding = diagnose("values-out-of-range", count=len(listed), most=MOST_LEVELS)
+        raise ConfigurationError("values", finding)
     if len(set(listed)) < len(listed):
         raise ConfigurationError("values", diagnose("value-there-twice", listed=str(list(listed))))
     return Values(listed)
@@ -245,8 +245,8 @@ def make_variable(name: str, given: object) -> Variable:
             if kind == "grid":
                 raise ConfigurationError("grid", _ambiguous(numbers))
             if kind not in KINDS or not isinstance(numbers, Sequence) or isinstance(numbers, str):
-                told = diagnose("no-kind-of-variable", given=repr(dict(given)), known=KINDS)
-                raise ConfigurationError("kind", told)
+                finding = diagnose("no-kind-of-variable", given=repr(dict(given)), known=KINDS)
+                raise ConfigurationError("kind", finding)
             return KINDS[kind](*numbers)
         if isinstance(given, Sequence | np.ndarray):
             return values(given)  # type: ignore[arg-type]
@@ -306,11 +306,11 @@ class Sampling:
         if spread and self.samples is None:
             raise ConfigurationError("samples", diagnose("samples-missing", name=spread[0]))
         if not spread and self.samples is not None:
-            told = diagnose("samples-of-lists", product=self.product)
-            raise ConfigurationError("samples", told)
+            finding = diagnose("samples-of-lists", product=self.product)
+            raise ConfigurationError("samples", finding)
         if self.samples is not None and not 1 <= self.samples <= MOST_SAMPLES:
-            told = diagnose("count-not-from-to", count=self.samples, least=1, most=MOST_SAMPLES)
-            raise ConfigurationError("samples", told)
+            finding = diagnose("count-not-from-to", count=self.samples, least=1, most=MOST_SAMPLES)
+            raise ConfigurationError("samples", finding)
         if not 0 <= self.seed < 2**63:
             raise ConfigurationError("seed", diagnose("seed-out-of-range", seed=self.seed))
 

@@ -101,16 +101,16 @@ def write_design(
     require_library("pandas")
     table = study.table(folder)
     if not 1 <= number <= len(table):
-        told = diagnose("design-not-there", number=number, count=len(table))
-        raise ConfigurationError("number", told)
+        finding = diagnose("design-not-there", number=number, count=len(table))
+        raise ConfigurationError("number", finding)
     row = table.iloc[number - 1]
     numbers = {name: float(row[name]) for name in study.variables}
     maker = Maker(study.whole_source(), study.task, study.point)
     try:
         design = maker.design(numbers)
     except PupperAnalysisError as error:
-        told = diagnose("design-makes-no-robot", number=number, reason=error.diagnostic)
-        raise ConfigurationError("number", told) from error
+        finding = diagnose("design-makes-no-robot", number=number, reason=error.diagnostic)
+        raise ConfigurationError("number", finding) from error
     into = Path(folder) / f"design-{number}"
     packages = getattr(getattr(study.source, "files", None), "options", {}).get("packages")
     contents = dict(_contents(design.robot.description, packages))

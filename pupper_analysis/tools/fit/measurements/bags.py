@@ -55,8 +55,8 @@ def read_bag(
     except MeasurementError as error:
         raise MeasurementError(str(path), error.cause) from error
     except Exception as error:  # of damaged files readers raise whatever they come upon
-        told = f"{type(error).__name__}: {error}".replace(str(path), path.name).splitlines()[0]
-        raise MeasurementError(str(path), diagnose("no-bag", problem=told)) from error
+        finding = f"{type(error).__name__}: {error}".replace(str(path), path.name).splitlines()[0]
+        raise MeasurementError(str(path), diagnose("no-bag", problem=finding)) from error
 
 
 def _choose(types: Mapping[str, str], wanted: Mapping[str, str]) -> dict[str, str]:
@@ -73,10 +73,10 @@ def _choose(types: Mapping[str, str], wanted: Mapping[str, str]) -> dict[str, st
         if role in wanted:
             # A state of joints may be one that is asked for.
             if wanted[role] not in able and types.get(wanted[role]) != _STATE:
-                told = diagnose(
+                finding = diagnose(
                     "topic-of-another-kind", topic=wanted[role], role=role, topics=shown
                 )
-                raise ConfigurationError("topic", told)
+                raise ConfigurationError("topic", finding)
             able = [wanted[role]]
         if len(able) > 1:
             raise MeasurementError("", diagnose("topics-of-one-kind", role=role, topics=able))
@@ -100,8 +100,8 @@ def _series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) -> di
         moment = (stamp.sec + 1e-9 * nano if stamp else 0.0) or np.nan
         names = getattr(message, "name", getattr(message, "joint_names", joints))
         if one.msgtype == _ARRAY and not len(names):
-            told = diagnose("joints-not-named", topic=one.topic, type=one.msgtype)
-            raise MeasurementError("", told)
+            finding = diagnose("joints-not-named", topic=one.topic, type=one.msgtype)
+            raise MeasurementError("", finding)
         for kind in [kind for role in chosen if chosen[role] == one.topic for kind in _KINDS[role]]:
             values = _values(message, one, kind)
             if len(values) not in (0, len(names)):
@@ -131,20 +131,20 @@ def _values(message: Any, connection: Any, kind: str) -> Sequence[float]:
 def _on_one_clock(series: dict[Any, Array]) -> tuple[Array, dict[str, dict[str, Array]]]:
     """Returns moments of the joint whose position is there most often, and all at those."""
     at = 1 if all(np.isfinite(rows[:, 1]).all() for rows in series.values()) else 0
-    told: dict[Any, tuple[Array, Array]] = {}
+    finding: dict[Any, tuple[Array, Array]] = {}
     for (kind, joint), rows in series.items():
         back = -float(np.diff(rows[:, at]).min(initial=0.0))
         if back > _BACK:
             went = diagnose("stamps-go-back", kind=kind, joint=joint, back=Quantity(back, "s"))
             raise MeasurementError("", went)
         moments, first = np.unique(rows[:, at], return_index=True)
-        told[kind, joint] = moments, rows[first, 2]
-    clocks = [moments for (kind, _), (moments, _) in told.items() if kind == "position"]
+        finding[kind, joint] = moments, rows[first, 2]
+    clocks = [moments for (kind, _), (moments, _) in finding.items() if kind == "position"]
     if not clocks:
         raise MeasurementError("", diagnose("column-missing", column="position.<joint>"))
     clock = max(clocks, key=len)
     found: dict[str, dict[str, Array]] = {"position": {}, "velocity": {}, "command": {}}
-    for (kind, joint), (moments, values) in told.items():
+    for (kind, joint), (moments, values) in finding.items():
         after = np.searchsorted(moments, clock, side="right")
         if kind == "command":  # holds until the next
             found[kind][joint] = np.where(after > 0, values[after - 1], np.nan)

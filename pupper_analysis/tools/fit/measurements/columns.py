@@ -123,8 +123,8 @@ def _from_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
     columns = list(_columns(source, header, known))
     for line, row in body:
         if len(row) != len(header):
-            told = diagnose("row-length", line=line, cells=len(row), columns=len(header))
-            raise MeasurementError(source, told)
+            finding = diagnose("row-length", line=line, cells=len(row), columns=len(header))
+            raise MeasurementError(source, finding)
     numbers, words = {}, {}
     for place, (name, column, factor) in enumerate(columns):
         cells = [row[place].strip() for _, row in body]
@@ -148,12 +148,12 @@ def _numbers(
             try:
                 found[row] = math.nan if cell.lower() in _MISSING else float(cell)
             except ValueError:
-                told = diagnose("cell-no-number", column=name, line=body[row][0], cell=cell[:60])
-                raise MeasurementError(source, told) from None
+                finding = diagnose("cell-no-number", column=name, line=body[row][0], cell=cell[:60])
+                raise MeasurementError(source, finding) from None
     if np.isinf(found).any():
         row = int(np.flatnonzero(np.isinf(found))[0])
-        told = diagnose("cell-no-number", column=name, line=body[row][0], cell=cells[row][:60])
-        raise MeasurementError(source, told)
+        finding = diagnose("cell-no-number", column=name, line=body[row][0], cell=cells[row][:60])
+        raise MeasurementError(source, finding)
     return found
 
 
@@ -171,8 +171,8 @@ def _from_arrays(
         elif values.ndim == 1:
             flat[name] = values
         else:
-            told = diagnose("array-no-column", name=name, shape=str(values.shape), joints=joints)
-            raise MeasurementError(source, told)
+            finding = diagnose("array-no-column", name=name, shape=str(values.shape), joints=joints)
+            raise MeasurementError(source, finding)
     sizes = {len(values) for values in flat.values()}
     if len(sizes) != 1 or 0 in sizes:
         raise MeasurementError(source, diagnose("arrays-of-sizes", sizes=sorted(sizes)))
@@ -183,13 +183,13 @@ def _from_arrays(
             words[plain] = tuple(str(one) for one in flat[name])
             continue
         if flat[name].dtype.kind not in "iuf":
-            told = diagnose("array-of-another-type", type=str(flat[name].dtype))
-            raise MeasurementError(source, told)
+            finding = diagnose("array-of-another-type", type=str(flat[name].dtype))
+            raise MeasurementError(source, finding)
         values = factor * flat[name].astype(float)
         if np.isinf(values).any():
             row = int(np.flatnonzero(np.isinf(values))[0])
-            told = diagnose("cell-no-number", column=name, line=row, cell=str(values[row]))
-            raise MeasurementError(source, told)
+            finding = diagnose("cell-no-number", column=name, line=row, cell=str(values[row]))
+            raise MeasurementError(source, finding)
         numbers[plain] = values
     return Columns(source, numbers, words, tuple(range(sizes.pop())))
 
@@ -214,8 +214,8 @@ def _columns(
         units = UNITS.get(column.quantity, {})
         unit = (match["unit"] or "").strip()
         if unit and unit not in units:
-            told = diagnose("column-unit", column=name, unit=unit, known=tuple(units))
-            raise MeasurementError(source, told)
+            finding = diagnose("column-unit", column=name, unit=unit, known=tuple(units))
+            raise MeasurementError(source, finding)
         yield name, column, units[unit] if unit else 1.0
 
 
@@ -248,8 +248,8 @@ def read_npz(path: Path) -> dict[str, NDArray[np.generic]]:
     except InputError:
         raise
     except Exception as error:  # of damaged files zipfile, zlib and NumPy raise what they come upon
-        told = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise InputError(path, diagnose("no-npz", problem=told)) from error
+        finding = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InputError(path, diagnose("no-npz", problem=finding)) from error
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np.generic]:

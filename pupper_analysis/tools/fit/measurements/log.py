@@ -127,8 +127,8 @@ def make_log(
     for kind, found in columns.items():
         for joint in found:
             if joint not in position:
-                told = diagnose("column-without-position", column=f"{kind}.{joint}", joint=joint)
-                raise MeasurementError(source, told)
+                finding = diagnose("column-without-position", column=f"{kind}.{joint}", joint=joint)
+                raise MeasurementError(source, finding)
     blank = np.full(len(time), np.nan)
     stacked = {
         kind: np.column_stack([found.get(joint, blank) for joint in joints])
@@ -155,21 +155,21 @@ def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
         MeasurementError: If not.
     """
     if len(time) < LEAST_SAMPLES:
-        told = diagnose("log-too-short", samples=len(time), least=LEAST_SAMPLES)
-        raise MeasurementError(source, told)
+        finding = diagnose("log-too-short", samples=len(time), least=LEAST_SAMPLES)
+        raise MeasurementError(source, finding)
     if np.isnan(time).any():
         line = lines[int(np.flatnonzero(np.isnan(time))[0])]
         raise MeasurementError(source, diagnose("time-missing", line=line))
     steps = np.diff(time)
     if (steps <= 0).any():
         row = int(np.flatnonzero(steps <= 0)[0])
-        told = diagnose(
+        finding = diagnose(
             "time-not-rising",
             line=lines[row + 1],
             back=Quantity(-steps[row], "s") if steps[row] else None,
             count=int((steps <= 0).sum()),
         )
-        raise MeasurementError(source, told)
+        raise MeasurementError(source, finding)
 
 
 # Files of logs: CSV, npz, MCAP and ROS bags.

@@ -132,8 +132,8 @@ def inspect_log(robot: Robot, log: Log, kp: Array | None = None) -> LogQuality:
     named = [robot.joint_names.index(name) for name in log.joints]
     position = placed.position[:, named]
     with np.errstate(invalid="ignore"):
-        told = np.isfinite(position).any(axis=0)
-        filled = np.where(told, position, 0.0)
+        finding = np.isfinite(position).any(axis=0)
+        filled = np.where(finding, position, 0.0)
         span = np.nanmax(filled, axis=0) - np.nanmin(filled, axis=0)
     quantum = np.array([find_quantum(column) for column in position.T])
     moves = span > np.maximum(_STILL, 3 * quantum)
@@ -168,8 +168,8 @@ def find_quantum(values: Array) -> float:
     Args:
         values: (n,) of an encoder; NaN are passed over.
     """
-    told = values[np.isfinite(values)]
-    steps = np.abs(np.diff(told))
+    finding = values[np.isfinite(values)]
+    steps = np.abs(np.diff(finding))
     steps = steps[steps > _FINEST]
     if len(steps) < 10:
         return 0.0
@@ -256,14 +256,14 @@ def find_degrees(
             # Its median: servos may be asked for what is far beyond a limit, for a moment.
             reach = np.median(np.abs(column)) if column.size else 0.0
             if reach > _TWICE * farthest[index]:
-                looks = reach / _DEGREES <= _TWICE * farthest[index]
+                seen = reach / _DEGREES <= _TWICE * farthest[index]
                 yield diagnose(
                     "column-in-degrees",
                     column=f"{kind}.{name}",
                     header=f"{kind}.{name} [deg]",
                     value=Quantity(reach, "rad"),
                     limit=Quantity(farthest[index], "rad"),
-                    degrees=bool(looks),
+                    degrees=bool(seen),
                 )
 
 
@@ -318,10 +318,13 @@ def _exchanged(
     commanded = np.flatnonzero(np.isfinite(log.command).any(axis=0))
     moving = [index for index, one in zip(named, moves, strict=True) if one and index in commanded]
     asked, done = log.command[:, moving], log.position[:, moving]
-    told = np.isfinite(asked).all(axis=1) & np.isfinite(done).all(axis=1)
-    if told.sum() < 10:
+    finding = np.isfinite(asked).all(axis=1) & np.isfinite(done).all(axis=1)
+    if finding.sum() < 10:
         return
-    asked, done = asked[told] - asked[told].mean(axis=0), done[told] - done[told].mean(axis=0)
+    asked, done = (
+        asked[finding] - asked[finding].mean(axis=0),
+        done[finding] - done[finding].mean(axis=0),
+    )
     size = np.outer(np.linalg.norm(asked, axis=0), np.linalg.norm(done, axis=0))
     alike = np.divide(asked.T @ done, size, out=np.zeros_like(size), where=size > 0)
     whose = {

@@ -95,19 +95,19 @@ class MeasuredStands:
             position=self.position[:, order],
             torque=self.torque[:, order],
         )
-        for told in find_degrees(robot, range(robot.nu), found.position, found.command):
-            raise MeasurementError(self.source, told)
+        for finding in find_degrees(robot, range(robot.nu), found.position, found.command):
+            raise MeasurementError(self.source, finding)
         found._check_limits(robot)
         for row, name in enumerate(found.names):
             unread = np.flatnonzero(~np.isfinite(found.position[row]))
             if unread.size:
                 joints = [robot.joint_names[joint] for joint in unread]
-                told = diagnose("stand-position-missing", stand=name, joints=joints)
-                raise MeasurementError(self.source, told)
+                finding = diagnose("stand-position-missing", stand=name, joints=joints)
+                raise MeasurementError(self.source, finding)
             points = [p for f, own in robot.feet.items() if f not in found.swing[row] for p in own]
             if len(points) < _LEAST_POINTS:
-                told = diagnose("stand-on-too-few-feet", stand=name, feet=list(found.swing[row]))
-                raise MeasurementError(self.source, told)
+                finding = diagnose("stand-on-too-few-feet", stand=name, feet=list(found.swing[row]))
+                raise MeasurementError(self.source, finding)
         return found
 
     def _check_limits(self, robot: Robot) -> None:
@@ -119,7 +119,7 @@ class MeasuredStands:
         beyond = np.fmax(self.position - robot.upper_limits, robot.lower_limits - self.position)
         for row, joint in np.argwhere(beyond > _BEYOND).tolist():
             low, high = robot.lower_limits[joint], robot.upper_limits[joint]
-            told = diagnose(
+            finding = diagnose(
                 "stand-beyond-limits",
                 stand=self.names[row],
                 joint=robot.joint_names[joint],
@@ -127,7 +127,7 @@ class MeasuredStands:
                 low=Quantity(float(low), "rad"),
                 high=Quantity(float(high), "rad"),
             )
-            raise MeasurementError(self.source, told)
+            raise MeasurementError(self.source, finding)
 
     def repeated(self) -> MeasuredStands:
         """Returns the same with readings of one stand, which are rows of one name, averaged.
@@ -143,13 +143,13 @@ class MeasuredStands:
             apart = np.ptp(self.position[rows], axis=0)
             if apart.max() > _AT_REST:
                 joint = int(apart.argmax())
-                told = diagnose(
+                finding = diagnose(
                     "stand-not-at-rest",
                     stand=self.names[rows[0]],
                     joint=self.joints[joint],
                     apart=Quantity(float(apart[joint]), "rad"),
                 )
-                raise MeasurementError(self.source, told)
+                raise MeasurementError(self.source, finding)
 
         def mean(values: Array) -> Array:
             return np.array([_mean(values[rows]) for rows in groups])
@@ -207,8 +207,8 @@ def read_stands(path: str | Path) -> MeasuredStands:
     for kind in ("command", "torque"):
         for joint in table.of(kind):
             if joint not in position:
-                told = diagnose("column-without-position", column=f"{kind}.{joint}", joint=joint)
-                raise MeasurementError(table.source, told)
+                finding = diagnose("column-without-position", column=f"{kind}.{joint}", joint=joint)
+                raise MeasurementError(table.source, finding)
     columns = {
         kind: np.column_stack([table.of(kind).get(joint, blank) for joint in joints])
         for kind in ("command", "position", "torque")
@@ -234,8 +234,8 @@ def _approaches(table: Columns) -> Iterator[str]:
         table.lines, table.words.get("from", [""] * len(table.lines)), strict=True
     ):
         if word and word not in APPROACHES:
-            told = diagnose("approach-unknown", line=line, word=word, known=APPROACHES)
-            raise MeasurementError(table.source, told)
+            finding = diagnose("approach-unknown", line=line, word=word, known=APPROACHES)
+            raise MeasurementError(table.source, finding)
         yield word
 
 

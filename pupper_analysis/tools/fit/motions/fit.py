@@ -290,8 +290,8 @@ def _notes(motion: Motion, off: float, before: float) -> Iterator[Diagnostic]:
         )
     there = np.concatenate([run.position for run in motion.runs])
     there = there[np.isfinite(there).all(axis=1)]
-    looks = there[:: max(1, len(there) // _LOOKS)]
-    touching = motion.simulator.bodies.touching(looks)
+    seen = there[:: max(1, len(there) // _LOOKS)]
+    touching = motion.simulator.bodies.touching(seen)
     if touching:
         yield diagnose("log-parts-touch", bodies=touching)
 
@@ -418,9 +418,9 @@ class Motion:
         """(n, n) what is known of moments by now, in the priors' widths; None before all."""
         if self._last is None or not self._slopes:
             return self._known
-        told = _Lazy(self._last[1], self._slopes, self._noise, self.simulator.groups)
+        finding = _Lazy(self._last[1], self._slopes, self._noise, self.simulator.groups)
         width = self.table.width
-        found: Array = width[:, None] * told.information * width + self.table.precision
+        found: Array = width[:, None] * finding.information * width + self.table.precision
         return found
 
     def linearise(self, moments: Array, _about: Array) -> Linearised:
@@ -593,9 +593,9 @@ class _Lazy:
     ) -> None:
         self._slopes, self._noise, self._groups = slopes, noise, groups
         self._white = [one / np.array([own.long_run for own in noise]) for one in left]
-        told = [np.isfinite(white) for white in self._white]
-        self.rows = int(sum(one.sum() for one in told))
-        self.chi2 = float(sum((white[one] ** 2).sum() for white, one in zip(self._white, told)))  # noqa: B905
+        finding = [np.isfinite(white) for white in self._white]
+        self.rows = int(sum(one.sum() for one in finding))
+        self.chi2 = float(sum((white[one] ** 2).sum() for white, one in zip(self._white, finding)))  # noqa: B905
         self._size = 1 + max(int(places.max()) for one in slopes for places, _ in one.values())
 
     @cached_property
@@ -605,10 +605,10 @@ class _Lazy:
         for white, slopes in zip(self._white, self._slopes, strict=True):
             for number, (places, by_places) in slopes.items():
                 for at, joint in enumerate(self._groups[number][0]):
-                    told = np.isfinite(white[:, joint])
-                    rows = by_places[told, at] / self._noise[joint].long_run
+                    finding = np.isfinite(white[:, joint])
+                    rows = by_places[finding, at] / self._noise[joint].long_run
                     information[places[:, None], places] += rows.T @ rows
-                    gradient[places] += rows.T @ white[told, joint]
+                    gradient[places] += rows.T @ white[finding, joint]
         return information, gradient
 
     @property
@@ -714,8 +714,8 @@ class SeriesNoise:
 def root_mean_square(series: Iterable[Array]) -> float:
     """Returns the root mean square of what is not NaN; NaN of nothing."""
     whole = np.concatenate([one.ravel() for one in series])
-    told = whole[np.isfinite(whole)]
-    return float(np.sqrt(np.mean(told**2))) if told.size else math.nan
+    finding = whole[np.isfinite(whole)]
+    return float(np.sqrt(np.mean(finding**2))) if finding.size else math.nan
 
 
 # How predicted motions change with parameters: differences along what is known to be uncertain.

@@ -741,9 +741,9 @@ class StandEquations:
         for stand, reading in enumerate(self._readings):
             left, deviation = self._look(stand, numbers).rows.left(slice(6, 6 + nu))
             # Rows of motors are torques: kp (command - position) less what is needed.
-            told = np.isfinite(reading.command) & (numbers.stiff > 0)
-            off[stand, told] = -left[told] / numbers.stiff[told]
-            noise[stand, told] = deviation[told] / numbers.stiff[told]
+            finding = np.isfinite(reading.command) & (numbers.stiff > 0)
+            off[stand, finding] = -left[finding] / numbers.stiff[finding]
+            noise[stand, finding] = deviation[finding] / numbers.stiff[finding]
         return off, noise
 
     def reading(

@@ -259,15 +259,15 @@ def doubt_surroundings(
         width = np.array([one.width for one in chosen])
         off = posterior.moved[places]
         before = np.linalg.inv(posterior.precision)[np.ix_(places, places)]
-        told = before - posterior.covariance[np.ix_(places, places)] / np.outer(width, width)
-        values, vectors = np.linalg.eigh(told)
+        finding = before - posterior.covariance[np.ix_(places, places)] / np.outer(width, width)
+        values, vectors = np.linalg.eigh(finding)
         kept = values > _LEAST_TOLD
         moved = vectors[:, kept].T @ off
         signs = (shares or {}).get(kind, 1.0) * float(np.sum(moved**2 / values[kept]))
         if not kept.any() or stats.chi2.sf(signs, np.count_nonzero(kept)) > _CHANCE:
             continue
         free = width * (before @ vectors[:, kept] @ (moved / values[kept]))
-        each = np.abs(off) / np.sqrt(np.maximum(np.diag(told), _LEAST_TOLD))
+        each = np.abs(off) / np.sqrt(np.maximum(np.diag(finding), _LEAST_TOLD))
         if kind == "slope":
             most = chosen[int(np.abs(free).argmax())]
             slope = Quantity(float(math.hypot(*free)), "rad")
@@ -323,9 +323,9 @@ def _of_first(equations: StandEquations, x: Array) -> Array:
     """
     table, n = equations.table, len(x)
     whole = np.concatenate([x, table.stated[n:]])
-    told = np.outer(table.width, table.width) * equations.linearise(whole, whole).information
-    others = told[n:, n:] + table.precision[n:, n:]
-    found: Array = told[:n, :n] - told[:n, n:] @ np.linalg.solve(others, told[n:, :n])
+    finding = np.outer(table.width, table.width) * equations.linearise(whole, whole).information
+    others = finding[n:, n:] + table.precision[n:, n:]
+    found: Array = finding[:n, :n] - finding[:n, n:] @ np.linalg.solve(others, finding[n:, :n])
     return found
 
 
@@ -680,23 +680,23 @@ def _check_feet(
     for row, name in enumerate(stands.names):
         for foot, (height, off) in equations.heights_in_the_air(row, x, offsets).items():
             if height < -_TOUCHES * off:
-                told = diagnose(
+                finding = diagnose(
                     "foot-in-the-air-touches",
                     subject=("foot", foot),
                     stand=name,
                     height=Quantity(height, "m"),
                 )
-                raise MeasurementError(stands.source, told)
+                raise MeasurementError(stands.source, finding)
         for foot, force in equations.normal_forces(row).items():
             if force < -_PULLS * weight:
-                told = diagnose(
+                finding = diagnose(
                     "foot-would-pull",
                     subject=("foot", foot),
                     stand=name,
                     force=Quantity(-force, "N"),
                     swing=list(stands.swing[row]),
                 )
-                raise MeasurementError(stands.source, told)
+                raise MeasurementError(stands.source, finding)
 
 
 # Coordinates of parameters in which what is known before is normal: logarithms of what scales.
@@ -817,10 +817,10 @@ def find_noise(
 
     def unlikely(levels: Array) -> float:
         equations.noise = at(levels)
-        told = equations.linearise(x, about, 1) + more(x)
+        finding = equations.linearise(x, about, 1) + more(x)
         # Moments that all stands have alike are as large as those of each.
         alike = table.scaled("moment", equations.noise.moment / expected.moment)
-        evidence = told.evidence(alike, known.moved)
+        evidence = finding.evidence(alike, known.moved)
         return float(levels @ levels) / (2 * _SPREAD**2) - evidence
 
     simplex = np.vstack([np.zeros(3), -np.eye(3)])
