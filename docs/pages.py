@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -246,6 +247,19 @@ def _unmarked(line: str) -> str:
 # --------------------------------------------------------------------------------------- tables
 
 
+def robots_summary(rows: Sequence[Mapping[str, str]]) -> str:
+    """Returns how many robots have a defect with its line, and what becomes of them."""
+    judged = Counter(row["stand or hold"].split(",")[0].split(":")[0] for row in rows)
+    compared = [row["crosscheck"] for row in rows if row["crosscheck"] != "-"]
+    agree = sum(one == "AGREE" for one in compared)
+    found = sum(row["first defect"] != "-" for row in rows)
+    verdicts = "; ".join(f"{count} {verdict}" for verdict, count in judged.most_common())
+    return (
+        f"{len(rows)} robots, {found} of them with a defect whose line is named. Of "
+        f"{len(compared)} pairs of a URDF and an MJCF {agree} agree. Verdicts: {verdicts}."
+    )
+
+
 def table_pages() -> dict[str, str]:
     """Returns a page for each group of tables of ``docs/data``, and their list.
 
@@ -260,6 +274,8 @@ def table_pages() -> dict[str, str]:
             with (DATA / f"{name}.csv").open(encoding="utf-8", newline="") as file:
                 header, *rows = csv.reader(file)
             parts += [f"## {table['title']}", table["about"].strip()]
+            if name == "robots-of-packages":
+                parts.append(robots_summary([dict(zip(header, row, strict=True)) for row in rows]))
             if "command" in table:
                 parts.append(f"```sh\n{table['command']}\n```")
             parts.append(_table(header, [map(_plain, row) for row in rows]))

@@ -117,6 +117,28 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_the_page_of_robots_counts_its_rows(generated: Path) -> None:
+    """Four rows by hand, then the page: at least 80 robots, each with its defect's line or none."""
+    rows = [
+        {"crosscheck": "AGREE", "stand or hold": "holds", "first defect": "-"},
+        {"crosscheck": "3 differences", "stand or hold": "fails", "first defect": "a.urdf:3: mass"},
+        {"crosscheck": "-", "stand or hold": "holds", "first defect": "b.xml:4: mesh"},
+        {"crosscheck": "-", "stand or hold": "holds, made one", "first defect": "-"},
+    ]
+    found = script("docs/pages.py").robots_summary(rows)
+    assert found.startswith("4 robots, 2 of them with a defect")
+    assert "Of 2 pairs of a URDF and an MJCF 1 agree" in found
+    assert "3 holds; 1 fails" in found
+    page = (generated / "en/reference/generated/tables/robots.md").read_text()
+    with (DATA / "robots-of-packages.csv").open(encoding="utf-8", newline="") as file:
+        table = list(csv.DictReader(file))
+    assert f"{len(table)} robots, " in page
+    assert len(table) >= 80
+    assert all(re.search(r"\.(urdf|xml):\d+", row["first defect"]) for row in table
+               if row["first defect"] != "-" and row["crosscheck"] == "-"
+               and not row["audit"].startswith(("OK", "refused")))  # fmt: skip
+
+
 def test_the_reference_has_all_there_is(generated: Path) -> None:
     english, chinese = (generated / language / "reference/generated" for language in ("en", "zh"))
     rules = (english / "audit-rules.md").read_text()

@@ -83,6 +83,23 @@ def test_both_tutorials_run_the_same_lines() -> None:
     assert english == chinese
 
 
+@pytest.mark.parametrize("name", sorted(page.name for page in ROOT.glob("docs/zh/how-to/*.md")))
+def test_chinese_guides_have_the_code_and_numbers_of_the_english(name: str) -> None:
+    """Blocks of code are the same, in order; and so are all numbers with a unit."""
+    english, chinese = (
+        (ROOT / folder / name).read_text() for folder in ("docs/how-to", "docs/zh/how-to")
+    )
+    blocks, theirs = (
+        re.findall(r"```(?:sh|python)\n.*?```", text, re.S) for text in (english, chinese)
+    )
+    assert theirs == blocks[: len(theirs)]
+    assert theirs
+    numbers = set(
+        re.findall(r"\d[\d.]*(?= (?:s|mm|%)\b)", re.sub(r"```.*?```", "", chinese, flags=re.S))
+    )
+    assert numbers <= set(re.findall(r"\d[\d.]*", english))
+
+
 @pytest.mark.parametrize(
     "what", [f"scripts/{name}.py" for name in ("analyze_variant", "stand_pupper", "view_pupper")]
 )

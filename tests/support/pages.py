@@ -30,7 +30,7 @@ from tests.support import arm
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 
-FOLDERS = ("docs/how-to", "docs/tutorials", "docs/zh")
+FOLDERS = ("docs/how-to", "docs/tutorials", "docs/zh", "docs/zh/how-to")
 """Of pages whose every block is run, beside the README."""
 
 ARMS = ("panda", "ur5", "arm", "hand")

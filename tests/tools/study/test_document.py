@@ -68,7 +68,7 @@ def test_the_report_counts_what_the_table_has() -> None:
     unreachable = next(one for one in found.failures if one.kind == "unreachable")
     assert unreachable.designs == 6  # of one height
     assert unreachable.share == pytest.approx(1 / 3)
-    assert "0.5" in unreachable.reason
+    assert "500.0 mm" in unreachable.reason
     sag = next(one for one in found.measured if one.metric == "servo_sag")
     known = table["servo_sag"].dropna()
     assert (sag.least, sag.median, sag.greatest) == (known.min(), known.median(), known.max())
