@@ -1,4 +1,4 @@
-"""What is Pupper's alone: its variants, their derivation, demos."""
+"""What is Pupper's alone: its variants, and their derivation."""
 
 from pupper_analysis.base.exports import exports_of
 

@@ -193,8 +193,8 @@ IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("walk", "v3", "--policy", "policy.json", "--orders"): (
         *(("--command", "1,0,0"), ("--seeds", "2"), ("--vary", "mass"), ("--fit", "fit.json")),
     ),
-    ("live", "v3", "--drop", "--headless"): (("--csv", "a.csv"), ("--fixed-base",)),
-    ("live", "v3", "--demo", "squat", "--headless"): (("--seconds", "3"), ("--port", "1")),
+    ("live", "v3", "--drop", "--headless"): (("--port", "1"), ("--fixed-base",)),
+    ("live", "v3", "--mujoco", "--headless"): (("--seconds", "3"),),
     ("live", "v3", "--no-browser"): (("--headless",),),
     ("live", "arm.urdf", "--no-browser"): (("--stance", "height:120"),),
     ("check", "--init"): (("--config", "a.toml"),),
@@ -218,7 +218,7 @@ ALWAYS = {
     "contract": {"pairs", "unstood", "fail_on"},
     "study": {"dry_run", "workers", "list_metrics"},
     "walk": {"policy", "contract", "asked", "seeds", "seconds", "vary", "orders"},
-    "live": {"language", "host", "port", "no_browser", "viewer", "dropped", "demo"},
+    "live": {"language", "host", "port", "no_browser", "viewer", "dropped"},
 }
 """{command: options besides those of the robot, the stance and outputs that always matter}."""
 

@@ -57,7 +57,7 @@ OPTIONS = {
 MORE: dict[str, list[list[str]]] = {
     "path": [["--seconds", "1"]],
     "walk": [["--seconds", "3", "--vary", "delay"]],
-    "live": [["--headless", "--demo", "squat"]],
+    "live": [["--headless", "--drop"]],
     "fit": [["--plan", "4"], ["--stands", "stands.csv"], ["--log", "log.csv"]],
     "convert": [["-o", "new.xml"]],
     "study": [["-o", "results", "--workers", "1"]],

@@ -20,7 +20,7 @@ from pupper_analysis.present.documents.standing import task_text
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.tools.live import export
 from pupper_analysis.tools.live.controls import CONTROLS, ranges_of
-from pupper_analysis.tools.live.state import LiveVariants, State, halfway_state, parse_state
+from pupper_analysis.tools.live.state import LiveVariants, State, parse_state
 from pupper_analysis.tools.study.design import STANCE, check_range
 from pupper_analysis.tools.study.design import task_of as task_of_numbers
 from pupper_analysis.tools.study.measures import METRICS
@@ -150,11 +150,6 @@ def test_each_field_is_in_a_pages_state_and_its_address(field: Field) -> None:
     assert state != State()
     assert parse_state(str(state)) == state
     assert state.with_task(state.task()) == state
-    half = halfway_state(State(place=state.place), state)
-    # Who is not lifted is not half lifted; heights and positions are the robot's own.
-    if not field.open and field.nominal == "zero":
-        assert half is not None
-        assert half.having(**{field.name: getattr(state, field.name)}) == state
 
 
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
@@ -176,14 +171,9 @@ def test_each_field_has_sliders_with_words_and_a_range(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
-def test_each_field_is_exported_as_python_and_as_a_command(field: Field) -> None:
+def test_each_field_is_exported_as_a_command(field: Field) -> None:
     state = state_with(field)
     source = LiveVariants(pa.VARIANTS["v3"])
-    task = next(
-        line for line in export.write_python(source, state).splitlines() if "StandTask" in line
-    )
-    made = eval(task.removeprefix("task = "), {"pa": pa, "math": math})
-    assert near(made.values()[field.name], asked(field))
     words = shlex.split(export.write_command(source, state))[2:]
     context = cli.find_command("stand").make_context("stand", words)
     typed = task_of({name: context.params[name] for name in TYPED})

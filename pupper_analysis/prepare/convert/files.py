@@ -65,12 +65,6 @@ class RobotFiles:
 
         return load_robot(*self.models, **self.options, **more)
 
-    def python(self) -> str:
-        """Returns the Python expression that makes it, with ``pa`` for the package."""
-        given = [*map(repr, self.models)]
-        given += [f"{name}={value!r}" for name, value in self.options.items()]
-        return f"pa.load_robot({', '.join(given)})"
-
     def arguments(self) -> list[str]:
         """Returns the words and options that the command line takes."""
         words = [*self.models]
@@ -117,10 +111,6 @@ class FileSource:
             name = next(iter(scales))
             raise ConfigurationError(name, diagnose("robot-not-scaled", robot=self.loaded.name))
         return self.loaded
-
-    def python(self, scales: Mapping[str, float]) -> str:  # noqa: ARG002 - it has none
-        """Returns the call of ``load_robot``."""
-        return self.files.python()
 
     def arguments(self, scales: Mapping[str, float]) -> list[str]:  # noqa: ARG002 - it has none
         """Returns the words and options that the command line takes."""

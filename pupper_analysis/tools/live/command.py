@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.base import kinds
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_idle, refuse_unused
 from pupper_analysis.cli.robots import (
@@ -35,7 +34,6 @@ _ROBOT = frozenset(("words", *(one.name for one in fields(RobotOptions))))
 _USES = {
     "--mujoco": {*_ROBOT, "viewer", "headless", "fixed_base"},
     "--drop": {*_ROBOT, "dropped", "headless", "seconds"},
-    "--demo": {*_ROBOT, "dropped", "headless", "demo", "csv"},
     "the page": {*_ROBOT, "stance", "language", "host", "port", "no_browser"},
 }
 """What each mode uses."""
@@ -70,24 +68,14 @@ _USES = {
     "--drop", "dropped", is_flag=True, help="Drop it in MuJoCo's viewer, and report if it stands."
 )
 @click.option(
-    "--demo",
-    type=click.Choice(["squat", "sway", "lift"]),
-    help="Run a motion in MuJoCo's viewer, and report how well it is followed.",
-)
-@click.option(
     "--headless",
     is_flag=True,
-    help="With --mujoco, --drop or --demo: open no window; print joints, IMU and result.",
+    help="With --mujoco or --drop: open no window; print joints, IMU and result.",
 )
 @click.option(
     "--fixed-base", is_flag=True, help="With --mujoco: fix the base in the air, without gravity."
 )
 @click.option("--seconds", type=float, help="With --drop: simulated time (s). [default: 6]")
-@shared.output_option(
-    "--csv",
-    holds=kinds.PATH_TABLE,
-    help="With --demo: write its path as CSV to this file, or to standard output (-).",
-)
 @with_robot
 def command(
     which: RobotOptions,
@@ -99,11 +87,9 @@ def command(
     no_browser: bool,
     viewer: bool,
     dropped: bool,
-    demo: str | None,
     headless: bool,
     fixed_base: bool,
     seconds: float | None,
-    csv: Path | None,
 ) -> None:
     """Open a page with sliders for a stance that shows its torques, contact forces and sag.
 
@@ -114,8 +100,7 @@ def command(
     Only this machine can reach the page, unless --host is given: then anyone can who reaches
     the port and has the printed address with its token. The page is served until Ctrl-C.
 
-    With --mujoco, --drop or --demo MuJoCo's own viewer opens instead. A demo squats, sways from
-    side to side, or shifts the weight and lifts a foot; each of its samples is a stand in balance.
+    With --mujoco or --drop MuJoCo's own viewer opens instead.
 
     \b
     Examples:
@@ -126,18 +111,17 @@ def command(
       pupper-analysis live go1.urdf
       pupper-analysis live long-leg --mujoco --fixed-base
       pupper-analysis live go2.urdf --drop --headless
-      pupper-analysis live v3 --demo squat --headless --csv squat.csv
 
     \b
-    Exit status: 0 it stands or follows the demo, 1 it does not, 130 ended by Ctrl-C, 2 bad input.
+    Exit status: 0 it stands, 1 it does not, 130 ended by Ctrl-C, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    modes = {"--mujoco": viewer, "--demo": demo is not None, "--drop": dropped}
+    modes = {"--mujoco": viewer, "--drop": dropped}
     mode = next((name for name, chosen in modes.items() if chosen), "the page")
     refuse_unused(mode, _USES)
     meant = which.one(words) or "v3"
     if mode != "the page":
         robot = shown_robot(meant, **({"fixed_base": True} if fixed_base else {}))
-        if not _show_in_mujoco(robot, demo, dropped, headless, fixed_base, seconds, csv):
+        if not _show_in_mujoco(robot, dropped, headless, fixed_base, seconds):
             click.get_current_context().exit(shared.FAILED)
         return
     _open_page(meant, stance, language, host, port, browser=not no_browser)
@@ -145,18 +129,12 @@ def command(
 
 def _show_in_mujoco(
     robot: str | VariantSpec | Robot,
-    demo: str | None,
     dropped: bool,
     headless: bool,
     fixed: bool,
     seconds: float | None,
-    csv: Path | None,
 ) -> bool:
     """Shows a robot in MuJoCo's viewer, or in words; returns whether it does what it shall."""
-    if demo is not None:
-        from pupper_analysis.tools.live import demo as demos
-
-        return demos.demo(demo, robot, headless=headless, csv=csv)
     from pupper_analysis.tools.live import window
 
     if dropped:

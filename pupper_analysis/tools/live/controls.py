@@ -22,7 +22,6 @@ from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.robot.tool import split_place
 from pupper_analysis.stance.fields import FIELDS, Field, Slider
 from pupper_analysis.stance.posture import joint_ranges, joint_units
-from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.live.render import Language, mark_slider
 from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN, State, on_page
@@ -47,7 +46,6 @@ class Controls:
         scales: {name of a scale that it can be made with: its own}.
         say: The page's language.
         changed: What is told that the state has changed.
-        hang: What is told that a joint of a leg has been moved.
     """
 
     def __init__(
@@ -57,9 +55,8 @@ class Controls:
         scales: Mapping[str, float],
         say: Language,
         changed: Callable[[], None],
-        hang: Callable[[], None],
     ) -> None:
-        self._gui, self._say, self._changed, self._hang = gui, say, changed, hang
+        self._gui, self._say, self._changed = gui, say, changed
         self._robot = robot
         self._lock = threading.RLock()
         self._state = State()
@@ -88,13 +85,9 @@ class Controls:
         self.foot.on_update(self._foot_chosen)
 
     def joints(self) -> None:
-        """Adds what says where joints are: of a posture, and of legs that hang."""
+        """Adds what says where joints are that carry no foot: of the posture."""
         gui, robot = self._gui, self._robot
         free, home = free_joints(robot), robot.home[-robot.nu :]
-        legs = [joint for joint in led_joints(robot) if joint not in free]
-        with gui.add_folder(term("Legs", self._say.code)):
-            gui.add_markdown(self._say("legs-hang"))
-            self.legs = JointSliders(gui, robot, legs, home, lambda _joint, _at: self._hang())
         with gui.add_folder(term("Posture", self._say.code), visible=bool(free)):
             self.posture = JointSliders(gui, robot, free, home, self._placed)
 
@@ -103,11 +96,6 @@ class Controls:
         with self._lock:
             self._state = self._state.having(posture={**self._state.posture, joint: position})
         self._changed()
-
-    @property
-    def hanging(self) -> tuple[State, dict[str, float]]:
-        """What the controls say, and where the sliders of joints are (rad, m)."""
-        return self.state, self.legs.positions() | self.posture.positions()
 
     def body(self) -> None:
         """Adds what says what it carries, and which robot it is."""
@@ -273,18 +261,14 @@ class Controls:
                 usual = self._ranges[name].value
                 self._slide(name, control.of(values[foot]) if foot in values else usual)
 
-    def follow(self, robot: Robot, stand: Stand | None) -> None:
-        """Lets what nobody has set be what is usual for a robot, and legs be where they stand."""
+    def follow(self, robot: Robot) -> None:
+        """Lets what nobody has set be what is usual for a robot."""
         with self._lock:
             for name, field in FIELDS.items():
                 if field.per or field.nominal == "zero" or not field.slider:
                     continue
                 if getattr(self._state, name) is None:
                     self._slide(field.address, round(1e3 * getattr(robot, field.nominal), 2))
-
-        if stand is not None:
-            joints = stand.joint_positions(robot).tolist()
-            self.legs.show(dict(zip(robot.joint_names, joints, strict=True)))
 
     def limits(self, ends: Mapping[str, Mapping[str, Any]]) -> None:
         """Marks on the sliders how far they can go.
@@ -354,7 +338,7 @@ def _within(span: Range, value: float) -> float:
     return min(max(round(value, 2), span.low), span.high)
 
 
-# Sliders of joints: of an arm's, of a stand's posture, and of legs that hang.
+# Sliders of joints: of an arm's, and of a stand's posture.
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.document import hardest_motor
 from pupper_analysis.tools.live.controls import CONTROLS, slider_values
 from pupper_analysis.tools.live.door import without_folders
-from pupper_analysis.tools.live.model import Answer, Hanging, PredictedSag
+from pupper_analysis.tools.live.model import Answer, PredictedSag
 from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.push.document import trial_document
 from pupper_analysis.tools.push.trial import PushTrial
@@ -219,16 +219,6 @@ def push_document(trial: PushTrial) -> doc.Document:
 
 
 _AS_SIMULATED = doc.Lines((text("orange-as-simulated"),))
-
-
-def hanging_document(hanging: Hanging) -> doc.Document:
-    """Returns what the motors of a robot hold that hangs, and that it is no stand."""
-    if hanging.refusal is not None or hanging.robot is None or hanging.statics is None:
-        assert hanging.refusal is not None
-        return failure_document(hanging.refusal)
-    told = held_document(hanging.robot, hanging.statics)
-    blocks = (doc.Lines((text("no-stand-base-held"),), "warn"), *told.blocks)
-    return replace(told, blocks=blocks)
 
 
 def held_document(robot: Robot, statics: GravityCompensation) -> doc.Document:

@@ -1,4 +1,4 @@
-"""A page's stance for elsewhere: as Python, as a command, as a file of options, as a link."""
+"""A page's stance for elsewhere: as a command, as a file of options, as a link."""
 
 from __future__ import annotations
 
@@ -18,59 +18,6 @@ from pupper_analysis.tools.live.state import (
 )
 
 PROGRAM = "pupper-analysis"
-
-_SCRIPT = """\
-import math
-
-import pupper_analysis as pa
-
-robot = {robot}
-task = pa.StandTask({task})
-stand = pa.stance.solve_stand_as_simulated(robot, task)  # on MuJoCo's ground, which is soft
-statics = pa.stance.stand_statics(robot, stand)
-for joint, torque in zip(robot.joint_names, statics.joint_torques):
-    print(f"{{joint:24}} {{torque:+.4f}} N m")
-print(f"com margin {{1e3 * stand.com_margin:.1f}} mm")
-
-try:
-    settled = pa.steady_state(robot, stand{kp})  # without feed-forward
-    print(f"sags by {{1e3 * settled.height_loss:.2f}} mm")
-except pa.NoEquilibriumError as error:
-    print(error)
-report = pa.verify_stand(robot, stand{gains})  # in MuJoCo
-print("verified" if report.passed else report.failures)
-"""
-
-
-def write_python(source: LiveSource, state: State) -> str:
-    """Returns a script that makes the same stand."""
-    robot = source.python(state.scales())
-    if state.payload:
-        robot = f"pa.robot.with_payload({robot}, {state.payload!r}, {state.payload_point()!r})"
-    kp = "" if state.kp is None else f", kp={state.kp!r}"
-    kd = "" if state.kd is None else f", kd={state.kd!r}"
-    text = _SCRIPT.format(robot=robot, task=_task(state), kp=kp, gains=kp + kd)
-    return text if "math." in text else text.removeprefix("import math\n\n")
-
-
-def _task(state: State) -> str:
-    """Returns the arguments of a ``StandTask``: those that are not the usual ones."""
-    parts: dict[str, list[str]] = {"task": [], "ground": []}
-    for field, value in state.asked():
-        parts[field.part].append(f"{field.name}={_python(field, value)}")
-    ground = [f"ground=pa.Ground({', '.join(parts['ground'])})"] if parts["ground"] else []
-    return ", ".join([*parts["task"], *ground])
-
-
-def _python(field: Field, value: Any) -> str:
-    """Returns a value of a page as Python has it."""
-    if field.kind == "angle" and not isinstance(value, dict):
-        return f"math.radians({format_number(value)})"
-    if field.kind == "angle":
-        return (
-            "{" + ", ".join(f"{foot!r}: {_python(field, one)}" for foot, one in value.items()) + "}"
-        )
-    return repr(in_si(field, value))
 
 
 def write_command(source: LiveSource, state: State) -> str:
@@ -101,13 +48,6 @@ def write_stance_file(state: State) -> str:
         else:
             lines.append(f"{option} = {json.dumps(value)}")
     return "".join(f"{line}\n" for line in (*lines, *tables))
-
-
-def live_command(source: LiveSource, state: State, language: str = "en") -> str:
-    """Returns the command that opens a page with the same state."""
-    words = [PROGRAM, "live", *source.arguments({})]
-    words += [] if language == "en" else ["--language", language]
-    return quote_words([*words, "--stance", str(state)] if str(state) else words)
 
 
 def _options(state: State) -> list[str]:

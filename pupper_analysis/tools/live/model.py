@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,19 +20,16 @@ from pupper_analysis.base.errors import (
     StanceUnreachableError,
     StaticsInfeasibleError,
 )
-from pupper_analysis.robot.build import build_robot
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.verdict import Verdict, predict_verdict
-from pupper_analysis.stance.posture import find_posture
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
+from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.live.state import LiveSource, State
 from pupper_analysis.tools.push.trial import PushTrial, simulate_push
 from pupper_analysis.tools.stand.stance import Stance, study_stance
@@ -87,27 +83,6 @@ class PredictedSag:
     unsettled: Diagnostic | None
 
 
-@dataclass(frozen=True, eq=False)
-class Hanging:
-    """A configuration that is no stand: the base is held, and nothing is on the ground.
-
-    Attributes:
-        state: Which robot was asked for.
-        joints: {joint: where it is told to be (rad, m)}.
-        robot: The robot, with its free base; None if there is none.
-        qpos: (nq,) where it is drawn: upright, above the ground.
-        statics: What its motors hold; None if it cannot hang so.
-        refusal: Why not; None if it can.
-    """
-
-    state: State
-    joints: Mapping[str, float]
-    robot: Robot | None
-    qpos: Array
-    statics: GravityCompensation | None
-    refusal: PupperAnalysisError | None
-
-
 class Model:
     """Answers for one robot's states; several threads may ask.
 
@@ -118,7 +93,6 @@ class Model:
     def __init__(self, source: LiveSource) -> None:
         self.source = source
         self._robots: OrderedDict[object, Robot] = OrderedDict()
-        self._held: tuple[Robot, Robot] | None = None  # a robot, and itself with its base fixed
         self._lock = threading.Lock()
 
     def made(self, state: State) -> bool:
@@ -151,32 +125,6 @@ class Model:
             while len(self._robots) > _MOST_CACHED_ROBOTS:
                 self._robots.popitem(last=False)
         return robot
-
-    def hang(self, state: State, joints: Mapping[str, float]) -> Hanging:
-        """Hangs a state's robot by its base, with joints where they are told to be (rad, m).
-
-        What is wrong with it is in the answer: its loops, say, cannot be closed there.
-        """
-        try:
-            return self._hung(state, joints)
-        except PupperAnalysisError as error:
-            return Hanging(state, joints, None, np.zeros(0), None, error)
-
-    def _hung(self, state: State, joints: Mapping[str, float]) -> Hanging:
-        robot = self.robot(state)
-        with self._lock:
-            known, held = self._held or (None, None)
-        if held is None or known is not robot:
-            held = build_robot(robot.description, fixed_base=True)
-            with self._lock:
-                self._held = robot, held
-        posture = find_posture(held, joints)
-        statics = gravity_compensation(Configuration(held, posture.qpos), contacts=[])
-        qpos = np.concatenate([robot.home[: robot.nq - robot.nu], posture.qpos])
-        qpos[2] = robot.stand_height
-        lowest = min(place[2] for place in Configuration(robot, qpos).foot_positions().values())
-        qpos[2] += max(0.0, -float(lowest))  # above the ground
-        return Hanging(state, joints, robot, qpos, statics, None)
 
     def answer(self, state: State) -> Answer:
         """Solves a state; what is wrong with it is in the answer."""

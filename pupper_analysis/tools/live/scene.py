@@ -19,7 +19,6 @@ from pupper_analysis.present.scene import (
     JointAxis,
     StandingScene,
     describe_scene,
-    joint_axes,
     shapes_of,
 )
 from pupper_analysis.robot.configuration import Configuration
@@ -27,7 +26,7 @@ from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.tools.live.model import Answer, Hanging
+from pupper_analysis.tools.live.model import Answer
 
 # What colour says how hard a motor works: blue, yellow, red, which all eyes tell apart.
 
@@ -235,7 +234,6 @@ class Scene:
         self._nodes: dict[str, Any] = {}
         self._joints: dict[str, Any] = {}
         self._labels: dict[str, Any] = {}
-        self.joint_labels = False
         self._size = 1.0
 
     def show(self, answer: Answer) -> None:
@@ -264,20 +262,6 @@ class Scene:
         self._load(answer, stand)
         self._torques(seen.joints)
         self._forces(seen)
-
-    def hang(self, hanging: Hanging) -> None:
-        """Shows a robot that hangs by its base, and what its motors hold, if it can."""
-        if hanging.robot is None or hanging.statics is None:
-            return
-        self._prepare(hanging.robot)
-        for name in ("twin", "ghost"):
-            self.hide(name)
-        self._draw_only(())
-        self._figure("stand").pose(hanging.qpos)
-        self._figure("stand").show(True)
-        config = Configuration(hanging.robot, hanging.qpos)
-        joints = hanging.qpos[-hanging.robot.nu :]
-        self._torques(joint_axes(config, joints, hanging.statics))
 
     def ghost(self, robot: Robot, stand: Stand | None) -> None:
         """Shows a stance as a ghost: one that is not what was asked for."""
@@ -428,7 +412,7 @@ class Scene:
         for one in joints:
             disc, label = self._joints[one.name], self._labels[one.name]
             disc.visible = one.torque is not None
-            label.visible = disc.visible and (self.joint_labels or one is hardest)
+            label.visible = disc.visible and one is hardest
             if one.torque is None:
                 continue
             disc.color = colour_of(one.share)

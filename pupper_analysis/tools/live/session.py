@@ -31,7 +31,6 @@ from pupper_analysis.tools.live.controls import Controls
 from pupper_analysis.tools.live.documents import (
     brief_document,
     failure_document,
-    hanging_document,
     push_document,
     refusal_document,
     simulation_document,
@@ -40,24 +39,19 @@ from pupper_analysis.tools.live.documents import (
 )
 from pupper_analysis.tools.live.model import (
     Answer,
-    Hanging,
     Model,
     PredictedSag,
 )
 from pupper_analysis.tools.live.render import Language, clear_but_tabs, named_tabs
 from pupper_analysis.tools.live.scene import Scene
-from pupper_analysis.tools.live.state import State, halfway_state, parse_state
+from pupper_analysis.tools.live.state import State, parse_state
 
 
 class Acts(Protocol):
     """What the buttons of a page do."""
 
-    def changed(self, *, hangs: bool = False) -> None:
-        """Is told that the controls say something else.
-
-        Args:
-            hangs: Whether joints are to be as their sliders have them: the base is held, no stand.
-        """
+    def changed(self) -> None:
+        """Is told that the controls say something else."""
 
     def reset(self) -> None:
         """Goes back to where a page begins."""
@@ -67,9 +61,6 @@ class Acts(Protocol):
 
     def go_to_nearest(self) -> None:
         """Goes to the ghost."""
-
-    def draw_again(self, labels: bool) -> None:
-        """Shows the names of all joints, or of one."""
 
     def simulate(self) -> None:
         """Simulates the stance."""
@@ -122,9 +113,7 @@ class Panels:
             self._numbers = gui.add_html(render.render_waiting(text("solving"), say))
         left.dock_left()
         left.set_width(330)
-        self.controls = Controls(
-            gui, robot, model.source.scales, say, acts.changed, partial(acts.changed, hangs=True)
-        )
+        self.controls = Controls(gui, robot, model.source.scales, say, acts.changed)
         gui.add_html(render.PHONE)
         self._brief = gui.add_html("")
         other = gui.add_button(say.other.name, color="gray")
@@ -142,7 +131,6 @@ class Panels:
             reset = gui.add_button(say("reset-all"), color="gray")
         with joints:
             self.controls.joints()
-            self._back = gui.add_button(say("back-to-the-stand"), visible=False)
         with body:
             self.controls.body()
         with simulated:
@@ -151,7 +139,6 @@ class Panels:
             self._share(gui)
         other.on_click(lambda _: acts.speak(say.other))
         self._nearest.on_click(lambda _: acts.go_to_nearest())
-        self._back.on_click(lambda _: acts.changed())
         reset.on_click(lambda _: acts.reset())
         gui.main_panel.dock_right()
         gui.main_panel.set_width(360)
@@ -170,13 +157,11 @@ class Panels:
             )
             push = gui.add_button(say("push-it"))
         self._beside = gui.add_checkbox(say("beside-the-prediction"), True)
-        labels = gui.add_checkbox(say("torques-at-all-joints"), False)
         self._time = gui.add_slider(say("time-s"), 0.0, 1.0, 0.01, 0.0, visible=False)
         self._again = gui.add_button(say("play-again"), visible=False, color="gray")
         self._result = gui.add_html(render.render_hint(text("not-simulated-yet"), say))
         simulate.on_click(lambda _: acts.simulate())
         push.on_click(lambda _: acts.push())
-        labels.on_update(lambda event: acts.draw_again(bool(event.target.value)))
         self._again.on_click(lambda _: acts.play())
         self._time.on_update(self._time_chosen)
 
@@ -188,32 +173,22 @@ class Panels:
         say = self.say
         self._state = gui.add_text(say("state"), "", hint=say("change-it-or-paste-another"))
         self._link = gui.add_text(say("link-to"), "", hint=say("opens-a-page"))
-        self._live = gui.add_text(say("this-page"), "", multiline=True)
         self._command = gui.add_text(say("as-a-command"), "", multiline=True)
-        self._python = gui.add_text(say("as-python"), "", multiline=True)
         self._state.on_update(self._state_typed)
-        for label, name in (
-            (say("save-the-stance"), "stance.toml"),
-            (say("save-the-python"), "stance.py"),
-        ):
-            button = gui.add_button(label)
-            button.on_click(lambda _, n=name: self._save(n))
+        gui.add_button(say("save-the-stance")).on_click(lambda _: self._save())
 
     def _state_typed(self, event: Any) -> None:
         if event.client is not None and self._state.value != str(self.controls.state):
             self._acts.go_to(self._state.value)
 
-    def _save(self, name: str) -> None:
+    def _save(self) -> None:
         """Sends a file to the browser, of the stance that is shown."""
         answer, _ = self._acts.export()
         if answer is None:
             self.notify("nothing-to-save", self.say("there-is-no-stance"))
             return
-        if name.endswith(".toml"):
-            content = export.write_stance_file(answer.state)
-        else:
-            content = export.write_python(self._model.source, answer.state)
-        self._client.send_file_download(name, content.encode(), save_immediately=True)
+        content = export.write_stance_file(answer.state).encode()
+        self._client.send_file_download("stance.toml", content, save_immediately=True)
 
     def like(self, other: Panels) -> None:
         """Takes over what the panels before were told, but for the state."""
@@ -277,29 +252,13 @@ class Panels:
         """Shows all that follows from a state at once; limits are of the state before."""
         source, state = self._model.source, answer.state
         self.limits(None)
-        self._back.visible = False
         if answer.robot is not None:
-            self.controls.follow(answer.robot, answer.stand)
+            self.controls.follow(answer.robot)
         self.hint("not-simulated-yet")
         self.simulated(0.0)
         self._state.value = str(state)
         self._link.value = export.write_link(self._address, state, self.say.code)
-        self._live.value = escape_control(export.live_command(source, state, self.say.code))
         self._command.value = escape_control(export.write_command(source, state))
-        self._python.value = export.write_python(source, state)
-
-    def hanging(self, hanging: Hanging) -> None:
-        """Shows what the motors of a robot hold that hangs, and that it is no stand."""
-        self.status(hanging_document(hanging))
-        self.limits(None)
-        self._back.visible = True
-        self.hint("nothing-to-simulate")
-        self.simulated(0.0)
-        # A payload that is welded on is none of that command's.
-        state = hanging.state
-        command = export.hold_command(self._model.source, state.scales(), hanging.joints)
-        self._command.value = "" if state.payload else escape_control(command)
-        self._python.value = ""
 
     def limits(self, error: Any) -> None:
         """Shows how far sliders can go, and a way to the nearest stance; nothing for None."""
@@ -320,14 +279,6 @@ QUIET = 0.15
 """s without a change after which it is worth to look closer: a hand on a slider moves on sooner."""
 
 _FRAME = 1 / 30  # s between the pictures of a motion
-
-MOVING = 0.3
-"""s from one state to the next by which a hand moves a slider: viser's page tells of it each
-0.05 s, and a busy machine later."""
-
-BETWEEN = 0.025
-"""s after which what is halfway makes room: half of viser's 0.05 s, so that 40 stances a second are
-solved and shown where the page tells of 20."""
 
 _numbers = itertools.count(1)
 
@@ -363,7 +314,6 @@ class Session:
         self._motion: PlayedMotion | None
         self._result: Document | None
         self._begin(None, None)
-        self._hangs, self._told = False, -math.inf
         self._scene = Scene(client.scene)
         self._panels = Panels(client, model, address, self, say)
         self._panels.controls.put(state, told=False)
@@ -390,9 +340,8 @@ class Session:
         self._asked.set()
         self._think.set()
 
-    def changed(self, *, hangs: bool = False) -> None:
-        """Is told that the controls say something else, or that the robot is to hang."""
-        self._hangs = hangs
+    def changed(self) -> None:
+        """Is told that the controls say something else."""
         self._asked.set()
 
     def reset(self) -> None:
@@ -432,13 +381,6 @@ class Session:
             answer, refusal = self._answer, self._refusal
         if answer is not None and refusal is not None and refusal.nearest is not None:
             self._panels.controls.put(answer.state.with_task(refusal.nearest.task), told=True)
-
-    def draw_again(self, labels: bool) -> None:
-        """Shows the names of all joints, or of one."""
-        with self._lock:
-            self._scene.joint_labels = labels
-            if self._answer is not None and self._answer.stand is not None:
-                self._scene.show(self._answer)
 
     def simulate(self) -> None:
         """Simulates the stance."""
@@ -487,31 +429,16 @@ class Session:
             self._asked.clear()
             if self._closed.is_set():
                 return
-            self._safely(self._hang if self._hangs else self._solve)
+            self._safely(self._solve)
             self._think.set()
 
     def _solve(self) -> None:
-        """Answers the state that the controls say; of a hand that moves on, one between, too."""
-        state, now = self._panels.controls.state, time.monotonic()
-        moving, self._told = now - self._told < MOVING, now
-        if moving and self._answer is not None:
-            between = halfway_state(self._answer.state, state)
-            if between is not None:
-                self._show(self._model.answer(between), passing=True)
-                if self._asked.wait(max(0.0, now + BETWEEN - time.monotonic())):
-                    return  # it has moved on, or the page is closed
+        """Answers the state that the controls say."""
+        state = self._panels.controls.state
         if not self._model.made(state):
             with self._lock:
                 self._panels.making()
         self._show(self._model.answer(state))
-
-    def _hang(self) -> None:
-        """Shows the robot hanging by its base, or why it cannot be shown so."""
-        hanging = self._model.hang(*self._panels.controls.hanging)
-        with self._lock, self._client.atomic():
-            self._begin(None, None)
-            self._scene.hang(hanging)
-            self._panels.hanging(hanging)
 
     def _begin(self, answer: Answer | None, verdict: Verdict | None) -> None:
         """Forgets what was found of the answer before."""
@@ -528,22 +455,13 @@ class Session:
                 with self._lock:
                     self._panels.status(unforeseen_document(error))
 
-    def _show(self, answer: Answer, *, passing: bool = False) -> None:
-        """Shows an answer, and that what follows from it is not known yet.
-
-        Args:
-            answer: The answer.
-            passing: Whether the controls say another state already; a stance that is out of reach
-                is not shown then, as it is left before one could read why.
-        """
-        if passing and answer.stand is None:
-            return
+    def _show(self, answer: Answer) -> None:
+        """Shows an answer, and that what follows from it is not known yet."""
         with self._lock, self._client.atomic():
             self._begin(answer, answers.expect_verdict(answer, closely=False))
             self._scene.show(answer)
             self._tell()
-            if not passing:
-                self._panels.answered(answer)
+            self._panels.answered(answer)
 
     def _tell(self) -> None:
         """Says what is known of the answer."""

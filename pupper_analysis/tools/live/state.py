@@ -48,9 +48,6 @@ class LiveSource(Protocol):
             PupperAnalysisError: If there is none.
         """
 
-    def python(self, scales: Mapping[str, float]) -> str:
-        """Returns the Python expression that makes it, with ``pa`` for the package."""
-
     def arguments(self, scales: Mapping[str, float]) -> list[str]:
         """Returns the arguments of a command that name it."""
 
@@ -267,39 +264,6 @@ def _each(value: Any, change: Callable[[float], float]) -> Any:
     return value if isinstance(value, str) else change(value)
 
 
-def halfway_state(one: State, other: State) -> State | None:
-    """Returns the state in the middle of two, as a hand passes it that moves a slider.
-
-    None where there is no middle: of two robots, or where something else than a number differs.
-    """
-    if one == other or one.place != other.place:
-        return None
-    changed: dict[str, Any] = {}
-    for name, field in SHOWN.items():
-        first, second = getattr(one, name), getattr(other, name)
-        if first == second:
-            continue
-        if name in OF_THE_ROBOT or first is None or second is None:
-            return None
-        if field.per:
-            if _zero_counts(field) and first.keys() != second.keys():
-                return None
-            none = (0.0,) * len(field.axes) if field.axes else 0.0
-            changed[name] = {
-                foot: _middle(first.get(foot, none), second.get(foot, none))
-                for foot in {**first, **second}
-            }
-        else:
-            changed[name] = _middle(first, second)
-    return other.having(**changed)
-
-
-def _middle(one: Any, other: Any) -> Any:
-    if isinstance(one, tuple):
-        return tuple(_middle(first, second) for first, second in zip(one, other, strict=True))
-    return 0.5 * (one + other)
-
-
 def parse_length(millimetres: float) -> float:
     """Returns a length in m: the number that is typed with as many digits, not its neighbour."""
     return float(f"{millimetres!r}e-3") if "e" not in repr(millimetres) else millimetres * 1e-3
@@ -409,16 +373,6 @@ class LiveVariants(Scaled):
             VariantError: If a scale is not a finite positive number, or nothing can be made so.
         """
         return load_variant(self._spec(scales))
-
-    def python(self, scales: Mapping[str, float]) -> str:
-        """Returns the call of ``load_variant``."""
-        spec = self._spec(scales)
-        if spec.name in VARIANTS:
-            return f"pa.load_variant({spec.name!r})"
-        return (
-            f"pa.load_variant(pa.pupper.VariantSpec(base={spec.base!r}, "
-            f"leg_scale={spec.leg_scale!r}, torso_mass_scale={spec.torso_mass_scale!r}))"
-        )
 
     def arguments(self, scales: Mapping[str, float]) -> list[str]:
         """Returns a variant's name, or the options of its scales."""

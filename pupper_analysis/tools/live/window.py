@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -434,17 +434,12 @@ def check_display() -> None:
     glfw.destroy_window(window)
 
 
-def show_window(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    control: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
-) -> None:
+def show_window(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Simulates in MuJoCo's viewer, in real time, until its window is closed.
 
     Args:
         model: The model.
         data: Where it begins.
-        control: Sets ``ctrl`` before each step; by default the viewer's sliders do.
 
     Raises:
         DisplayError: If no window can be opened.
@@ -452,8 +447,4 @@ def show_window(
     check_display()
     from mujoco import viewer
 
-    mujoco.set_mjcb_control(control)
-    try:
-        viewer.launch(model, data)
-    finally:
-        mujoco.set_mjcb_control(None)
+    viewer.launch(model, data)

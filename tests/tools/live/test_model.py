@@ -6,7 +6,6 @@ import json
 import re
 import shlex
 import socket
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -263,14 +262,6 @@ def outcome(found: Answer) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[typ
     return found.stand.qpos, found.statics.joint_torques
 
 
-def run_python(script: str, folder: Path) -> str:
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, cwd=folder, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def own_pair(folder: Path) -> FileSource:
     urdf, mjcf = pa.pupper.write_variant("v3-heavy", folder)
     feet = {leg: f"leg_{place}_3_foot_site" for leg, place in
@@ -289,14 +280,7 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     source = SOURCES[kind](tmp_path)
     state = RICH if kind == "variant" else RICH.having(leg_scale=None, torso_mass_scale=None)
     found = Model(source).answer(state)
-    qpos, torques = outcome(found)
-    script = export.write_python(source, state)
-    printed = run_python(script + "\nprint(stand.to_json())", tmp_path)
-    assert json.loads(printed[printed.index("\n{") :])["qpos"] == pytest.approx(qpos, abs=1e-12)
-    lines = printed.splitlines()[: len(torques)]
-    assert [float(line.split()[1]) for line in lines] == pytest.approx(torques, abs=5e-5)
-    assert "verified" in printed
-
+    qpos, _ = outcome(found)
     words = shlex.split(export.write_command(source, state))
     assert words[0] == "pupper-analysis"
     done = run_command(*words[1:], "--json", "stance.json", folder=tmp_path)
@@ -308,9 +292,6 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
 def test_the_usual_state_is_exported_in_few_words() -> None:
     source = LiveVariants(pa.VARIANTS["v3-heavy"])
     assert export.write_command(source, State()) == "pupper-analysis stand v3-heavy"
-    assert export.live_command(source, State()) == "pupper-analysis live v3-heavy"
-    assert "load_variant('v3-heavy')" in export.write_python(source, State())
-    assert not export.write_python(source, State()).startswith("import math")
     scaled = export.write_command(source, State(torso_mass_scale=1.5))
     assert scaled == "pupper-analysis stand --base v3 --torso-mass-scale 1.5"
     assert export.write_command(source, State(torso_mass_scale=1.0)) == "pupper-analysis stand v3"
@@ -320,10 +301,8 @@ def test_the_usual_state_is_exported_in_few_words() -> None:
     ]  # fmt: skip
 
 
-def test_links_and_commands_lead_back() -> None:
+def test_links_are_addresses() -> None:
     assert export.write_link("127.0.0.1:80", State()) == "http://127.0.0.1:80/"
-    words = shlex.split(export.live_command(LiveVariants(pa.VARIANTS["v3"]), RICH))
-    assert parse_state(words[words.index("--stance") + 1]) == RICH
     assert "&" not in export.write_link("127.0.0.1:80", RICH)
     assert "#" not in export.write_link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))
 

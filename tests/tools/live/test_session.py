@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import re
-import shlex
 import threading
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -109,31 +106,6 @@ def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
     for torque in pa.stance.stand_statics(load("v3"), stand).joint_torques:
         assert f">{torque:+.4f}<" in page.numbers
     assert page.session._panels._state.value == str(last)
-
-
-def test_a_joint_of_a_leg_shows_the_robot_held_and_no_stand(page: Open) -> None:
-    """A leg stretched out level: its motor holds its weight at its lever, and no ground does."""
-    wait_for(lambda: page.settled(), "it does not stand")
-    robot, controls = load("v3"), page.controls
-    standing = page.numbers
-    joint = robot.joint_names[2]
-    before = controls.legs.sliders[joint].value
-    controls.legs.sliders[joint].value = before + 20.0
-    page.session.changed(hangs=True)
-    wait_for(lambda: "Not a stand" in page.numbers, "it is not shown hanging")
-    held = load("v3", fixed_base=True)
-    assert set(controls.hanging[1]) == set(robot.joint_names)
-    qpos = [controls.hanging[1][name] for name in held.joint_names]
-    assert qpos[2] == pytest.approx(math.radians(before + 20.0), abs=1e-6)
-    for torque in pa.Configuration(held, qpos).gravity():
-        assert f">{torque:+.4f}<" in page.numbers
-    assert page.session.export() == (None, None)  # no stance to save, or to simulate
-    words = shlex.split(page.session._panels._command.value)
-    assert words[:3] == ["pupper-analysis", "hold", "v3"]
-    page.session.changed()
-    wait_for(lambda: page.settled(), "it does not stand again")
-    assert page.numbers == standing
-    assert controls.legs.sliders[joint].value == before
 
 
 def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -246,39 +218,6 @@ def test_a_slider_goes_through_what_was_simulated(page: Open, monkeypatch: Any) 
     wait_for(lambda: not panels._time.visible, "a motion of another stance is left")
 
 
-def test_between_two_moves_of_a_hand_it_is_solved_once_more(
-    page: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each picture is a stance that is solved: none is only drawn between two."""
-    monkeypatch.setattr("pupper_analysis.tools.live.session.MOVING", PATIENCE)
-    shown: list[Any] = []
-    real = page.session._scene.show
-
-    def record(answer: Any) -> None:
-        shown.append(answer)
-        real(answer)
-
-    monkeypatch.setattr(page.session._scene, "show", record)
-    page.ask(State(roll=0.5))
-    wait_for(lambda: page.shows(State(roll=0.5)), "not shown")
-    asked = [1.5, 2.5, 3.5, 4.5]
-    for roll in asked:
-        page.ask(State(roll=roll))
-        wait_for(partial(page.shows, State(roll=roll)), "not shown")
-    rolls = [answer.state.roll for answer in shown]
-    assert rolls[0] == 0.25  # from 0 to 0.5
-    assert rolls[1:] == [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5]
-    for answer in shown[1:3]:
-        stand = pa.stance.solve_stand_on_soft_ground(load("v3"), answer.state.task())
-        expected = pa.stance.stand_statics(load("v3"), stand).joint_torques
-        assert answer.statics.joint_torques == pytest.approx(expected, abs=1e-9)
-    # What is out of reach is not shown in passing: the last one is.
-    page.ask(State(roll=60.0))
-    wait_for(lambda: page.shows(State(roll=60.0)), "not shown")
-    assert [answer.state.roll for answer in shown[10:]] == [60.0]
-    assert page.session._panels._state.value == "roll:60"
-
-
 HAN = re.compile("[\u4e00-\u9fff]")
 
 
@@ -293,7 +232,6 @@ def test_a_page_goes_on_in_another_language(page: Open) -> None:
     assert "妨碍因素：" in page.numbers
     assert "In the way" not in page.numbers
     assert "language=zh" in page.session._panels._link.value
-    assert "--language zh" in page.session._panels._live.value
     assert page.session._panels.feedforward
     page.ask(State())
     wait_for(lambda: "受力平衡" in page.numbers, "it does not stand")
@@ -347,7 +285,7 @@ def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
 
 def test_what_does_not_stand_is_not_simulated_and_what_is_shown_is_saved(page: Open) -> None:
     page.session._answer = None
-    page.session._panels._save("stance.toml")
+    page.session._panels._save()
     assert page.browser.told[-1][0] == "Nothing to save"
     page.ask(State(height=500.0))
     wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
@@ -355,9 +293,8 @@ def test_what_does_not_stand_is_not_simulated_and_what_is_shown_is_saved(page: O
     assert "no stance" in page.result
     page.ask(State())
     wait_for(lambda: "in balance" in page.numbers, "it does not stand")
-    for name in ("stance.toml", "stance.py"):
-        page.session._panels._save(name)
-    assert set(page.browser.saved) == {"stance.toml", "stance.py"}
+    page.session._panels._save()
+    assert set(page.browser.saved) == {"stance.toml"}
 
 
 def test_a_typed_state_is_taken_or_refused(page: Open) -> None:
