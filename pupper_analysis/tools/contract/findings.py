@@ -6,9 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.contract.facts import QUANTITIES, SETTINGS, Kind, Role, Statement
@@ -171,13 +173,19 @@ def _grouped(
     """Yields findings of two sources: one of an order, or one for each pair of values."""
     one = {joint: first.facts[quantity, joint] for joint in joints}
     two = {joint: other.facts[quantity, joint] for joint in joints}
+    names: dict[str, Any] = {"first": first.source.name, "second": other.source.name}
+
+    def sides(joint: str) -> tuple[Side, Side]:
+        return (first, one[joint]), (other, two[joint])
+
     swapped = _exchange(one, two)
     if swapped:
         pairs = tuple(f"{joint} ↔ {whose}" for joint, whose in swapped.items() if joint < whose)
         told = diagnose("contract-exchanged", what=Term(quantity), joints=tuple(joints),
                         pairs=pairs or tuple(f"{a} → {b}" for a, b in swapped.items()),
-                        file=other.source.name, other=first.source.name)  # fmt: skip
-        yield _finding(quantity, "order", kind, first, other, joints, told)
+                        file=names["second"], other=names["first"])  # fmt: skip
+        yield _finding(quantity, told, sides(joints[0]), kind.severity, joints=joints,
+                       slip="order", unit=kind.unit)  # fmt: skip
         return
     groups: dict[tuple[float, float], list[str]] = {}
     for joint in joints:
@@ -186,21 +194,18 @@ def _grouped(
         groups.setdefault((round(signs * a, 9), round(signs * b, 9)), []).append(joint)
     for (a, b), members in groups.items():
         slip, unit = _slip(quantity, a, b)
-        severity = kind.severity
         # What asks for less than the model allows may be meant.
-        if quantity in _LIMITS and _inside(quantity, first, other, members):
-            severity = Severity.NOTE
-        if quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b)):
-            severity = Severity.NOTE
-        told = diagnose("contract-differs", subject=("joint", members[0]), what=Term(quantity),
-                        others=tuple(members[1:]),
-                        one=Quantity(one[members[0]].value or 0.0, kind.unit),
-                        two=Quantity(two[members[0]].value or 0.0, kind.unit),
-                        first=first.source.name, second=other.source.name,
+        meant = quantity in _LIMITS and _inside(quantity, first, other, members)
+        near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b))
+        head = members[0]
+        told = diagnose("contract-differs", subject=("joint", head), what=Term(quantity),
+                        others=tuple(members[1:]), one=Quantity(one[head].value or 0.0, kind.unit),
+                        two=Quantity(two[head].value or 0.0, kind.unit), **names,
                         sign=slip == "sign" or None, unit=unit or None,
                         side=_side(members, one, two) or None)  # fmt: skip
-        yield _finding(quantity, slip, kind, first, other, members, told, severity,
-                       tuple(_effects(quantity, a, b)))  # fmt: skip
+        yield _finding(quantity, told, sides(head), None if meant or near else kind.severity,
+                       joints=members, slip=slip, unit=kind.unit,
+                       effects=tuple(_effects(quantity, a, b)))  # fmt: skip
 
 
 def _side(joints: Sequence[str], one: dict[str, Statement], two: dict[str, Statement]) -> str:
@@ -274,7 +279,9 @@ def _slip(quantity: str, a: float, b: float) -> tuple[str, str]:
 
 def _effects(quantity: str, a: float, b: float) -> Iterator[Diagnostic]:
     """Yields what a difference does, as far as the numbers alone tell."""
-    if not a or not math.isfinite(a) or not math.isfinite(b):
+    if quantity in _ANGLES:
+        yield diagnose("contract-effect-angle", angle=Quantity(abs(b - a), "rad"))
+    if quantity in _ANGLES or not a or not math.isfinite(a) or not math.isfinite(b):
         return
     share = Quantity(b / a, "1")
     if quantity == "action scale":
@@ -285,26 +292,29 @@ def _effects(quantity: str, a: float, b: float) -> Iterator[Diagnostic]:
         yield diagnose("contract-effect-kd", share=share)
     elif quantity in ("effort", "velocity"):
         yield diagnose("contract-effect-limit", share=share, what=Term(quantity))
-    elif quantity in _ANGLES:
-        yield diagnose("contract-effect-angle", angle=Quantity(abs(b - a), "rad"))
+
+
+Side = tuple[Placed, Statement]
+"""A source, and what it states."""
 
 
 def _finding(
-    kind_of: str,
-    slip: str,
-    kind: Kind,
-    first: Placed,
-    other: Placed,
-    joints: Sequence[str],
+    kind: str,
     told: Diagnostic,
-    severity: Severity | None = None,
+    sides: tuple[Side, Side],
+    severity: Severity | None = Severity.ERROR,
+    *,
+    joints: Sequence[str] = (),
+    slip: str = "",
+    unit: str = "",
     effects: tuple[Diagnostic, ...] = (),
 ) -> Disagreement:
-    said = [one.facts[kind_of, joints[0]] for one in (first, other)]
-    return Disagreement(kind_of, slip, tuple(joints), (first.source.name, other.source.name),
-                   tuple(one.value for one in said), kind.unit,
-                   severity or kind.severity or Severity.NOTE, told,
-                   tuple(one.place.path for one in said), effects)  # fmt: skip
+    """Returns the finding that two sides differ."""
+    names, values, places = zip(
+        *((one.source.name, said.value, said.place.path) for one, said in sides), strict=True
+    )
+    return Disagreement(kind, slip, tuple(joints), names, values, unit, severity or Severity.NOTE,
+                        told, places, effects)  # fmt: skip
 
 
 def _mirrored(
@@ -326,10 +336,8 @@ def _mirrored(
                             mirror=other, one=Quantity(one.value, kind.unit),
                             two=Quantity(two.value, kind.unit), file=source.source.name,
                             wanted=Quantity(sign * one.value, kind.unit))  # fmt: skip
-            name = source.source.name
-            yield Disagreement(quantity, "mirror", (joint, other), (name, name),
-                          (one.value, two.value), kind.unit, Severity.WARNING, told,
-                          (one.place.path, two.place.path))  # fmt: skip
+            yield _finding(quantity, told, ((source, one), (source, two)), Severity.WARNING,
+                           joints=(joint, other), slip="mirror", unit=kind.unit)  # fmt: skip
 
 
 def _orders(placed: Sequence[Placed]) -> Iterator[Disagreement]:
@@ -346,12 +354,10 @@ def _orders(placed: Sequence[Placed]) -> Iterator[Disagreement]:
         told = diagnose("contract-order", first=first.source.name, second=other.source.name,
                         count=len(moved), moved=words[:6],
                         more=max(0, len(words) - 6) or None)  # fmt: skip
-        places = [one.source.order_place for one in (first, other)]
-        paths = [str(one.source.path) if place is None else place.path
-                 for one, place in zip((first, other), places, strict=True)]  # fmt: skip
-        yield Disagreement("order", "order", tuple(joint for _, _, joint in moved),
-                      (first.source.name, other.source.name), (None, None), "", Severity.ERROR,
-                      told, tuple(paths))  # fmt: skip
+        here, there = (Statement("order", None, one.source.order_place or Place(one.source.path))
+                       for one in (first, other))  # fmt: skip
+        yield _finding("order", told, ((first, here), (other, there)), slip="order",
+                       joints=[joint for _, _, joint in moved])  # fmt: skip
 
 
 def _settings(placed: Sequence[Placed]) -> Iterator[Disagreement]:
@@ -365,11 +371,9 @@ def _settings(placed: Sequence[Placed]) -> Iterator[Disagreement]:
                 continue
             a, b = Quantity(one.value, kind.unit), Quantity(two.value, kind.unit)
             told = diagnose("contract-setting", what=_term(word), one=a, two=b,
-                            first=stating[0].source.name,
-                            second=other.source.name)  # fmt: skip
-            yield Disagreement(word, "", (), (stating[0].source.name, other.source.name),
-                          (one.value, two.value), kind.unit, kind.severity or Severity.NOTE, told,
-                          (one.place.path, two.place.path))  # fmt: skip
+                            first=stating[0].source.name, second=other.source.name)  # fmt: skip
+            yield _finding(word, told, ((stating[0], one), (other, two)), kind.severity,
+                           unit=kind.unit)  # fmt: skip
 
 
 def _term(word: str) -> Term | str:
@@ -387,27 +391,23 @@ def _observations(placed: Sequence[Placed]) -> Iterator[Disagreement]:
     """Yields where two sources observe the same things in another order, or otherwise scaled."""
     stating = [one for one in placed if one.source.observations]
     for first, other in ((stating[0], one) for one in stating[1:]):
-        one, two = ([_CALLED.get(name, name) for name, _, _ in each.source.observations]
+        one, two = ({_CALLED.get(name, name): Statement("observations", scale, place)
+                     for name, scale, place in each.source.observations}
                     for each in (first, other))  # fmt: skip
-        sides = (first.source, other.source)
-        places = tuple(each.observations[0][2].path for each in sides)
-        names = (first.source.name, other.source.name)
-        common = set(one) & set(two)
-        kept = [[name for name in each if name in common] for each in (one, two)]
-        if kept[0] != kept[1]:
-            told = diagnose("contract-observed-order", first=names[0], second=names[1],
-                            one=tuple(kept[0]), two=tuple(kept[1]))  # fmt: skip
-            yield Disagreement("observations", "order", (), names, (None, None), "", Severity.ERROR,
-                          told, places)  # fmt: skip
-        scales = [{_CALLED.get(name, name): (scale, place)
-                   for name, scale, place in each.observations} for each in sides]  # fmt: skip
-        for name in kept[0]:
-            (a, here), (b, there) = scales[0][name], scales[1][name]
+        names: dict[str, Any] = {"first": first.source.name, "second": other.source.name}
+        here, there = ([name for name in each if name in one and name in two]
+                       for each in (one, two))  # fmt: skip
+        if here != there:
+            told = diagnose("contract-observed-order", one=tuple(here), two=tuple(there), **names)
+            heads = (replace(next(iter(each.values())), value=None) for each in (one, two))
+            yield _finding("observations", told, tuple(zip((first, other), heads, strict=True)),  # type: ignore[arg-type]
+                           slip="order")  # fmt: skip
+        for name in here:
+            a, b = one[name].value, two[name].value
             if a is not None and b is not None and abs(a - b) > 1e-6 * max(abs(a), abs(b)):
-                told = diagnose("contract-observed-scale", what=name, one=a, two=b,
-                                first=names[0], second=names[1])  # fmt: skip
-                yield Disagreement("observations", "", (), names, (a, b), "1", Severity.ERROR, told,
-                              (here.path, there.path))  # fmt: skip
+                told = diagnose("contract-observed-scale", what=name, one=a, two=b, **names)
+                yield _finding("observations", told, ((first, one[name]), (other, two[name])),
+                               unit="1")  # fmt: skip
 
 
 def pose_effects(

@@ -464,20 +464,19 @@ class Evaluator:
     def _of_binop(self, one: ast.BinOp, scope: Scope) -> Any:
         left, right = (self.value(each, scope).value for each in (one.left, one.right))
         work = _BINARY.get(type(one.op))
-        if isinstance(left, list) and isinstance(one.op, ast.Mult) and isinstance(right, int):
-            return left * right if 0 <= right * len(left) <= MOST else None
-        if isinstance(left, list) and isinstance(right, list) and isinstance(one.op, ast.Add):
-            return left + right
-        if isinstance(left, str) and isinstance(right, str) and isinstance(one.op, ast.Add):
-            return left + right if len(left) + len(right) < MOST else None
-        if work is None or not (_number(left) and _number(right)):
+        joined = isinstance(one.op, ast.Add) and type(left) is type(right) and _sized(left)
+        repeated = isinstance(one.op, ast.Mult) and isinstance(left, list) and _number(right)
+        size = len(left) + len(right) if joined else len(left) * right if repeated else 0
+        if size > MOST:
+            return None
+        if work is None or not (joined or repeated or (_number(left) and _number(right))):
             return None
         try:
             # As floats where whole numbers could grow without bound.
-            made = work(float(left), right) if isinstance(one.op, ast.Pow) else work(left, right)
-        except (ArithmeticError, ValueError):
+            made = work(float(left) if isinstance(one.op, ast.Pow) else left, right)
+            return made if _number(made) or _sized(made) else None  # and no complex number
+        except (ArithmeticError, ValueError, TypeError):
             return None
-        return made if _number(made) else None
 
     def _of_unaryop(self, one: ast.UnaryOp, scope: Scope) -> Any:
         held = self.value(one.operand, scope)
@@ -767,3 +766,7 @@ def _default(evaluator: Evaluator, node: Node) -> Node:
 
 def _number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _sized(value: Any) -> bool:
+    return isinstance(value, list | str)

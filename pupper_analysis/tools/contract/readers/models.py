@@ -140,4 +140,5 @@ def match_names(
     names = {old: new for new, old in match.urdf_joint.items() if old != new}
     told = [diagnose("contract-matched", pairs=[f"{old} = {new}" for old, new in names.items()][:6],
                      count=len(names))] if names else []  # fmt: skip
+    told += [one for one in match.notes if one.code == "joint-matches-several"]
     return {**names, **given}, told
