@@ -11,7 +11,8 @@ project's own suite. One is noticed if a checker has an error or a warning that 
 file as published, and found if such a one names a link or joint that was edited, or the joint or
 link next to it that moves with it; a checker that runs out of time or ends in a traceback has not
 noticed it. What is reported of the files as published is counted beside it. A robot's results are
-kept in `--folder`; what is there is not run again.
+kept in `--folder`; what is there is not run again, and with `--kept` nothing else is: a checker
+that was not run on all files of a robot has no row of it.
 """
 
 from __future__ import annotations
@@ -153,9 +154,14 @@ CHECKERS: dict[str, Callable[[Path, Path, Path], Said]] = {
 }
 
 
+def answer_of(checker: str, path: Path, kept: Path) -> Path:
+    """Returns where it is kept what a checker says of a file."""
+    return kept / f"{path.stem} {checker}.json"
+
+
 def said(checker: str, path: Path, share: Path, bins: Path, kept: Path) -> Said | None:
     """What a checker says of a file; None if it does not come to an end."""
-    file = kept / f"{path.stem} {checker}.json"
+    file = answer_of(checker, path, kept)
     if not file.exists():
         try:
             found: Said | None = CHECKERS[checker](path, share, bins)
@@ -168,18 +174,28 @@ def said(checker: str, path: Path, share: Path, bins: Path, kept: Path) -> Said 
 
 
 def edited(source: Path, slipped: Path) -> set[str]:
-    """Returns the links and joints that were edited, with each link's joint and joint's link."""
+    """Returns the links and joints of which a number is another, with their joint or link."""
     before, after = (UrdfTree.of(path.read_text(encoding="utf-8")) for path in (source, slipped))
     found = set()
     for name, joint in after.joints.items():
-        elements = joint.element, after.links[joint.child].element
-        olds = before.joints[name].element, before.links[joint.child].element
-        if any(
-            etree.tostring(one) != etree.tostring(old)
-            for one, old in zip(elements, olds, strict=True)
-        ):
+        of = [
+            (tree.joints[name].element, tree.links[joint.child].element) for tree in (before, after)
+        ]
+        if any(_stated(old) != _stated(new) for old, new in zip(*of, strict=True)):
             found |= {name, joint.child}
     return found
+
+
+def _stated(element: etree._Element) -> list[tuple[str, list[str | float]]]:
+    """Returns what an element and those in it state, with numbers for what is one."""
+    return [
+        (word, [float(each) if _NUMBER.fullmatch(each) else each for each in text.split()])
+        for one in element.iter(etree.Element)
+        for word, text in one.attrib.items()
+    ]
+
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 
 
 COLUMNS = (
@@ -193,9 +209,15 @@ COLUMNS = (
 @click.option("--others", type=click.Path(path_type=Path, exists=True), help="Their bin folder.")
 @click.option("--only", multiple=True, type=click.Choice([*ROBOTS]), help="Repeatable.")
 @click.option("--folder", type=click.Path(path_type=Path), default=Path("build/checkers"))
+@click.option("--kept", "kept_alone", is_flag=True, help="Run nothing; count what is kept.")
 @click.option("--csv", "to", type=click.Path(path_type=Path), help="Write the counts here.")
 def main(
-    robots: Path, others: Path | None, only: tuple[str, ...], folder: Path, to: Path | None
+    robots: Path,
+    others: Path | None,
+    only: tuple[str, ...],
+    folder: Path,
+    kept_alone: bool,
+    to: Path | None,
 ) -> None:
     """Counts what checkers find of the same slips in the same files."""
     share = (robots / DATA).parent.resolve()
@@ -211,24 +233,36 @@ def main(
         sound = kept / f"{name}.urdf"
         sound.write_bytes(source.read_bytes())
         for checker in CHECKERS if others else ("pupper-analysis",):
+            files = [
+                sound,
+                *(kept / f"{name} {one} {legs}.urdf" for legs in (1, 4) for one in SLIPS),
+            ]
+            if kept_alone and not all(answer_of(checker, file, kept).exists() for file in files):
+                click.echo(f"{checker}: {name}: not run on all files", err=True)
+                continue
             found, noticed, ended = Counter[int](), Counter[int](), Counter[bool]()
+            tried = 0
             bins = (others or Path()).absolute()
             before = said(checker, sound, share, bins, kept)
             ended[before is not None] += 1
             for number in (1, 4):
                 for slip in SLIPS:
                     path = written(source, slip, kept / f"{name} {slip} {number}.urdf", number)
+                    places = edited(source, path)
+                    if not places:  # limits of +-10 rad have no other sign
+                        continue
+                    tried += number == 4
                     after = said(checker, path, share, bins, kept)
                     ended[after is not None] += 1
                     if after is None or before is None:
                         continue
-                    new, places = " ".join(after - before), edited(source, path)
+                    new = " ".join(after - before)
                     noticed[number] += bool(new)
                     found[number] += any(
                         re.search(rf"(?<!\w){re.escape(place)}(?!\w)", new) for place in places
                     )
             plain = "-" if before is None else before.total()
-            each = (found[1], found[4], noticed[1], noticed[4], len(SLIPS), plain, ended[False])
+            each = (found[1], found[4], noticed[1], noticed[4], tried, plain, ended[False])
             rows.append((name, checker, *each))
             click.echo(" | ".join(map(str, rows[-1])), err=True)
     for row in [COLUMNS, *rows]:
