@@ -85,6 +85,17 @@ def test_what_says_which_motor_each_joint_is_may_have_any_order(sources: dict[st
     assert moved == set(JOINTS[:6]) - {JOINTS[1], JOINTS[4]}
 
 
+@pytest.mark.parametrize("given", [".inf", "-1", "0.5", "0", "x"])
+def test_numbers_of_motors_that_are_none_are_not_read(sources: dict[str, Path], given: str) -> None:
+    path = sources["deploy.yaml"]
+    text = path.read_text()
+    numbers = listed(range(12))
+    assert numbers in text
+    path.write_text(text.replace(numbers, listed([*range(11), given])))
+    notes = [one.code for one in contract(path).notes]
+    assert "contract-motors-unread" in notes
+
+
 def test_files_of_one_name_are_told_apart(sources: dict[str, Path]) -> None:
     real = sources["deploy.yaml"].parent / "real" / "deploy.yaml"
     real.parent.mkdir()

@@ -14,7 +14,7 @@ from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MOST_FILE, read_input
 from pupper_analysis.models.places import source_name
 from pupper_analysis.tools.contract.facts import Request, Role, Source, Statement
-from pupper_analysis.tools.contract.readers.tables import of_table, read_documents
+from pupper_analysis.tools.contract.readers.tables import is_network, of_table, read_documents
 
 SUFFIXES = (".json",)
 
@@ -62,10 +62,11 @@ def _last(sizes: Any) -> int:
 def read(request: Request) -> Iterator[Source]:
     """Yields what a policy states beside its layers."""
     for document in read_documents(request):
-        layers = document.get("layers")
-        if layers is not None:
+        if is_network(document):
             file = read_rtneural(request.path)
             sizes = (("actions", file.outputs), ("observed numbers", file.inputs))
-            more = tuple(Statement(what, float(size), layers.place) for what, size in sizes if size)
+            more = tuple(
+                Statement(what, float(size), document.place) for what, size in sizes if size
+            )
             for one in of_table(request, request.path.name, document, Role.POLICY):
                 yield replace(one, statements=(*one.statements, *more))

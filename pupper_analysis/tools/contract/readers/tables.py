@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import read_text
 from pupper_analysis.models.places import Place, source_name
@@ -90,7 +91,7 @@ def _of_document(request: Request, document: Node) -> Iterator[Source]:
         return
     if document.get("joint_limits") is not None:
         yield from _of_limits(request, document)
-    elif document.get("layers") is None:  # else it is a policy's: readers/rtneural.py
+    elif not is_network(document):  # else it is a policy's: readers/rtneural.py
         yield from of_table(request, name, document, Role.DEPLOYMENT)
         # rl_sar and its kin: a robot's name, then its table.
         for key, node in document.value.items():
@@ -106,8 +107,9 @@ def of_table(
     named = next((found for word in _NAMES if (found := table.get(word))), None)
     order = () if named is None else named.texts
     motors = next((found for word in _MOTORS if (found := table.get(word))), None)
-    indices = [] if motors is None else [one.number for one in motors.items]
-    statements = list(_listed(table, order, [int(one) for one in indices if one is not None]))
+    indices = _numbers(motors)
+    unread = [diagnose("contract-motors-unread", file=name)] if motors and not indices else []
+    statements = list(_listed(table, order, indices))
     for action in _below(table.get("actions")):
         statements += _flat("action scale", action.get("scale"))
         statements += _flat("action offset", action.get("offset"))
@@ -138,9 +140,23 @@ def of_table(
         tuple(statements),
         order=order if all(order) else (),
         order_place=None if named is None else named.place,
-        motors=tuple(int(one) for one in indices if one is not None),
+        motors=tuple(indices),
         observations=tuple(_observed(table.get("observations"))),
+        notes=tuple(unread),
     )
+
+
+def _numbers(motors: Node | None) -> list[int]:
+    """Returns the numbers of motors, each another one from 0 on; none if they are not."""
+    numbers = [] if motors is None else [one.number for one in motors.items]
+    whole = [int(one) for one in numbers if one is not None and one.is_integer() and one >= 0]
+    return whole if len(set(whole)) == len(numbers) else []
+
+
+def is_network(document: Node) -> bool:
+    """Whether a table is a policy's: one with a list of layers."""
+    layers = document.get("layers")
+    return layers is not None and isinstance(layers.value, list)
 
 
 def _listed(table: Node, order: tuple[str, ...], motors: list[int]) -> Iterator[Statement]:
