@@ -137,7 +137,11 @@ def _compare_page(found: Agreement, page: Page, stance: dict[str, Any]) -> None:
     asked = [
         ("torque", _column(tables["Motor torques"], "torque"), statics["joint_torques"]),
         ("simulated", _column(tables["Motor torques"], "simulated"), run["joint_torques"]),
-        ("position", _column(tables["Motor torques"], "position"), stance["joint_positions"]),
+        (
+            "position",
+            _column(tables["Motor torques"], "position"),
+            np.degrees(stance["joint_positions"]).tolist(),
+        ),
         ("height", [whole["height of the base"]], [1e3 * stance["stand"]["task"]["height"]]),
         ("com", [whole["com margin"]], [1e3 * stance["stand"]["com_margin"]]),
     ]

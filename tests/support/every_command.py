@@ -201,7 +201,7 @@ def _command(name: str, *options: str, before: tuple[str, ...] = (), alone: bool
 
     def ask(urdf: Path, mjcf: Path, folder: Path) -> Cell:
         files = (str(mjcf),) if alone else (str(urdf), str(mjcf))
-        return _cell(*answer(name, *before, *files, *options, folder=folder))
+        return _cell(*answer(name, *before, *files, *options, "-v", folder=folder))
 
     return ask
 
@@ -258,7 +258,7 @@ def _convert(_: Path, mjcf: Path, folder: Path) -> Cell:
     done = answer("convert", str(mjcf), "-o", str(made), folder=folder)
     if not made.is_file():
         return _cell(*done)
-    cell = _cell(*answer("stand", str(made), str(mjcf), folder=folder))
+    cell = _cell(*answer("stand", str(made), str(mjcf), "-v", folder=folder))
     return replace(cell, word=f"{done.stdout.split()[0]}, {cell.word}")
 
 
@@ -272,7 +272,7 @@ def _written(_: Path, mjcf: Path, folder: Path) -> Cell:
     cell = _cell(*done)
     if not made.is_file():
         return cell
-    stood = _cell(*answer("stand", str(made), folder=folder))
+    stood = _cell(*answer("stand", str(made), "-v", folder=folder))
     return replace(
         stood,
         passed=cell.passed or stood.passed,

@@ -49,7 +49,8 @@ BEYOND = 1.05
 """The part of the limit with which it is simulated to see what then fails."""
 
 FINE = 0.02
-"""To what part a mass is found that holds in simulation, where that of the equilibrium does not."""
+"""To what part of itself a mass is found that holds in simulation, where that of the equilibrium
+does not; to its square of the equilibrium's, below which it is as good as none."""
 
 EXACT, NEAR = 1e-6, 1e-3
 """To what part of itself a bound of motors or of the stance is found that binds, rounded down, and
@@ -269,13 +270,18 @@ def _simulated(
         return Bound(math.inf, Failure.NOTHING, ())
     if not judged(0.0).passed:
         return Bound(0.0, Failure.UNLOADED, ())
-    return _bisect(trouble, 0.0, most, found, FINE * most)
+    return _bisect(trouble, 0.0, most, found, FINE**2 * most, FINE)
 
 
 def _bisect(
-    trouble: Callable[[float], Trouble], low: float, high: float, found: Trouble, least: float
+    trouble: Callable[[float], Trouble],
+    low: float,
+    high: float,
+    found: Trouble,
+    least: float,
+    part: float = 0.0,
 ) -> Bound:
-    """Returns the greatest mass without trouble, to ``least`` (kg), and what is above.
+    """Returns the greatest mass without trouble, to ``least`` (kg) or a part, and what is above.
 
     Args:
         trouble: Of a mass (kg).
@@ -283,9 +289,10 @@ def _bisect(
         high: A mass with trouble.
         found: That trouble.
         least: How near is near enough (kg).
+        part: Or in parts of what is found, if that is more.
     """
     assert found is not None
-    while high - low > least:
+    while high - low > max(least, part * low):
         middle = (low + high) / 2
         if (other := trouble(middle)) is None:
             low = middle

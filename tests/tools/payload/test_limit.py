@@ -340,3 +340,19 @@ def test_robots_that_were_loaded_are_let_go(monkeypatch: pytest.MonkeyPatch) -> 
     payload_limit(load("v3"), None, ON_TOP)
     assert len(made) > 20
     assert max(alive) <= 4  # not the thirty that were made
+
+
+def test_what_simulation_bounds_is_found_to_a_part_of_itself() -> None:
+    """And not of the equilibrium's: of 13.2 kg, 1.03 were stated where 1.13 hold."""
+
+    def held(mass: float) -> SimpleNamespace:
+        return SimpleNamespace(passed=mass < 1.1, failure=None)
+
+    bound = payload._simulated(13.2, held, held)  # type: ignore[arg-type]
+    most = 1.1 / TRIED
+    assert most / (1 + FINE) <= bound.mass <= most
+
+    def none(mass: float) -> SimpleNamespace:
+        return SimpleNamespace(passed=mass == 0, failure=None)
+
+    assert payload._simulated(13.2, none, none).mass == 0  # type: ignore[arg-type]
