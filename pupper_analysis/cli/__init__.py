@@ -199,7 +199,7 @@ COMMANDS = tuple(own_tools())
     help="Print no colors, as with the environment variable NO_COLOR.",
 )
 @click.option(
-    DEBUG, is_flag=True, expose_value=False, help="Of an unforeseen error, show the traceback."
+    DEBUG, is_flag=True, expose_value=False, help="Show the traceback of unexpected errors."
 )
 def group() -> None:
     """Know that a robot's models are right, what its motors hold and how it can stand.

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
     """Derives the URDF of a variant from that of its base model.
 
-    What is scaled, and how, is told in ``mjcf.derive``; this is the other, independent route.
+    What is scaled, and how, is documented at ``derive_mjcf``; this is the other, independent route.
 
     Args:
         text: The base URDF.

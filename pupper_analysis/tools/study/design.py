@@ -1,6 +1,6 @@
 """One design: its numbers, the robot and stand that they make, and what is measured of it.
 
-Diagnostics as plain data, and back: what is told today can be said tomorrow, in any language.
+Diagnostics as plain data, and back: what is reported today can be said tomorrow, in any language.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The document of a study: what failed, what is worth building, what matters, how sure it is."""
+"""The document of a study: what failed, the Pareto front, what matters, how sure it is."""
 
 from __future__ import annotations
 

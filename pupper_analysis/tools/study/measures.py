@@ -56,7 +56,7 @@ class Design:
 
     @cached_property
     def _sought(self) -> SteadyState | PupperAnalysisError:
-        """The equilibrium, or why there is none: what is in vain is looked for once, too."""
+        """The equilibrium, or why there is none; also a search that fails is run once."""
         try:
             return steady_state(self.robot, self.stand)
         except PupperAnalysisError as error:

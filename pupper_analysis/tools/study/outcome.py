@@ -1,4 +1,4 @@
-"""What came of a study, put together to be shown: failures, fronts, shares, how sure it is.
+"""The results of a study, to be shown: failures, fronts, shares, how sure it is.
 
 How sure is a stand of numbers that are not exact?
 """
@@ -191,7 +191,7 @@ class MetricSummary(Result):
 
 @dataclass(frozen=True, eq=False)
 class StudyOutcome(Result):
-    """What came of a study.
+    """The results of a study.
 
     Attributes:
         robot: Whose it is, as it was asked.
@@ -235,7 +235,7 @@ def study_outcome(
     maximise: Sequence[str] = (),
     sobol: Mapping[str, SobolIndices] | None = None,
 ) -> StudyOutcome:
-    """Puts together what came of a study; nothing is run.
+    """Collects the results of a study; nothing is run.
 
     Args:
         study: The study.

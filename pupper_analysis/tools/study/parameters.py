@@ -64,7 +64,7 @@ SERVOS = ("kp", "kd")
 
 @dataclass(frozen=True)
 class Named:
-    """A factor's name, taken apart.
+    """A factor's name, parsed.
 
     Attributes:
         kind: One of ``KINDS``.

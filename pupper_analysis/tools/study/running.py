@@ -86,7 +86,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class ChunkOutcome:
-    """What came of a chunk.
+    """The results of a chunk.
 
     Attributes:
         rows: One per design.
