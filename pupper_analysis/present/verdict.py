@@ -107,9 +107,12 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
 
 
 def lines_to_read(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
-    """Returns a verdict's lines: what is against it or was assumed for it, and all the others."""
+    """Returns a verdict's lines: what is against it, assumed or asked for, and the others."""
     clauses, lines = verdict_clauses(verdict), verdict_lines(verdict)
-    quiet = [one.good and one.told.group is not Group.ASSUMED for one in clauses]
+    quiet = [
+        one.good and one.told.group is not Group.ASSUMED and one.told.code != "servos-given"
+        for one in clauses
+    ]
     first = tuple(line for line, less in zip(lines, quiet, strict=True) if not less)
     return first, tuple(line for line, less in zip(lines, quiet, strict=True) if less)
 

@@ -58,11 +58,13 @@ class BaseWorkspace(Result):
     """How far the base can go from a stand, in each direction alone, with the feet planted.
 
     Attributes:
+        name: The robot's name.
         start: The stand where the search began.
         intervals: {``height`` (m, absolute), ``roll``, ``pitch``, ``yaw`` (rad, absolute), ``x``,
             ``y`` (m, of the base from the centre of the feet)}.
     """
 
+    name: str
     start: Stand
     intervals: dict[str, Interval]
 
@@ -105,7 +107,7 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     """
     start = solve_stand(robot, task)
     intervals = {direction: find_interval(robot, start, direction) for direction in DIRECTIONS}
-    return BaseWorkspace(start=start, intervals=intervals)
+    return BaseWorkspace(name=robot.name, start=start, intervals=intervals)
 
 
 def find_interval(

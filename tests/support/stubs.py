@@ -369,7 +369,7 @@ def workspace() -> Any:
         "roll": Stub(low=math.radians(-13.3), high=math.radians(14.4)),
         "x": Stub(low=-0.0255, high=0.0366),
     }
-    return Stub(start=STAND, intervals=intervals)
+    return Stub(name="stub", start=STAND, intervals=intervals)
 
 
 def files() -> Any:

@@ -35,7 +35,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
     )
     return doc.Document(
         text("workspace"),
-        doc.Name("" if robot is None else robot.name),
+        doc.Name(workspace.name),
         (table, view_block(robot, workspace.start, None)),
         told=(
             task_text(workspace.start.task),

@@ -65,7 +65,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
 def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
     """Says that the two models are not of one robot, if by the MJCF the stand is out of balance."""
     if run.mujoco_residual > DISAGREEMENT:
-        yield text("the-two-models-disagree", residual=f"{run.mujoco_residual:.1e}").marked("warn")
+        yield text("the-two-models-disagree", residual=f"{run.mujoco_residual:.2g}").marked("warn")
 
 
 def _answer(stance: Stance) -> Iterable[doc.Words]:
