@@ -412,6 +412,19 @@ class StandScene:
 
 
 @dataclass(frozen=True, eq=False)
+class MotionScene:
+    """A robot that moves, on level ground at height 0.
+
+    Attributes:
+        robot: The robot.
+        motions: What can be stepped through; the first is how it begins.
+    """
+
+    robot: Robot
+    motions: Sequence[Motion]
+
+
+@dataclass(frozen=True, eq=False)
 class OverlayScene:
     """Two files of a robot over each other, with what differs marked.
 
@@ -435,7 +448,7 @@ class View:
 
     kind: ClassVar[str] = "view"
     title: Words
-    scene: StandScene | OverlayScene | None
+    scene: StandScene | MotionScene | OverlayScene | None
     note: Words | None = None
     detail: bool = False
 

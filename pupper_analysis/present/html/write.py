@@ -63,15 +63,17 @@ from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.present.document import Motion, OverlayScene, StandScene
+from pupper_analysis.present.document import Motion, MotionScene, OverlayScene, StandScene
 from pupper_analysis.present.scene import (
     JointAxis,
     Mesh,
     describe_scene,
+    joint_axes,
     shapes_of,
     shown_geoms,
 )
 from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_summaries
 
 Array = NDArray[np.float64]
@@ -141,6 +143,34 @@ def _stand(scene: StandScene) -> dict[str, Any]:
         "radius": float(np.linalg.norm(high - low) / 2),
         "layers": layers,
         "size": float(np.ptp(seen.points, axis=0).max() + stand.qpos[2]),
+    }
+
+
+@scene_of.register
+def _motion(scene: MotionScene) -> dict[str, Any]:
+    """Returns a robot as it begins, on the ground's plane."""
+    robot, qpos = scene.robot, scene.motions[0].qpos[0]
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    low, high = extent_of(robot.mj_model, data)
+    geoms, meshes = geoms_of(robot.mj_model)
+    motions = {one.name: one.motion for one in joint_summaries(robot)}
+    axes = joint_axes(Configuration(robot, qpos), qpos[-robot.nu :], None)
+    radius = float(np.linalg.norm(high - low) / 2)
+    return {
+        "bodies": bodies_of(robot.mj_model),
+        "geoms": geoms,
+        "meshes": meshes,
+        "motions": [_frames(robot, data, motion) for motion in scene.motions],
+        "joints": [_joint(one, motions[one.name]) for one in axes],
+        **{"contacts": [], "polygon": [], "steps": [], "com": None, "below": None},
+        "ground": short_numbers(np.array([*qpos[:2], 0.0])),
+        "normal": [0.0, 0.0, 1.0],
+        "middle": short_numbers((low + high) / 2),
+        "radius": radius,
+        "size": 1.3 * radius,
+        "layers": ["shapes", "axes", "masses"],
     }
 
 

@@ -27,13 +27,28 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
     return doc.Document(
         text("walk-title"),
         text("walk-of", robot=doc.Name(walk.name), policy=doc.Name(walk.policy)),
-        (_motors(walk), _runs(walk), _feet(walk), torque_plot(walk)),
+        (_view(walk, robot), _motors(walk), _runs(walk), _feet(walk), torque_plot(walk)),
         passed=walk.passed,
         verdict=text(word),
         failures=tuple(doc.tell(gait.fall) for gait in fallen[:1] if gait.fall is not None),
         told=tuple(_told(walk)),
         notes=robot_notes(robot),
     )
+
+
+_SEEN = 75
+"""Configurations of the end of a run that are shown: 3 s, as many as a page has of a motion."""
+
+
+def _view(walk: Walk, robot: Robot | None) -> doc.View:
+    """Returns the first run's last seconds in three dimensions, the base kept where it is."""
+    gait, motions = walk.gaits[0], []
+    for name, kept in (("walk-begins", slice(0, 1)), ("walk-end-of-run", slice(-_SEEN, None))):
+        qpos = gait.motion[kept].copy()
+        qpos[:, :2] = 0.0
+        motions.append(doc.Motion(text(name), gait.motion_time[kept], qpos))
+    scene = None if robot is None else doc.MotionScene(robot, motions)
+    return doc.View(text("walk-view"), scene, text("walk-view-note"))
 
 
 def _told(walk: Walk) -> Iterable[doc.Words]:

@@ -23,7 +23,11 @@ def test_walk_stands(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert "WALKS v3 by still.json" in out
     gait = json.loads(path.read_text())["gaits"][0]
     assert f"{max(gait['torque_rms']):.2f}" in out
-    assert "leg_back_r_3" in page.read_text(encoding="utf-8")
+    shown = page.read_text(encoding="utf-8")
+    assert "leg_back_r_3" in shown
+    assert shown.count('class="scene"') == 1  # the run in three dimensions
+    scene = json.loads(shown.partition('class="scene">')[2].partition("</script>")[0])
+    assert len(scene["motions"][1]["time"]) == 75  # 3 s at 25 Hz
 
 
 def test_how_far_it_may_change_and_whose_it_is(
@@ -94,9 +98,9 @@ def test_a_robot_without_servos_or_joints_of_the_policy_is_a_line(
     bare.write_text(json.dumps(without))
     (tmp_path / "motors").mkdir()
     made_of = legged.quadruped(tmp_path / "motors", floor=True, actuators="motor")
-    check_refusal(
-        capfd, folder, ("walk", str(made_of.mjcf), "--policy", str(bare)), "states no kp and kd"
-    )
+    status, _, err = run_command(capfd, "walk", str(made_of.mjcf), "--policy", str(bare))
+    assert (status, len(err.splitlines())) == (2, 1)
+    assert "states no kp and kd" in err
     named = tmp_path / "named.json"
     named.write_text(json.dumps(values))
     named.with_suffix(".toml").write_text(f"joints = {[f'j{k}' for k in range(12)]}")
