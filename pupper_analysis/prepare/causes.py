@@ -200,11 +200,12 @@ def _numerics(model: mujoco.MjModel) -> Iterator[Candidate]:
         yield Candidate("iterations", (f"{kind}, {model.opt.iterations} iterations",), exact)
 
 
-def _set(field: str, where: Any, value: Any = 0) -> Callable[[mujoco.MjModel], None]:
-    """Returns what gives elements of a model's array another value: by default none."""
+def _set(fields: str, where: Any, value: Any = 0) -> Callable[[mujoco.MjModel], None]:
+    """Returns what gives elements of a model's arrays another value: by default none."""
 
     def switch_off(other: mujoco.MjModel) -> None:
-        attrgetter(field)(other)[where] = value
+        for field in fields.split():
+            attrgetter(field)(other)[where] = value
 
     return switch_off
 
@@ -274,12 +275,8 @@ def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     }
     listed = sum((_names(model, kind, np.flatnonzero(of)) for kind, of in sprung.items()), ())
     if listed:
-
-        def slack(other: mujoco.MjModel) -> None:
-            other.jnt_stiffness[:] = other.tendon_stiffness[:] = 0.0
-            other.jnt_stiffnesspoly[:] = other.tendon_stiffnesspoly[:] = 0.0
-
-        yield Candidate("spring", listed, slack)
+        linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
+        yield Candidate("spring", listed, _set(f"{linear} {higher}", slice(None)))
     joints = [model.joint(name).id for name in robot.joint_names]
     limited = [joint for joint in joints if model.jnt_limited[joint]]
     if limited:
@@ -461,10 +458,7 @@ def _motors(bare: Bare) -> Iterator[Candidate]:
     model = bare.model
     others = other_motors(model)
     if others:
-
-        def silent(other: mujoco.MjModel) -> None:
-            other.actuator_gainprm[others] = other.actuator_biasprm[others] = 0.0
-
+        silent = _set("actuator_gainprm actuator_biasprm", others)
         listed = _names(model, _OBJ.mjOBJ_ACTUATOR, others)
         yield Candidate("motors-elsewhere", listed, silent)
 
@@ -496,10 +490,7 @@ def _passive(bare: Bare, robot: Robot) -> Iterator[Candidate]:
         locked = _set("dof_damping", model.jnt_dofadr[loose], _LOCKED)
         yield Candidate("loose-joints", _names(model, _OBJ.mjOBJ_JOINT, loose), locked)
     if model.nflex:
-
-        def untouched(other: mujoco.MjModel) -> None:
-            other.flex_contype[:] = other.flex_conaffinity[:] = 0
-
+        untouched = _set("flex_contype flex_conaffinity", slice(None))
         listed = _names(model, _OBJ.mjOBJ_FLEX, range(model.nflex))
         yield Candidate("flex", listed, untouched)
 
@@ -520,14 +511,10 @@ def _shapes(bare: Bare, robot: Robot) -> Iterator[Candidate]:
         ("shapes-beside-feet", kept),
         ("obstacles", np.flatnonzero(still & ~plane).tolist()),
     ):
-        if not geoms:
-            continue
-
-        def off(other: mujoco.MjModel, geoms: list[int] = geoms) -> None:
-            other.geom_contype[geoms] = other.geom_conaffinity[geoms] = 0
-
-        bodies = dict.fromkeys(_shape(model, geom) for geom in geoms)
-        yield Candidate(code, tuple(bodies), off)
+        if geoms:
+            bodies = dict.fromkeys(_shape(model, geom) for geom in geoms)
+            off = _set("geom_contype geom_conaffinity", geoms)
+            yield Candidate(code, tuple(bodies), off)
 
 
 def _untouched(bare: Bare, robot: Robot) -> list[int]:
