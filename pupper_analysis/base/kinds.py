@@ -145,7 +145,15 @@ OWN: Final = Kind("model", _any)
 EDITED: Final = Kind("model", _any, edits=True)
 """A file that was read, known for what it is, and is written in place."""
 
-FIT_FOLDER: Final = Folder({"fit.json": RESULTS, "offsets.csv": OFFSETS, "ranges.yaml": RANGES})
+SAMPLES: Final = Kind("table of samples", _begins("# Samples of a fitted robot."))
+FIT_FOLDER: Final = Folder(
+    {
+        "fit.json": RESULTS,
+        "offsets.csv": OFFSETS,
+        "samples.csv": SAMPLES,
+        "ranges.yaml": RANGES,
+    }
+)
 """What ``fit -o`` writes beside models."""
 FIGURES: Final = Folder(
     dict.fromkeys(("torques.png", "heights.png", "gains.png", "variants.png"), PICTURE)

@@ -229,6 +229,8 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
     finding = (
         text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
         _total(fit.total_mass),
+        _com(fit.com),
+        *_kp_factor(fit),
         *_worst(fit.joint_residuals[:1]),
     )
     left: list[doc.Block] = [_residuals(fit), *_joint_residuals(fit.joint_residuals)]
@@ -244,6 +246,22 @@ def _total(mass: Estimate) -> doc.Words:
     if mass.told is Told.DATA:
         return text("total-mass-told", **values)
     return text("total-mass-not-told", **values)
+
+
+def _com(com: Sequence[Estimate]) -> doc.Words:
+    values = {one.component: f"{1e3 * one.mean:.1f}" for one in com}
+    halves = {f"d{one.component}": f"{1e3 * (one.high - one.mean):.1f}" for one in com}
+    stated = ", ".join(f"{1e3 * one.stated:.1f}" for one in com)
+    return text("whole-com", **values, **halves, stated=stated)
+
+
+def _kp_factor(fit: StandFit) -> Iterator[doc.Words]:
+    if (factor := fit.kp_factor) is not None:
+        values = {"mean": f"{factor.mean:.3f}", "half": f"{factor.high - factor.mean:.3f}"}
+        if fit.weight is None:
+            yield text("kp-factor", **values)
+        else:
+            yield text("kp-factor-weighed", **values, weight=f"{fit.weight:.4g}")
 
 
 def _worst(first: Iterable[JointResidual]) -> Iterator[doc.Words]:

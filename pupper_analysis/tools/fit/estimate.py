@@ -218,7 +218,7 @@ def estimate_parameters(
     for steps in range(1, _MOST_STEPS + 1):
         slopes.prepare(x)
         here = _Quadratic(table, linearise(x, x), x, least)
-        if not here.is_finite:
+        if not here.has_minimum:
             break
         whole_step = here.step(0.0)
         promised = here.promise(whole_step)
@@ -227,7 +227,8 @@ def estimate_parameters(
                 return here.posterior(steps)
             slopes.outdated = True
             continue
-        if slopes.spent(made) and promised < _STALLED * here.cost:
+        spent = slopes.spent(made) and promised < _STALLED * here.cost
+        if spent or (steps == _MOST_STEPS and promised < _OPEN):
             return here.posterior(steps, whole_step)
         moved, damping = _move(here, linearise, damping, plain=not slopes.are_at(x))
         at_x = slopes.are_at(x)
@@ -295,9 +296,15 @@ class _Quadratic:
         return found
 
     @property
-    def is_finite(self) -> bool:
-        """Whether it can be minimised."""
-        return bool(np.isfinite(self.whole).all() and np.isfinite(self.downhill).all())
+    def has_minimum(self) -> bool:
+        """Whether it can be minimised: where derivatives overflow it is no longer definite."""
+        if not (np.isfinite(self.whole).all() and np.isfinite(self.downhill).all()):
+            return False
+        try:
+            cho_factor(self.whole)
+        except np.linalg.LinAlgError:
+            return False
+        return True
 
     def step(self, damping: float) -> Array:
         """Returns Levenberg's step (n,) in the priors' widths; what would be below zero ends there.
@@ -380,7 +387,7 @@ def _move(
             if gain >= _LEAST_KEPT * promised - _SETTLED:
                 less = damping / 10 if damping > _LEAST_DAMPING else 0.0
                 return _Moved(tried, gain, gain / promised), less
-            if not bends_left or not there.is_finite:
+            if not bends_left or not there.has_minimum:
                 break
             # What the same derivatives make of what is left there is how the way bends.
             tried = tried + table.width * there.step(0.0)

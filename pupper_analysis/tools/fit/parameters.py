@@ -72,13 +72,18 @@ KINDS: Mapping[str, ParameterKind] = {
         # What a foot that turned on the ground, or rolled, keeps in every stand alike, in parts of
         # the force on it.
         ParameterKind("moment", "m", width=3e-4),
+        # Servos that give nothing for an error below it: that of hobby servos' data sheets.
+        ParameterKind("deadband", "rad", width=math.radians(0.1)),
+        # What a cable carries of the robot, or adds to it, in parts of its weight. Sideways it
+        # would be a slope, which is estimated.
+        ParameterKind("pull", "1", width=0.01),
         # How an IMU is glued to its base.
         ParameterKind("imu", "rad", width=math.radians(1.0)),
     )
 }
 """The kinds, each with what is known before anything is measured, unless a prior says otherwise."""
 
-OF_SURROUNDINGS = ("slope", "softness", "moment", "imu")
+OF_SURROUNDINGS = ("slope", "softness", "moment", "deadband", "pull", "imu")
 """Kinds that are no number of the robot's files."""
 
 
@@ -88,7 +93,7 @@ class Parameter:
 
     Attributes:
         kind: One of ``KINDS``.
-        subject: The link or joint; ``floor`` or ``imu`` of the surroundings.
+        subject: The link or joint; ``floor``, ``imu``, ``servos`` or ``cable`` of the surroundings.
         component: ``x``, ``y`` or ``z``, or ``roll`` or ``pitch``; empty of a scalar.
         stated: The model's value, about which the prior is (in the kind's unit).
         width: The prior's standard deviation (likewise).

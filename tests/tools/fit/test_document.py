@@ -69,6 +69,16 @@ def stand_fit() -> StandFit:
         total_mass=Estimate(
             "mass dog", "mass", "dog", "", "kg", 3.0, 3.5, 0.1, 3.304, 3.696, Told.DATA
         ),
+        com=tuple(
+            Estimate(
+                f"com.{axis} dog", "com", "dog", axis, "m", 0.01, at, 1e-3, at - 2e-3, at + 2e-3, ""
+            )
+            for axis, at in (("x", 0.012), ("y", -0.001), ("z", 0.005))
+        ),
+        kp_factor=Estimate(
+            "kp servos", "kp", "servos", "", "1", 1.0, 0.9, 0.01, 0.88, 0.92, Told.DATA
+        ),
+        weight=3.5,
         residuals={"s1": 0.5, "s2": 1.5},
         joint_residuals=(
             JointResidual("s2", "knee", -0.004, -3.2),

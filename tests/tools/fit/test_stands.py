@@ -9,6 +9,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
@@ -32,10 +33,12 @@ from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, bodi
 from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
 from pupper_analysis.tools.fit.stands.fit import (
     Logarithms,
+    StandFit,
     doubt_surroundings,
     fit_stands,
     parameters_of,
 )
+from pupper_analysis.tools.fit.write import draw_samples
 from pupper_analysis.tools.study.parameters import scale_robot
 
 Array = NDArray[np.float64]
@@ -126,6 +129,8 @@ def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
 
     # Feet that keep a moment, too.
     truth[[at for at, one in enumerate(table) if one.kind == "moment"]] = 1e-3
+    # Servos with a dead band, and a cable that carries.
+    truth[table.place("deadband", "servos")], truth[table.place("pull", "cable")] = 4e-3, 0.03
     own = system._own[0]
 
     def rows(x: Array, moved: Array) -> list[Array]:
@@ -182,6 +187,116 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
     assert np.corrcoef(OFFSETS, [found[f"offset {n}"].mean for n in robot.joint_names])[0, 1] > 0.8
     com = found["com.x base_link"]
     assert com.low < robot.structure.model.inertias[2].lever[0] + 0.012 < com.high
+
+
+def test_the_whole_com_is_that_of_the_planted_robot(
+    robot: Robot, planted: Robot, stands: MeasuredStands
+) -> None:
+    """By Pinocchio's own centre of mass; and its interval by that of robots that are drawn."""
+    fit = fit_stands(robot, stands, weight=planted.total_mass)
+
+    def com(one: Robot) -> Array:
+        model = one.structure.model
+        q = one.structure.convention.unit_q(one.posed(one.nominal))
+        return pin.centerOfMass(model, model.createData(), q) - q[:3]
+
+    found, truth = np.array([one.mean for one in fit.com]), com(planted)
+    np.testing.assert_allclose([one.stated for one in fit.com], com(robot), atol=1e-12)
+    half = np.array([one.high - one.mean for one in fit.com])
+    assert (np.abs(found - truth) < half).all()
+    assert (half[:2] < 3e-3).all()  # where the alternative, a link's own com, is known to 20 mm
+    assert abs(truth[0] - com(robot)[0]) > 2 * half[0]
+    names, drawn = draw_samples(fit.posterior, fit.posterior.mean, 64, seed=3)
+    robots = [
+        com(scale_robot(scaled_to(robot, fit), dict(zip(names, row, strict=True))))
+        for row in drawn.tolist()
+    ]
+    np.testing.assert_allclose(np.std(robots, axis=0), half / 1.96, rtol=0.5)
+    np.testing.assert_allclose(np.mean(robots, axis=0), found, atol=1.5e-3)
+
+
+def scaled_to(robot: Robot, fit: StandFit) -> Robot:
+    """The robot whose masses and coms are the most probable ones."""
+    factors = {}
+    for one in fit.estimates:
+        if one.kind == "mass":
+            factors[f"mass:{one.subject}"] = one.mean / one.stated
+        elif one.kind == "com":
+            factors[f"com_{one.component}:{one.subject}"] = one.mean - one.stated
+    return scale_robot(robot, factors)
+
+
+def test_a_dead_band_is_found_and_kp_is_right_beside_it(
+    robot: Robot, planted: Robot, stands: MeasuredStands
+) -> None:
+    """A servo that gives nothing for the first 0.3 deg is commanded by as much further."""
+    band, kp = math.radians(0.3), np.array([own_servos(robot)[n][0] for n in robot.joint_names])
+    lead = stands.command - stands.position
+    lazy = replace(stands, command=stands.command + band * np.sign(lead))
+    fit = fit_stands(robot, lazy, weight=planted.total_mass)
+    assert fit.explained
+    (found,) = (one for one in fit.estimates if one.kind == "deadband")
+    assert found.told == "data"
+    assert found.low < band < found.high
+    assert "servos-have-a-dead-band" in {one.code for one in fit.diagnostics}
+    near = {one.subject: one for one in fit.estimates if one.kind == "kp" and one.told == "data"}
+    assert len(near) > 6
+    for joint, one in near.items():
+        assert one.mean == pytest.approx(kp[robot.joint_names.index(joint)], rel=0.06), joint
+    plain = fit_stands(robot, stands, weight=planted.total_mass)
+    assert "servos-have-a-dead-band" not in {one.code for one in plain.diagnostics}
+
+
+def test_a_weight_that_makes_all_servos_twice_as_stiff_is_asked_about(
+    robot: Robot, planted: Robot, stands: MeasuredStands
+) -> None:
+    """No residual shows it, and no parameter by itself is far from the file."""
+    fit = fit_stands(robot, stands, weight=2 * planted.total_mass)
+    (said,) = fit.failures
+    assert said.code == "scale-far-from-the-file"
+    assert said.values["kp"] == pytest.approx(2.0, rel=0.05)
+    assert said.values["mass"] == pytest.approx(2 * planted.total_mass / robot.total_mass, rel=0.01)
+    widened = fit_stands(
+        robot, stands, weight=2 * planted.total_mass, priors=["mass=200%", "kp=200%"]
+    )
+    assert widened.explained
+    right = fit_stands(robot, stands, weight=planted.total_mass)
+    assert right.explained
+    assert right.kp_factor is not None
+    assert right.kp_factor.low < 1 < right.kp_factor.high
+    # A pull of one per cent of the weight by a cable, which nobody mentions, is within it.
+    assert right.kp_factor.std > 0.009
+
+
+@pytest.mark.parametrize(
+    ("wrong", "codes"),
+    [
+        ((0, 3), ["joints-exchanged"]),
+        ((5, 11), ["joints-exchanged"]),
+        ((8,), ["joint-turns-the-other-way"]),
+    ],
+)
+def test_plugs_and_signs_that_are_wrong_are_named(
+    robot: Robot, stands: MeasuredStands, wrong: tuple[int, ...], codes: list[str]
+) -> None:
+    order, signs = np.arange(robot.nu), np.ones(robot.nu)
+    if len(wrong) == 2:
+        order[list(wrong)] = wrong[::-1]
+    else:
+        signs[wrong[0]] = -1.0
+    exchanged = replace(
+        stands,
+        command=signs * stands.command[:, order],
+        position=signs * stands.position[:, order],
+    )
+    try:
+        said = fit_stands(robot, exchanged, priors=["kp=0"]).failures[0]
+    except MeasurementError as error:
+        said = error.cause
+    assert said.code == codes[0]
+    joints = [*said.values.get("joints", ()), *said.values.get("others", ())]
+    joints = joints or [said.values["joint"]]
+    assert sorted(joints) == sorted(robot.joint_names[joint] for joint in wrong)
 
 
 def test_the_joint_that_was_read_wrongly_is_named(robot: Robot, stands: MeasuredStands) -> None:

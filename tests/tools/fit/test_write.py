@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import errno
 import json
+import math
 import shutil
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import pupper_analysis as pa
 from pupper_analysis.base import files
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import Parameter
-from pupper_analysis.tools.fit.write import FitFiles, write_fit
+from pupper_analysis.tools.fit.write import FitFiles, draw_samples, write_fit
 from pupper_analysis.tools.study.parameters import scale_robot, with_gains
 from tests.support.repository import ROOT
 
@@ -75,6 +76,29 @@ def test_models_have_the_estimates_to_the_digits_that_are_known(
     assert other.dof_frictionloss[other.joint(JOINT).dofadr[0]] == 0.0432
     changed = {edit.element.split(" > ")[0] for edit in made.models.edits}
     assert not any("leg_front_r_3" in name for name in changed)  # it has not moved
+
+
+def test_robots_are_drawn_together(written: tuple[Path, FitFiles]) -> None:
+    """What is known of a sum is as narrow in the samples; a link without mass is in none."""
+    folder, _ = written
+    first, names, *rows = (folder / "samples.csv").read_text().splitlines()
+    assert first.startswith("# Samples of a fitted robot.")
+    assert "mass:base_link" in names.split(",")
+    assert len(rows) == 512
+    table = np.array([row.split(",") for row in rows], dtype=float)
+    mass = table[:, names.split(",").index("mass:base_link")]
+    assert mass.std() == pytest.approx(0.02 / 1.8825, rel=0.1)
+    assert mass.mean() == pytest.approx(1.0, abs=2e-3)
+    # Two links of 50 % each, whose sum is known to 0.5 %.
+    parameters = tuple(Parameter("mass", name, "", 1.0, 0.5) for name in ("one", "other"))
+    covariance = 0.25 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + 1.25e-5
+    mean, n = np.array([1.0, 1.0]), np.eye(2)
+    narrow = Posterior(parameters, mean, covariance, n, n, 0.0, 0.0, 0, 1)
+    _, drawn = draw_samples(narrow, mean, 2000)
+    assert drawn.min() > 0
+    assert drawn[:, 0].std() > 0.4
+    assert drawn.sum(axis=1).std() == pytest.approx(math.sqrt(4 * 1.25e-5), rel=0.1)
+    assert drawn.sum(axis=1).mean() == pytest.approx(2.0, abs=1e-3)
 
 
 def test_offsets_and_parameters_are_told(written: tuple[Path, FitFiles]) -> None:

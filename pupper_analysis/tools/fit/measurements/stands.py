@@ -71,12 +71,12 @@ class MeasuredStands:
     def __repr__(self) -> str:
         return f"<MeasuredStands {self.source!r}: {len(self)} stands, {len(self.joints)} joints>"
 
-    def of(self, robot: Robot) -> MeasuredStands:
+    def ordered(self, robot: Robot) -> MeasuredStands:
         """Returns the same with a robot's joints in its order.
 
         Raises:
             UnknownNameError: If the robot has not one of the joints or feet.
-            MeasurementError: If a joint's position was not measured, or too few feet carry.
+            MeasurementError: If a joint's position was not measured.
         """
         for name in self.joints:
             if name not in robot.joint_names:
@@ -88,13 +88,23 @@ class MeasuredStands:
         if missing:
             raise MeasurementError(self.source, diagnose("joints-not-measured", joints=missing))
         order = [self.joints.index(name) for name in robot.joint_names]
-        found = replace(
+        return replace(
             self,
             joints=robot.joint_names,
             command=self.command[:, order],
             position=self.position[:, order],
             torque=self.torque[:, order],
         )
+
+    def checked(self, robot: Robot) -> MeasuredStands:
+        """Returns the same with a robot's joints in its order, if it can stand so.
+
+        Raises:
+            UnknownNameError: If the robot has not one of the joints or feet.
+            MeasurementError: If a joint's position was not measured, or cannot be, or too few feet
+                carry.
+        """
+        found = self.ordered(robot)
         for finding in find_degrees(robot, range(robot.nu), found.position, found.command):
             raise MeasurementError(self.source, finding)
         found._check_limits(robot)

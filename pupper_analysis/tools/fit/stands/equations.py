@@ -37,6 +37,9 @@ joint of a leg carries a tenth of that product: it is a thousandth of what it ca
 _UNKNOWN = 1e3
 """Likewise, of the torque of a motor whose command is not known: what it says is nothing."""
 
+_TURNS_ROUND = 1e-3
+"""rad: where an error is no larger, which side of a servo's dead band it is on is not sure."""
+
 _MOBILISED = 0.35
 """Of dry friction: standard deviation of how much of it holds a joint that came slowly from a known
 side: 0.3 to 0.4, simulated in MuJoCo of v3 and Go2. (One that came from nowhere: 0.58.)"""
@@ -225,7 +228,9 @@ class StandRows:
         linear, turning = self._twists[:, :3], self._twists[:, 3:]
         self.jacobians = linear - cross_matrices(self._arms) @ turning
         known = np.isfinite(reading.command)
-        self._lead = np.where(known, reading.command - reading.position, 0.0)
+        lead = np.where(known, reading.command - reading.position, 0.0)
+        self._ways = lead / np.hypot(lead, _TURNS_ROUND)
+        self._lead = lead - numbers.deadband * self._ways
         self._stiff = np.where(known, numbers.stiff, 0.0)
         self._known = known
         self._measured = np.isfinite(reading.torque)
@@ -258,6 +263,7 @@ class StandRows:
         by_sensor = self._measured & ~self._known
         torque = numbers.kp * self._lead + np.where(by_sensor, self._reading.torque, 0.0)
         residual = self.config.passive() - gravity
+        residual[2] += numbers.pull * numbers.mass * numbers.size
         residual += np.einsum("pij,pi->j", self.jacobians, self._forces)
         residual[6:] += torque + sides * numbers.friction
         residual += np.einsum("pij,pi->j", self._twists[:, 3:], kept)
@@ -291,15 +297,20 @@ class StandRows:
                 by_x[row, at] += self._lead[joint]
             for at in self._at("friction", name):
                 by_x[row, at] += sides[joint]
+            for at in self._at("deadband", "servos"):
+                by_x[row, at] -= numbers.kp[joint] * self._ways[joint]
         for body, (link, *_) in enumerate(numbers.bodies):
             for at in self._at("mass", link):
                 by_x[:, at] -= by_mass[body]
+                by_x[2, at] += numbers.pull * numbers.size
             for axis, name in enumerate(AXES):
                 for at in self._at("com", link, name):
                     by_x[:, at] -= by_com[body][:, axis]
         for name, pull in zip("xy", by_slope, strict=True):
             for at in self._at("slope", "floor", name):
                 by_x[:, at] -= pull
+        for at in self._at("pull", "cable"):
+            by_x[2, at] += numbers.mass * numbers.size
         self._in_positions(residual, by_x, by_own, by_noise)
 
     def _in_positions(self, residual: Array, by_x: Array, by_own: Array, by_noise: Array) -> None:
@@ -364,6 +375,8 @@ class StandRows:
         for row, joint in enumerate(chosen):
             for at in self._at("kp", self._names[joint]):
                 by_x[row, at] = self._lead[joint]
+            for at in self._at("deadband", "servos"):
+                by_x[row, at] = -self._numbers.kp[joint] * self._ways[joint]
 
     def _weighed(self) -> None:
         """Sum of f_z of a foot's points = what the scale under it shows."""
@@ -418,6 +431,9 @@ class Numbers:
         down: (3,) gravity in the ground's axes (m/s^2).
         tilts: (2, 3) its derivatives by the slope.
         imu: (2,) roll and pitch of the IMU in the base (rad).
+        deadband: Error for which a servo gives nothing (rad).
+        pull: What is carried of the robot by something else than its feet, in parts of its weight.
+        size: Of gravity (m/s^2).
         mass: Of the whole robot (kg).
         heaviness: The mass at which noise is taken (kg), as ``stiff`` is the kp.
         stiff: (nu,) kp, by which an encoder's noise becomes torque.
@@ -434,6 +450,9 @@ class Numbers:
     down: Array
     tilts: Array
     imu: Array
+    deadband: float
+    pull: float
+    size: float
     mass: float
     heaviness: float
     stiff: Array
@@ -509,9 +528,10 @@ class StandEquations:
         z_p(q) - r_p + softness depth(f_p) = 0                            (one a contact point)
         tau = measured torque,  sum of f_z = scale's force,  tilt = IMU's    (where measured)
 
-    with q = position - offset, tau = kp (command - position) + friction. The encoder's noise acts
-    by both. The unknowns of a stand are eliminated: what is left of its equations are those
-    combinations that no contact force, and no motion of the base, changes.
+    with q = position - offset, tau = kp (command - position - dead band) + friction, and what a
+    cable carries beside the feet. The encoder's noise acts by both. The unknowns of a stand are
+    eliminated: what is left of its equations are those combinations that no contact force, and no
+    motion of the base, changes.
 
     Args:
         robot: The robot, as its files have it.
@@ -629,6 +649,9 @@ class StandEquations:
             down=size * np.array([one, two, -upright]),
             tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
             imu=np.array([table.value(x, "imu", "imu", axis, 0.0) for axis in ("roll", "pitch")]),
+            deadband=table.value(x, "deadband", "servos", "", 0.0),
+            pull=table.value(x, "pull", "cable", "", 0.0),
+            size=size,
             mass=self._mass(x),
             heaviness=self._heaviness,
             stiff=self._stiff,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments, check_finite
@@ -21,7 +22,12 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servo_gains
 from pupper_analysis.tools.fit.consistency import unbounded_coms
-from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.tools.fit.estimate import (
+    NORMAL_95,
+    Linearised,
+    Posterior,
+    estimate_parameters,
+)
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, quantum_of
 from pupper_analysis.tools.fit.parameters import (
     AXES,
@@ -43,6 +49,7 @@ from pupper_analysis.tools.fit.result import (
     told_by,
 )
 from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
+from pupper_analysis.tools.fit.stands.wiring import find_wiring
 
 Array = NDArray[np.float64]
 
@@ -71,6 +78,11 @@ class StandFit(Fit):
     Attributes:
         stands: How many there are.
         total_mass: Of the whole robot (kg).
+        com: Its centre of mass in the base's frame, x, y, z, at the file's nominal joint positions
+            (m).
+        kp_factor: By which kp of all servos is another than stated: their geometric mean; None if
+            kp is known, or no servo was commanded.
+        weight: What a scale says of the robot (kg); None if it was not weighed.
         residuals: {stand: root mean square of its residuals, in standard deviations}.
         joint_residuals: Of each joint in each stand, the most surprising before.
         chi2: Sum of all squared residuals, in standard deviations.
@@ -80,6 +92,9 @@ class StandFit(Fit):
 
     stands: int
     total_mass: Estimate
+    com: tuple[Estimate, ...]
+    kp_factor: Estimate | None
+    weight: float | None
     residuals: Mapping[str, float]
     joint_residuals: tuple[JointResidual, ...]
     chi2: float
@@ -94,7 +109,7 @@ def describe_stands(
     posterior: Posterior,
     expected: StandNoise,
     notes: Sequence[Diagnostic],
-    weighed: bool,
+    weight: float | None,
 ) -> StandFit:
     """Returns what measurements tell, in numbers with intervals.
 
@@ -105,16 +120,19 @@ def describe_stands(
         posterior: What is known of the parameters.
         expected: The noise that was expected.
         notes: What was found before.
-        weighed: Whether the whole robot was put on a scale.
+        weight: Of the whole robot by a scale (kg); None if it was not weighed.
     """
     found = tuple(describe_parameters(posterior))
-    more = dict(further_measurements(equations, posterior, weighed=weighed))
+    more = dict(further_measurements(equations, posterior, weighed=weight is not None))
     return StandFit(
         name=robot.name,
         source=stands.source,
         stands=len(stands),
         estimates=found,
         total_mass=_total_mass(robot, posterior),
+        com=tuple(_whole_com(robot, posterior)),
+        kp_factor=_kp_factor(posterior),
+        weight=weight,
         together=find_together(posterior, more),
         residuals=dict(zip(stands.names, equations.residuals(posterior.mean), strict=True)),
         joint_residuals=_joint_residuals(stands, equations, posterior.mean),
@@ -126,8 +144,11 @@ def describe_stands(
             "flatness": equations.noise.flatness,
             "friction": equations.noise.friction,
         },
-        failures=tuple(doubt_stands(posterior, equations.noise, expected)),
-        diagnostics=tuple(notes),
+        failures=(
+            *doubt_scale(robot, posterior, weight),
+            *doubt_stands(posterior, equations.noise, expected),
+        ),
+        diagnostics=(*notes, *_findings(posterior)),
         posterior=posterior,
     )
 
@@ -159,7 +180,142 @@ def _total_mass(robot: Robot, posterior: Posterior) -> Estimate:
     return describe_parameter(whole, mean, std, told_by((std / width) ** 2 if width else 1.0))
 
 
+def _whole_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
+    """Yields x, y, z of the whole robot's com in the base's frame, at nominal joint positions.
+
+    With bodies i of mass m_i, whose frames are R_i, p_i and coms c_i, com = sum m_i x_i / M and
+    x_i = R_i c_i + p_i: its derivatives are (x_i - com) / M by m_i, and R_i m_i / M by c_i.
+    """
+    model = robot.structure.model
+    data = model.createData()
+    q = robot.structure.convention.unit_q(robot.posed(robot.nominal))
+    pin.forwardKinematics(model, data, q)
+    table, x = ParameterTable(posterior.parameters), posterior.mean
+    masses, places, turns, stated = [], [], [], []
+    for link, number in bodies_of(robot):
+        own, here = model.inertias[number], data.oMi[1].actInv(data.oMi[number])
+        com = np.array(
+            [
+                table.value(x, "com", link, axis, value)
+                for axis, value in zip(AXES, own.lever, strict=True)
+            ]
+        )
+        masses.append(table.value(x, "mass", link, "", own.mass))
+        places.append(here.rotation @ com + here.translation)
+        turns.append(here.rotation)
+        stated.append(own.mass * here.act(own.lever))
+    total, before = sum(masses), np.sum(stated, axis=0) / robot.total_mass
+    whole = np.array(masses) @ np.array(places) / total
+    rates = np.zeros((3, len(x)))
+    for (link, _), mass, place, turn in zip(bodies_of(robot), masses, places, turns, strict=True):
+        if (at := table.place("mass", link)) is not None:
+            rates[:, at] = (place - whole) / total
+        for axis, column in zip(AXES, (turn * mass / total).T, strict=True):
+            if (at := table.place("com", link, axis)) is not None:
+                rates[:, at] = column
+    wide = rates * table.width
+    std = np.sqrt(np.diag(rates @ posterior.covariance @ rates.T))
+    width = np.sqrt(np.diag(wide @ np.linalg.inv(posterior.precision) @ wide.T))
+    for number, axis in enumerate(AXES):
+        one = Parameter("com", robot.name, axis, float(before[number]), float(width[number]))
+        share = (std[number] / width[number]) ** 2 if width[number] else 1.0
+        yield describe_parameter(one, float(whole[number]), float(std[number]), told_by(share))
+
+
+def _kp_factor(posterior: Posterior) -> Estimate | None:
+    """Returns by which factor all servos are stiffer than stated: the geometric mean of theirs."""
+    places = [at for at, one in enumerate(posterior.parameters) if one.kind == "kp"]
+    if not places:
+        return None
+    mean = posterior.mean[places]
+    stated, width = (
+        np.array([getattr(posterior.parameters[at], name) for at in places])
+        for name in ("stated", "width")
+    )
+    factor = float(np.exp(np.log(mean / stated).mean()))
+    line = factor / (len(places) * mean)
+    std = math.sqrt(float(line @ posterior.covariance[np.ix_(places, places)] @ line))
+    before = np.linalg.inv(posterior.precision)[np.ix_(places, places)]
+    wide = math.sqrt(float((line * width) @ before @ (line * width)))
+    whole = Parameter("kp", "servos", "", 1.0, wide)
+    return replace(describe_parameter(whole, factor, std, told_by((std / wide) ** 2)), unit="1")
+
+
 # What a model does not explain of stands: noise, numbers, and what surrounds the robot.
+
+
+def doubt_scale(
+    robot: Robot, posterior: Posterior, weight: float | None = None
+) -> Iterator[Diagnostic]:
+    """Yields that all kp, and the whole mass, are further from the file than files are.
+
+    Positions tell the ratio of kp and masses, and a scale alone how large both are: whatever grows
+    with the load hides in this factor, and no parameter by itself is far from its file. So the two
+    are asked together, before any: z of the mean of log kp, and of the logarithm of the total mass.
+
+    Args:
+        robot: The robot.
+        posterior: What is known of the parameters.
+        weight: Of the whole robot by a scale (kg), if it was weighed.
+    """
+    from scipy import stats  # slow to import
+
+    parameters = posterior.parameters
+    kp = np.array([float(one.kind == "kp") for one in parameters])
+    mass = np.array(
+        [
+            # The width is that of the stated mass again: ``moved`` is of logarithms.
+            one.width * one.stated / (mean * robot.total_mass) if one.kind == "mass" else 0.0
+            for one, mean in zip(parameters, posterior.mean.tolist(), strict=True)
+        ]
+    )
+    lines = np.array([line for line in (kp, mass) if line.any()])
+    if not len(lines):
+        return
+    signs, freedom, _ = _surprise(posterior, lines)
+    if not freedom or stats.chi2.sf(signs, freedom) > _CHANCE:
+        return
+    stiffer, total = _kp_factor(posterior), _total_mass(robot, posterior)
+    yield diagnose(
+        "scale-far-from-the-file",
+        weight=None if weight is None else Quantity(weight, "kg"),
+        kp=None if stiffer is None else stiffer.mean,
+        mass=total.mean / robot.total_mass,
+    )
+
+
+def _surprise(posterior: Posterior, lines: Array) -> tuple[float, int, Array]:
+    """Returns how much some combinations of parameters surprise: chi^2, its freedom, and how far.
+
+    Estimates move from what was said by d. If that is so, d has the covariance S by which prior and
+    posterior differ, and d^T S^-1 d is distributed as chi^2: several weak signs are one together.
+    How far is S^-1 d in the prior's variances, which is not drawn to what was said.
+
+    Args:
+        posterior: What is known of the parameters.
+        lines: (k, n) the combinations, of parameters in their widths.
+    """
+    width = np.array([one.width for one in posterior.parameters])
+    before = lines @ np.linalg.inv(posterior.precision) @ lines.T
+    sizes = np.sqrt(np.diag(before))
+    told = before - lines @ (posterior.covariance / np.outer(width, width)) @ lines.T
+    values, vectors = np.linalg.eigh(told / np.outer(sizes, sizes))
+    kept = values > _LEAST_TOLD
+    moved = vectors[:, kept].T @ (lines @ posterior.moved / sizes)
+    far = (before / sizes) @ vectors[:, kept] @ (moved / values[kept])
+    return float(np.sum(moved**2 / values[kept])), int(np.count_nonzero(kept)), far
+
+
+def _findings(posterior: Posterior) -> Iterator[Diagnostic]:
+    """Yields what the stands show of servos that no file can state."""
+    for place, one in enumerate(posterior.parameters):
+        off, half = abs(posterior.mean[place]), NORMAL_95 * posterior.std[place]
+        if one.kind == "deadband" and off > half:
+            yield diagnose(
+                "servos-have-a-dead-band",
+                angle=Quantity(float(posterior.mean[place]), "rad"),
+                half=Quantity(float(half), "rad"),
+            )
 
 
 _CHANCE = 0.002
@@ -238,10 +394,7 @@ def doubt_surroundings(
 ) -> Iterator[Diagnostic]:
     """Yields what of the surroundings is not as it was said to be, one kind at a time.
 
-    Estimates move from what was said by d. If that is so, d has the covariance S by which prior and
-    posterior differ, and d^T S^-1 d is distributed as chi^2: several weak signs of a slope, or of
-    soft soles, are one together. What is said is S^-1 d in the prior's variances, which is not
-    drawn to what was said.
+    See ``_surprise``: several weak signs of a slope, or of soft soles, are one together.
 
     Args:
         posterior: What is known of the parameters.
@@ -257,17 +410,13 @@ def doubt_surroundings(
             continue
         chosen = [posterior.parameters[at] for at in places]
         width = np.array([one.width for one in chosen])
-        off = posterior.moved[places]
-        before = np.linalg.inv(posterior.precision)[np.ix_(places, places)]
-        finding = before - posterior.covariance[np.ix_(places, places)] / np.outer(width, width)
-        values, vectors = np.linalg.eigh(finding)
-        kept = values > _LEAST_TOLD
-        moved = vectors[:, kept].T @ off
-        signs = (shares or {}).get(kind, 1.0) * float(np.sum(moved**2 / values[kept]))
-        if not kept.any() or stats.chi2.sf(signs, np.count_nonzero(kept)) > _CHANCE:
+        signs, freedom, far = _surprise(posterior, np.eye(len(posterior.parameters))[places])
+        signs *= (shares or {}).get(kind, 1.0)
+        if not freedom or stats.chi2.sf(signs, freedom) > _CHANCE:
             continue
-        free = width * (before @ vectors[:, kept] @ (moved / values[kept]))
-        each = np.abs(off) / np.sqrt(np.maximum(np.diag(finding), _LEAST_TOLD))
+        free = width * far
+        told = np.maximum(1 - posterior.shares[places], _LEAST_TOLD)
+        each = np.abs(posterior.moved[places]) / np.sqrt(told)
         if kind == "slope":
             most = chosen[int(np.abs(free).argmax())]
             slope = Quantity(float(math.hypot(*free)), "rad")
@@ -422,36 +571,111 @@ def fit_stands(
             raise ConfigurationError(name, diagnose("not-positive", value=value))
     robot.check_floating()
     robot.check_tree("fit")
-    given = stands.of(robot).repeated()
-    if len(given) < _LEAST_STANDS:
-        raise MeasurementError(
-            given.source, diagnose("too-few-stands", stands=len(given), least=_LEAST_STANDS)
+    given = stands.ordered(robot)
+
+    def fit(given: MeasuredStands) -> StandFit:
+        return _Problem.of(robot, given, wanted, weight, kp, encoder).solve()
+
+    def evidence(given: MeasuredStands) -> float:
+        return _Problem.of(robot, given, wanted, weight, kp, encoder).evidence()
+
+    try:
+        found = fit(given)
+    except (MeasurementError, FitError) as error:
+        if wiring := find_wiring(robot, given, evidence, fit):
+            raise MeasurementError(given.source, wiring.found) from error
+        raise
+    if not found.explained and (wiring := find_wiring(robot, given, evidence, fit)):
+        return replace(found, failures=(wiring.found, *found.failures))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What is estimated of stands, about what the files and somebody say.
+
+    Attributes:
+        robot: The robot.
+        stands: Its stands, one reading each.
+        stiffness: (nu,) stated kp (N m/rad).
+        friction: (nu,) dry friction that makes torques uncertain (N m).
+        table: The parameters.
+        noise: That is expected.
+        weight: Of the whole robot by a scale (kg).
+    """
+
+    robot: Robot
+    stands: MeasuredStands
+    stiffness: Array
+    friction: Array
+    table: ParameterTable
+    noise: StandNoise
+    weight: float | None
+
+    @staticmethod
+    def of(
+        robot: Robot,
+        stands: MeasuredStands,
+        priors: Sequence[Prior],
+        weight: float | None,
+        kp: ArrayLike | None,
+        encoder: float | None,
+    ) -> _Problem:
+        """Returns that of stands, whose joints are in the robot's order.
+
+        Raises:
+            MeasurementError: If they are none of this robot's.
+        """
+        given = stands.checked(robot).repeated()
+        if len(given) < _LEAST_STANDS:
+            found = diagnose("too-few-stands", stands=len(given), least=_LEAST_STANDS)
+            raise MeasurementError(given.source, found)
+        commanded = np.isfinite(given.command).sum(axis=0) > 0
+        stiffness = stated_stiffness(robot, given.source, commanded, kp)
+        rubbing = robot.joint_friction
+        stated = parameters_of(robot, given, stiffness, rubbing)
+        noise, friction = expected_noise(robot, given, rubbing, encoder)
+        table = ParameterTable(give_widths(stated, priors))
+        return _Problem(robot, given, stiffness, friction, table, noise, weight)
+
+    def equations(self, stopped: NDArray[np.bool_]) -> StandEquations:
+        """Returns the equations, without the commands of joints that are at a stop (m, nu)."""
+        used = _commands_of_servos(self.robot, self.stands, self.stiffness, stopped)
+        return StandEquations(
+            self.robot, used, self.table, self.stiffness, self.friction, self.noise
         )
-    commanded = np.isfinite(given.command).sum(axis=0) > 0
-    stiffness = stated_stiffness(robot, given.source, commanded, kp)
-    rubbing = robot.joint_friction
-    table = ParameterTable(give_widths(parameters_of(robot, given, stiffness, rubbing), wanted))
-    noise, friction = expected_noise(robot, given, rubbing, encoder)
-    weighed = _weighed(robot, table, weight)
-    known, stopped = None, _at_stops(robot, given, *_offsets(robot, table))
-    settled = False  # which joints are at a stop; then how large noise is can be found
-    while True:
-        used = _commands_of_servos(robot, given, stiffness, stopped)
-        equations = StandEquations(robot, used, table, stiffness, friction, noise)
-        if settled and known is not None:
-            equations.weigh_at(known.mean)
-            equations.noise = find_noise(equations, known, weighed)
-            equations.table = table.scaled("moment", equations.noise.moment / noise.moment)
-        known = _estimate(robot, used, equations, weighed, None if known is None else known.mean)
-        # With what is known of the encoders now, fewer joints may be at a stop.
-        nearer = stopped & _at_stops(robot, given, *_offsets(robot, table, known))
-        if settled and (nearer == stopped).all():
-            break
-        settled = bool((nearer == stopped).all())
-        stopped = nearer
-    equations.table = ParameterTable(known.parameters)
-    notes = (*_unused(robot, given, stiffness, stopped), *unbounded_coms(robot, table))
-    return describe_stands(robot, used, equations, known, noise, notes, weight is not None)
+
+    def evidence(self) -> float:
+        """Returns the logarithm of how likely the stands are, linear about the file's numbers."""
+        equations = self.equations(np.zeros(self.stands.position.shape, dtype=bool))
+        told = equations.linearise(self.table.stated, self.table.stated, _SETTLES)
+        return told.evidence(self.table, np.zeros(len(self.table)))
+
+    def solve(self) -> StandFit:
+        """Returns the fit."""
+        robot, given, table, noise = self.robot, self.stands, self.table, self.noise
+        weighed = _weighed(robot, table, self.weight)
+        known: Posterior | None = None
+        stopped = _at_stops(robot, given, *_offsets(robot, table))
+        settled = False  # which joints are at a stop; then how large noise is can be found
+        while True:
+            used = _commands_of_servos(robot, given, self.stiffness, stopped)
+            equations = self.equations(stopped)
+            if settled and known is not None:
+                equations.weigh_at(known.mean)
+                equations.noise = find_noise(equations, known, weighed)
+                equations.table = table.scaled("moment", equations.noise.moment / noise.moment)
+            start = None if known is None else known.mean
+            known = _estimate(robot, used, equations, weighed, start)
+            # With what is known of the encoders now, fewer joints may be at a stop.
+            nearer = stopped & _at_stops(robot, given, *_offsets(robot, table, known))
+            if settled and (nearer == stopped).all():
+                break
+            settled = bool((nearer == stopped).all())
+            stopped = nearer
+        equations.table = ParameterTable(known.parameters)
+        notes = (*_unused(robot, given, self.stiffness, stopped), *unbounded_coms(robot, table))
+        return describe_stands(robot, used, equations, known, noise, notes, self.weight)
 
 
 def _estimate(
@@ -533,6 +757,9 @@ def parameters_of(
         yield "softness", foot, "", 1.0
         for axis in AXES:
             yield "moment", foot, axis, 0.0
+    if np.isfinite(stands.command).any():
+        yield "deadband", "servos", "", 0.0
+    yield "pull", "cable", "", 0.0
     if np.isfinite(stands.tilt).any():
         yield "imu", "imu", "roll", 0.0
         yield "imu", "imu", "pitch", 0.0
