@@ -28,7 +28,7 @@ from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.fit.consistency import make_consistent
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import AXES as COMPONENTS
-from pupper_analysis.tools.fit.parameters import KINDS, Parameter
+from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
 from pupper_analysis.tools.study.parameters import AXES, Named
 from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.numbers import (
@@ -200,7 +200,9 @@ def draw_samples(
     among links hardly. Numbers that are drawn each by itself are robots that were excluded. Robots
     with a link of no mass, or a servo of no stiffness, are drawn again. (Drawn by logarithms, none
     would be below zero, but a sum of masses is no sum of logarithms: v3's whole mass was 2.957 ±
-    0.094 kg for 2.787 ± 0.006.) What else means nothing below zero is cut off there.
+    0.094 kg for 2.787 ± 0.006.) Gravity is linear in masses m and first moments m c: these are
+    drawn, and a com is off by m0 / m of what it is at the mass m0 that is written. What else means
+    nothing below zero is cut off there.
 
     Args:
         posterior: What is known of the parameters.
@@ -213,6 +215,7 @@ def draw_samples(
         is added to them (m).
     """
     rng, parameters = np.random.default_rng(seed), posterior.parameters
+    table = ParameterTable(parameters)
     widths = np.array([one.width for one in parameters])
     scaled = np.linalg.cholesky(posterior.covariance / np.outer(widths, widths))
     scales = np.array([KINDS[one.kind].factor for one in parameters], dtype=bool)
@@ -227,16 +230,20 @@ def draw_samples(
     for at, one in enumerate(parameters):
         for name, _ in _spread(one, float(vector[at]), float(posterior.std[at])):
             names.append(name)
-            off = drawn[:, at]
-            columns.append(off if one.kind == "com" else np.maximum(0.0, 1 + off / vector[at]))
+            column = drawn[:, at]
+            if one.kind != "com":
+                column = np.maximum(0.0, 1 + column / vector[at])
+            elif (mass := table.place("mass", one.subject)) is not None:
+                column = column / (1 + drawn[:, mass] / vector[mass])
+            columns.append(column)
     return tuple(names), np.array(columns).T
 
 
 _MOST_DRAWS = 100
 """Times as many: where not one in a hundred has all masses above zero, fewer are written."""
 
-_LEAST = 0.01
-"""Of a mass or a stiffness: a link that weighs a hundredth of it is another link."""
+_LEAST = 0.1
+"""Of a mass or a stiffness: a link that weighs a tenth of it is another link."""
 
 
 def _samples_csv(names: tuple[str, ...], samples: Array) -> bytes:
