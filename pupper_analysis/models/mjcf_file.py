@@ -30,7 +30,6 @@ from pupper_analysis.models.mjcf import (
     silence_mujoco,
     spec_of,
 )
-from pupper_analysis.models.packages import existing_file, is_pointer
 from pupper_analysis.models.places import (
     Place,
     innermost_element,
@@ -40,6 +39,7 @@ from pupper_analysis.models.places import (
     refusal_at,
     refuse_file,
 )
+from pupper_analysis.models.published import existing_file, is_pointer
 from pupper_analysis.models.spec_state import spec_from, state_of
 from pupper_analysis.models.xml import (
     MAX_DEPTH,

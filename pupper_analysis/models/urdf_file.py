@@ -19,7 +19,6 @@ from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.runs import current_run
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.capsules import complete_limits, for_engines, taken_as_unlimited
-from pupper_analysis.models.packages import existing_file, folders_of_package
 from pupper_analysis.models.places import (
     Place,
     innermost_element,
@@ -28,6 +27,7 @@ from pupper_analysis.models.places import (
     refusal_at,
     refuse_file,
 )
+from pupper_analysis.models.published import existing_file, folders_of_package
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER, parse_xml
 

@@ -17,8 +17,8 @@ from pupper_analysis.models.attributes import (
     PASSIVE,
     JointAttribute,
 )
+from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import from_pinocchio, to_pinocchio
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.mjcf import read_mjcf_model

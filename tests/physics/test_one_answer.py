@@ -13,7 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.tools.analyze.analysis import analyze_variant
 from pupper_analysis.tools.live.model import Model, predict_sag, simulate_stance
 from pupper_analysis.tools.live.state import LiveVariants, State
-from pupper_analysis.tools.push import pushed as push
+from pupper_analysis.tools.push import recovery as push
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.commands import answer as run_command
 from tests.support.variants import load

@@ -16,7 +16,7 @@ from pupper_analysis.prepare.own_run import own_run, raw_model
 from pupper_analysis.present.verdict import in_words, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.hold.hold import hold_posture
-from pupper_analysis.tools.path.tracked import study_path
+from pupper_analysis.tools.path.tracking import study_path
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.legged import biped, quadruped
 

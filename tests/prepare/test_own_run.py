@@ -16,8 +16,8 @@ from pupper_analysis.present.verdict import in_words, verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.simulation.verdict import Asked, Verdict, VerdictCode
 from pupper_analysis.tools.hold.hold import hold_posture
-from pupper_analysis.tools.path.tracked import study_path
-from pupper_analysis.tools.push.pushed import study_pushes
+from pupper_analysis.tools.path.tracking import study_path
+from pupper_analysis.tools.push.recovery import study_pushes
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import arm
 from tests.support.slips import FALLS, by_itself, standing

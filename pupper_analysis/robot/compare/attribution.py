@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.units import DOWN
-from pupper_analysis.models.mujoco_tree import MujocoTree
+from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.compare.behaviour import Behaviour, MujocoBehaviour, still_acting
 from pupper_analysis.robot.compare.changes import apply_changes, changes_between, convention_changes

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models import multibody
-from pupper_analysis.models.conversion import joint_damping
+from pupper_analysis.models.conversion import MujocoTree, joint_damping
 from pupper_analysis.models.mjcf import JointKind
-from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.compare.states import Entries, States
 from pupper_analysis.robot.configuration import Configuration

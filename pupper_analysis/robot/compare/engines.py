@@ -33,6 +33,7 @@ from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import EARTH
 from pupper_analysis.models.conversion import (
+    MujocoTree,
     joint_armature,
     joint_damping,
     mujoco_from_urdf,
@@ -40,7 +41,6 @@ from pupper_analysis.models.conversion import (
 )
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import from_pinocchio, joint_placements
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.compare.behaviour import offsets_in_world

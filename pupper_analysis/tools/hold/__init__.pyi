@@ -2,10 +2,10 @@ from ...stance.posture import Posture as Posture
 from ...stance.posture import find_posture as find_posture
 from .force import ToolForce as ToolForce
 from .force import tool_force as tool_force
+from .hold import ReachLoad as ReachLoad
 from .hold import ToolPayload as ToolPayload
+from .hold import reach_load as reach_load
 from .hold import tool_payload as tool_payload
-from .reach import ReachLoad as ReachLoad
-from .reach import reach_load as reach_load
 from .sag import SaggedPosture as SaggedPosture
 from .sag import sag_posture as sag_posture
 from .verify import PostureVerification as PostureVerification

@@ -23,8 +23,7 @@ from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.force import ToolForce
-from pupper_analysis.tools.hold.hold import TRIED, Hold
-from pupper_analysis.tools.hold.reach import ReachLoad
+from pupper_analysis.tools.hold.hold import TRIED, Hold, ReachLoad
 from pupper_analysis.tools.hold.worst import WorstPostures
 
 _RINGS = 12

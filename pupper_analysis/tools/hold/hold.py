@@ -1,6 +1,8 @@
 """What a posture of a robot whose base is held costs, and whether it holds.
 
 What a robot whose base is held carries at its tool: in a posture, and in every one.
+
+What motors hold over the reach of a tool.
 """
 
 from __future__ import annotations
@@ -30,11 +32,62 @@ from pupper_analysis.stance.first_order import IDLE, borne_by_motors
 from pupper_analysis.stance.posture import Posture, check_held, find_posture, joint_units
 from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
-from pupper_analysis.tools.hold.reach import ReachLoad, reach_load
 from pupper_analysis.tools.hold.sag import SaggedPosture, sag_posture
 from pupper_analysis.tools.hold.verify import PostureVerification, verify_posture
-from pupper_analysis.tools.hold.ways import bound_together
+from pupper_analysis.tools.hold.ways import Ways, bound_together
 from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
+
+_POSTURES = 600
+"""Random postures: a section of an arm's reach is seen in some hundred points."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReachLoad(Tabular):
+    """What motors hold in random postures, by where the tool is.
+
+    Attributes:
+        distances: (n,) of the tool from the vertical through the chain's first joint (m).
+        heights: (n,) of the tool in the world (m).
+        utilisation: (n,) of the motor that is nearest to its limit; 0 where none has one.
+    """
+
+    distances: Array
+    heights: Array
+    utilisation: Array
+
+    def _columns(self) -> dict[str, ArrayLike]:
+        return {
+            "distance": self.distances,
+            "height": self.heights,
+            "utilisation": self.utilisation,
+        }
+
+
+@check_arguments
+def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
+    """Finds what motors hold over the reach of a tool, in random postures.
+
+    Args:
+        robot: A robot whose base is held.
+        posture: One of its postures.
+        tool: Its tool.
+
+    Raises:
+        ConfigurationError: If the base is free.
+    """
+    check_held(robot)
+    found, limits = [], robot.effort_limits
+    limited = np.isfinite(limits) & (limits > 0)
+    for qpos in Ways(robot, posture).random(_POSTURES):
+        config = Configuration(robot, qpos)
+        place = tool.position(config)
+        middle = config.joint_position(tool.chain[0]) if tool.chain else np.zeros(3)
+        held = np.abs(config.by_motors(config.load()))
+        most = float(np.max(held[limited] / limits[limited], initial=0.0))
+        found.append((float(np.hypot(*(place - middle)[:2])), float(place[2]), most))
+    distances, heights, utilisation = np.array(found).T
+    return ReachLoad(distances, heights, utilisation)
+
 
 UNLIMITED = 1e4
 """A payload above this many times the robot's mass is as good as unlimited."""

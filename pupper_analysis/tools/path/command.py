@@ -59,7 +59,7 @@ def command(
     Exit status: 0 the robot follows the path, 1 it does not, 2 out of reach, not holdable or
     bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.tools.path.tracked import study_path
+    from pupper_analysis.tools.path.tracking import study_path
 
     task = asked.task()
     robot = asked.robot(words)

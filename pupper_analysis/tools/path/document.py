@@ -12,8 +12,7 @@ from pupper_analysis.present.documents.standing import quantity_columns, robot_n
 from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.path.plan import StancePath
-from pupper_analysis.tools.path.tracked import PathThere
-from pupper_analysis.tools.path.tracking import PathTracking
+from pupper_analysis.tools.path.tracking import PathThere, PathTracking
 
 
 @build_document.register(PathThere)

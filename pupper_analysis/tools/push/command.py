@@ -59,7 +59,7 @@ def command(
     Exit status: 0 done, 1 a robot falls even without a push, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper.variants import VARIANTS
-    from pupper_analysis.tools.push.pushed import study_pushes
+    from pupper_analysis.tools.push.recovery import study_pushes
 
     task = asked.task()
     robots = asked.robots(words, default=tuple(VARIANTS))

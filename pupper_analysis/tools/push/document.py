@@ -21,8 +21,7 @@ from pupper_analysis.present.documents.standing import (
 )
 from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.push.pushed import PushedStance
-from pupper_analysis.tools.push.recovery import PushRecovery
+from pupper_analysis.tools.push.recovery import PushedStance, PushRecovery
 from pupper_analysis.tools.push.trial import PushTrial
 
 

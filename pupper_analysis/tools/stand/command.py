@@ -119,7 +119,7 @@ def _explain(asked: RobotAndTask, words: tuple[str, ...], json_path: Path | None
     from pupper_analysis.prepare.load import explain_loading, feet_frames
     from pupper_analysis.prepare.ready import Request
     from pupper_analysis.present.document import Report
-    from pupper_analysis.present.documents.preparation import preparation_document
+    from pupper_analysis.tools.stand.document import preparation_document
 
     meant = asked.which.one(words)
     if not isinstance(meant, RobotFiles):

@@ -22,7 +22,7 @@ from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import to_xml
-from pupper_analysis.models.packages import existing_file
+from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.urdf_file import urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text

@@ -32,7 +32,7 @@ from pupper_analysis.models.conversion import inertia_of_body, joint_armature, j
 from pupper_analysis.models.mjcf import silence_mujoco, to_xml
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text, read_mjcf
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
-from pupper_analysis.models.packages import existing_file
+from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.transmission import drives_of, law_of
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree

@@ -14,8 +14,8 @@ from pupper_analysis.base.diagnostics import LANGUAGES, meaning
 from pupper_analysis.base.diagnostics.catalogue import list_entries
 from pupper_analysis.base.results import Result
 from pupper_analysis.tools.hold.hold import Hold
-from pupper_analysis.tools.path.tracked import PathThere
-from pupper_analysis.tools.push.pushed import PushedStance
+from pupper_analysis.tools.path.tracking import PathThere
+from pupper_analysis.tools.push.recovery import PushedStance
 from pupper_analysis.tools.stand.stance import Stance
 from tests.base.diagnostics.test_diagnostic import HAN, MEANINGS
 from tests.support.names import public, public_modules

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.mujoco_tree import MujocoTree
+from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.robot.compare.attribution import _entries
 from pupper_analysis.robot.compare.behaviour import Behaviour
 from pupper_analysis.robot.compare.engines import URDF_MUJOCO, URDF_READ, cross_check

@@ -12,7 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.stance.posture import find_posture, joint_ranges
-from pupper_analysis.tools.hold.reach import reach_load
+from pupper_analysis.tools.hold.hold import reach_load
 from pupper_analysis.tools.hold.sag import sag_posture
 from pupper_analysis.tools.hold.ways import Ways
 from pupper_analysis.tools.hold.worst import worst_postures

@@ -13,7 +13,7 @@ from pupper_analysis import StandTask, load_variant, solve_stand
 from pupper_analysis.present.figures.pose import pose_figure
 from pupper_analysis.pupper import VariantSpec, write_variant
 from pupper_analysis.stance import minimum_stiffness, solve_stand_on_soft_ground, stand_statics
-from pupper_analysis.tools.path.tracked import study_path
+from pupper_analysis.tools.path.tracking import study_path
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.commands import check_refusal, run_command
 from tests.support.printing import printed

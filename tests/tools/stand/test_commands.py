@@ -30,7 +30,7 @@ from pupper_analysis.stance import (
     solve_stand_on_soft_ground,
     stand_statics,
 )
-from pupper_analysis.tools.path.tracked import way_to
+from pupper_analysis.tools.path.tracking import way_to
 from pupper_analysis.tools.workspace.figures import workspace_figure
 from tests.support.commands import answer, check_refusal, run_command
 from tests.support.variants import load

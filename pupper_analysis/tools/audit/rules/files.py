@@ -10,8 +10,8 @@ from lxml import etree
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnose
 from pupper_analysis.models.loading import Found
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.packages import existing_file, is_pointer
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.published import existing_file, is_pointer
 from pupper_analysis.models.stated.geometry import mesh_problem
 from pupper_analysis.models.stated.model import (
     FIXED,
