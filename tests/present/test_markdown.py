@@ -63,6 +63,53 @@ DOCUMENT = Document(
 )
 
 
+def test_a_document_is_markdown() -> None:
+    report = Report(text("report"), (DOCUMENT,))
+    assert (
+        write_markdown(report)
+        == """\
+### ❌ FAILS v3
+
+- **it fell over**
+- height 0.13 m
+
+**Motor torques**
+
+| joint | torque (N m) | verdict |
+| :--- | ---: | ---: |
+| knee\\_1 | -0.1234 | ok |
+| hip | **9.9** | **DIFFERS** |
+
+- Directions about the vertical, of the base: forward 0°, left 90°.
+
+- OK **mass 1 kg**
+  - models/a.urdf:5: ` <mass value="1"/> `
+  - no change
+
+<details><summary>Objections</summary>
+
+**Objections**
+
+- it sank
+
+</details>
+
+**What would change**
+
+````diff
+-a
++```b
+````
+
+<details><summary>1 notes</summary>
+
+- a floor was added
+
+</details>
+"""
+    )
+
+
 def test_where_several_are_compared_each_is_told_in_short() -> None:
     shown = write_markdown(Report(text("report"), (DOCUMENT, DOCUMENT), (TABLE,)))
     assert shown.count("Motor torques") == 1
