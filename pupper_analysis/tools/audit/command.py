@@ -62,6 +62,7 @@ def command(
     \b
     Exit status: 0 no finding as severe as --fail-on, 1 there is one, 2 bad input.
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.base.diagnostics import Severity
     from pupper_analysis.present import formats
     from pupper_analysis.tools.audit import document as audit_report
     from pupper_analysis.tools.audit.audit import audit_model
@@ -80,7 +81,7 @@ def command(
         suite = f"audit of {file.name}"
         remarks, cases = audit_report.audit_remarks, audit_report.audit_cases
         click.echo(formats.for_machines(style, suite, remarks(result), cases(result)))
-    passed = audit_report.worst_rank(result) > audit_report.rank_severity(fail_on)
+    passed = all(one.severity.rank > Severity(fail_on).rank for one in result.findings)
     shared.write_page(report_path, result)
     shared.finish_command(json_path, result, passed=passed)
 

@@ -204,13 +204,3 @@ def audit_cases(audit: Audit) -> list[CheckedItem]:
 def _case(rule: str, found: list[Finding]) -> CheckedItem:
     lines = [f"{one.place.path}: {one.element}: {one.message}" for one in found]
     return CheckedItem(rule, "\n".join(lines) or None, tuple(one.diagnostic for one in found))
-
-
-def rank_severity(severity: str) -> int:
-    """Returns the rank of a severity by name; 0 is the worst."""
-    return Severity(severity).rank
-
-
-def worst_rank(audit: Audit) -> int:
-    """Returns the rank of the worst finding; one more than the mildest's if there is none."""
-    return min((finding.severity.rank for finding in audit.findings), default=len(Severity))

@@ -20,7 +20,6 @@ from pupper_analysis.base.files import check_writable
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.compare.compare import compare_models
-from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.check.config import (
     GuardConfig,
@@ -42,7 +41,7 @@ from pupper_analysis.tools.check.remarks import (
     of_guard,
     read_baseline,
     relative_path,
-    to_baseline,
+    remark_of,
     write_baseline,
 )
 from pupper_analysis.tools.diff.compare import diff_models
@@ -73,28 +72,15 @@ def of_history(
     except PupperAnalysisError:
         return
     named = relative_path(file, folder)
-
-    def remark(
-        kind: str, element: str, told: Diagnostic, does: tuple[Diagnostic, ...], bad: Severity,
-        place: str,
-    ) -> Remark:  # fmt: skip
-        return Remark(
-            "diff", pair.name, kind, element, named, to_baseline(told), bad, told, about_kind(kind),
-            place or str(file), consequences=does,
-        )  # fmt: skip
-
     for change in diff.changes:
-        bad = max(_severity(change.consequences), _of_effects(bool(change.effects)), key=_badness)
-        yield remark(
-            change.kind, change.element, change.diagnostic, change.consequences, bad,
-            change.new_place,
+        felt = _of_effects(bool(change.effects))
+        bad = min(_severity(change.consequences), felt, key=lambda one: one.rank)
+        yield remark_of(
+            "diff", pair.name, change.kind, change.element, named, change.diagnostic, bad,
+            change.new_place or str(file), consequences=change.consequences,
         )  # fmt: skip
     for told in diff.together:
-        yield remark(TOGETHER, "", told, (), _severity((told,)), "")
-
-
-def _badness(severity: Severity) -> int:
-    return -severity.rank
+        yield remark_of("diff", pair.name, TOGETHER, "", named, told, _severity((told,)), str(file))
 
 
 def _of_effects(felt: bool) -> Severity:

@@ -91,7 +91,7 @@ def command(
     else:
         found = report.check_remarks(result, in_a_change=style == "github")
         if style == "github":
-            found = report.new_remarks(found)
+            found = [one for one in found if not one.known]  # nobody is reminded of it
         suite = f"check of {Path(result.config).name}"
         text = formats.for_machines(style, suite, found, report.check_cases(result))
         click.echo(text, nl=bool(text))

@@ -266,11 +266,6 @@ def _annotation(group: list[Remark], place: str | None) -> Annotation:
     )
 
 
-def new_remarks(annotations: list[Annotation]) -> list[Annotation]:
-    """Leaves out what the baseline has: nobody is reminded of it at every change."""
-    return [annotation for annotation in annotations if not annotation.known]
-
-
 def check_cases(check: RepositoryCheck) -> Iterator[CheckedItem]:
     """Yields a case per pair that was compared, and per file that was audited."""
     for pair in check.pairs:

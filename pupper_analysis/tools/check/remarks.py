@@ -173,17 +173,8 @@ def of_comparison(comparison: Comparison, pair: GuardedPair, folder: Path) -> It
         another = diagnose("base-not-as-named", subject=subject, named=pair.base, pair=pair.name)
         told.append(("base", comparison.base, another, comparison.urdf))
     for kind, element, diagnostic, place in told:
-        yield Remark(
-            "crosscheck",
-            pair.name,
-            kind,
-            element,
-            file,
-            to_baseline(diagnostic),
-            Severity.ERROR,
-            diagnostic,
-            about_kind(kind),
-            place,
+        yield remark_of(
+            "crosscheck", pair.name, kind, element, file, diagnostic, Severity.ERROR, place
         )
 
 
@@ -219,20 +210,11 @@ def of_guard(
     for one in findings:
         file, _, line = one.places[0].rpartition(":")
         plain = line.isdecimal() or line.startswith("<")
-        yield Remark(
-            tool,
-            pair.name,
-            one.kind,
-            ", ".join(one.joints),
-            relative_path(file if plain else one.places[0], folder),
-            to_baseline(one.diagnostic),
-            one.severity,
-            one.diagnostic,
-            about_kind(one.kind),
-            one.places[0],
-            next(iter(one.places[1:]), None),
-            consequences=one.effects,
-        )
+        named = relative_path(file if plain else one.places[0], folder)
+        yield remark_of(
+            tool, pair.name, one.kind, ", ".join(one.joints), named, one.diagnostic, one.severity,
+            one.places[0], next(iter(one.places[1:]), None), one.effects,
+        )  # fmt: skip
 
 
 def of_error(
@@ -242,18 +224,21 @@ def of_error(
     place = str(getattr(error, "source", path))
     file, _, line = place.rpartition(":")
     known = Path(file if line.isdecimal() else place).is_file()
+    return remark_of(
+        check, pair.name, REFUSED, pair.name, relative_path(path, folder), error.diagnostic,
+        Severity.ERROR, place if known else str(path),
+    )  # fmt: skip
+
+
+def remark_of(
+    check: str, pair: str, kind: str, element: str, file: str, told: Diagnostic, bad: Severity,
+    place: str | None, other_place: str | None = None, consequences: tuple[Diagnostic, ...] = (),
+) -> Remark:  # fmt: skip
+    """Returns a remark whose values are its diagnostic's."""
     return Remark(
-        check,
-        pair.name,
-        REFUSED,
-        pair.name,
-        relative_path(path, folder),
-        to_baseline(error.diagnostic),
-        Severity.ERROR,
-        error.diagnostic,
-        about_kind("refused"),
-        place if known else str(path),
-    )
+        check, pair, kind, element, file, to_baseline(told), bad, told, about_kind(kind), place,
+        other_place, consequences=consequences,
+    )  # fmt: skip
 
 
 def to_baseline(diagnostic: Diagnostic) -> dict[str, Any]:
