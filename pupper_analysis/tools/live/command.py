@@ -144,7 +144,7 @@ def _show_in_mujoco(
     return True
 
 
-def _read_stance(text: str) -> State:
+def read_stance(text: str) -> State:
     """Returns the state of a page's address, or of a stance's file.
 
     Raises:
@@ -187,7 +187,7 @@ def _open_page(
     from pupper_analysis.tools.live.state import load_source
 
     import_viser()  # before anything is loaded
-    begin = _read_stance(stance)
+    begin = read_stance(stance)
     source: LiveSource
     if isinstance(meant, RobotFiles):
         with shared.show_progress("preparing the robot: feet, start pose, servos"):

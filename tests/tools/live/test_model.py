@@ -22,6 +22,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.live import export, render
+from pupper_analysis.tools.live.command import read_stance
 from pupper_analysis.tools.live.controls import fine_step, ranges_of, round_up
 from pupper_analysis.tools.live.documents import (
     brief_document,
@@ -299,6 +300,22 @@ def test_the_usual_state_is_exported_in_few_words() -> None:
     assert export.write_command(source, turned).split()[3:] == [
         "--height=0.15", "--pitch=-5deg", "--slope=3deg", "--com-margin=0.007",
     ]  # fmt: skip
+
+
+def test_a_page_begins_with_the_stance_of_a_file(tmp_path: Path) -> None:
+    """What the page saves for --stance it reads again; what no slider has is refused."""
+    file = tmp_path / "stance.toml"
+    file.write_text(export.write_stance_file(RICH))
+    begun = read_stance(str(file))
+    assert begun.task() == RICH.task()
+    assert begun.place == RICH.place
+    file.write_text("payload = 0.5\npayload-at = '0,0,5cm'\nkp = 20\nheight = '12cm'\n")
+    asked: dict[str, Any] = {"payload": 0.5, "payload_at": (0.0, 0.0, 50.0), "kp": 20.0}
+    assert read_stance(str(file)) == State(height=120.0, **asked)
+    assert read_stance("height:120;roll:5") == State(height=120.0, roll=5.0)
+    file.write_text("com = '1cm,0'\n")
+    with pytest.raises(pa.ConfigurationError, match="com"):
+        read_stance(str(file))
 
 
 def test_links_are_addresses() -> None:
