@@ -585,7 +585,10 @@ def fit_stands(
         if wiring := find_wiring(robot, given, evidence, fit):
             raise MeasurementError(given.source, wiring.found) from error
         raise
-    if not found.explained and (wiring := find_wiring(robot, given, evidence, fit)):
+    # Plugs that are exchanged leave residuals; a scale that is wrong leaves none.
+    if all(one.code == "scale-far-from-the-file" for one in found.failures):
+        return found
+    if wiring := find_wiring(robot, given, evidence, fit):
         return replace(found, failures=(wiring.found, *found.failures))
     return found
 
