@@ -313,7 +313,7 @@ def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
     """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been."""
     plain = load(biped(tmp_path))
     robot = load(from_the_ground(biped(tmp_path), 0.78))
-    assert "raised by 0.880 m, to the base's com" in said(robot, "below all limbs")
+    assert "raised by 880 mm, to the base's com" in said(robot, "below all limbs")
     # The pelvis' com is 0.1 m above the frame that it has otherwise.
     height = plain.stand_height
     one = pa.solve_stand(plain, pa.StandTask(height=height))

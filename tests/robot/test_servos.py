@@ -69,7 +69,7 @@ def test_the_range_of_each_control_is_compared(tmp_path: Path) -> None:
 @pytest.mark.parametrize("element", [PID, DC, IN_PARENT])
 def test_robots_stand_on_them(element: str, tmp_path: Path) -> None:
     pair = with_motors(quadruped(tmp_path), element)
-    command = ["stand", "--urdf", str(pair.urdf), "--mjcf", str(pair.mjcf)]
+    command = ["stand", "--urdf", str(pair.urdf), "--mjcf", str(pair.mjcf), "-v"]
     done = CliRunner().invoke(cli.group, command)
     assert "HOLDS in MuJoCo for" in done.output, done.output
     assert done.exit_code == 0

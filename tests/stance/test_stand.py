@@ -173,7 +173,7 @@ def test_above_the_legs_length_it_is_out_of_reach_by_the_difference(height: floa
     assert max(caught.value.shortfall.values()) < missing + 0.0004
     assert set(caught.value.shortfall) == {"FL", "FR", "RL", "RR"}
     assert "mm" in str(caught.value)
-    assert f"{height:.3f}" in str(caught.value)
+    assert f"height {1000 * height:.1f} mm" in str(caught.value)
 
 
 def test_the_longest_stand_is_found() -> None:

@@ -35,9 +35,7 @@ from pupper_analysis.present.document import (
     number_cell,
     text,
 )
-from pupper_analysis.present.documents.standing import task_text
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.task import StandTask
 
 _MOST_ENTRIES = 24
 """Entries that are written out: a vector of each joint, or of a leg with two hands."""
@@ -48,8 +46,13 @@ _MOST_CHARACTERS = 600
 
 def value_cell(value: object) -> Cell:
     """Returns a value as it is shown: written out where it is short, else by its size."""
-    if isinstance(value, StandTask):
-        return task_text(value)
+    # Engines, which an audit lacks: such a field is of a result that has loaded them.
+    if "pupper_analysis.stance.task" in sys.modules:
+        from pupper_analysis.present.documents.standing import task_text
+        from pupper_analysis.stance.task import StandTask
+
+        if isinstance(value, StandTask):
+            return task_text(value)
     if isinstance(value, float | int) and not isinstance(value, bool):
         return number_cell(float(value), ".6g")
     text = _written(value)

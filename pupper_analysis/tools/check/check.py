@@ -108,7 +108,7 @@ class PairCheck(Result):
             or that have the same values, and findings in its files.
         known: How many the baseline knows.
         disabled: {rule of the audit that was not run: the reason}.
-        notes: What was assumed or left out, in plain words.
+        notes: What was assumed or left out, as messages.
     """
 
     name: str

@@ -48,7 +48,7 @@ class ModelChange(Result):
         old: The old value; None if it was not there.
         new: The new value, in the old link frames; None if it is not there any more.
         unit: Of both.
-        diagnostic: The change, with both values, and words for it.
+        diagnostic: The change, with both values, as a message.
         effects: {quantity: what it does alone}; empty for what is not in a tree of joints, nor felt
             by a simulation.
         consequences: Of what touches, options and keyframes: what it does in a simulation.
@@ -89,7 +89,7 @@ class ModelDiff(Result):
         residual: {quantity: relative deviation that no change explains}.
         complete: Whether nothing is left.
         together: Of two MJCFs: what all changes do when both files are simulated as they are; none
-            if it is told of the only one.
+            if it is reported of the only one.
         notes: What was assumed or left out.
     """
 

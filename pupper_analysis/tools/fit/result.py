@@ -55,8 +55,8 @@ class Together(Result):
 
     Attributes:
         names: Of the parameters.
-        ratio: Whether it is their ratio that is told, and not how large they are.
-        std: Standard deviation of the combination that is told, in parts of its prior's.
+        ratio: Whether it is their ratio that is determined, and not how large they are.
+        std: Standard deviation of the combination that is determined, in parts of its prior's.
         remedies: {what else to measure: by which factor that would narrow the widest of them},
             the best first.
     """
@@ -197,7 +197,7 @@ class Fit(Result):
         name: The robot's name.
         source: Where the measurements are from.
         estimates: Of all parameters, those of the surroundings last.
-        together: What cannot be told apart.
+        together: What cannot be distinguished.
         failures: What the model does not explain.
         diagnostics: What else there is to say.
         posterior: What is known of all parameters together.

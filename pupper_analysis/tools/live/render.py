@@ -363,9 +363,8 @@ def render_verdict(document: Document, say: Language) -> str:
     """Returns a document's verdict with its reasons, in one remark; nothing where it has none."""
     if document.passed is None:
         return ""
-    told = (*document.failures, *document.told)
-    if not told and document.verdict is not None:
-        told = (document.verdict,)
+    verdict = () if document.verdict is None else (document.verdict,)
+    told = (*verdict, *document.failures, *document.told, *document.details)
     return _box(document.mark, "; ".join(say.words(one) for one in told))
 
 

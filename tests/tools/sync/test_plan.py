@@ -416,7 +416,7 @@ def test_what_a_urdf_cannot_state_is_left_and_said(tmp_path: Path) -> None:
     sprung = sprung.replace('<joint name="hip1"', '<joint name="hip1" springref="0.1"')
     files = write(tmp_path, urdf_text(ROBOT), sprung)
     for side, said in (
-        ("mjcf", "a URDF has no words for it"),
+        ("mjcf", "a URDF cannot express it"),
         ("urdf", "the MJCF alone has it: take it out of that by hand"),
     ):
         result = sync(files, side, dry_run=True)
