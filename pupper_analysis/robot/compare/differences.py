@@ -117,7 +117,7 @@ class Stated:
         urdf: The URDF's value, in the URDF's frames; None where it has none.
         mjcf: The MJCF's, in the URDF's frames.
         unit: Of both.
-        diagnostic: The difference, with both values, and words for it.
+        diagnostic: The difference, with both values, as a message.
     """
 
     kind: str
