@@ -31,7 +31,7 @@ LONGEST = 0.2
 """Seconds of its cases that are not among the longest, so that CI's clone is done in fifteen
 minutes."""
 
-ALONE = 2.0
+ALONE = 1.5
 """Seconds of its first case that is not among the longest: what CI runs of a long proof."""
 
 SAMPLED = 4

@@ -95,7 +95,7 @@ def trot(tmp_path_factory: pytest.TempPathFactory) -> Policy:
     return Policy.load(made.trot(tmp_path_factory.mktemp("walk") / "trot.json"))
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_intervals_are_the_same_again_and_their_ends_walk_and_do_not(trot: Policy) -> None:
     """Each end is walked, and what is beyond is not, in a run of its own; repeated, bit by bit."""
     robot, command, names = load("v3"), made.TROT[0], ("mass", "kp", "delay", "strength")
@@ -207,7 +207,7 @@ def test_a_planted_order_is_found(trot: Policy) -> None:
     assert found.candidates[0].joints == names
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_planted_sign_is_found(trot: Policy) -> None:
     signs = np.ones(12)
     signs[4] = -1.0
@@ -216,14 +216,14 @@ def test_a_planted_sign_is_found(trot: Policy) -> None:
     assert found.candidates[0].flipped == ("leg_front_l_2",)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_planted_scale_is_found(trot: Policy) -> None:
     found = ranked(trot.with_contract(action_scale=0.5 * trot.contract.action_scale))
     assert not found.passed
     assert (found.candidates[0].change, found.candidates[0].detail) == ("scale", "x 2")
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_what_walks_as_well_is_said_to_be_not_determined(tmp_path: Path) -> None:
     """A history that is read the other way round: here it is one frame late, which walks, too."""
     policy = Policy.load(made.trot(tmp_path / "trot.json", history=2))
