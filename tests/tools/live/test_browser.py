@@ -374,7 +374,9 @@ def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> No
 
 
 GUIDE = ROOT / "docs" / "how-to" / "live.md"
-PAGES = [command for command in commands(GUIDE.read_text()) if command.split()[1:] == ["live", "v3"]]
+PAGES = [
+    command for command in commands(GUIDE.read_text()) if command.split()[1:] == ["live", "v3"]
+]
 
 
 @pytest.mark.parametrize("command", PAGES)
