@@ -1,6 +1,7 @@
-"""Capsules of a URDF, which ROS 2 knows and the URDF reader of Pinocchio and PlaCo does not.
+"""URDFs as they are used, for readers that know less: capsules, and joints without limits.
 
-Joints of a URDF that state no limits: its format has them locked at zero, or refuses them.
+ROS 2 knows capsules, the URDF reader of Pinocchio and PlaCo does not. Joints that state no limits
+are locked at zero by the format, or refused.
 """
 
 from __future__ import annotations

@@ -3,9 +3,8 @@
 Pinocchio has an MJCF parser and MuJoCo a URDF importer. The former (3.8) drops masses given in
 default classes, friction loss and force ranges, so the compiled MuJoCo model is rebuilt joint by
 joint here; the latter, left to itself, welds the base to the world and drops its mass, so static
-bodies are kept apart and the base is given a free joint.
-
-The parameters of a tree of joints as a MuJoCo model, whose numbers can be changed in place.
+bodies are kept apart and the base is given a free joint. A tree's parameters in MuJoCo can be
+changed in place.
 """
 
 from __future__ import annotations
@@ -34,6 +33,8 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
+
+Array = NDArray[np.float64]
 
 _T = TypeVar("_T")
 
@@ -153,8 +154,6 @@ def _quaternion(rotation: Array) -> Array:
     x, y, z, w = pin.Quaternion(rotation).coeffs()
     return np.array([w, x, y, z])
 
-
-Array = NDArray[np.float64]
 
 _ROOT = "__root__"
 

@@ -1,6 +1,6 @@
 """Reads anybody's URDF or MJCF: what is malformed is refused with its file and line.
 
-Readers of formats besides URDF and MJCF: whoever has one is found by `base.tools.formats`.
+Formats besides these two have readers in other packages, found by `base.tools.formats`.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
 """Reads MJCFs as ``mujoco.MjSpec``, and writes specs without loss.
 
-A plane to stand on, put into an MJCF.
-
-What is made up for in an MJCF that MuJoCo of today, or without its scene, would refuse.
-
-Kinds of MuJoCo's joints, of a compiled model and of a spec.
+With what an MJCF may need on the way: a plane to stand on, names of the kinds of joints, and what
+is made up for where MuJoCo of today, or without its scene, would refuse it.
 """
 
 from __future__ import annotations
@@ -30,6 +27,8 @@ from pupper_analysis.base.inputs import read_input
 from pupper_analysis.models import standard_input
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER
+
+Array = NDArray[np.float64]
 
 
 class JointKind(IntEnum):
@@ -151,8 +150,6 @@ def add_plane(spec: mujoco.MjSpec, name: str, bits: int = 1) -> mujoco.MjsGeom:
     plane.type, plane.size, plane.conaffinity = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05), bits
     return plane
 
-
-Array = NDArray[np.float64]
 
 TIMESTEPS = 1e-5, 0.1
 """s: of what is simulated. A stand of 12 s is 1.2 million steps of the first; contacts ring within

@@ -1,10 +1,7 @@
 """Reads an MJCF: what MuJoCo makes of it, and where its elements stand.
 
-The elements of an MJCF, with its includes put in and its attached models.
-
-Meshes that an MJCF cannot have: what needs missing files is left out, flat ones become shells.
-
-Textures and skins too. MuJoCo refuses flat meshes as solids.
+Includes are put in and attached models too. What needs files that are missing (meshes, textures,
+skins) is left out, and flat meshes, which MuJoCo refuses as solids, become shells.
 """
 
 from __future__ import annotations

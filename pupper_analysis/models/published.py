@@ -1,8 +1,7 @@
 """Models as they are published: by a description's name in robot_descriptions, or as xacro.
 
-Both packages are optional, and nothing is downloaded here.
-
-Files that a model names, and the folders of ROS packages.
+Both packages are optional, and nothing is downloaded here. Files that a model names are found in
+the folders of ROS packages.
 """
 
 from __future__ import annotations

@@ -20,6 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.inputs import read_text
 from pupper_analysis.models.xml import NUMBER
 
+Array = NDArray[np.float64]
+
 NOISE = 1e-13
 """Relative size of what products of rotations make of a zero."""
 
@@ -71,8 +73,6 @@ def free_name(wanted: str, taken: set[str]) -> str:
     taken.add(name)
     return name
 
-
-Array = NDArray[np.float64]
 
 SAME: Final = 1e-12
 """Relative to the greatest number of a vector: a hundredth of a thousandth of what may be left."""

@@ -1,11 +1,10 @@
-"""What is told of a result, before it is shown anywhere: a verdict, key figures, tables, plots.
+"""What is said of a result, before it is shown anywhere: a verdict, key figures, tables, plots.
 
 A document is made once, by the builder of its result's type (``documents``), and shown by each
-renderer in its own way: on a terminal, on a page, in Markdown. No text here is markup, whatever it
-holds: names in model files are anybody's, and each renderer escapes all of it. A plot says which
-lines are over which axes; how they are drawn is a renderer's.
-
-Words of documents, in English and in Simplified Chinese: those of the catalogue, by key.
+renderer in its own way: on a terminal, on a page, in Markdown. Its words are the catalogue's, by
+key, in English and Simplified Chinese. No text here is markup, whatever it holds: names in model
+files are anybody's, and each renderer escapes all of it. A plot says which lines are over which
+axes; how they are drawn is a renderer's.
 """
 
 from __future__ import annotations
@@ -27,6 +26,8 @@ if TYPE_CHECKING:
 from collections.abc import Iterable
 
 from pupper_analysis.base.diagnostics import fill_template, is_term, phrase
+
+Array = NDArray[np.float64]
 
 
 def text(key: str, **values: object) -> Text:
@@ -194,9 +195,6 @@ class DirectionPlot(Plot):
     axis: Axis
     series: Sequence[Series]
     note: Words | None = None
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

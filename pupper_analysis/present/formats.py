@@ -1,8 +1,6 @@
-"""Findings for machines: GitHub's annotations, JUnit's XML, and SARIF.
+"""Findings for machines: GitHub's annotations, JUnit's XML, and SARIF, which code scanning reads.
 
-SARIF, the format that code scanning reads: findings with their rules, places and fingerprints.
-
-Source: OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0"; what GitHub asks
+Sources: OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0"; what GitHub asks
 for beyond it: GitHub documentation, "SARIF support for code scanning".
 """
 

@@ -28,6 +28,8 @@ from pupper_analysis.pupper.variants import (
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import PublishedFile, Robot
 
+Array = NDArray[np.float64]
+
 _SAFE_SCALE = 20.0
 """Scales up to this, or its inverse, compile; whether others do is tried, which takes its time."""
 
@@ -141,9 +143,6 @@ def write_variant(
     contents |= {urdf_path: description.urdf.encode(), mjcf_path: mjcf_text.encode()}
     write_together([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
     return urdf_path, mjcf_path
-
-
-Array = NDArray[np.float64]
 
 
 def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Robot:

@@ -16,6 +16,8 @@ from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.robot.impedance import effective_solref
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class ContactParameters:
@@ -175,9 +177,6 @@ def bodies_on_ground(
     still = model.geom_bodyid[pairs] == 0
     geoms = set(pairs[still[:, ::-1] & ~still].tolist())  # of those whose other one is the ground's
     return {model.body(int(model.geom_bodyid[geom])).name for geom in geoms.difference(foot_geoms)}
-
-
-Array = NDArray[np.float64]
 
 
 def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:

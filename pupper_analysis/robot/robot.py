@@ -1,6 +1,6 @@
 """One robot, two models: Pinocchio's from the URDF, MuJoCo's from the MJCF.
 
-What each motor of a robot can give, by both of its files, and what is said about it.
+What its motors can give is the least that both state.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.shapes import ContactShape, shapes_of
 from pupper_analysis.robot.structure import Structure
+
+Array = NDArray[np.float64]
 
 _EFFORT_TOLERANCE = 1e-6
 """Relative: limits that differ by less are one, rounded otherwise."""
@@ -115,8 +117,6 @@ def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
 def _alike(one: float, other: float) -> bool:
     return one == other or math.isclose(one, other, rel_tol=_EFFORT_TOLERANCE)
 
-
-Array = NDArray[np.float64]
 
 _T = TypeVar("_T")
 

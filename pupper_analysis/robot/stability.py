@@ -21,6 +21,8 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 
+Array = NDArray[np.float64]
+
 STEP = 1e-7
 """Of the centred differences (m, rad, and their rates): contacts are stiff, and curved over 1e-5;
 eigenvalues come out to 1e-9, where 1e-6 leaves as much."""
@@ -94,8 +96,6 @@ def _differences(model: mujoco.MjModel, data: mujoco.MjData, matrix: Array) -> A
         matrix[:, column] = np.concatenate([moved, *rates])
     return matrix
 
-
-Array = NDArray[np.float64]
 
 LASTING = 12.0
 """How long what is said to hold must hold (s). Regularised friction creeps, and what is carried by

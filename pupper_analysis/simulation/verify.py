@@ -1,10 +1,7 @@
 """Does it hold: MuJoCo's floating-base simulation of a stand, against what Pinocchio predicts.
 
-Flat soles on legs that cannot lay them flat: MuJoCo has more contacts than one.
-
-Closed loops and couplings of an MJCF: what they do that is not as predicted.
-
-Does a stand balance by MuJoCo, too: by its kinematics and dynamics of the MJCF.
+First the stand itself by MuJoCo's kinematics and dynamics; and what the prediction leaves out:
+loops that give way, constraints that it does not know, soles that touch at more places than one.
 """
 
 from __future__ import annotations
@@ -38,6 +35,8 @@ from pupper_analysis.stance.soft_ground import open_loops
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import interpolate_drop
+
+Array = NDArray[np.float64]
 
 
 def load_by_mujoco(robot: Robot, qpos: Array) -> Array:
@@ -157,8 +156,6 @@ def several_contacts(robot: Robot, stand: Stand) -> Diagnostic | None:
         spread=Quantity(spread[foot], "m"),
     )
 
-
-Array = NDArray[np.float64]
 
 STABLE_DEVIATION = 5e-3
 """A stand is stable if the base's height deviates by less than this in the last second (m)."""

@@ -1,7 +1,4 @@
-"""A close look at a simulated stand: what touches the ground, and what its motors and feet hold.
-
-With what a stand was simulated, as its results say.
-"""
+"""A close look at a simulated stand: what touches the ground, and what its motors and feet hold."""
 
 from __future__ import annotations
 
@@ -17,6 +14,8 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation import monitor
 from pupper_analysis.stance.stand import Stand
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +38,6 @@ class SimulationSettings(Result):
     kp: Array
     kd: Array
 
-
-Array = NDArray[np.float64]
 
 _SAMPLE_TIME = 0.02  # s between the states that are looked at
 

@@ -23,6 +23,8 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation, balance_load
 
+Array = NDArray[np.float64]
+
 __all__ = ["Stand", "solve_stand", "stand_statics"]
 
 _UP = [0.0, 0.0, 1.0]
@@ -117,8 +119,6 @@ def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
     sunk = depths if any(depths.values()) else None
     return make_contacts(robot, stand.stance_feet, None, normals, sunk)
 
-
-Array = NDArray[np.float64]
 
 _SAME_BEND = 0.5
 """rad: joints that are further from those of the stand before may be bent another way than a search

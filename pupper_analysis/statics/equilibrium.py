@@ -26,6 +26,8 @@ from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, Tan
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.support_polygon import com_margin, margin_of_place
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True, eq=False)
 class FootLoad(Result):
@@ -97,8 +99,6 @@ class FootLoads(Mapping[str, FootLoad]):
         share = sliding_share(total.tolist(), normals[own[0]].tolist(), least, self._tiny)
         return FootLoad(total, weights @ places, share)
 
-
-Array = NDArray[np.float64]
 
 _LIGHTEST = 1e-3
 """Share of the largest force below which a foot's viscosity is not looked at."""

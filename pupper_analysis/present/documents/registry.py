@@ -1,11 +1,10 @@
-"""Which result is told how: the builder of its type makes its document.
+"""Which result is shown how: the builder of its type makes its document.
 
 A builder is registered by the type of its result (``@build_document.register``): of a tool's
 result in the tool's module ``document``, of one of the core in the module here that has the type's
 name in small letters: that of a ``Comparison`` stands in ``comparison``. The module is imported
-when such a result is shown for the first time, so that an audit loads no stance.
-
-A result without a document of its own: its fields, their values, and what they mean.
+when such a result is shown for the first time, so that an audit loads no stance. Of a result
+without a builder its fields are shown, with what they mean.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The figure of how a robot stands.
-
-A robot as lines, and the polygons under it.
-"""
+"""The figure of how a robot stands: its links as lines, and the polygons under it."""
 
 from __future__ import annotations
 
@@ -37,6 +34,8 @@ import shapely
 from numpy.typing import ArrayLike
 
 from pupper_analysis.robot.contact import foot_site, limb_ends
+
+Array = NDArray[np.float64]
 
 BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
@@ -157,7 +156,6 @@ def draw_ground(axes: Any, stand: Stand, seen: StandingScene) -> None:
         )
 
 
-Array = NDArray[np.float64]
 _ELEVATION, _AZIMUTH = 16, -33  # deg: from the front and the right
 _ARROW = 0.35  # length of the largest force's arrow / length of the support polygon
 _LABEL = (4.6, 2.6)  # width and height of a force's label, in heights of its letters

@@ -1,12 +1,8 @@
 """Writes results as one HTML file that needs nothing else.
 
 Not even to draw in space: three.js is in it, of a package that is installed. MeshCat's viewer has
-it, which PlaCo brings.
-
-What is drawn in three dimensions: a robot's shapes, where they are, and what acts on it.
-
-Of two files that are compared, one over the other: the MJCF's shapes, and the URDF's joints as
-lines.
+it, which PlaCo brings. A scene has a robot's shapes, where they are, and what acts on it; of two
+files that are compared, the MJCF's shapes and the URDF's joints as lines over each other.
 """
 
 from __future__ import annotations

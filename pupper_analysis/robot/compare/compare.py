@@ -1,11 +1,7 @@
 """Compares any robot's URDF with its MJCF: whether they agree, and which number is to blame.
 
-How a fixed base stands as each file is loaded, and what that does to gravity.
-
 Where a robot is mounted is no difference of robots: for the comparison the URDF is put where the
 MJCF stands. But who loads the URDF as it is computes other torques, if that is tilted.
-
-Shapes for contact in a URDF and an MJCF: do the feet touch the ground at the same place?
 
 What a foot stands on is part of the robot: a radius that is another one raises it, a shape that
 touches nothing lets it fall. What else touches, and a foot of another shape that stands as high (a
@@ -81,6 +77,8 @@ from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees, poses_at_zero
 from pupper_analysis.robot.servos import own_servos
+
+Array = NDArray[np.float64]
 
 SAME_CONTACT = 2e-4
 """m: surfaces that are no further apart are one. (Meshes are cut to a tenth of a millimetre, and
@@ -347,9 +345,6 @@ def _of_others(limbs: Mapping[str, Limb]) -> Iterator[Diagnostic]:
         yield diagnose("collisions-differ", worst=worst, off=far, names=tuple(apart))
     if lone:
         yield diagnose("collisions-in-one-file", names=tuple(lone))
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

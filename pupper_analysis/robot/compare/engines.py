@@ -11,8 +11,6 @@ along the other two the model is the same and the engines differ. So a deviation
 
 What a URDF cannot state (springs, tendons, fluid ...; see `passive`) is taken out of the MJCF for
 the square, so that both engines are given the same model; the last side tells what it does.
-
-Backend evaluations: one quantity of a robot's model by Pinocchio, by MuJoCo and by yourdfpy.
 """
 
 from __future__ import annotations
@@ -65,6 +63,8 @@ from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvent
 from pupper_analysis.robot.matching.trees import Reference
 from pupper_analysis.robot.matching.urdf import Mimics, urdf_mimics
 from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,8 +401,6 @@ def _base(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
         return frame.placement
     return pin.SE3(rotation_from_quaternion(qpos[3:7]), qpos[:3]) * frame.placement
 
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """Deviation, relative to a quantity's scale, up to which two evaluations agree."""

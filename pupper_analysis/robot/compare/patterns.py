@@ -2,14 +2,10 @@
 
 Each is tried out: the slip is undone, and what is gone of the differences is what it explains.
 
-Links that one file lacks, or that weigh a multiple, hide in the folded bodies that differ. Masses
-and moments add up, so the difference of two folded bodies is that of their links. A slip is undone,
-link by link; it is a cause only if nothing of the body's differences is left then.
-
-The links of which each moving body is made, in both files, in the same frame.
-
-Links on fixed joints are folded into the body that carries them before two files are compared. The
-fold says that a body differs; which of its links differs, the links alone can say.
+Links on fixed joints are folded into the body that carries them before two files are compared: the
+fold says that a body differs, and only the links which one. Masses and moments add up, so the
+difference of two folded bodies is that of their links. A slip is undone link by link; it is a cause
+only if nothing of the body's differences is left then.
 """
 
 from __future__ import annotations
@@ -43,6 +39,8 @@ from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees, poses_at_zero
 from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +169,6 @@ _LISTED = 6
 """Links of a body that are listed, the heaviest first."""
 
 
-Array = NDArray[np.float64]
 Key = tuple[str, str]
 """The kind and the element of a difference."""
 

@@ -1,6 +1,6 @@
 """Brings a URDF and an MJCF of one robot to the same base, the same joints and the same names.
 
-Parts that one file has and the other lacks: a gripper, a tail, a head.
+Parts that one file has and the other lacks (a gripper, a tail, a head) are left out, and said.
 """
 
 from __future__ import annotations

@@ -18,6 +18,8 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.robot import Robot
 
+Array = NDArray[np.float64]
+
 
 def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
     """Returns the parameters of the URDF and of the MJCF; of a fixed base, in the world's frame."""
@@ -43,9 +45,6 @@ def base_pose(robot: Robot) -> pin.SE3:
     mujoco.mj_kinematics(robot.mj_model, data)
     body = robot.mj_model.body(robot.mj_base).id
     return placement_of(data.xquat[body], data.xpos[body])
-
-
-Array = NDArray[np.float64]
 
 
 def poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:

@@ -1,8 +1,7 @@
 """How far a standing robot sags: where its servos let it come to rest on soft ground.
 
-The way of a robot from its stand to where it comes to rest.
-
-How stiff an equilibrium is: whether it lasts where the feet let it move.
+A homotopy leads there: the feed-forward is taken away, then feet creep. The equilibrium at its end
+lasts where it is stiff in every motion that the feet leave.
 """
 
 from __future__ import annotations
@@ -35,6 +34,8 @@ from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, Units
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import interpolate_drop
+
+Array = NDArray[np.float64]
 
 SMALL_SLIP = 0.01
 """A sole that has slipped by less, in parts of the height at which the robot stands, rests where it
@@ -423,8 +424,6 @@ class HomotopyPath:
         stand, closure = self.system.stand, self.system.robot.closure
         return closure is not None and not any(stand.depths.values())
 
-
-Array = NDArray[np.float64]
 
 RELEASE_MARGIN = 0.06
 """A ``release_margin`` that keeps the feet in place: what contacts add to the first order."""

@@ -41,6 +41,8 @@ from pupper_analysis.robot.joints import leg_lengths
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 
+Array = NDArray[np.float64]
+
 ELEVATION, AZIMUTH = math.radians(20), math.radians(140)  # of the camera's line of sight
 AHEAD = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), 0.0])
 RIGHT = np.array([math.sin(AZIMUTH), -math.cos(AZIMUTH), 0.0])
@@ -344,7 +346,6 @@ def _shoot(
     return image[::-1], depth[::-1] < 1.0
 
 
-Array = NDArray[np.float64]
 _DPI = 100
 
 

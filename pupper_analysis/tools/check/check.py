@@ -1,9 +1,7 @@
 """Checks all models that a repository's configuration names, against its baseline.
 
-What has changed in a repository's models since a revision, as remarks.
-
-What an MJCF states of contacts, options, keyframes and motors no URDF can contradict, so that the
-last version is the only witness.
+And since a revision, what has changed: of contacts, options, keyframes and motors no URDF can
+contradict an MJCF, so that the last version is the only witness.
 """
 
 from __future__ import annotations

@@ -35,6 +35,8 @@ from pupper_analysis.tools.diff.elements import (
 )
 from pupper_analysis.tools.diff.version import Version, VersionedFile, open_version, version_of
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True, eq=False)
 class ModelChange(Result):
@@ -354,7 +356,6 @@ def _words(value: Any) -> str:
 # In Pinocchio's own coordinates, with the base's velocity in its own axes: two trees are compared
 # with each other, and no other engine is asked.
 
-Array = NDArray[np.float64]
 
 _COUNT = 10
 """States: as many as those that differences of a URDF and an MJCF are judged at."""

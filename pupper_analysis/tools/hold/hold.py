@@ -1,8 +1,6 @@
-"""What a posture of a robot whose base is held costs, and whether it holds.
+"""What a posture of a robot whose base is held costs, whether it holds, and what its tool carries.
 
-What a robot whose base is held carries at its tool: in a posture, and in every one.
-
-What motors hold over the reach of a tool.
+In that posture, in every posture, and over the reach of the tool.
 """
 
 from __future__ import annotations
@@ -36,6 +34,8 @@ from pupper_analysis.tools.hold.sag import SaggedPosture, sag_posture
 from pupper_analysis.tools.hold.verify import PostureVerification, verify_posture
 from pupper_analysis.tools.hold.ways import Ways, bound_together
 from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
+
+Array = NDArray[np.float64]
 
 _POSTURES = 600
 """Random postures: a section of an arm's reach is seen in some hundred points."""
@@ -249,8 +249,6 @@ def _bearing(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
         bears[joints] |= bears[joints].any()
     return bears
 
-
-Array = NDArray[np.float64]
 
 TRIED = 0.95
 """Part of the payload that is simulated, the lesser of what motors and servos hold: at the

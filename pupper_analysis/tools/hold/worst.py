@@ -1,8 +1,7 @@
-"""The worst posture of each motor: searched for, from several postures, joint by joint.
+"""The worst posture of each motor: the one in which gravity asks most of it.
 
-The search for the posture in which gravity asks most of a motor: from joint to joint.
-
-What is held in one posture of thousands: for searches, without what a configuration sets up.
+Searched for from several postures, joint by joint. What is held in one posture of thousands is
+computed without what a configuration sets up.
 """
 
 from __future__ import annotations
@@ -24,6 +23,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool, carrying_link
 from pupper_analysis.stance.posture import Posture, check_held, joint_ranges
 from pupper_analysis.tools.hold.ways import Ways
+
+Array = NDArray[np.float64]
 
 ROUNDING = 1e-8
 """N m per N of weight: by which two ways to compute a torque may differ."""
@@ -303,8 +304,6 @@ def _sampled(at: Callable[[float], float], low: float, high: float) -> float:
     )
     return float(max((found.x, looks[top]), key=at))
 
-
-Array = NDArray[np.float64]
 
 _STARTS = 12
 """Random postures that a search begins from, besides the one that is asked about."""

@@ -26,6 +26,8 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.live.render import Language, mark_slider
 from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN, State, on_page
 
+Array = NDArray[np.float64]
+
 PLACES = {
     "centre": "place-centre",
     "inside": "place-inside",
@@ -340,7 +342,6 @@ def _within(span: Range, value: float) -> float:
 
 # Sliders of joints: of an arm's, and of a stand's posture.
 
-Array = NDArray[np.float64]
 
 _SHOWN = {"rad": (180.0 / math.pi, "deg", math.pi), "m": (1e3, "mm", 1.0)}
 """{unit of a joint: (how many of what the page shows it is, what that is, the end of a slider of a

@@ -28,6 +28,8 @@ from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.tools.live.model import Answer
 
+Array = NDArray[np.float64]
+
 # What colour says how hard a motor works: blue, yellow, red, which all eyes tell apart.
 
 SCALE: tuple[tuple[float, Colour], ...] = (
@@ -135,8 +137,6 @@ def mesh_of_primitive(name: str, size: Array) -> tuple[Array, Integers]:
         made.apply_scale((a, a, a) if name == "sphere" else (a, b, c))
     return np.asarray(made.vertices, dtype=float), np.asarray(made.faces, dtype=np.int64)
 
-
-Array = NDArray[np.float64]
 
 GHOST: Colour = (110, 130, 150)
 TWIN: Colour = (226, 120, 30)

@@ -1,10 +1,9 @@
-"""One browser's page: its controls, its scene, and the two threads that answer it.
+"""One browser's page: its panels, its scene, and the two threads that answer it.
 
-One thread solves each state at once, and passes over those that are out of date. The other one does
-what takes longer, when nothing has changed for a moment: where servos settle, why a stance is out
-of reach, simulations. What it finds is shown only with the stance that it is about.
-
-The panels of a page: what it takes on the left, what is asked on the right.
+The left panel takes the robot and the stance, the right one shows what it costs. One thread solves
+each state at once, and passes over those that are out of date. The other one does what takes
+longer, when nothing has changed for a moment: where servos settle, why a stance is out of reach,
+simulations. What it finds is shown only with the stance that it is about.
 """
 
 from __future__ import annotations

@@ -22,6 +22,8 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
 
+Array = NDArray[np.float64]
+
 # A robot dropped on the ground: what it does, and what its IMU reads.
 
 
@@ -184,7 +186,6 @@ def at_home(
 
 # A robot in words: what its joints do, and how its IMU is read.
 
-Array = NDArray[np.float64]
 IMU_SENSORS = {
     "body_quat": ("1", "orientation of the IMU in the world (w, x, y, z)"),
     "body_gyro": ("rad/s", "angular velocity in the IMU's axes"),

@@ -1,7 +1,4 @@
-"""Where a path goes: configurations, and their derivatives along the way.
-
-The segments of a path: from one stance to the next, and the task of each moment between.
-"""
+"""Where a path goes: segments from stance to stance, configurations and their derivatives."""
 
 from __future__ import annotations
 
@@ -29,6 +26,8 @@ from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
+
+Array = NDArray[np.float64]
 
 _T = TypeVar("_T", float, NDArray[np.float64])
 
@@ -220,8 +219,6 @@ def task_between(
         **others,
     )
 
-
-Array = NDArray[np.float64]
 
 MAX_JUMP = 0.5
 """A joint that moves by more than this from one sample to the next has jumped (rad)."""

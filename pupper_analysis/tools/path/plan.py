@@ -1,6 +1,6 @@
 """From stance to stance: a smooth path through them, with what it takes at its speed.
 
-What a sample of a path takes at a speed: torques, contact forces, the zero-moment point.
+Of each sample: torques, contact forces, the zero-moment point.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
 from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.path.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_jerk, path_geometry
+
+Array = NDArray[np.float64]
 
 FAINT = 1e-3
 """Share of the load that is too small to pass on: where it begins, the zero-moment point is so near
@@ -167,8 +169,6 @@ def _friction(
             found[foot] = tangential / limit if limit else math.inf
     return found
 
-
-Array = NDArray[np.float64]
 
 MAX_SAMPLES = 20_000
 """The most samples that a path may have."""

@@ -1,7 +1,4 @@
-"""How MuJoCo tracks a path through stances.
-
-The path to a stance, and how MuJoCo follows it.
-"""
+"""How MuJoCo tracks a path: through stances, or to one."""
 
 from __future__ import annotations
 
@@ -28,6 +25,8 @@ from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.path.path_commands import PathCommands, path_commands
 from pupper_analysis.tools.path.plan import StancePath, stance_path
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +107,6 @@ def way_to(robot: Robot, stand: Stand) -> list[StandTask]:
     )
     return [nominal, *([replace(over, swing={})] if task.swing else []), over]
 
-
-Array = NDArray[np.float64]
 
 TRACKING_TOLERANCE = 0.1
 """Joint error up to which a path counts as tracked (rad)."""

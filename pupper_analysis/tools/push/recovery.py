@@ -1,7 +1,4 @@
-"""How hard can it be pushed: the largest horizontal impulse from which a stand recovers.
-
-How hard a stance can be pushed, as it stands in the simulation.
-"""
+"""How hard can it be pushed: the largest horizontal impulse from which a stand recovers."""
 
 from __future__ import annotations
 
@@ -29,6 +26,8 @@ from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.push.bench import Bench, Pushed, bench_of
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +98,6 @@ def study_pushes(
         found[robot.name] = PushedStance(robot.name, held, recovery, verdict)
     return found
 
-
-Array = NDArray[np.float64]
 
 LEVELS = 8
 """So many smaller pushes per direction are tried once a limit is found."""

@@ -1,7 +1,4 @@
-"""The document of a stance: what it costs, and whether it holds.
-
-The document of a loaded robot: what was done to make two files one that can stand.
-"""
+"""The documents of a stance, and of what was added to a robot on loading."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """One design: its numbers, the robot and stand that they make, and what is measured of it.
 
-Diagnostics as plain data, and back: what is reported today can be said tomorrow, in any language.
+Its diagnostics are kept as plain data: what is reported today can be said tomorrow, in any
+language.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The results of a study, to be shown: failures, fronts, shares, how sure it is.
-
-How sure is a stand of numbers that are not exact?
-"""
+"""The results of a study, to be shown: failures, fronts, shares, and how sure its stands are."""
 
 from __future__ import annotations
 
@@ -43,6 +40,8 @@ if TYPE_CHECKING:
     import pandas as pd
 import math
 from typing import TYPE_CHECKING
+
+Array = NDArray[np.float64]
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -464,9 +463,6 @@ def _unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
     found = np.zeros(len(costs), bool)
     found[front] = True
     return found
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,8 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.tools.study.lengths import stretch_links
 
+Array = NDArray[np.float64]
+
 # Names of factors on a robot's numbers, and the joints and bodies that they mean.
 
 OF_JOINTS = tuple(name for name, field in FIELDS.items() if field.per == "joint")
@@ -171,8 +173,6 @@ def bodies_of(robot: Robot) -> dict[str, str]:
         for joint in robot.joint_names
     }
 
-
-Array = NDArray[np.float64]
 
 _MASS_TOLERANCE = 1e-9
 """Relative: two models that were given the same factors agree to rounding."""

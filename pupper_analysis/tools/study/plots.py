@@ -40,6 +40,8 @@ from pupper_analysis.tools.study.cells import (
     value_span,
 )
 
+Array = NDArray[np.float64]
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -223,7 +225,6 @@ def front_plot(
 
 # Drawings of many designs: maps over two numbers, lines over several, clouds with their front.
 
-Array = NDArray[np.float64]
 
 MAP_HEIGHT = 380.0
 """Of a map (CSS pixels)."""

@@ -45,6 +45,8 @@ from pupper_analysis.tools.study.design import (
 from pupper_analysis.tools.study.measures import Function, Metric, metric_of
 from pupper_analysis.tools.study.store import Store, design_keys
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Work:
@@ -193,8 +195,6 @@ def split_chunks(
         part = slice(start, start + size)
         yield Chunk(work, tuple(names[part]), tuple(numbers[part]))
 
-
-Array = NDArray[np.float64]
 
 TASK = 0.5
 """s: so long a chunk of designs should take; what it costs to send one is a part in a hundred."""

@@ -38,6 +38,8 @@ from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace, elements_withi
 from pupper_analysis.tools.sync.orientation import AngleUnits, orientation_change, stated_rotation
 from pupper_analysis.tools.sync.xml_bytes import Element
 
+Array = NDArray[np.float64]
+
 _NEW_INERTIAL_COST = 100
 """What a new <inertial> counts, in attributes: any change of what is there goes before it."""
 
@@ -214,8 +216,6 @@ def _principal(
     changes = {} if text is None else {"diaginertia": text}
     return changes | orientation_change(element, own, axes, units, digits)
 
-
-Array = NDArray[np.float64]
 
 COPIED = diagnose("body-is-a-copy")
 

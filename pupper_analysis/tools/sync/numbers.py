@@ -1,8 +1,7 @@
 """Writes given numbers into a robot's URDF and MJCF alike, each in its own frames and words.
 
-Where a model's files go in another folder: as they stand to each other, so that all are found.
-
-No path in a file is rewritten, so that what is written differs in nothing else.
+In another folder a model's files stand to each other as they did, so that all are found: no path in
+a file is rewritten, and what is written differs in nothing else.
 """
 
 from __future__ import annotations
@@ -49,6 +48,8 @@ from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.plan import Edit, edits_of
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
 from pupper_analysis.tools.sync.xml_bytes import XmlDocument, read_document
+
+Array = NDArray[np.float64]
 
 _ASIDE = "mjcf"
 """Folder of the MJCF and its files, where one of them has the place of another file."""
@@ -167,9 +168,6 @@ def _assets(mjcf: MjcfFile) -> Iterator[Path]:
             continue
         found = (existing_file(top / folder / name) for top in folders)
         yield from (path for path in found if path is not None)
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

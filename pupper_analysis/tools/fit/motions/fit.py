@@ -37,6 +37,8 @@ from pupper_analysis.tools.fit.parameters import (
 )
 from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, find_together
 
+Array = NDArray[np.float64]
+
 # How fits of logs begin: a base that is held, and which part of each log is predicted.
 
 HOLD_OUT = 0.2
@@ -66,8 +68,6 @@ def share_out(
         raise ConfigurationError("hold_out", diagnose("not-between", given=hold_out, low=0, high=1))
     return tuple((log, float(hold_out)) for log in logs)
 
-
-Array = NDArray[np.float64]
 
 _STEP_ERROR = 0.3
 """What finer steps of the simulation change, in parts of what is left: with more, derivatives by
