@@ -11,6 +11,8 @@ along the other two the model is the same and the engines differ. So a deviation
 
 What a URDF cannot state (springs, tendons, fluid ...; see `passive`) is taken out of the MJCF for
 the square, so that both engines are given the same model; the last side tells what it does.
+
+A backend evaluation is one quantity of a robot's model by Pinocchio, by MuJoCo or by yourdfpy.
 """
 
 from __future__ import annotations

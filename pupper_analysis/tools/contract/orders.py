@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.models.sides import mirror_name
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.robot.matching.pairs import without_affixes
 from pupper_analysis.tools.contract.facts import (
@@ -235,24 +236,8 @@ def permutation(one: Sequence[str], two: Sequence[str]) -> list[tuple[int, int, 
 
 def mirror_of(joint: str, joints: Sequence[str]) -> str:
     """Returns the joint of the other side, by its name; "" if there is none."""
-    parts = re.split(r"(_|-)", joint)
-    for number, part in enumerate(parts):
-        if part in _OTHER_SIDE:
-            name = "".join([*parts[:number], _OTHER_SIDE[part], *parts[number + 1 :]])
-            if name in joints:
-                return name
-    return ""
-
-
-_SIDES = (("left", "right"), ("l", "r"), ("fl", "fr"), ("rl", "rr"), ("bl", "br"), ("hl", "hr"),
-          ("lf", "rf"), ("lh", "rh"), ("lb", "rb"))  # fmt: skip
-_OTHER_SIDE = {
-    form(one): form(other)
-    for pair in _SIDES
-    for one, other in (pair, pair[::-1])
-    for form in (str, str.upper, str.capitalize)
-}
-"""How names tell a side: left_knee, FL_hip, LF_HAA, leg_front_l_1."""
+    other = mirror_name(joint)
+    return other if other != joint and other in joints else ""
 
 
 def mirrored_sign(model: RobotModel, one: str, two: str) -> int:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Source
 from pupper_analysis.base.tools import formats
+from pupper_analysis.models.sides import mirror_name, mirror_pairs
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.tools.audit.audit import (
@@ -30,7 +31,6 @@ from pupper_analysis.tools.audit.audit import (
 )
 from pupper_analysis.tools.audit.registry import CHECKS
 from pupper_analysis.tools.audit.rules.joints import expected_axis
-from pupper_analysis.tools.audit.rules.mirror import mirror_name, mirror_pairs
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT
 

@@ -1,0 +1,44 @@
+"""Left and right: which names of links and joints are each other's mirror image."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+_SIDES = (
+    *(("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT")),
+    *(("FL", "FR"), ("RL", "RR"), ("HL", "HR"), ("BL", "BR"), ("LF", "RF"), ("LH", "RH")),
+    *(("fl", "fr"), ("rl", "rr"), ("hl", "hr"), ("bl", "br"), ("lf", "rf"), ("lh", "rh")),
+    *(("L", "R"), ("l", "r")),
+)
+_OPPOSITE_SIDE = {a: b for left, right in _SIDES for a, b in ((left, right), (right, left))}
+_WORD = re.compile("left|right|Left|Right|LEFT|RIGHT")
+_SIDE_PATTERN = re.compile(
+    rf"(?<![A-Za-z])({'|'.join(sorted(_OPPOSITE_SIDE, key=len, reverse=True))})(?![A-Za-z])"
+    "|^[LR](?=[A-Z][a-z])"
+)
+
+NOT_MIRRORED = re.compile("gripper|finger|camera|imu|sensor", re.IGNORECASE)
+"""Parts that are mounted as they are, or turned, on both sides."""
+
+
+def mirror_name(name: str) -> str:
+    """Returns a name with left and right exchanged, wherever it says so."""
+    pattern = _WORD if _WORD.search(name) else _SIDE_PATTERN
+    return pattern.sub(lambda match: _OPPOSITE_SIDE[match[0]], name)
+
+
+def mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
+    """Returns the pairs of names that differ only in saying left and right, in their order."""
+    known = dict.fromkeys(names)
+    pairs: dict[str, str] = {}
+    for name in known:
+        other = mirror_name(name)
+        if (
+            other != name
+            and other in known
+            and other not in pairs
+            and not NOT_MIRRORED.search(name)
+        ):
+            pairs[name] = other
+    return list(pairs.items())
