@@ -34,6 +34,7 @@ from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNois
 from pupper_analysis.tools.fit.stands.fit import (
     Logarithms,
     StandFit,
+    _whole_com,
     doubt_surroundings,
     fit_stands,
     parameters_of,
@@ -189,16 +190,39 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
     assert com.low < robot.structure.model.inertias[2].lever[0] + 0.012 < com.high
 
 
+def com(one: Robot) -> Array:
+    """By Pinocchio, in the base's frame, at the nominal joint positions."""
+    model = one.structure.model
+    q = one.structure.convention.unit_q(one.posed(one.nominal))
+    return pin.centerOfMass(model, model.createData(), q) - q[:3]
+
+
+@pytest.mark.parametrize(
+    ("kind", "subject", "component", "factor"),
+    [("mass", "leg_front_r_3", "", "mass"), ("com", "leg_back_l_2", "z", "com_z")],
+)
+def test_how_sure_the_whole_com_is_follows_from_one_number(
+    robot: Robot, kind: str, subject: str, component: str, factor: str
+) -> None:
+    """By differences: a robot in which that number alone is off by its standard deviation."""
+    off, body = 1e-5, dict(bodies_of(robot))[subject]
+    inertia = robot.structure.model.inertias[body]
+    stated = float(inertia.mass if kind == "mass" else inertia.lever[2])
+    one, n = Parameter(kind, subject, component, stated, 1.0), np.eye(1)
+    mean, zero = np.array([stated]), np.zeros(1)
+    known = Posterior((one,), mean, np.array([[off**2]]), n, n, 0.0, zero, 1, 1)
+    scale = 1 + off / stated if kind == "mass" else off
+    moved = com(scale_robot(robot, {f"{factor}:{subject}": scale})) - com(robot)
+    assert np.abs(moved).max() > 1e-8
+    found = [estimate.std for estimate in _whole_com(robot, known)]
+    np.testing.assert_allclose(found, np.abs(moved), rtol=1e-3, atol=1e-11)
+
+
 def test_the_whole_com_is_that_of_the_planted_robot(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
     """By Pinocchio's own centre of mass; and its interval by that of robots that are drawn."""
     fit = fit_stands(robot, stands, weight=planted.total_mass)
-
-    def com(one: Robot) -> Array:
-        model = one.structure.model
-        q = one.structure.convention.unit_q(one.posed(one.nominal))
-        return pin.centerOfMass(model, model.createData(), q) - q[:3]
 
     found, truth = np.array([one.mean for one in fit.com]), com(planted)
     np.testing.assert_allclose([one.stated for one in fit.com], com(robot), atol=1e-12)
