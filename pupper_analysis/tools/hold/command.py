@@ -39,7 +39,7 @@ from pupper_analysis.cli.stance_options import (
     "longest chain of joints.",
 )
 @click.option(
-    "--payload", type=float, default=0.0, metavar="KG", help="Mass at the tool (kg); e.g. 2."
+    "--payload", type=shared.QuantityType("mass"), default=0.0, help="Mass at the tool; e.g. 2kg."
 )
 @add_options(FILES, (AS_IS,), VARIANT, (EFFORT,), SERVOS, LOOK)
 @shared.figure_option
