@@ -107,14 +107,21 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
 
 
 def lines_to_read(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
-    """Returns a verdict's lines: what is against it, assumed or asked for, and the others."""
+    """Returns a verdict's lines: what is against it, assumed or asked for, and the others.
+
+    What the file does by itself is among the first, good or not: no verdict goes without it.
+    """
     clauses, lines = verdict_clauses(verdict), verdict_lines(verdict)
     quiet = [
-        one.good and one.told.group is not Group.ASSUMED and one.told.code != "servos-given"
+        one.good and one.told.group is not Group.ASSUMED and one.told.code not in _ALWAYS_SAID
         for one in clauses
     ]
     first = tuple(line for line, less in zip(lines, quiet, strict=True) if not less)
     return first, tuple(line for line, less in zip(lines, quiet, strict=True) if less)
+
+
+_ALWAYS_SAID = ("servos-given", "own-run", "own-run-diverges")
+"""Codes of lines that are read first, whatever they say."""
 
 
 class Judged(Protocol):
