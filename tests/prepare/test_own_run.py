@@ -12,7 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import own_run
-from pupper_analysis.present.verdict import in_words, verdict_clauses
+from pupper_analysis.present.verdict import in_words, lines_to_read, verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.simulation.verdict import Asked, Verdict, VerdictCode
 from pupper_analysis.tools.hold.hold import hold_posture
@@ -152,6 +152,9 @@ def test_a_path_is_tracked_and_says_what_the_file_does(tmp_path: Path) -> None:
     assert verdict.asked is Asked.TRACKED
     assert verdict.passed
     assert codes(verdict)[-1] == "own-run"
+    # A short answer has it, too, though it is not against the verdict.
+    first, _ = lines_to_read(verdict)
+    assert any("the file by itself" in str(line) for line in first)
 
 
 @pytest.mark.parametrize("stated", [True, False])
