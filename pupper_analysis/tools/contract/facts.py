@@ -248,7 +248,8 @@ def stated(
 ) -> Statement:
     """Returns the statement of a node: a number, or an expression that is none."""
     number = node.number
-    said = "" if number is not None else str(node.value)
+    shown = "[...]" if isinstance(node.value, list | dict) else str(node.value)
+    said = "" if number is not None else shown
     return Statement(quantity, number, node.place, joint, index, count, node.decimals, said)
 
 

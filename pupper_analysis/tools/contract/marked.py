@@ -15,6 +15,8 @@ from pupper_analysis.tools.contract.facts import MOST, Node
 _FLOAT = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 """Numbers as people write them: YAML 1.1 has ``1e-3`` as a text, its readers in C++ as a number."""
 
+_WRITTEN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
+
 
 def read_marked(path: Path, text: str) -> list[Node]:
     """Returns the documents of a YAML, of which JSON is a part.
@@ -73,5 +75,5 @@ def _scalar(node: yaml.ScalarNode, place: Place) -> Node:
 
 def decimals_of(text: str) -> int:
     """Returns the digits after the point of a number as it is written; with its exponent."""
-    head, _, exponent = text.lower().partition("e")
-    return max(0, len(head.partition(".")[2]) - int(exponent or 0))
+    found = _WRITTEN.fullmatch(text.replace("_", ""))
+    return 0 if found is None else max(0, len(found[1]) - int(found[2] or 0))

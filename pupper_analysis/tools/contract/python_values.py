@@ -2,7 +2,8 @@
 
 Constants, names, lists, tables, dataclasses, classes of settings with their bases, arithmetic,
 loops over what is known, and functions that take nothing that is not known; modules within the
-folders that were given. All else is an ``Unknown``, with the expression as it stands.
+folders that were given. All else is an ``Unknown``, with the expression as it stands; and what a
+statement would change that depends on such is one, too.
 """
 
 from __future__ import annotations
@@ -10,24 +11,27 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections import ChainMap
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+import re
+from collections import ChainMap, UserDict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import is_input, read_text
-from pupper_analysis.models.places import Place, source_name
+from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.tools.contract.facts import MOST, Node
 from pupper_analysis.tools.contract.marked import decimals_of
 
-MOST_ROUNDS: Final = 10_000
-"""Of a comprehension: each has its own names."""
-
 MOST_STEPS: Final = 500_000
-"""Expressions that are worked out: a module of a training library takes some 10,000."""
+"""Expressions that are worked out, and values that these copy: a module of a training library takes
+some 10,000."""
+
+MOST_BITS: Final = 1_000
+"""Of a whole number: others grow without bound where they are multiplied in a loop."""
 
 DEEPEST: Final = 40
 """Calls within calls; Python's own limit is some 200 of ours."""
@@ -38,13 +42,13 @@ class Unknown:
     """What is no constant.
 
     Attributes:
-        text: The expression, or a name that is imported from elsewhere.
+        name: The expression, or a name that is imported from elsewhere.
     """
 
-    text: str
+    name: str
 
     def __str__(self) -> str:
-        return self.text
+        return self.name
 
 
 @dataclass(eq=False)
@@ -67,11 +71,11 @@ class Instance:
 
 @dataclass(eq=False)
 class Function:
-    """A function."""
+    """A function, with the names that it knows besides its own; a method with whose it is."""
 
     node: ast.FunctionDef | ast.Lambda
     around: Scope
-    owner: Class | None = None
+    own: Node | None = None
 
     def __str__(self) -> str:
         return getattr(self.node, "name", "lambda")
@@ -79,7 +83,7 @@ class Function:
 
 @dataclass(eq=False)
 class Class:
-    """A class; ``fields`` are its own and its bases', ``line`` the names of its annotations."""
+    """A class; ``fields`` are its own and its bases', ``ordered`` the names of its annotations."""
 
     name: str
     bases: list[Class]
@@ -90,32 +94,29 @@ class Class:
         return self.name
 
 
-@dataclass(eq=False)
-class Module:
-    """A module; ``names`` fills as it is read."""
+class Module(UserDict[str, Node]):
+    """The names of a module, which fill as it is read."""
 
-    path: Path
-    lines: list[str]
-    names: dict[str, Node] = field(default_factory=dict)
-    imported: set[str] = field(default_factory=set)
-
-    def __str__(self) -> str:
-        return self.path.stem
+    def __init__(self, path: Path, lines: list[str]) -> None:
+        super().__init__({"__name__": Node(path.stem, Place(path))})
+        self.path, self.lines = path, lines
+        self.imported: set[str] = set()
 
 
-class Scope(ChainMap[str, Node]):
-    """The names that are known at a place, innermost first, and the module that it is in."""
-
-    def __init__(self, module: Module, *maps: dict[str, Node]) -> None:
-        super().__init__(*maps)
-        self.module = module
-
-    def inner(self, own: dict[str, Node] | None = None) -> Scope:
-        """Returns the scope of a function or a class, whose own names hide those around it."""
-        return Scope(self.module, {} if own is None else own, *self.maps)  # type: ignore[arg-type]
+Scope = ChainMap[str, Node]
+"""The names that are known at a place, innermost first; the last are its module's."""
 
 
-class _Return(Exception):  # noqa: N818 - it is no error
+def module_of(scope: Scope) -> Module:
+    """Returns the module that a place is in."""
+    return cast(Module, scope.maps[-1])
+
+
+class Lost(Exception):  # noqa: N818 - none of these is an error
+    """What an expression comes to is not known."""
+
+
+class _Return(Exception):  # noqa: N818
     def __init__(self, node: Node) -> None:
         self.node = node
 
@@ -124,28 +125,41 @@ class _Leave(Exception):  # noqa: N818
     """Of a loop, or of a function that raises."""
 
 
-_BINARY: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
+class _Next(Exception):  # noqa: N818
+    """Round of a loop."""
+
+
+_OPERATORS: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
     ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv, ast.Mod: operator.mod,
-    ast.Pow: operator.pow,
-}  # fmt: skip
-_COMPARE: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
+    # As floats where whole numbers could grow without bound.
+    ast.Pow: lambda a, b: float(a) ** b,
     ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le,
     ast.Gt: operator.gt, ast.GtE: operator.ge, ast.Is: operator.is_, ast.IsNot: operator.is_not,
     ast.In: lambda a, b: a in b, ast.NotIn: lambda a, b: a not in b,
 }  # fmt: skip
-_NUMERIC: Final[Mapping[str, Callable[..., Any]]] = {
+_PURE: Final[Mapping[str, Callable[..., Any]]] = {
     **{name: getattr(math, name) for name in ("sqrt", "sin", "cos", "tan", "radians", "degrees",
                                               "exp", "log", "atan2", "floor", "ceil")},
     "deg2rad": math.radians, "rad2deg": math.degrees, "float": float, "int": int, "abs": abs,
-    "round": round, "min": min, "max": max, "square": lambda x: x * x,
+    "round": round, "min": min, "max": max, "square": lambda x: x * x, "len": len, "range": range,
 }  # fmt: skip
+"""Functions of plain values."""
+_ROWS: Final[Mapping[str, Callable[..., Any]]] = {"zip": zip, "enumerate": enumerate}
+"""Functions of lists, whatever these hold."""
+_METHODS: Final[Mapping[type, Sequence[str]]] = {
+    dict: ("get", "pop", "setdefault", "update", "keys", "values", "items", "copy", "clear"),
+    list: ("append", "extend", "insert", "pop", "reverse", "copy", "clear"),
+}
 _CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
 _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
-_AS_IT_IS: Final = ("array", "asarray", "tensor", "list", "tuple", "dict", "sorted", "freeze")
+_AS_IT_IS: Final = ("array", "asarray", "tensor", "list", "tuple", "dict", "sorted", "freeze",
+                    "tolist")  # fmt: skip
 """Calls that give back the values that they are given."""
-_PROJECT: Final = ("setup.py", "pyproject.toml", ".git")
+_TABLES: Final = ("dict", "config_dict.create", "ConfigDict")
+"""Calls that give back what they are given by name."""
 _COPIES: Final = ("copy", "deepcopy", "replace")
+_PROJECT: Final = ("setup.py", "pyproject.toml", ".git")
 
 
 class Evaluator:
@@ -165,48 +179,46 @@ class Evaluator:
         """Returns a module; one that is being read is as far as it is: imports may go in circles.
 
         Raises:
-            ModelError: If it cannot be read, or does not parse; the error has the line.
+            InputError: If it cannot be read.
+            ModelError: If it does not parse; the error has the line.
         """
         if not path.is_absolute():  # what is asked for so is shown so, and what it imports
             self.shown = Path.cwd()
             path = path.absolute()
         if path in self.modules:
             return self.modules[path]
+        text = read_text(path)
         try:
-            text = read_text(path)
             tree = ast.parse(text)
-        except InputError as error:
-            raise ModelError(source_name(path, error.line), error.cause) from error
         except SyntaxError as error:
             told = diagnose("contract-no-python", problem=error.msg)
-            raise ModelError(source_name(path, error.lineno), told) from error
-        except (RecursionError, MemoryError, ValueError) as error:
-            raise ModelError(path, diagnose("contract-too-deep")) from error
-        made = self.modules[path] = Module(path, text.splitlines())
-        try:
-            self.run(tree.body, Scope(made, made.names))
-        except (_Leave, _Return):
-            pass
-        except RecursionError as error:
-            raise ModelError(path, diagnose("contract-too-deep")) from error
+            raise refuse_file(Place(path, error.lineno), told) from error
+        except (MemoryError, ValueError) as error:
+            raise refuse_file(Place(path), diagnose("contract-too-deep")) from error
+        made = self.modules[path] = Module(path, re.split("\r\n?|\n", text))
+        with suppress(_Leave, _Next, _Return):
+            self.run(tree.body, Scope(made))
         return made
 
     # Statements.
 
     def run(self, body: list[ast.stmt], scope: Scope) -> None:
-        """Works out statements, one after the other."""
+        """Works out statements, one after the other; what one changes that is not known is lost."""
         for one in body:
             self._count(one, scope)
-            do = getattr(self, f"_do_{type(one).__name__.lower()}", None)
-            if do is not None:
-                do(one, scope)
+            try:
+                getattr(self, f"_do_{type(one).__name__.lower()}", self._lose)(one, scope)
+            except Lost:
+                self._forget(one, scope)
 
     def _count(self, node: ast.AST, scope: Scope) -> None:
         self.steps += 1
         if self.steps > MOST_STEPS:
-            line = getattr(node, "lineno", None)
-            told = diagnose("contract-too-much", most=MOST_STEPS)
-            raise ModelError(source_name(scope.module.path, line), told)
+            place = self._place(node, scope)
+            raise refuse_file(place, diagnose("contract-too-much", most=MOST_STEPS))
+
+    def _lose(self, *_: object) -> None:
+        raise Lost
 
     def _do_assign(self, one: ast.Assign, scope: Scope) -> None:
         value = self.value(one.value, scope)
@@ -225,35 +237,25 @@ class Evaluator:
         self.value(one.value, scope)
 
     def _do_return(self, one: ast.Return, scope: Scope) -> None:
-        made = self.value(one.value or ast.copy_location(ast.Constant(None), one), scope)
-        raise _Return(made)
+        raise _Return(self.value(one.value or ast.copy_location(ast.Constant(None), one), scope))
 
     def _do_raise(self, *_: object) -> None:
         raise _Leave
 
     _do_break = _do_raise
 
+    def _do_continue(self, *_: object) -> None:
+        raise _Next
+
     def _do_if(self, one: ast.If, scope: Scope) -> None:
-        test = self._truth(self.value(one.test, scope))
-        if test is not None:
-            self.run(one.body if test else one.orelse, scope)
-        else:
-            self._forget([*one.body, *one.orelse], scope)
+        self.run(one.body if self._truth(one.test, scope) else one.orelse, scope)
 
     def _do_for(self, one: ast.For, scope: Scope) -> None:
-        over = self._listed(self.value(one.iter, scope))
-        if over is None:
-            self._forget(one.body, scope)
-            return
-        try:
-            for each in over:
+        with suppress(_Leave):
+            for each in self._listed(self.value(one.iter, scope)):
                 self._put(one.target, each, scope)
-                self.run(one.body, scope)
-        except _Leave:
-            pass
-
-    def _do_while(self, one: ast.While, scope: Scope) -> None:
-        self._forget(one.body, scope)
+                with suppress(_Next):
+                    self.run(one.body, scope)
 
     def _do_with(self, one: ast.With, scope: Scope) -> None:
         self.run(one.body, scope)
@@ -262,297 +264,279 @@ class Evaluator:
         self.run([*one.body, *one.orelse], scope)
 
     def _do_functiondef(self, one: ast.FunctionDef, scope: Scope) -> None:
-        scope[one.name] = self._node(Function(one, scope), one, scope)
+        # What a method names is not its class's.
+        of = scope.get("__class__")
+        method = of is not None and scope.maps[0] is of.value.fields
+        around = scope.parents if method else scope
+        scope[one.name] = self._node(Function(one, around), one, scope)
 
     def _do_classdef(self, one: ast.ClassDef, scope: Scope) -> None:
         bases = [self.value(base, scope).value for base in one.bases]
         known = [base for base in bases if isinstance(base, Class)]
-        ordered = [name for base in known for name in base.ordered]
-        made = Class(one.name, known, {}, ordered)
+        made = Class(one.name, known, {}, [name for base in known for name in base.ordered])
         for base in reversed(known):
             made.fields.update(base.fields)
-        # What the body names is first its own, then the module's.
-        inside = scope.inner(made.fields)
-        self.run(one.body, inside)
-        for node in made.fields.values():
-            if isinstance(node.value, Function) and node.value.around is inside:
-                node.value.owner = made
-                node.value.around = scope
+        node = self._node(made, one, scope)
+        self.run(one.body, scope.new_child({"__class__": node}).new_child(made.fields))
         for each in one.body:
             if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
                 made.ordered.append(each.target.id)
-        scope[one.name] = self._node(made, one, scope)
+        scope[one.name] = node
 
     def _do_import(self, one: ast.Import, scope: Scope) -> None:
         for name in one.names:
             shown = name.asname or name.name.split(".")[0]
-            found = self._find(scope.module, name.name if name.asname else shown, 0)
-            scope[shown] = self._node(found or Unknown(shown), one, scope)
-            scope.module.imported.add(shown)
+            found = self._find(scope, name.name if name.asname else shown, 0)
+            self._import({shown: self._node(found or Unknown(shown), one, scope)}, scope)
 
     def _do_importfrom(self, one: ast.ImportFrom, scope: Scope) -> None:
-        home = self._find(scope.module, one.module or "", one.level)
+        home: Mapping[str, Node] = self._find(scope, one.module or "", one.level) or {}
         for name in one.names:
-            if name.name == "*":
-                scope.update({} if home is None else home.names)
-                scope.module.imported.update({} if home is None else home.names)
-                continue
-            shown = name.asname or name.name
-            found = None if home is None else home.names.get(name.name)
+            found = home.get(name.name)
             if found is None:
-                path = ".".join(part for part in (one.module, name.name) if part)
-                below = self._find(scope.module, path, one.level)
+                dotted = f"{one.module}.{name.name}" if one.module else name.name
+                below = None if name.name == "*" else self._find(scope, dotted, one.level)
                 found = self._node(below or Unknown(name.name), one, scope)
-            scope[shown] = found
-            scope.module.imported.add(shown)
+            known = {name.asname or name.name: found}
+            self._import(home if name.name == "*" else known, scope)
 
-    def _find(self, module: Module, dotted: str, level: int) -> Module | None:
+    def _import(self, names: Mapping[str, Node], scope: Scope) -> None:
+        scope.update(names)
+        module_of(scope).imported.update(names)
+
+    def _find(self, scope: Scope, dotted: str, level: int) -> Module | None:
         """Returns an imported module, if it lies in a folder that may be read."""
+        path = module_of(scope).path
         parts = [part for part in dotted.split(".") if part]
-        above = list(module.path.parents)
-        tops = above[level - 1 : level] if level else [*self._tops(module.path), *self.folders]
+        tops = path.parents[level - 1 : level] if level else (*_tops(path), *self.folders)
         for top in tops:
             base = top.joinpath(*parts)
-            for file in (base.with_suffix(".py"), base / "__init__.py"):
-                if (parts or file.name == "__init__.py") and is_input(file):
+            for file in (base.with_suffix(".py") if parts else base, base / "__init__.py"):
+                if is_input(file):
                     return self.module(file)
         return None
 
-    def _tops(self, path: Path) -> Iterator[Path]:
-        """Yields the folders above a file up to that of its project, or of its package."""
-        above = list(path.parents)
-        top = [number for number, folder in enumerate(above)
-               if any((folder / mark).exists() for mark in _PROJECT)]  # fmt: skip
-        for number, folder in enumerate(above):
-            yield folder
-            within = top and number < top[0]
-            if not within and not is_input(folder / "__init__.py") and number:
-                return
-
-    def _forget(self, body: list[ast.stmt], scope: Scope) -> None:
+    def _forget(self, one: ast.stmt, scope: Scope) -> None:
         """What may be changed by what may not happen is not known."""
-        for one in body:
-            for node in ast.walk(one):
-                if not isinstance(node, ast.Name | ast.Attribute | ast.Subscript):
-                    continue
-                if isinstance(node.ctx, ast.Store):
-                    said = Unknown(ast.unparse(one)[:80])
-                    self._put(node, self._node(said, node, scope), scope)
+        within = (each for each in ast.walk(one) if isinstance(each, ast.stmt))
+        for said, node in ((each, node) for each in within for node in ast.walk(each)):
+            stored = isinstance(node, ast.Name | ast.Attribute | ast.Subscript)
+            if stored and isinstance(node.ctx, ast.Store | ast.Del):  # type: ignore[attr-defined]
+                lost = self._node(Unknown(ast.unparse(said)[:80]), node, scope)
+                with suppress(Lost):
+                    self._put(cast(ast.expr, node), lost, scope)
 
     def _put(self, to: ast.expr, value: Node, scope: Scope) -> None:
-        if isinstance(to, ast.Name):
-            scope[to.id] = value
-        elif isinstance(to, ast.Tuple | ast.List):
-            parts = self._listed(value) or []
-            for number, each in enumerate(to.elts):
-                lost = self._node(Unknown(ast.unparse(each)), each, scope)
-                self._put(each, parts[number] if number < len(parts) else lost, scope)
-        elif isinstance(to, ast.Attribute):
-            owner = self._owner(to.value, scope)
-            if owner is not None:
-                owner[to.attr] = value
-        elif isinstance(to, ast.Subscript):
-            held = self.value(to.value, scope).value
-            key = self._plain(self.value(to.slice, scope))
-            table = isinstance(held, dict) and isinstance(key, str | int | float | bool)
-            listed = isinstance(held, list) and isinstance(key, int)
-            if table or (listed and -len(held) <= key < len(held)):
-                held[key] = value
+        match to:
+            case ast.Name():
+                scope[to.id] = value
+            case ast.Tuple() | ast.List():
+                parts = self._listed(value)
+                for number, each in enumerate(to.elts):
+                    self._put(each, self._apply(operator.getitem, parts, number), scope)
+            case ast.Attribute():
+                self._owner(to.value, scope)[to.attr] = value
+            case ast.Subscript():
+                held = self.value(to.value, scope).value
+                if isinstance(held, list | dict):
+                    self._apply(operator.setitem, held, self._key(to.slice, scope), value)
 
-    def _owner(self, node: ast.expr, scope: Scope) -> dict[str, Node] | None:
+    def _owner(self, node: ast.expr, scope: Scope) -> dict[str, Node]:
         """Returns the fields that an assignment to an attribute goes to."""
         held = self.value(node, scope).value
         if isinstance(held, Instance | Class):
             return held.fields
+        made = Instance("")
         if isinstance(node, ast.Attribute) and isinstance(held, Unknown):
-            above = self._owner(node.value, scope)
-            if above is not None:  # a field of a base that was not read
-                made = Instance("")
-                above[node.attr] = self._node(made, node, scope)
-                return made.fields
-        return None
+            # A field of a base that was not read.
+            self._owner(node.value, scope)[node.attr] = self._node(made, node, scope)
+        return made.fields
 
     # Expressions.
 
     def value(self, one: ast.expr, scope: Scope) -> Node:
         """Returns what an expression is, at its own place."""
         self._count(one, scope)
-        find = getattr(self, f"_of_{type(one).__name__.lower()}", None)
-        found = None if find is None else find(one, scope)
-        if found is None:
+        try:
+            found = getattr(self, f"_of_{type(one).__name__.lower()}", self._lose)(one, scope)
+        except Lost:
             found = Unknown(ast.unparse(one)[:80])
         if isinstance(found, Node):
             return Node(found.value, self._place(one, scope), found.decimals)
-        return self._node(found, one, scope)
+        return self._noded(found, one, scope)
 
     def _node(self, value: Any, one: ast.AST, scope: Scope) -> Node:
         return Node(value, self._place(one, scope))
 
+    def _noded(self, value: Any, one: ast.AST, scope: Scope) -> Node:
+        """Returns a value, and what it holds, at the place of what made it."""
+        if isinstance(value, Node):
+            return value
+        if isinstance(value, list | tuple):
+            value = [self._noded(each, one, scope) for each in value]
+        return self._node(value, one, scope)
+
     def _place(self, one: ast.AST, scope: Scope) -> Place:
-        path = scope.module.path
+        path = module_of(scope).path
         near = self.shown != Path() and path.is_relative_to(self.shown)
         return Place(path.relative_to(self.shown) if near else path, getattr(one, "lineno", None))
 
-    def _of_constant(self, one: ast.Constant, scope: Scope) -> Any:
+    def _apply(self, work: Callable[..., Any], *given: Any, **named: Any) -> Any:
+        """Returns what a function of Python's makes of known values."""
+        try:
+            made = work(*given, **named)
+            if isinstance(made, Iterable) and not isinstance(made, str | dict):
+                made = list(islice(made, MOST + 1))
+        except (ArithmeticError, ValueError, TypeError, LookupError) as error:
+            raise Lost from error
+        sizes = [len(one) for one in (made, *given) if isinstance(one, str | list | dict)]
+        self.steps += sum(sizes)
+        large = isinstance(made, int) and made.bit_length() > MOST_BITS
+        if large or isinstance(made, complex) or max(sizes, default=0) > MOST:
+            raise Lost
+        return made
+
+    def _truth(self, one: ast.expr | Node, scope: Scope) -> bool:
+        value = self.value(one, scope).value if isinstance(one, ast.expr) else one.value
+        if not isinstance(value, bool | int | float | str | list | dict | Instance | None):
+            raise Lost
+        return bool(value)
+
+    def _listed(self, node: Node) -> list[Node]:
+        if isinstance(node.value, dict):
+            return [Node(key, value.place) for key, value in node.value.items()]
+        if not isinstance(node.value, list):
+            raise Lost
+        return node.value
+
+    def _plain(self, node: Node) -> Any:
+        """Returns a value with none of its places."""
+        self.steps += 1
+        if isinstance(node.value, Unknown) or self.steps > MOST_STEPS:
+            raise Lost
+        many = isinstance(node.value, list)
+        return [self._plain(one) for one in node.value] if many else node.value
+
+    def _key(self, one: ast.expr, scope: Scope) -> Any:
+        """Returns a key of a table; of what is not known, what stands there."""
+        value = self.value(one, scope).value
+        if not isinstance(value, str | int | float | bool | Unknown):
+            raise Lost
+        return str(value) if isinstance(value, Unknown) else value
+
+    def _of_constant(self, one: ast.Constant, scope: Scope) -> Node:
+        digits = None
         if isinstance(one.value, int | float) and not isinstance(one.value, bool):
-            row = scope.module.lines[one.lineno - 1].encode()
-            said = row[one.col_offset : one.end_col_offset].decode(errors="replace")
-            try:
-                digits = decimals_of(said.replace("_", ""))
-            except ValueError:  # 0x1f
-                digits = 0
-            return Node(one.value, self._place(one, scope), digits)
-        # Node, as None is what stands there, and not that it is not known.
-        return self._node(one.value, one, scope)
+            row = module_of(scope).lines[one.lineno - 1].encode()
+            digits = decimals_of(row[one.col_offset : one.end_col_offset].decode(errors="replace"))
+        return Node(one.value, self._place(one, scope), digits)
 
     def _of_name(self, one: ast.Name, scope: Scope) -> Any:
-        return scope.get(one.id) or scope.module.names.get(one.id) or Unknown(one.id)
+        return scope.get(one.id) or Unknown(one.id)
 
     def _of_attribute(self, one: ast.Attribute, scope: Scope) -> Any:
-        held = self.value(one.value, scope).value
-        if isinstance(held, Instance | Class):
-            return held.fields.get(one.attr)
-        if isinstance(held, Module):
-            return held.names.get(one.attr)
-        if isinstance(held, Unknown) and held.text in _NUMERIC_MODULES and one.attr in _CONSTANTS:
-            return _CONSTANTS[one.attr]
-        return None
+        if isinstance(one.value, ast.Call) and ast.unparse(one.value.func) == "super":
+            owner, node = scope["__class__"], scope["self"]
+            names: Any = ChainMap(*(base.fields for base in owner.value.bases))
+        else:
+            node = self.value(one.value, scope)
+            held = node.value
+            numeric = isinstance(held, Unknown) and held.name in _NUMERIC_MODULES
+            other = held if isinstance(held, Module) else _CONSTANTS if numeric else {}
+            names = getattr(held, "fields", other)
+        found = self._apply(operator.getitem, names, one.attr)
+        method = isinstance(found, Node) and isinstance(found.value, Function)
+        if method and isinstance(node.value, Instance | Class):
+            return replace(found.value, own=node)
+        return found
 
-    def _of_tuple(self, one: ast.Tuple, scope: Scope) -> Any:
+    def _of_tuple(self, one: ast.Tuple, scope: Scope) -> list[Node]:
         found: list[Node] = []
         for each in one.elts:
-            if isinstance(each, ast.Starred):
-                more = self._listed(self.value(each.value, scope))
-                if more is None:
-                    return None
-                found += more
-            else:
-                found.append(self.value(each, scope))
+            starred = isinstance(each, ast.Starred)
+            value = self.value(each.value if starred else each, scope)  # type: ignore[attr-defined]
+            found += self._listed(value) if starred else [value]
         return found
 
     _of_list = _of_set = _of_tuple
 
-    def _of_dict(self, one: ast.Dict, scope: Scope) -> Any:
+    def _of_dict(self, one: ast.Dict, scope: Scope) -> dict[Any, Node]:
         found: dict[Any, Node] = {}
         for key, value in zip(one.keys, one.values, strict=True):
             held = self.value(value, scope)
-            if key is None:
-                if isinstance(held.value, dict):
-                    found.update(held.value)
-                continue
-            name = self._plain(self.value(key, scope))
-            if isinstance(name, str | int | float | bool):
-                found[name] = held
+            if key is not None:
+                found[self._key(key, scope)] = held
+            elif isinstance(held.value, dict):
+                found.update(held.value)
         return found
 
     def _of_subscript(self, one: ast.Subscript, scope: Scope) -> Any:
         held = self.value(one.value, scope).value
-        if isinstance(one.slice, ast.Slice):
-            ends = [
-                None if end is None else self._plain(self.value(end, scope))
-                for end in (one.slice.lower, one.slice.upper, one.slice.step)
-            ]
-            plain = all(end is None or isinstance(end, int) for end in ends) and ends[2] != 0
-            return held[slice(*ends)] if isinstance(held, list) and plain else None
-        key = self._plain(self.value(one.slice, scope))
-        if isinstance(held, dict) and isinstance(key, str | int | float | bool):
-            return held.get(key)
-        if isinstance(held, list) and isinstance(key, int) and -len(held) <= key < len(held):
-            return held[key]
-        return None
+        if not isinstance(held, list | dict):
+            raise Lost
+        if not isinstance(one.slice, ast.Slice):
+            return self._apply(operator.getitem, held, self._key(one.slice, scope))
+        ends = (one.slice.lower, one.slice.upper, one.slice.step)
+        part = slice(*(end and self._plain(self.value(end, scope)) for end in ends))
+        return self._apply(operator.getitem, held, part)
 
     def _of_binop(self, one: ast.BinOp, scope: Scope) -> Any:
         left, right = (self.value(each, scope).value for each in (one.left, one.right))
-        work = _BINARY.get(type(one.op))
-        joined = isinstance(one.op, ast.Add) and type(left) is type(right) and _sized(left)
+        added = isinstance(one.op, ast.Add) and type(left) is type(right)
+        joined = added and isinstance(left, list | str)
         repeated = isinstance(one.op, ast.Mult) and isinstance(left, list) and _number(right)
-        size = len(left) + len(right) if joined else len(left) * right if repeated else 0
-        if size > MOST:
-            return None
-        if work is None or not (joined or repeated or (_number(left) and _number(right))):
-            return None
-        try:
-            # As floats where whole numbers could grow without bound.
-            made = work(float(left) if isinstance(one.op, ast.Pow) else left, right)
-            return made if _number(made) or _sized(made) else None  # and no complex number
-        except (ArithmeticError, ValueError, TypeError):
-            return None
+        numbers = _number(left) and _number(right)
+        if not (numbers or joined or (repeated and len(left) * right <= MOST)):
+            raise Lost
+        return self._apply(_OPERATORS.get(type(one.op), self._lose), left, right)
 
     def _of_unaryop(self, one: ast.UnaryOp, scope: Scope) -> Any:
-        held = self.value(one.operand, scope)
         if isinstance(one.op, ast.Not):
-            test = self._truth(held)
-            return None if test is None else not test
-        if not _number(held.value):
-            return None
+            return not self._truth(one.operand, scope)
+        held = self.value(one.operand, scope)
+        if not _number(held.value) or isinstance(one.op, ast.Invert):
+            raise Lost
         sign = -1 if isinstance(one.op, ast.USub) else 1
         return Node(sign * held.value, held.place, held.decimals)
 
-    def _of_boolop(self, one: ast.BoolOp, scope: Scope) -> Any:
-        stops = isinstance(one.op, ast.Or)
+    def _of_boolop(self, one: ast.BoolOp, scope: Scope) -> Node:
         for each in one.values:
             held = self.value(each, scope)
-            test = self._truth(held)
-            if test is None:
-                return None
-            if test is stops:
-                return held
+            if self._truth(held, scope) is isinstance(one.op, ast.Or):
+                break
         return held
 
     def _of_compare(self, one: ast.Compare, scope: Scope) -> Any:
-        left = self._plain(self.value(one.left, scope))
-        if len(one.ops) != 1:
-            return None
-        right = self._plain(self.value(one.comparators[0], scope))
-        if isinstance(left, Unknown) or isinstance(right, Unknown):
-            return None
-        try:
-            return bool(_COMPARE[type(one.ops[0])](left, right))
-        except (TypeError, KeyError):
-            return None
+        if len(one.ops) > 1:
+            raise Lost
+        both = (self._plain(self.value(each, scope)) for each in (one.left, *one.comparators))
+        return self._apply(_OPERATORS[type(one.ops[0])], *both)
 
-    def _of_ifexp(self, one: ast.IfExp, scope: Scope) -> Any:
-        test = self._truth(self.value(one.test, scope))
-        return None if test is None else self.value(one.body if test else one.orelse, scope)
+    def _of_ifexp(self, one: ast.IfExp, scope: Scope) -> Node:
+        return self.value(one.body if self._truth(one.test, scope) else one.orelse, scope)
 
-    def _of_lambda(self, one: ast.Lambda, scope: Scope) -> Any:
+    def _of_lambda(self, one: ast.Lambda, scope: Scope) -> Function:
         return Function(one, scope)
 
-    def _of_listcomp(self, one: ast.ListComp, scope: Scope) -> Any:
-        rounds = self._rounds(one.generators, scope)
-        return None if rounds is None else [self.value(one.elt, each) for each in rounds]
+    def _of_listcomp(self, one: ast.ListComp, scope: Scope) -> list[Node]:
+        return [self.value(one.elt, each) for each in self._rounds(one.generators, scope)]
 
     _of_generatorexp = _of_listcomp
 
-    def _of_dictcomp(self, one: ast.DictComp, scope: Scope) -> Any:
-        rounds = self._rounds(one.generators, scope)
-        if rounds is None:
-            return None
-        found = {}
-        for each in rounds:
-            key = self._plain(self.value(one.key, each))
-            if isinstance(key, str | int | float | bool):
-                found[key] = self.value(one.value, each)
-        return found
+    def _of_dictcomp(self, one: ast.DictComp, scope: Scope) -> dict[Any, Node]:
+        return {self._key(one.key, each): self.value(one.value, each)
+                for each in self._rounds(one.generators, scope)}  # fmt: skip
 
-    def _rounds(self, loops: list[ast.comprehension], scope: Scope) -> list[Scope] | None:
-        found = [scope]
-        for loop in loops:
-            inner: list[Scope] = []
-            for around in found:
-                over = self._listed(self.value(loop.iter, around))
-                if over is None or len(over) * len(found) > MOST_ROUNDS:
-                    return None
-                for each in over:
-                    here = around.inner()
-                    self._put(loop.target, each, here)
-                    tests = [self._truth(self.value(test, here)) for test in loop.ifs]
-                    if None in tests:
-                        return None
-                    if all(tests):
-                        inner.append(here)
-            found = inner
-        return found
+    def _rounds(self, loops: list[ast.comprehension], scope: Scope) -> Iterator[Scope]:
+        """Yields the names of each round of loops within loops."""
+        if not loops:
+            yield scope
+            return
+        for each in self._listed(self.value(loops[0].iter, scope)):
+            here = scope.new_child()
+            self._put(loops[0].target, each, here)
+            if all(self._truth(test, here) for test in loops[0].ifs):
+                yield from self._rounds(loops[1:], here)
 
     # Calls.
 
@@ -566,119 +550,78 @@ class Evaluator:
                 named[keyword.arg] = Node(held.value, self._place(keyword, scope), held.decimals)
             elif isinstance(held.value, dict):
                 named.update({str(key): value for key, value in held.value.items()})
-        if isinstance(one.func, ast.Attribute):
-            made = self._method(one.func, given, named, scope)
-            if made is not None:
-                return made
         called = self.value(one.func, scope).value
         if isinstance(called, Function):
             return self.call(called, given, named)
         if isinstance(called, Class):
             return self.make(called, given, named)
-        return self._elsewhere(one, given, named)
+        if isinstance(one.func, ast.Attribute):
+            held, name = self.value(one.func.value, scope), one.func.attr
+            if name in _METHODS.get(type(held.value), ()):
+                return self._method(held.value, name, given, named)
+            if isinstance(held.value, list | Instance) and name.islower():
+                given.insert(0, held)
+        return self._elsewhere(ast.unparse(one.func), given, named)
 
-    def _elsewhere(self, one: ast.Call, given: list[Node], named: dict[str, Node]) -> Any:
+    def _elsewhere(self, called: str, given: list[Node], named: dict[str, Node]) -> Any:
         """Returns what a call of a library's comes to."""
-        name = ast.unparse(one.func).rpartition(".")[2]
-        if name in _NUMERIC and given and all(_number(each.value) for each in given):
-            try:
-                return _NUMERIC[name](*(each.value for each in given))
-            except (ArithmeticError, ValueError, TypeError):
-                return None
-        if name == "float" and given and str(given[0].value) in ("inf", "-inf"):
-            return float(given[0].value)
-        if name == "len" and given and isinstance(given[0].value, list | dict | str):
-            return len(given[0].value)
-        if name == "range" and given and all(isinstance(e.value, int) for e in given):
-            numbers = range(*(each.value for each in given))
-            return [Node(number, given[0].place) for number in numbers[:MOST]]
-        if name in ("zip", "enumerate") and given:
-            return self._zipped(name, given)
+        name = called.rpartition(".")[2]
+        if name in (*_PURE, *_ROWS) and given:
+            plain: Callable[[Node], Any] = self._plain if name in _PURE else self._listed
+            said = {key: self._plain(value) for key, value in named.items()}
+            return self._apply({**_PURE, **_ROWS}[name], *map(plain, given), **said)
         if name in _COPIES and given:
             return self._copied(given[0].value, named)
-        if name == "dict" and not given:
+        if called in _TABLES and not given:
             return dict(named)
         if name in _AS_IT_IS and given:
             return given[0]
-        if name[:1].isupper():
-            return Instance(name, {**named, **({"args": Node(given, given[0].place)} if given
-                                               else {})})  # fmt: skip
         if name == "field":
-            return Instance("field", named)
-        return None
+            return self._made(named)
+        if not name[:1].isupper():
+            raise Lost
+        more = {"args": Node(given, given[0].place)} if given else {}
+        return Instance(name, {**named, **more})
 
-    def _zipped(self, name: str, given: list[Node]) -> list[Node] | None:
-        lists = [self._listed(each) for each in given]
-        if name == "enumerate":
-            numbers = range(len(lists[0] or []))
-            lists.insert(0, [Node(number, given[0].place) for number in numbers])
-        if any(each is None for each in lists):
-            return None
-        rows = zip(*(each or [] for each in lists), strict=False)
-        return [Node(list(row), row[-1].place) for row in rows]
+    def _made(self, named: dict[str, Node]) -> Any:
+        """Returns what a dataclass's field is by default."""
+        factory = named.get("default_factory")
+        if factory is None:
+            return self._apply(operator.getitem, named, "default")
+        if isinstance(factory.value, Class):
+            return self.make(factory.value, [], {})
+        if isinstance(factory.value, Function):
+            return self.call(factory.value, [], {})
+        plain = {"dict": dict, "list": list, "tuple": list}.get(str(factory.value))
+        return plain() if plain else Instance(str(factory.value))
 
-    def _method(
-        self, func: ast.Attribute, given: list[Node], named: dict[str, Node], scope: Scope
-    ) -> Any:
-        """Returns what a call of a known value's method comes to; None if it is no such call."""
-        if isinstance(func.value, ast.Call) and ast.unparse(func.value.func) == "super":
-            owner, own = scope.get("__class__"), scope.get("self")
-            for base in owner.value.bases if owner is not None else []:
-                above = base.fields.get(func.attr)
-                if above is not None and isinstance(above.value, Function) and own is not None:
-                    return self.call(above.value, [own, *given], named)
-            return Node(None, self._place(func, scope))
-        held = self.value(func.value, scope)
-        value, name = held.value, func.attr
-        if isinstance(value, Instance | Class):
-            method = value.fields.get(name)
-            if method is not None and isinstance(method.value, Function):
-                return self.call(method.value, [held, *given], named)
-            return self._copied(value, named) if name in _COPIES else None
-        if isinstance(value, dict):
-            first = None if not given else given[0].value
-            if name == "get":
-                return value.get(first) or (given[1] if len(given) > 1 else None)
-            if name == "update":
-                value.update(first if isinstance(first, dict) else {})
-                value.update(named)
-            parts: dict[str, Callable[[], Any]] = {
-                "copy": lambda: dict(value),
-                "values": lambda: list(value.values()),
-                "keys": lambda: [Node(key, node.place) for key, node in value.items()],
-                "items": lambda: [
-                    Node([Node(key, node.place), node], node.place) for key, node in value.items()
-                ],
-            }
-            return parts[name]() if name in parts else None
-        if isinstance(value, list) and given and len(value) < MOST:
-            if name == "append":
-                value.append(given[0])
-            elif name == "extend":
-                value.extend(self._listed(given[0]) or [])
-        return list(value) if isinstance(value, list) and name in ("copy", "tolist") else None
+    def _method(self, value: Any, name: str, given: list[Node], named: dict[str, Node]) -> Any:
+        """Returns what a call of a table's or a list's method comes to."""
+        own: list[Any] = list(given)
+        if name in ("get", "pop", "setdefault", "insert"):
+            own[:1] = map(self._plain, given[:1])
+        elif name == "extend":
+            own = [self._listed(one) for one in given]
+        elif name == "update":
+            own = [one.value for one in given]
+        return self._apply(getattr(value, name), *own, **named)
 
-    def call(self, function: Function, given: list[Node], named: dict[str, Node]) -> Node | None:
-        """Returns what a function returns; None if that cannot be worked out."""
-        arguments = function.node.args
-        names = [each.arg for each in (*arguments.posonlyargs, *arguments.args)]
+    def call(self, function: Function, given: list[Node], named: dict[str, Node]) -> Node:
+        """Returns what a function returns."""
+        arguments, around = function.node.args, function.around
+        given = given if function.own is None else [function.own, *given]
+        first = [*arguments.posonlyargs, *arguments.args]
+        names = [each.arg for each in (*first, *arguments.kwonlyargs)]
         if self.depth >= DEEPEST:
-            return None
-        scope = function.around.inner()
-        defaults = arguments.defaults
-        pairs = [*zip(names[len(names) - len(defaults) :], defaults, strict=True),
-                 *((each.arg, default) for each, default
-                   in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)
-                   if default is not None)]  # fmt: skip
-        for name, default in pairs:
-            scope[name] = self.value(default, function.around)
-        scope.update(zip(names, given, strict=False))
+            raise Lost
+        scope = around.new_child({each: self._node(Unknown(each), function.node, around)
+                                  for each in names})  # fmt: skip
+        defaults = [*arguments.defaults, *arguments.kw_defaults]
+        for name, default in zip(names[len(names) - len(defaults) :], defaults, strict=True):
+            if default is not None:
+                scope[name] = self.value(default, around)
+        scope.update(zip(names[: len(first)], given, strict=False))
         scope.update(named)
-        for each in (*names, *(one.arg for one in arguments.kwonlyargs)):
-            if each not in scope:
-                scope[each] = self._node(Unknown(each), function.node, scope)
-        if function.owner is not None:
-            scope["__class__"] = self._node(function.owner, function.node, scope)
         self.depth += 1
         try:
             if isinstance(function.node, ast.Lambda):
@@ -686,87 +629,61 @@ class Evaluator:
             self.run(function.node.body, scope)
         except _Return as done:
             return done.node
-        except _Leave:
-            return None
+        except (_Leave, _Next) as error:
+            raise Lost from error
         finally:
             self.depth -= 1
         return self._node(None, function.node, scope)
 
     def make(self, made: Class, given: list[Node], named: dict[str, Node]) -> Instance:
         """Returns an instance of a class, its fields' defaults made anew."""
-        plain = {n: node for n, node in made.fields.items() if not isinstance(node.value, Function)}
-        fields = {name: _default(self, copied(node)) for name, node in plain.items()}
-        functions = {n: node for n, node in made.fields.items() if n not in plain}
-        result = Instance(made.name, {**functions, **fields}, made)
-        order = [name for name in dict.fromkeys(made.ordered) if name not in functions]
+        result: Instance = self._copied(Instance(made.name, made.fields, made), {})
+        order = [name for name in dict.fromkeys(made.ordered)
+                 if name not in made.fields
+                 or not isinstance(made.fields[name].value, Function)]  # fmt: skip
         result.fields.update(zip(order, given, strict=False))
         result.fields.update(named)
         after = made.fields.get("__post_init__")
         if after is not None and isinstance(after.value, Function):
-            self.call(after.value, [Node(result, after.place)], {})
+            with suppress(Lost):
+                self.call(after.value, [Node(result, after.place)], {})
         return result
 
     def _copied(self, value: Any, named: dict[str, Node]) -> Any:
-        fresh = copied(Node(value, Place(Path()))).value
+        seen: dict[int, Any] = {}
+        fresh = copied(Node(value, Place(Path())), seen).value
+        self.steps += len(seen)
         if isinstance(fresh, Instance):
             fresh.fields.update(named)
         return fresh
 
-    def _truth(self, node: Node) -> bool | None:
-        value = node.value
-        if value is None or isinstance(value, bool | int | float | str | list | dict):
-            return bool(value)
-        return True if isinstance(value, Instance) else None
 
-    def _listed(self, node: Node) -> list[Node] | None:
-        if isinstance(node.value, dict):
-            return [Node(key, value.place) for key, value in node.value.items()]
-        return node.value if isinstance(node.value, list) else None
-
-    def _plain(self, node: Node) -> Any:
-        value = node.value
-        return [self._plain(each) for each in value] if isinstance(value, list) else value
-
-
-def copied(node: Node, seen: dict[int, Any] | None = None) -> Node:
+def copied(node: Node, seen: dict[int, Any]) -> Node:
     """Returns a value with what it holds copied, each once."""
-    seen = {} if seen is None else seen
     value = node.value
-    if id(value) in seen:
-        return Node(seen[id(value)], node.place, node.decimals)
-    made: Any = value
-    if isinstance(value, list):
-        made = seen[id(value)] = []
-        made += [copied(each, seen) for each in value]
-    elif isinstance(value, dict):
-        made = seen[id(value)] = {}
-        made.update({key: copied(each, seen) for key, each in value.items()})
-    elif isinstance(value, Instance):
-        made = seen[id(value)] = Instance(value.kind, {}, value.of)
-        made.fields.update({key: copied(each, seen) for key, each in value.fields.items()})
-    return Node(made, node.place, node.decimals)
+    if id(value) not in seen and isinstance(value, list | dict | Instance):
+        made: Any = (
+            Instance(value.kind, {}, value.of) if isinstance(value, Instance) else type(value)()
+        )
+        seen[id(value)] = made
+        if isinstance(value, list):
+            made += [copied(each, seen) for each in value]
+        else:
+            held: Any = getattr(value, "fields", value)
+            getattr(made, "fields", made).update({k: copied(one, seen) for k, one in held.items()})
+    return Node(seen.get(id(value), value), node.place, node.decimals)
 
 
-def _default(evaluator: Evaluator, node: Node) -> Node:
-    """Returns a dataclass's default: that of a ``field`` is what its factory makes."""
-    held = node.value
-    if not isinstance(held, Instance) or held.kind != "field":
-        return node
-    factory, default = held.fields.get("default_factory"), held.fields.get("default")
-    if factory is None:
-        return default or Node(Unknown("field()"), node.place)
-    made = factory.value
-    if isinstance(made, Class):
-        return Node(evaluator.make(made, [], {}), node.place)
-    if isinstance(made, Function):
-        return evaluator.call(made, [], {}) or Node(Unknown(str(made)), node.place)
-    plain = {"dict": dict, "list": list, "tuple": list}.get(str(made))
-    return Node(plain() if plain else Instance(str(made)), node.place)
+def _tops(path: Path) -> Iterator[Path]:
+    """Yields the folders above a file up to that of its project, or of its package."""
+    project = [folder for folder in path.parents
+               if any((folder / mark).exists() for mark in _PROJECT)]  # fmt: skip
+    for folder in path.parents:
+        yield folder
+        within = project and folder != project[0] and folder.is_relative_to(project[0])
+        if not within and folder != path.parent and not is_input(folder / "__init__.py"):
+            return
 
 
 def _number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _sized(value: Any) -> bool:
-    return isinstance(value, list | str)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import ast
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.places import Place
 from pupper_analysis.tools.contract.facts import Node, Request, Role, Source, Statement, per_joint
 from pupper_analysis.tools.contract.facts import stated as state
@@ -18,6 +15,8 @@ from pupper_analysis.tools.contract.python_values import (
     Evaluator,
     Function,
     Instance,
+    Lost,
+    Module,
     Unknown,
 )
 from pupper_analysis.tools.contract.readers.tables import settings_of, steps_of
@@ -48,7 +47,7 @@ def read(request: Request) -> Iterator[Source]:
     module = evaluator.module(request.path)
     found: list[Source] = []
     roots: list[Node] = []
-    for name, node in module.names.items():
+    for name, node in module.items():
         if name in module.imported or (request.name and name != request.name):
             continue
         root = _made(evaluator, node)
@@ -65,7 +64,7 @@ def read(request: Request) -> Iterator[Source]:
         whole = [not root.value.of or all(root.value.kind not in each for each in parts)
                  for root in roots]  # fmt: skip
         found = [one for one, alone in zip(found, whole, strict=True) if alone]
-    scales = [] if request.name else list(_loose_scales(module.names, module.imported))
+    scales = [] if request.name else list(_loose_scales(module))
     for source in found:
         has = {one.quantity for one in source.statements}
         more = scales if "action scale" not in has and "kp" in has else []
@@ -88,15 +87,11 @@ def _made(evaluator: Evaluator, node: Node) -> Node | None:
                 return None
             given = [Node(evaluator.make(one.value, [], {}), one.place) for one in classes]
             made = evaluator.call(value, given, {})
-            if given and (made is None or made.value is None):
+            if given and made.value is None:
                 made = given[0]  # a function that fills in the settings that it is given
-            return made if made is not None and isinstance(made.value, Instance) else None
-    except ModelError as error:
-        # What takes too long says so; that a base is missing is none of the robot's.
-        if error.cause.code == "contract-too-much":
-            raise
-    except RecursionError as error:
-        raise ModelError(node.place.file, diagnose("contract-too-deep")) from error
+            return made if isinstance(made.value, Instance) else None
+    except Lost:
+        pass
     return None
 
 
@@ -107,30 +102,26 @@ def _class_of(evaluator: Evaluator, argument: ast.arg, function: Function) -> No
     return next((one for one in found if isinstance(one.value, Class)), None)
 
 
-def _loose_scales(names: dict[str, Node], imported: set[str]) -> Iterator[Statement]:
-    for name, node in names.items():
-        if re.search(r"action_scale", name, re.IGNORECASE) and name not in imported:
+def _loose_scales(module: Module) -> Iterator[Statement]:
+    for name, node in module.items():
+        if "action_scale" in name.lower() and name not in module.imported:
             yield from per_joint("action scale", node)
 
 
 # mjlab and Isaac Lab: dataclasses within dataclasses.
 
 
-def _walk(node: Node, seen: set[int], depth: int = 0) -> Iterator[Node]:
+def _walk(node: Node, seen: set[int]) -> Iterator[Node]:
     """Yields the instances below a value."""
     value = node.value
-    if id(value) in seen or depth > 12:
+    if id(value) in seen or not isinstance(value, Instance | dict | list):
         return
+    seen.add(id(value))
     if isinstance(value, Instance):
-        seen.add(id(value))
         yield node
-        parts = list(value.fields.values())
-    elif isinstance(value, dict):
-        parts = list(value.values())
-    else:
-        parts = value if isinstance(value, list) else []
-    for part in parts:
-        yield from _walk(part, seen, depth + 1)
+    held = getattr(value, "fields", value)
+    for part in held.values() if isinstance(held, dict) else held:
+        yield from _walk(part, seen)
 
 
 def _of_graph(name: str, path: Path, root: Node) -> Source | None:
