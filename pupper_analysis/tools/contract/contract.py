@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
-from pupper_analysis.base.errors import ConfigurationError, ModelError, PupperAnalysisError
-from pupper_analysis.base.results import Result
-from pupper_analysis.models.stated.model import RobotModel
-from pupper_analysis.tools.contract.facts import (
-    QUANTITIES,
-    SETTINGS,
-    Request,
-    Role,
-    Source,
-    readers,
+from pupper_analysis.base.errors import (
+    ConfigurationError,
+    InputError,
+    ModelError,
+    PupperAnalysisError,
 )
+from pupper_analysis.base.results import Result
+from pupper_analysis.models.places import refuse_input
+from pupper_analysis.models.stated.model import RobotModel
+from pupper_analysis.tools.contract.facts import Request, Role, Source, kind_of, readers
 from pupper_analysis.tools.contract.findings import (
     Disagreement,
     Pose,
@@ -29,8 +28,8 @@ from pupper_analysis.tools.contract.findings import (
 from pupper_analysis.tools.contract.orders import Placed, place_source
 from pupper_analysis.tools.contract.readers.models import match_names, read_stated
 
-MOST_FILES = 2_000
-"""Files of a folder that are looked at."""
+MOST_FILES = 500
+"""Files of a folder that are read."""
 
 _PASSED_OVER = ("node_modules", "site-packages", "build", "install", "log", "logs", "thirdparty",
                 "__pycache__")  # fmt: skip
@@ -136,18 +135,14 @@ def read_contract(
         told = diagnose("one-of", names=[str(each) for each in Severity])
         raise ConfigurationError("fail_on", told)
     asked, folders = _asked(sources)
-    read: list[Source] = []
-    notes: list[Diagnostic] = []
-    for request in asked:
-        read += _one_of(request, _read(request))
+    read = [source for request in asked for source in _one_of(request, _read(request))]
     models = [one for one in read if one.role is Role.MODEL]
     if not models:
         raise ConfigurationError("sources", diagnose("contract-without-model"))
     # By its joints all is ordered: an MJCF's, as it is what trainers and engines go by.
     models.sort(key=lambda one: one.path.suffix.lower() not in (".xml", ".mjcf"))
     first, model = models[0], read_stated(Request(models[0].path))
-    names, unmatched = match_names(models, names or {})
-    notes += unmatched
+    names, notes = match_names(models, names or {})
     for folder in folders:
         found, said = _in_folder(folder, read, model, first.order, names)
         read += found
@@ -155,19 +150,7 @@ def read_contract(
     first, *rest = _named_apart([first, *(one for one in read if one is not first)])
     placed = [place_source(one, model, first.order, rest, names) for one in (first, *rest)]
     for one in placed:
-        own = [fact for fact in one.facts.values() if not fact.implied]
-        theirs = tuple(dict.fromkeys([*one.unknown, *_patterns(one.source)]))
-        # A network without names states how many joints it is for.
-        if not own and not any(one.order) and (theirs or one.notes or not one.settings):
-            if one.notes:
-                raise ModelError(one.source.path, one.notes[0])
-            told = diagnose("contract-no-joint", model=first.name, names=theirs[:4],
-                            joints=first.order[:4])  # fmt: skip
-            raise ModelError(one.source.path, told)
-        notes += [*one.source.notes, *one.notes]
-        if one.unknown:
-            notes.append(diagnose("contract-names-unknown", file=one.source.name,
-                                  names=one.unknown))  # fmt: skip
+        notes += _check(one, first)
     placed.sort(key=lambda one: list(Role).index(one.source.role))
     paths = list(dict.fromkeys(one.path for one in models))
     poses, unstood = _stood(paths, placed, first.order) if stand else ((), [])
@@ -177,12 +160,28 @@ def read_contract(
         model=str(first.path),
         joints=first.order,
         sources=tuple(map(_told, placed)),
-        facts=tuple(_facts(placed)),
+        facts=tuple(fact for one in placed for fact in _facts(one)),
         findings=findings,
         poses=poses,
         notes=(*notes, *unstood),
         passed=all(one.severity.rank > worst for one in findings),
     )
+
+
+def _check(one: Placed, model: Source) -> list[Diagnostic]:
+    """Returns what is noted of a source; one without a joint of the robot is refused."""
+    said = [fact for (_, joint), fact in one.facts.items() if joint and not fact.implied]
+    theirs = [*one.unknown, *(each.joint for each in one.source.statements if each.joint)]
+    # A network without names states how many joints it is for.
+    alone = any(not joint for _, joint in one.facts) and not (theirs or one.notes)
+    if not (said or any(one.order) or alone):
+        told = diagnose("contract-no-joint", model=model.name,
+                        names=tuple(dict.fromkeys(theirs))[:4],
+                        joints=model.order[:4])  # fmt: skip
+        raise ModelError(one.source.path, next(iter(one.notes), told))
+    unknown = [diagnose("contract-names-unknown", file=one.source.name,
+                        names=one.unknown)] if one.unknown else []  # fmt: skip
+    return [*one.source.notes, *one.notes, *unknown]
 
 
 def _stood(
@@ -195,17 +194,14 @@ def _stood(
 
 def _named_apart(read: Sequence[Source]) -> list[Source]:
     """Returns sources whose names tell them apart: by as many folders as that takes."""
-
-    def called(one: Source, folders: int) -> str:
-        return "/".join((*one.path.absolute().parts[-1 - folders : -1], one.name))
-
     done = []
     for one in read:
-        others = [each for each in read if each is not one and each.path != one.path]
-        depths = range(len(one.path.absolute().parts) - 1)
-        apart = (called(one, depth) for depth in depths
-                 if called(one, depth) not in [called(each, depth) for each in others])  # fmt: skip
-        done.append(replace(one, name=next(apart, one.name)))
+        mine = one.path.absolute().parts
+        same = [each.path.absolute().parts for each in read if each.name == one.name]
+        others = [parts for parts in same if parts != mine]
+        least = next(least for least in range(1, len(mine) + 1)
+                     if mine[-least:] not in [parts[-least:] for parts in others])  # fmt: skip
+        done.append(replace(one, name="/".join((*mine[-least:-1], one.name))))
     return done
 
 
@@ -231,40 +227,34 @@ def _read(request: Request) -> list[Source]:
     if not able:
         known = sorted({suffix for one in readers() for suffix in one.suffixes})
         raise ModelError(request.path, diagnose("contract-of-no-kind", known=known))
-    found = [source for one in able for source in one.read(request)]
-    if not found:
-        if request.name:
-            raise ModelError(request.path, diagnose("contract-name-unknown", name=request.name))
-        raise ModelError(request.path, diagnose("contract-states-nothing"))
-    return found
+    try:
+        return [source for one in able for source in one.read(request)]
+    except InputError as error:
+        raise refuse_input(Path(error.path), error) from error
+    except RecursionError as error:
+        raise ModelError(request.path, diagnose("contract-too-deep")) from error
 
 
-def _one_of(request: Request, found: list[Source]) -> list[Source]:
+def _one_of(request: Request, found: Sequence[Source]) -> list[Source]:
     """Returns the configuration of a file, if there is one; several controllers are several.
 
-    Configurations that say the same are one, and one that another one holds is a part of it.
+    Configurations that say the same are one, and of a trainer one that another one holds is a part.
     """
-    if found[0].role is not Role.TRAINER:
-        return _distinct(found)
-    kept = list(_distinct(found))
-    for one in list(kept):
-        mine = set(one.content[0])  # type: ignore[call-overload]
-        held = [other for other in kept if other is not one
-                and mine <= set(other.content[0])]  # type: ignore[call-overload]  # fmt: skip
-        if held:
-            kept.remove(one)
-    if len(kept) > 1:
-        names = [one.name.rpartition(":")[2] for one in kept]
-        told = diagnose("contract-several", names=names, file=request.path.name)
-        raise ModelError(request.path, told)
+    kept = list({one.content: one for one in reversed(found)}.values())[::-1]
+    if kept and kept[0].role is Role.TRAINER:
+        said = [frozenset(one.content[0]) for one in kept]
+        kept = [one for number, one in enumerate(kept)
+                if not any(said[number] < each or (said[number] == each and other < number)
+                           for other, each in enumerate(said))]  # fmt: skip
+        if len(kept) > 1:
+            names = [one.name.rpartition(":")[2] for one in kept]
+            told = diagnose("contract-several", names=names, file=request.path.name)
+            raise ModelError(request.path, told)
+    if not kept and request.name:
+        raise ModelError(request.path, diagnose("contract-name-unknown", name=request.name))
+    if not kept:
+        raise ModelError(request.path, diagnose("contract-states-nothing"))
     return kept
-
-
-def _distinct(found: Iterable[Source]) -> list[Source]:
-    kept: dict[object, Source] = {}
-    for one in found:
-        kept.setdefault(one.content, one)
-    return list(kept.values())
 
 
 def _in_folder(
@@ -281,23 +271,17 @@ def _in_folder(
     seen = {one.path.absolute() for one in read}
     found, left, refused = list[Source](), 0, list[str]()
     for path in _files(folder):
-        if path.absolute() in seen:
-            continue
         try:
-            sources = [one for each in readers() if path.suffix.lower() in each.suffixes
-                       for one in each.read(Request(path))]  # fmt: skip
+            sources = [] if path.absolute() in seen else _read(Request(path))
         except PupperAnalysisError:
             refused.append(path.name)
             continue
         for one in sources:
             by_name = place_source(one, model, joints, (), names)
-            fits = set(by_name.names.values()) == set(joints) or (
-                by_name.how == "named" and all(by_name.order)
-            )
-            if fits and one.role is not Role.MODEL:
-                found.append(one)
-            else:
-                left += 1
+            every = set(by_name.names.values()) == set(joints)
+            fits = every or (by_name.how == "named" and all(by_name.order))
+            left += not fits
+            found += [one] if fits else []
     notes = [diagnose("contract-folder", file=str(folder), count=len(found), left=left)]
     if refused:
         notes.append(diagnose("contract-folder-refused", count=len(refused), names=refused[:5]))
@@ -305,21 +289,12 @@ def _in_folder(
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yields the files of a folder that may be a deployment's, in the order of their names."""
-    suffixes = (".yaml", ".yml", ".json", ".onnx")
-    number = 0
-    for top, folders, files in os.walk(folder):
-        folders[:] = sorted(one for one in folders if one[0] != "." and one not in _PASSED_OVER)
-        for name in sorted(files):
-            number += 1
-            if number > MOST_FILES:
-                return
-            if Path(name).suffix.lower() in suffixes:
-                yield Path(top) / name
-
-
-def _patterns(source: Source) -> list[str]:
-    return [one.joint for one in source.statements if one.joint]
+    """Returns the files of a folder that may be a deployment's, in the order of their names."""
+    found = (path for path in sorted(folder.rglob("*"))
+             if path.suffix.lower() in (".yaml", ".yml", ".json", ".onnx")
+             and not any(part[0] == "." or part in _PASSED_OVER
+                         for part in path.relative_to(folder).parts))  # fmt: skip
+    return islice(found, MOST_FILES)
 
 
 def _told(one: Placed) -> SourceRead:
@@ -329,13 +304,7 @@ def _told(one: Placed) -> SourceRead:
                       one.unknown, seen)  # fmt: skip
 
 
-def _facts(placed: Iterable[Placed]) -> Iterator[Fact]:
-    for one in placed:
-        for (quantity, joint), said in one.facts.items():
-            unit = QUANTITIES[quantity].unit if quantity in QUANTITIES else "1"
-            yield Fact(one.source.name, joint, quantity, said.value, unit, said.place.path,
-                       said.expression, said.implied)  # fmt: skip
-        for name, said in one.settings.items():
-            unit = SETTINGS[name].unit if name in SETTINGS else "1"
-            yield Fact(one.source.name, "", name, said.value, unit, said.place.path,
-                       said.expression, said.implied)  # fmt: skip
+def _facts(one: Placed) -> Iterator[Fact]:
+    for (quantity, joint), said in one.facts.items():
+        yield Fact(one.source.name, joint, quantity, said.value, kind_of(quantity).unit,
+                   said.place.path, said.expression, said.implied)  # fmt: skip

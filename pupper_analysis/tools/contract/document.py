@@ -14,7 +14,7 @@ from pupper_analysis.present.documents.sources import page_of, quote_line
 from pupper_analysis.present.formats import Annotation, CheckedItem
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.contract import Contract, Fact
-from pupper_analysis.tools.contract.facts import QUANTITIES, SETTINGS
+from pupper_analysis.tools.contract.facts import QUANTITIES, kind_of
 from pupper_analysis.tools.contract.findings import Disagreement
 
 MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
@@ -52,10 +52,10 @@ def _blocks(contract: Contract) -> Iterable[doc.Block]:
     for quantity in QUANTITIES:
         stating = [one for one in contract.facts if one.quantity == quantity and one.joint]
         if stating:
-            yield _table(contract, quantity, stating)
+            yield _table(contract, stating, word(quantity), kind_of(quantity).unit)
     settings = [one for one in contract.facts if not one.joint]
     if settings:
-        yield _settings(contract, settings)
+        yield _table(contract, settings, text("contract-settings"))
     if any(one.observations for one in contract.sources):
         yield _observations(contract)
 
@@ -132,27 +132,29 @@ def _sources(contract: Contract) -> doc.Table:
     return doc.Table(text("contract-sources"), columns, rows, detail=False)
 
 
-def _table(contract: Contract, quantity: str, facts: Sequence[Fact]) -> doc.Table:
-    """Returns a quantity: a row per joint, a column per source that states it."""
-    by = {(one.joint, one.source): one for one in facts}
+def _table(
+    contract: Contract, facts: Sequence[Fact], title: doc.Words, unit: str = ""
+) -> doc.Table:
+    """Returns a quantity, or all settings: a row per joint, or setting, a column per source."""
+    by = {(one.joint or one.quantity, one.source): one for one in facts}
     names = [one.name for one in contract.sources if any(f.source == one.name for f in facts)]
-    found = [one for one in contract.findings if one.kind == quantity]
+    found = [one for one in contract.findings if one.kind in {fact.quantity for fact in facts}]
     # A mirror image that is wrong where sources differ is so because of one of the two joints.
     found = [one for one in found if one.slip != "mirror"] or found
-    differ = {(joint, one.sources[1]) for one in found for joint in one.joints}
-    rows = []
-    for joint in contract.joints:
-        said = [by.get((joint, name)) for name in names]
+    differ = {(row, one.sources[1]) for one in found for row in one.joints or [one.kind]}
+    rows: list[tuple[doc.Cell, ...]] = []
+    for row in dict.fromkeys([*contract.joints, *(row for row, _ in by)]):
+        said = [by.get((row, name)) for name in names]
         if any(said):
-            marks = ["bad" if (joint, name) in differ else "" for name in names]
-            rows.append((doc.Name(joint), *map(_cell, said, marks)))
-    unit = QUANTITIES[quantity].unit
-    columns = [doc.Column(text("joint"), left=True)]
+            marks = ["bad" if (row, name) in differ else "" for name in names]
+            head = doc.Name(row) if row in contract.joints else word(row)
+            rows.append((head, *map(_cell, said, marks)))
+    columns = [doc.Column(text("joint") if facts[0].joint else text("contract-setting"), left=True)]
     columns += [doc.Column(doc.Name(name), unit) for name in names]
     places = {name: next(one.place for one in facts if one.source == name) for name in names}
     notes = (join_words(text("contract-first-place", source=name, place=Path(place).name)
                         for name, place in places.items()),)  # fmt: skip
-    return doc.Table(word(quantity), tuple(columns), tuple(rows), notes, detail=True)
+    return doc.Table(title, tuple(columns), tuple(rows), notes, detail=True)
 
 
 def _cell(fact: Fact | None, mark: str) -> doc.Cell:
@@ -161,19 +163,6 @@ def _cell(fact: Fact | None, mark: str) -> doc.Cell:
     if fact.value is None:
         return text("contract-no-constant", expression=fact.expression)
     return doc.Number(f"{fact.value:.5g}", fact.value, mark)
-
-
-def _settings(contract: Contract, facts: Sequence[Fact]) -> doc.Table:
-    names = [one.name for one in contract.sources if any(f.source == one.name for f in facts)]
-    by = {(one.quantity, one.source): one for one in facts}
-    words = dict.fromkeys(one.quantity for one in facts)
-    columns = [doc.Column(text("contract-setting"), left=True)]
-    columns += [doc.Column(doc.Name(name)) for name in names]
-    rows: list[tuple[doc.Cell, ...]] = []
-    for what in words:
-        said = word(what) if what in SETTINGS else doc.Name(what)
-        rows.append((said, *(_cell(by.get((what, name)), "") for name in names)))
-    return doc.Table(text("contract-settings"), tuple(columns), tuple(rows), detail=True)
 
 
 def _observations(contract: Contract) -> doc.Table:

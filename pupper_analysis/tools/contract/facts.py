@@ -39,24 +39,32 @@ class Kind(NamedTuple):
         severity: Of a difference; None of what is listed alone.
         mirrored: How it is of the other side's joint: 1 the same, -1 by the joint's axis, 0 not
             held against it.
+        effect: The code of what a difference does.
     """
 
     unit: str
     severity: Severity | None
     mirrored: int = 1
+    effect: str = ""
 
 
 _ERROR, _WARNING = Severity.ERROR, Severity.WARNING
 
 QUANTITIES: Final[Mapping[str, Kind]] = {
-    "default angle": Kind("rad", _ERROR, -1),
-    "action scale": Kind("rad", _ERROR),
-    "action offset": Kind("rad", _ERROR, -1),
+    "time step": Kind("s", None, 0),
+    "decimation": Kind("1", None, 0),
+    "policy step": Kind("s", _ERROR, 0),
+    "latency": Kind("s", _ERROR, 0),
+    "actions": Kind("1", _ERROR, 0),
+    "observed numbers": Kind("1", None, 0),
+    "default angle": Kind("rad", _ERROR, -1, "contract-effect-angle"),
+    "action scale": Kind("rad", _ERROR, 1, "contract-effect-scale"),
+    "action offset": Kind("rad", _ERROR, -1, "contract-effect-angle"),
     "sign": Kind("1", _ERROR, 0),
-    "kp": Kind("N m/rad", _ERROR),
-    "kd": Kind("N m s/rad", _ERROR),
-    "effort": Kind("N m", _WARNING),
-    "velocity": Kind("rad/s", _WARNING),
+    "kp": Kind("N m/rad", _ERROR, 1, "contract-effect-kp"),
+    "kd": Kind("N m s/rad", _ERROR, 1, "contract-effect-kd"),
+    "effort": Kind("N m", _WARNING, 1, "contract-effect-limit"),
+    "velocity": Kind("rad/s", _WARNING, 1, "contract-effect-limit"),
     "lower limit": Kind("rad", _WARNING, 0),
     "upper limit": Kind("rad", _WARNING, 0),
     "armature": Kind("kg m^2", _WARNING),
@@ -67,20 +75,15 @@ QUANTITIES: Final[Mapping[str, Kind]] = {
     "start kd": Kind("N m s/rad", None, 0),
     "friction coefficient": Kind("1", None, 0),
 }
-"""Of joints. What passive joints damp is no gain of a servo; at which angles a model begins, and
-with which gains a robot stands up, need not be what its policy has; a friction of PhysX is no
-torque."""
+"""Of a source as a whole, then of joints. How a policy's step is made up may differ, the step may
+not; how many numbers are observed depends on how many steps of them are. What passive joints damp
+is no gain of a servo; at which angles a model begins, and with which gains a robot stands up, need
+not be what its policy has; a friction of PhysX is no torque."""
 
-SETTINGS: Final[Mapping[str, Kind]] = {
-    "time step": Kind("s", None),
-    "decimation": Kind("1", None),
-    "policy step": Kind("s", _ERROR),
-    "latency": Kind("s", _ERROR),
-    "actions": Kind("1", _ERROR),
-    "observed numbers": Kind("1", None),
-}
-"""Of a source as a whole: how a policy's step is made up may differ, the step may not; and how many
-numbers are observed depends on how many steps of them are."""
+
+def kind_of(quantity: str) -> Kind:
+    """Returns what a quantity is; what is none of ``QUANTITIES`` is a scale of what is observed."""
+    return QUANTITIES.get(quantity, Kind("1", _ERROR, 0))
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ class Statement:
     """One number that a source states.
 
     Attributes:
-        quantity: A key of ``QUANTITIES`` or ``SETTINGS``; of observations ``observation NAME``.
+        quantity: A key of ``QUANTITIES``; of observations ``observation NAME``.
         value: In SI units; None of an expression that is no constant.
         place: Where.
         joint: The joint's name, or a regular expression that all of it matches; "" of a setting.
@@ -141,7 +144,7 @@ class Source:
     notes: tuple[Diagnostic, ...] = ()
 
     @property
-    def content(self) -> tuple[object, ...]:
+    def content(self) -> tuple[tuple[object, ...], ...]:
         """What it states, wherever that stands: two of the same are one."""
         said = sorted(
             (one.quantity, one.joint, str(one.index), str(one.value)) for one in self.statements

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,13 +13,13 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.tools.contract.facts import QUANTITIES, SETTINGS, Kind, Role, Statement
+from pupper_analysis.tools.contract.facts import QUANTITIES, Kind, Role, Statement, kind_of
 from pupper_analysis.tools.contract.orders import (
     Placed,
     like_mirror,
     mirror_of,
     mirrored_sign,
-    permutation,
+    observed,
 )
 
 _SAME = 2e-6
@@ -114,10 +114,13 @@ def find_all(
         model: The robot.
         joints: Its joints.
     """
-    found = [*_orders(placed), *_settings(placed), *_observations(placed)]
-    for quantity, kind in QUANTITIES.items():
+    found = [*_orders(placed), *_observations(placed)]
+    for quantity in dict.fromkeys(
+        [*QUANTITIES, *(what for one in placed for what, _ in one.facts)]
+    ):
+        kind = kind_of(quantity)
         if kind.severity is not None:
-            found += _of_quantity(quantity, kind, placed, joints)
+            found += _of_quantity(quantity, kind, placed, ("", *joints))
             if kind.mirrored:
                 found += _mirrored(quantity, kind, placed, model, joints)
     offsets = {one.joints for one in found if one.kind == "default angle"}
@@ -192,49 +195,32 @@ def _grouped(
         a, b = one[joint].value or 0.0, two[joint].value or 0.0
         signs = (1 if a >= 0 else -1) if quantity in _ANGLES else 1
         groups.setdefault((round(signs * a, 9), round(signs * b, 9)), []).append(joint)
+    # What asks for less than the model allows may be meant.
+    asks = (first.source.role, other.source.role).count(Role.MODEL) == 1 and quantity in _LIMITS
+    lower = -1 if quantity == "lower limit" else 1
     for (a, b), members in groups.items():
         slip, unit = _slip(quantity, a, b)
-        # What asks for less than the model allows may be meant.
-        meant = quantity in _LIMITS and _inside(quantity, first, other, members)
+        meant = asks and lower * a <= lower * b + 1e-6
         near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b))
         head = members[0]
-        told = diagnose("contract-differs", subject=("joint", head), what=Term(quantity),
-                        others=tuple(members[1:]), one=Quantity(one[head].value or 0.0, kind.unit),
+        told = diagnose("contract-differs", subject=("joint", head) if head else None,
+                        what=_term(quantity), others=tuple(members[1:]),
+                        one=Quantity(one[head].value or 0.0, kind.unit),
                         two=Quantity(two[head].value or 0.0, kind.unit), **names,
-                        sign=slip == "sign" or None, unit=unit or None,
-                        side=_side(members, one, two) or None)  # fmt: skip
+                        sign=slip == "sign" or None, unit=unit or None)  # fmt: skip
         yield _finding(quantity, told, sides(head), None if meant or near else kind.severity,
-                       joints=members, slip=slip, unit=kind.unit,
-                       effects=tuple(_effects(quantity, a, b)))  # fmt: skip
+                       joints=[one for one in members if one], slip=slip, unit=kind.unit,
+                       effects=tuple(_effects(kind, _term(quantity), a, b)))  # fmt: skip
 
 
-def _side(joints: Sequence[str], one: dict[str, Statement], two: dict[str, Statement]) -> str:
-    """Returns the joint of the other side, if sides that were exchanged make the difference."""
-    sides = {joint: mirror_of(joint, list(one)) for joint in joints}
-    if not all(sides.values()):
-        return ""
-    same = all(agree(two[joint], one[other]) for joint, other in sides.items())
-    return sides[joints[0]] if same else ""
+def _term(quantity: str) -> Term | str:
+    return Term(quantity) if quantity in QUANTITIES else quantity
 
 
 _NEAR = 0.02
 """Relative difference of limits of motors that is no more than how a data sheet is rounded."""
 
 _ANGLES = ("default angle", "action offset")
-
-
-def _inside(quantity: str, first: Placed, other: Placed, joints: Sequence[str]) -> bool:
-    """Whether what is no model is within the limits that a model states."""
-    limits = [one for one in (first, other) if one.source.role is Role.MODEL]
-    asked = [one for one in (first, other) if one.source.role is not Role.MODEL]
-    if len(limits) != 1:
-        return False
-    sign = 1 if quantity == "upper limit" else -1
-    return all(
-        sign * (asked[0].facts[quantity, joint].value or 0.0)
-        <= sign * (limits[0].facts[quantity, joint].value or 0.0) + 1e-6
-        for joint in joints
-    )
 
 
 def _exchange(one: dict[str, Statement], two: dict[str, Statement]) -> dict[str, str]:
@@ -277,21 +263,16 @@ def _slip(quantity: str, a: float, b: float) -> tuple[str, str]:
     return "", ""
 
 
-def _effects(quantity: str, a: float, b: float) -> Iterator[Diagnostic]:
+def _effects(kind: Kind, what: Term | str, a: float, b: float) -> Iterator[Diagnostic]:
     """Yields what a difference does, as far as the numbers alone tell."""
-    if quantity in _ANGLES:
-        yield diagnose("contract-effect-angle", angle=Quantity(abs(b - a), "rad"))
-    if quantity in _ANGLES or not a or not math.isfinite(a) or not math.isfinite(b):
-        return
-    share = Quantity(b / a, "1")
-    if quantity == "action scale":
-        yield diagnose("contract-effect-scale", share=share)
-    elif quantity == "kp" and b > 0:
-        yield diagnose("contract-effect-kp", share=Quantity(a / b, "1"))
-    elif quantity == "kd":
-        yield diagnose("contract-effect-kd", share=share)
-    elif quantity in ("effort", "velocity"):
-        yield diagnose("contract-effect-limit", share=share, what=Term(quantity))
+    apart, ratio = kind.unit == "rad" and kind.mirrored < 0, a and b and math.isfinite(a * b)
+    if kind.effect and (apart or ratio):
+        values = (
+            {"angle": Quantity(abs(b - a), "rad")}
+            if apart
+            else {"share": Quantity(b / a, "1"), "bends": Quantity(a / b, "1"), "what": what}
+        )
+        yield diagnose(kind.effect, **values)
 
 
 Side = tuple[Placed, Statement]
@@ -346,68 +327,46 @@ def _orders(placed: Sequence[Placed]) -> Iterator[Disagreement]:
     feeding = [one for one in placed if one.source.role is not Role.MODEL and one.order
                and one.how != "assumed" and (one.facts or one.source.motors)]  # fmt: skip
     for first, other in ((feeding[0], one) for one in feeding[1:]):
-        moved = permutation(first.order, other.order)
+        moved = [
+            (one, other.order.index(one))
+            for one, two in zip(first.order, other.order, strict=False)
+            if one != two and one in other.order
+        ]
         mapped = first.source.motors and other.source.motors
         if not moved or mapped or set(first.order) != set(other.order):
             continue
-        words = tuple(f"{a} → {b} ({joint})" for a, b, joint in moved)
+        words = tuple(f"{first.order.index(joint)} → {there} ({joint})" for joint, there in moved)
         told = diagnose("contract-order", first=first.source.name, second=other.source.name,
                         count=len(moved), moved=words[:6],
                         more=max(0, len(words) - 6) or None)  # fmt: skip
-        here, there = (Statement("order", None, one.source.order_place or Place(one.source.path))
-                       for one in (first, other))  # fmt: skip
-        yield _finding("order", told, ((first, here), (other, there)), slip="order",
-                       joints=[joint for _, _, joint in moved])  # fmt: skip
-
-
-def _settings(placed: Sequence[Placed]) -> Iterator[Disagreement]:
-    words = dict.fromkeys(word for one in placed for word in one.settings)
-    for word in words:
-        kind = SETTINGS.get(word, Kind("1", Severity.ERROR, 0))
-        stating = [one for one in placed if word in one.settings]
-        for other in stating[1:] if kind.severity is not None else ():
-            one, two = stating[0].settings[word], other.settings[word]
-            if one.value is None or two.value is None or agree(one, two):
-                continue
-            a, b = Quantity(one.value, kind.unit), Quantity(two.value, kind.unit)
-            told = diagnose("contract-setting", what=_term(word), one=a, two=b,
-                            first=stating[0].source.name, second=other.source.name)  # fmt: skip
-            yield _finding(word, told, ((stating[0], one), (other, two)), kind.severity,
-                           unit=kind.unit)  # fmt: skip
-
-
-def _term(word: str) -> Term | str:
-    return Term(word) if word in SETTINGS else word
-
-
-_CALLED = {"generated_commands": "commands", "velocity_commands": "commands",
-           "command": "commands", "joint_pos_rel": "joint_pos", "joint_vel_rel": "joint_vel",
-           "last_action": "actions", "action": "actions", "last_actions": "actions",
-           "imu_ang_vel": "base_ang_vel", "base_ang_vel_b": "base_ang_vel"}  # fmt: skip
-"""{what one library calls a part of what a policy observes: what the others do}."""
+        places = (one.source.order_place or Place(one.source.path) for one in (first, other))
+        yield _in_order("order", told, (first, other), places, [joint for joint, _ in moved])
 
 
 def _observations(placed: Sequence[Placed]) -> Iterator[Disagreement]:
-    """Yields where two sources observe the same things in another order, or otherwise scaled."""
+    """Yields where two sources observe the same things in another order."""
     stating = [one for one in placed if one.source.observations]
     for first, other in ((stating[0], one) for one in stating[1:]):
-        one, two = ({_CALLED.get(name, name): Statement("observations", scale, place)
-                     for name, scale, place in each.source.observations}
-                    for each in (first, other))  # fmt: skip
-        names: dict[str, Any] = {"first": first.source.name, "second": other.source.name}
-        here, there = ([name for name in each if name in one and name in two]
-                       for each in (one, two))  # fmt: skip
+        mine, theirs = observed(first.source), observed(other.source)
+        here = [name for name in mine if name in theirs]
+        there = [name for name in theirs if name in mine]
         if here != there:
-            told = diagnose("contract-observed-order", one=tuple(here), two=tuple(there), **names)
-            heads = (replace(next(iter(each.values())), value=None) for each in (one, two))
-            yield _finding("observations", told, tuple(zip((first, other), heads, strict=True)),  # type: ignore[arg-type]
-                           slip="order")  # fmt: skip
-        for name in here:
-            a, b = one[name].value, two[name].value
-            if a is not None and b is not None and abs(a - b) > 1e-6 * max(abs(a), abs(b)):
-                told = diagnose("contract-observed-scale", what=name, one=a, two=b, **names)
-                yield _finding("observations", told, ((first, one[name]), (other, two[name])),
-                               unit="1")  # fmt: skip
+            told = diagnose("contract-observed-order", one=tuple(here), two=tuple(there),
+                            first=first.source.name, second=other.source.name)  # fmt: skip
+            places = (one.source.observations[0][2] for one in (first, other))
+            yield _in_order("observations", told, (first, other), places)
+
+
+def _in_order(
+    kind: str,
+    told: Diagnostic,
+    both: tuple[Placed, Placed],
+    places: Iterable[Place],
+    joints: Sequence[str] = (),
+) -> Disagreement:
+    """Returns the finding that two sources differ in an order."""
+    here, there = (Statement(kind, None, place) for place in places)
+    return _finding(kind, told, ((both[0], here), (both[1], there)), joints=joints, slip="order")
 
 
 def pose_effects(

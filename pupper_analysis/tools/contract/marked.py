@@ -54,13 +54,12 @@ def _node(path: Path, node: yaml.Node, left: list[int]) -> Node:
         return Node(found, place)
     if isinstance(node, yaml.SequenceNode):
         return Node([_node(path, one, left) for one in node.value], place)
-    return _scalar(node, place)
+    quoted = node.style in ("'", '"', "|", ">")
+    return Node(str(node.value), place) if quoted else scalar(str(node.value), place)
 
 
-def _scalar(node: yaml.ScalarNode, place: Place) -> Node:
-    said = str(node.value)
-    if node.style in ("'", '"', "|", ">"):
-        return Node(said, place)
+def scalar(said: str, place: Place) -> Node:
+    """Returns what a text without quotes is: nothing, a truth, a number, or a text."""
     if said.lower() in ("", "~", "null"):
         return Node(None, place)
     if said.lower() in ("true", "false"):

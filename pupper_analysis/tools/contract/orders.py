@@ -26,8 +26,7 @@ class Placed:
 
     Attributes:
         source: What was read.
-        facts: {(quantity, joint): what is stated of it}.
-        settings: {setting: what is stated of it}.
+        facts: {(quantity, joint): what is stated of it}; the joint is "" of a setting.
         order: The robot's joints in the order in which a policy has them; empty if not known.
         how: How that is known: ``named``, ``motors``, ``policy``, ``assumed``, or "" if it is not.
         names: {the source's name: the joint}.
@@ -37,7 +36,6 @@ class Placed:
 
     source: Source
     facts: Mapping[tuple[str, str], Statement]
-    settings: Mapping[str, Statement]
     order: tuple[str, ...] = ()
     how: str = ""
     names: Mapping[str, str] = field(default_factory=dict)
@@ -47,23 +45,15 @@ class Placed:
 
 def breadth_first(model: RobotModel) -> tuple[str, ...]:
     """Returns a model's joints by their depth in the tree, as Isaac Lab has them."""
-    level, found = [model.base], list[str]()
-    while level:
-        below = [child for name in level for child in model.children(name)]
-        found += [joint.name for child in below for joint in child.joints if joint.moves]
-        level = [child.name for child in below]
-    return tuple(found)
+    depth = {name: len(list(model.ancestors(one.child))) for name, one in model.joints.items()}
+    return tuple(sorted(depth_first(model), key=depth.__getitem__))
 
 
 def depth_first(model: RobotModel) -> tuple[str, ...]:
     """Returns a model's joints limb by limb, as MuJoCo and Isaac Gym have them."""
-    roots = [link.name for link in model.links.values() if link.parent is None]
-    way = list(roots)
-    for root in roots:
-        way[way.index(root) + 1 : way.index(root) + 1] = [
-            one.name for one in model.descendants(root)
-        ]
-    return tuple(joint.name for name in way for joint in model.links[name].joints if joint.moves)
+    roots = [link for link in model.links.values() if link.parent is None]
+    links = [link for root in roots for link in (root, *model.descendants(root.name))]
+    return tuple(joint.name for link in links for joint in link.joints if joint.moves)
 
 
 def limbs(model: RobotModel) -> dict[str, tuple[str, ...]]:
@@ -106,34 +96,48 @@ def place_source(
     order, how, assumed = _order(source, model, joints, others, known, given)
     reverse = {joint: name for name, joint in known.items()}
     facts: dict[tuple[str, str], Statement] = {}
-    settings: dict[str, Statement] = {}
     unread: dict[str, int] = {}
+    for name, scale, place in source.observations:
+        if scale is not None:
+            what = f"observation {_CALLED.get(name, name)}"
+            facts[what, ""] = Statement(what, scale, place)
     for one in source.statements:
-        if one.index is not None:
-            if one.count != len(order):  # whose they are nobody knows: of the first ones, or all?
-                unread[one.quantity] = one.count
-            elif order[one.index]:
-                facts[one.quantity, order[one.index]] = one
-        elif not one.joint:
-            settings[one.quantity] = one
-        elif one.joint in known:
-            facts[one.quantity, known[one.joint]] = one
-        else:
-            for joint in joints:
-                if matches(one.joint, joint) or matches(one.joint, reverse.get(joint, joint)):
-                    facts[one.quantity, joint] = one
+        if one.index is None:
+            theirs = (
+                [known.get(one.joint, "")]
+                if one.joint in known or not one.joint
+                else [
+                    joint
+                    for joint in joints
+                    if matches(one.joint, joint) or matches(one.joint, reverse.get(joint, joint))
+                ]
+            )
+        elif one.count == len(order):
+            theirs = [order[one.index]] if order[one.index] else []
+        else:  # whose they are nobody knows: of the first ones, or all?
+            unread[one.quantity], theirs = one.count, []
+        facts.update({(one.quantity, joint): one for joint in theirs})
+    step, many = (facts.get((what, "")) for what in ("time step", "decimation"))
+    if step and many and step.value and many.value:
+        said = Statement("policy step", step.value * many.value, many.place)
+        facts.setdefault(("policy step", ""), said)
+    size = len(order) or len(joints)
+    notes = [diagnose("contract-list-unread", file=source.name, what=Term(quantity), count=count,
+                      joints=size) for quantity, count in unread.items()]  # fmt: skip
     unknown = tuple(name for name in names if name not in known)
-    notes = [
-        diagnose(
-            "contract-list-unread",
-            file=source.name,
-            what=Term(quantity),
-            count=count,
-            joints=len(order) or len(joints),
-        )
-        for quantity, count in unread.items()
-    ]
-    return Placed(source, facts, settings, order, how, known, unknown, (*assumed, *notes))
+    return Placed(source, facts, order, how, known, unknown, (*assumed, *notes))
+
+
+_CALLED = {"generated_commands": "commands", "velocity_commands": "commands",
+           "command": "commands", "joint_pos_rel": "joint_pos", "joint_vel_rel": "joint_vel",
+           "last_action": "actions", "action": "actions", "last_actions": "actions",
+           "imu_ang_vel": "base_ang_vel", "base_ang_vel_b": "base_ang_vel"}  # fmt: skip
+"""{what one library calls a part of what a policy observes: what the others do}."""
+
+
+def observed(source: Source) -> list[str]:
+    """Returns what a policy observes, in order, by one library's names."""
+    return [_CALLED.get(name, name) for name, _, _ in source.observations]
 
 
 _PLAIN = re.compile(r"[\w/\- ]+")
@@ -222,16 +226,6 @@ def _whole_limbs(order: tuple[str, ...], motors: tuple[int, ...], model: RobotMo
         if len(ways.get(after, ())) > 1 and before not in ways[after]:
             return False
     return True
-
-
-def permutation(one: Sequence[str], two: Sequence[str]) -> list[tuple[int, int, str]]:
-    """Returns (place in the one, place in the other, joint) of those whose places differ."""
-    there = {joint: place for place, joint in enumerate(two)}
-    return [
-        (place, there[joint], joint)
-        for place, joint in enumerate(one)
-        if joint in there and there[joint] != place
-    ]
 
 
 def mirror_of(joint: str, joints: Sequence[str]) -> str:

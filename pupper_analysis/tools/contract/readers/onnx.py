@@ -9,9 +9,10 @@ from pathlib import Path
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MOST_FILE, read_input
-from pupper_analysis.models.places import Place, source_name
-from pupper_analysis.tools.contract.facts import Request, Role, Source, Statement
-from pupper_analysis.tools.contract.marked import decimals_of
+from pupper_analysis.models.places import Place, refuse_input
+from pupper_analysis.tools.contract.facts import Node, Request, Role, Source, Statement
+from pupper_analysis.tools.contract.marked import scalar
+from pupper_analysis.tools.contract.readers.tables import of_table
 
 SUFFIXES = (".onnx",)
 
@@ -21,15 +22,6 @@ Message = dict[int, list["int | memoryview"]]
 # Fields are numbered as in onnx.proto (ONNX 1.16).
 _GRAPH, _METADATA = 7, 14
 _INPUTS, _OUTPUTS, _CONSTANTS = 11, 12, 5
-
-_LISTS = {
-    "default_joint_pos": "default angle",
-    "joint_stiffness": "kp",
-    "kp": "kp",
-    "joint_damping": "kd",
-    "kd": "kd",
-    "action_scale": "action scale",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +55,7 @@ def read_onnx(path: Path) -> OnnxFile:
         constants = {text_of(gather_fields(one), 8) for one in graph.get(_CONSTANTS, ())}
         ends = [dict(map(_named_sizes, graph.get(which, ()))) for which in (_INPUTS, _OUTPUTS)]
     except InputError as error:
-        raise ModelError(source_name(path, error.line), error.cause) from error
+        raise refuse_input(path, error) from error
     except (IndexError, KeyError, ValueError, TypeError) as error:
         raise ModelError(path, diagnose("contract-no-onnx")) from error
     inputs = {name: sizes for name, sizes in ends[0].items() if name not in constants}
@@ -73,39 +65,20 @@ def read_onnx(path: Path) -> OnnxFile:
 def read(request: Request) -> Iterator[Source]:
     """Yields what a policy says of itself, if it does."""
     file = read_onnx(request.path)
-    said = file.metadata
-    statements = []
-    for key, quantity in _LISTS.items():
-        texts = _parts(said.get(key, ""))
-        place = Place(request.path, element=key)
-        for index, text in enumerate(texts):
-            try:
-                value, digits, shown = float(text), decimals_of(text), ""
-            except ValueError:
-                value, digits, shown = None, None, text
-            statements.append(Statement(quantity, value, place, index=index, count=len(texts),
-                                        decimals=digits, expression=shown))  # fmt: skip
-    named = "joint_names" if "joint_names" in said else "dof_names"  # holosoma's
-    seen = Place(request.path, element="observation_names")
-    for ends, what in ((file.outputs, "actions"), (file.inputs, "observed numbers")):
-        sizes = next(iter(ends.values()), [])
-        if sizes:
-            place = Place(request.path, element=next(iter(ends)))
-            statements.append(Statement(what, float(sizes[-1]), place))
-    yield Source(
-        request.path.name,
-        request.path,
-        Role.POLICY,
-        tuple(statements),
-        order=tuple(_parts(said.get(named, ""))),
-        order_place=Place(request.path, element=named),
-        observations=tuple((one, None, seen) for one in _parts(said.get(seen.element or "", ""))),
-    )
+    table = {key: _parts(text, Place(request.path, element=key))
+             for key, text in file.metadata.items()}  # fmt: skip
+    ends = {"actions": file.outputs, "observed numbers": file.inputs}
+    sizes = [Statement(what, float(size[-1]), Place(request.path, element=name))
+             for what, end in ends.items()
+             for name, size in list(end.items())[:1] if size]  # fmt: skip
+    whole = Node(table, Place(request.path))
+    yield from of_table(request, request.path.name, whole, Role.POLICY, sizes)
 
 
-def _parts(text: str) -> list[str]:
+def _parts(text: str, place: Place) -> Node:
     """Returns what a list in metadata holds, with its brackets and quotes or without."""
-    return [part for one in text.strip("[]() ").split(",") if (part := one.strip(" \"'"))]
+    parts = (part for one in text.strip("[]() ").split(",") if (part := one.strip(" \"'")))
+    return Node([scalar(part, place) for part in parts], place)
 
 
 def gather_fields(data: int | memoryview) -> Message:

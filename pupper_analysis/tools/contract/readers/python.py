@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from pupper_analysis.models.places import Place
 from pupper_analysis.tools.contract.facts import Node, Request, Role, Source, Statement, per_joint
 from pupper_analysis.tools.contract.facts import stated as state
 from pupper_analysis.tools.contract.python_values import (
@@ -16,10 +16,14 @@ from pupper_analysis.tools.contract.python_values import (
     Function,
     Instance,
     Lost,
-    Module,
     Unknown,
 )
-from pupper_analysis.tools.contract.readers.tables import settings_of, steps_of
+from pupper_analysis.tools.contract.readers.tables import (
+    observed_in,
+    of_table,
+    settings_of,
+    told_of,
+)
 
 SUFFIXES = (".py",)
 
@@ -42,70 +46,59 @@ _MOTIONS = ("JointPositionAction", "JointPositionToLimitsAction", "RelativeJoint
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yields the configurations of a Python file, those with the most facts first."""
+    """Yields the configurations of a Python file; a flat table that a function makes, if none."""
     evaluator = Evaluator(request.folders)
     module = evaluator.module(request.path)
-    found: list[Source] = []
-    roots: list[Node] = []
+    roots, tables = list[tuple[Node, Source]](), list[Source]()
     for name, node in module.items():
-        if name in module.imported or (request.name and name != request.name):
+        if name in module.imported or request.name not in ("", name):
             continue
-        root = _made(evaluator, node)
-        if root is None:
-            continue
-        name = f"{request.path.name}:{name}"
-        source = _of_class(name, request.path, root) or _of_graph(name, request.path, root)
-        if source is not None:
-            found.append(source)
-            roots.append(root)
+        root, shown = _made(evaluator, node), f"{request.path.name}:{name}"
+        if isinstance(root.value, Instance):
+            roots += [(root, one) for one in _of_root(shown, request.path, root)]
+        elif isinstance(root.value, dict):
+            tables += of_table(request, shown, root, Role.TRAINER)
     # What another one is made of is no configuration of its own.
-    parts = [{one.value.kind for one in _walk(root, set())} - {root.value.kind} for root in roots]
-    if not request.name:
-        whole = [not root.value.of or all(root.value.kind not in each for each in parts)
-                 for root in roots]  # fmt: skip
-        found = [one for one, alone in zip(found, whole, strict=True) if alone]
-    scales = [] if request.name else list(_loose_scales(module))
-    for source in found:
+    parts = {one.value.kind for root, _ in roots for one in _walk(root, set())
+             if one.value.kind != root.value.kind}  # fmt: skip
+    found = [source for root, source in roots
+             if request.name or not root.value.of or root.value.kind not in parts]  # fmt: skip
+    scales = [] if request.name else [
+        one for name, node in module.items()
+        if "action_scale" in name.lower() and name not in module.imported
+        for one in per_joint("action scale", node)
+    ]  # fmt: skip
+    for source in found or tables:
         has = {one.quantity for one in source.statements}
         more = scales if "action scale" not in has and "kp" in has else []
         yield replace(source, statements=(*source.statements, *more))
 
 
-def _made(evaluator: Evaluator, node: Node) -> Node | None:
+def _made(evaluator: Evaluator, node: Node) -> Node:
     """Returns what a name of a module makes: itself, an instance, or what its function returns."""
     value = node.value
-    if isinstance(value, Instance):
-        return node
     try:
         if isinstance(value, Class):
             return Node(evaluator.make(value, [], {}), node.place)
-        if isinstance(value, Function) and isinstance(value.node.args.args, list):
+        if isinstance(value, Function) and isinstance(value.node, ast.FunctionDef):
             arguments = value.node.args
             free = arguments.args[: len(arguments.args) - len(arguments.defaults)]
-            classes = [one for each in free if (one := _class_of(evaluator, each, value))]
-            if len(classes) != len(free):
-                return None
-            given = [Node(evaluator.make(one.value, [], {}), one.place) for one in classes]
+            given = [_made(evaluator, _class_of(evaluator, each, value)) for each in free]
             made = evaluator.call(value, given, {})
-            if given and made.value is None:
-                made = given[0]  # a function that fills in the settings that it is given
-            return made if isinstance(made.value, Instance) else None
+            # A function may fill in the settings that it is given.
+            return given[0] if given and made.value is None else made
     except Lost:
-        pass
-    return None
+        return Node(None, node.place)
+    return node if isinstance(value, Instance) else Node(None, node.place)
 
 
-def _class_of(evaluator: Evaluator, argument: ast.arg, function: Function) -> Node | None:
+def _class_of(evaluator: Evaluator, argument: ast.arg, function: Function) -> Node:
     """Returns the class that an argument is annotated with, or the first of several."""
-    names = [] if argument.annotation is None else ast.walk(argument.annotation)
-    found = (evaluator.value(one, function.around) for one in names if isinstance(one, ast.Name))
-    return next((one for one in found if isinstance(one.value, Class)), None)
-
-
-def _loose_scales(module: Module) -> Iterator[Statement]:
-    for name, node in module.items():
-        if "action_scale" in name.lower() and name not in module.imported:
-            yield from per_joint("action scale", node)
+    for one in [] if argument.annotation is None else ast.walk(argument.annotation):
+        found = evaluator.value(one, function.around) if isinstance(one, ast.Name) else None
+        if found is not None and isinstance(found.value, Class):
+            return found
+    raise Lost
 
 
 # mjlab and Isaac Lab: dataclasses within dataclasses.
@@ -119,12 +112,16 @@ def _walk(node: Node, seen: set[int]) -> Iterator[Node]:
     seen.add(id(value))
     if isinstance(value, Instance):
         yield node
-    held = getattr(value, "fields", value)
+    held: Any = getattr(value, "fields", value)
     for part in held.values() if isinstance(held, dict) else held:
         yield from _walk(part, seen)
 
 
-def _of_graph(name: str, path: Path, root: Node) -> Source | None:
+def _of_root(name: str, path: Path, root: Node) -> Iterator[Source]:
+    settings = tuple(settings_of(root))
+    if settings:
+        yield Source(name, path, Role.TRAINER, settings)
+        return
     instances = list(_walk(root, set()))
     robots = [one for one in instances if _actuators(one)]
     if len({id(one.value) for one in robots}) > 1:
@@ -140,21 +137,21 @@ def _of_graph(name: str, path: Path, root: Node) -> Source | None:
     actions = [one for one in instances if one.value.kind.removesuffix("Cfg") in _MOTIONS]
     for action in actions:
         statements += _of_action(action, angles)
-    statements += steps_of(root)
-    observations = tuple(_observed(root))
+    statements += told_of(root)
+    group = root.get("observations", "policy") or root.get("observations", "actor")
     if not (robots or actions):
-        return None
+        return
     # Isaac Lab's articulations are in the order of depth, MuJoCo's as they are written.
-    isaac = not any("target_names_expr" in one.value.fields for one in instances)
-    mjlab = any(one.value.kind == "EntityCfg" for one in instances) or not isaac
-    return Source(
+    mjlab = any(one.value.kind == "EntityCfg" or "target_names_expr" in one.value.fields
+                for one in instances)  # fmt: skip
+    yield Source(
         name,
         path,
         Role.TRAINER,
         tuple(statements),
         motor_names=motors,
         breadth_first=not mjlab,
-        observations=observations,
+        observations=tuple(observed_in(group and (group.get("terms") or group))),
     )
 
 
@@ -203,32 +200,3 @@ def _of_action(action: Node, angles: list[Statement]) -> Iterator[Statement]:
             yield replace(one, quantity="action offset", implied=True)
     else:
         yield from per_joint("action offset", offset, patterns)
-
-
-def _observed(root: Node) -> Iterator[tuple[str, float | None, Place]]:
-    for group in ("policy", "actor"):
-        found = root.get("observations", group)
-        if found is None:
-            continue
-        terms = found.get("terms") or found
-        held = terms.value if isinstance(terms.value, dict) else terms.value.fields
-        for name, term in held.items():
-            if not isinstance(term.value, Instance) or term.get("func") is None:
-                continue
-            scale = term.get("scale")
-            func = str(term.value.fields["func"].value).rpartition(".")[2]
-            number = 1.0 if scale is None else scale.items[0].number
-            yield (func if func.isidentifier() and func in _KNOWN else name), number, term.place
-        return
-
-
-_KNOWN = ("base_ang_vel", "projected_gravity", "generated_commands", "joint_pos_rel",
-          "joint_vel_rel", "last_action", "velocity_commands", "base_lin_vel")  # fmt: skip
-
-
-# legged_gym: classes within classes.
-
-
-def _of_class(name: str, path: Path, root: Node) -> Source | None:
-    statements = tuple(settings_of(root))
-    return Source(name, path, Role.TRAINER, statements) if statements else None

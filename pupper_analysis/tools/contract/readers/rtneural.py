@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import orjson
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MOST_FILE, read_input
-from pupper_analysis.models.places import source_name
+from pupper_analysis.models.places import Place, refuse_file, refuse_input
 from pupper_analysis.tools.contract.facts import Request, Role, Source, Statement
 from pupper_analysis.tools.contract.readers.tables import is_network, of_table, read_documents
 
@@ -43,10 +43,10 @@ def read_rtneural(path: Path) -> RtneuralFile:
     try:
         values = orjson.loads(read_input(path, MOST_FILE))
     except InputError as error:
-        raise ModelError(source_name(path, error.line), error.cause) from error
+        raise refuse_input(path, error) from error
     except orjson.JSONDecodeError as error:
         told = diagnose("contract-no-json", problem=error.msg)
-        raise ModelError(source_name(path, error.lineno), told) from error
+        raise refuse_file(Place(path, error.lineno), told) from error
     layers = values.get("layers") if isinstance(values, dict) else None
     if not isinstance(layers, list):
         raise ModelError(path, diagnose("contract-no-rtneural"))
@@ -64,9 +64,7 @@ def read(request: Request) -> Iterator[Source]:
     for document in read_documents(request):
         if is_network(document):
             file = read_rtneural(request.path)
-            sizes = (("actions", file.outputs), ("observed numbers", file.inputs))
-            more = tuple(
-                Statement(what, float(size), document.place) for what, size in sizes if size
-            )
-            for one in of_table(request, request.path.name, document, Role.POLICY):
-                yield replace(one, statements=(*one.statements, *more))
+            sizes = {"actions": file.outputs, "observed numbers": file.inputs}
+            more = [Statement(what, float(size), document.place)
+                    for what, size in sizes.items() if size]  # fmt: skip
+            yield from of_table(request, request.path.name, document, Role.POLICY, more)

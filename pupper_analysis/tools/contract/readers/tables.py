@@ -7,9 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import read_text
-from pupper_analysis.models.places import Place, source_name
+from pupper_analysis.models.places import Place
 from pupper_analysis.tools.contract.facts import (
     Node,
     Request,
@@ -51,97 +50,87 @@ _LISTS = {
 }  # fmt: skip
 """{key of a table: quantity}."""
 
-_TIMES = {
+_TOLD = {
     "step_dt": "policy step", "control_dt": "policy step", "policy_dt": "policy step",
-    "simulation_dt": "time step", "dt": "time step", "control_decimation": "decimation",
-    "decimation": "decimation", "latency": "latency", "num_actions": "actions",
-    "num_obs": "observed numbers", "num_observations": "observed numbers",
+    "ctrl_dt": "policy step", "simulation_dt": "time step", "sim_dt": "time step",
+    "dt": "time step", "control_decimation": "decimation", "decimation": "decimation",
+    "latency": "latency", "num_actions": "actions", "num_obs": "observed numbers",
+    "num_observations": "observed numbers", "ang_vel_scale": "observation ang_vel",
+    "dof_pos_scale": "observation dof_pos", "dof_vel_scale": "observation dof_vel",
+    "lin_vel_scale": "observation lin_vel",
 }  # fmt: skip
+"""{key of a table: what it states of the whole}; scales as legged_gym calls them."""
 
-_OBSERVED = {"ang_vel_scale": "ang_vel", "dof_pos_scale": "dof_pos", "dof_vel_scale": "dof_vel",
-             "lin_vel_scale": "lin_vel"}  # fmt: skip
-"""{key of unitree_rl_gym and its kin: what legged_gym calls the scale}."""
+_SETTINGS = {
+    "sim.dt": "time step", "sim.mujoco.timestep": "time step", "decimation": "decimation",
+    "control.decimation": "decimation", "env.num_actions": "actions",
+    "env.num_observations": "observed numbers",
+}  # fmt: skip
+"""{where it stands in a trainer's settings: what it states of the whole}."""
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yields what a YAML or a JSON holds: a configuration, or one for each controller."""
+    """Yields what a YAML or a JSON holds: a configuration, or one for each controller or robot."""
     for document in read_documents(request):
-        yield from _of_document(request, document)
+        if document.get("joint_limits") is not None:
+            yield from _of_limits(request, document)
+        elif not is_network(document):  # else it is a policy's: readers/rtneural.py
+            yield from _of_document(request, document)
 
 
 def read_documents(request: Request) -> list[Node]:
     """Returns the tables of a YAML or a JSON."""
-    try:
-        documents = read_marked(request.path, read_text(request.path))
-    except InputError as error:
-        raise ModelError(source_name(request.path, error.line), error.cause) from error
+    documents = read_marked(request.path, read_text(request.path))
     return [one for one in documents if isinstance(one.value, dict)]
 
 
 def _of_document(request: Request, document: Node) -> Iterator[Source]:
-    name = request.path.name
-    nodes = {key: node for key, node in document.value.items()
-             if node.get("ros__parameters") is not None}  # fmt: skip
-    if nodes:
-        rate = document.get("controller_manager", "ros__parameters", "update_rate")
-        for key, node in nodes.items():
-            table = node.get("ros__parameters")
-            if request.name in ("", key) and table is not None:
-                yield from of_table(request, f"{name}:{key}", table, Role.DRIVER, rate)
-        return
-    if document.get("joint_limits") is not None:
-        yield from _of_limits(request, document)
-    elif not is_network(document):  # else it is a policy's: readers/rtneural.py
-        yield from of_table(request, name, document, Role.DEPLOYMENT)
-        # rl_sar and its kin: a robot's name, then its table.
-        for key, node in document.value.items():
-            if isinstance(node.value, dict) and request.name in ("", key):
-                yield from of_table(request, f"{name}:{key}", node, Role.DEPLOYMENT)
+    """Yields what a table states, and the tables in it: rl_sar's of a robot, ROS 2's of a node."""
+    rate = document.get("controller_manager", "ros__parameters", "update_rate")
+    for key, node in {"": document, **document.value}.items():
+        own = node.get("ros__parameters")
+        table = own or node
+        if isinstance(table.value, dict) and request.name in ("", key):
+            more = {} if own is None or rate is None else {"update_rate": rate}
+            name = f"{request.path.name}:{key}" if key else request.path.name
+            role = Role.DEPLOYMENT if own is None else Role.DRIVER
+            yield from of_table(request, name, Node({**table.value, **more}, table.place), role)
 
 
 def of_table(
-    request: Request, name: str, table: Node, role: Role, rate: Node | None = None
+    request: Request, name: str, table: Node, role: Role, more: Iterable[Statement] = ()
 ) -> Iterator[Source]:
-    """Yields what a flat table states of joints, if it states anything."""
-    table = Node({key.lower(): node for key, node in table.value.items()}, table.place)
+    """Yields what a flat table states of joints, and what else is known, if that is anything."""
+    table = Node({str(key).lower(): node for key, node in table.value.items()}, table.place)
     named = next((found for word in _NAMES if (found := table.get(word))), None)
     order = () if named is None else named.texts
     motors = next((found for word in _MOTORS if (found := table.get(word))), None)
     indices = _numbers(motors)
     unread = [diagnose("contract-motors-unread", file=name)] if motors and not indices else []
-    statements = list(_listed(table, order, indices))
+    statements = [*more, *_listed(table, order, indices)]
     for action in _below(table.get("actions")):
         statements += _flat("action scale", action.get("scale"))
         statements += _flat("action offset", action.get("offset"))
     trainer = list(settings_of(table))
     statements += trainer
-    states_joints = bool(statements) or bool(order)
-    for word, quantity in _TIMES.items():
-        node = table.get(word)
-        if node is not None and node.number is not None:
-            statements.append(stated(quantity, node))
-    for word, scale in _OBSERVED.items():
-        node = table.get(word)
-        if node is not None and node.number is not None:
-            statements.append(stated(f"observation {scale}", node))
-    said = {one.quantity: one for one in statements if not one.joint and one.index is None}
-    step, many = said.get("time step"), said.get("decimation")
-    if "policy step" not in said and step and many and step.value and many.value:
-        statements.append(Statement("policy step", step.value * many.value, many.place))
-    often = table.get("repeat_action")
-    if rate is not None and rate.number and often is not None and often.number is not None:
-        statements.append(Statement("policy step", often.number / rate.number, often.place))
-    if not states_joints:
+    if not statements and not order:
         return
+    statements += [stated(quantity, node) for word, quantity in _TOLD.items()
+                   if (node := table.get(word)) and node.number is not None]  # fmt: skip
+    rate, often = table.get("update_rate"), table.get("repeat_action")
+    if rate is not None and often is not None and rate.number and often.number:
+        statements.append(Statement("policy step", often.number / rate.number, often.place))
+    seen = table.get("observation_names")
+    names = () if seen is None else ((one, None, seen.place) for one in seen.texts)
     yield Source(
         name,
         request.path,
         Role.TRAINER if trainer else role,
         tuple(statements),
-        order=order if all(order) else (),
+        order=order,
         order_place=None if named is None else named.place,
         motors=tuple(indices),
-        observations=tuple(_observed(table.get("observations"))),
+        observations=(*names, *observed_in(table.get("observations"))),
         notes=tuple(unread),
     )
 
@@ -198,13 +187,20 @@ def _below(node: Node | None) -> list[Node]:
     return [one for key, one in parts.items() if "Velocity" not in key and "Effort" not in key]
 
 
-def _observed(node: Node | None) -> Iterator[tuple[str, float | None, Place]]:
-    if node is None or not isinstance(node.value, dict):
-        return
-    for name, term in node.value.items():
-        scale = term.get("scale")
-        if isinstance(term.value, dict):
-            yield name, None if scale is None else scale.items[0].number, term.place
+def observed_in(terms: Node | None) -> Iterator[tuple[str, float | None, Place]]:
+    """Yields the terms of an observation, in order, by their functions' names where these tell."""
+    held = {} if terms is None else getattr(terms.value, "fields", terms.value)
+    for name, term in held.items() if isinstance(held, dict) else ():
+        func, scale = term.get("func"), term.get("scale")
+        called = "" if func is None else str(func.value).rpartition(".")[2]
+        if func is not None or isinstance(term.value, dict):
+            implied = None if func is None else 1.0
+            number = implied if scale is None else scale.items[0].number
+            yield called if called in _KNOWN else name, number, term.place
+
+
+_KNOWN = ("base_ang_vel", "projected_gravity", "generated_commands", "joint_pos_rel",
+          "joint_vel_rel", "last_action", "velocity_commands", "base_lin_vel")  # fmt: skip
 
 
 def _of_limits(request: Request, document: Node) -> Iterator[Source]:
@@ -224,16 +220,12 @@ def _of_limits(request: Request, document: Node) -> Iterator[Source]:
         yield Source(request.path.name, request.path, Role.DRIVER, tuple(found))
 
 
-def steps_of(root: Node) -> Iterator[Statement]:
-    """Yields the steps of a trainer and of its policy."""
-    step = root.get("sim", "dt") or root.get("sim", "mujoco", "timestep")
-    often = root.get("decimation") or root.get("control", "decimation")
-    if step is not None and step.number is not None:
-        yield stated("time step", step)
-    if often is not None and often.number is not None:
-        yield stated("decimation", often)
-        if step is not None and step.number is not None:
-            yield Statement("policy step", step.number * often.number, often.place)
+def told_of(root: Node) -> Iterator[Statement]:
+    """Yields what a trainer's settings state of the whole."""
+    for path, quantity in _SETTINGS.items():
+        node = root.get(*path.split("."))
+        if node is not None and node.number:
+            yield stated(quantity, node)
 
 
 def settings_of(root: Node) -> Iterator[Statement]:
@@ -259,11 +251,7 @@ def settings_of(root: Node) -> Iterator[Statement]:
     armature = root.get("asset", "armature")
     if armature is not None and armature.number:
         yield from per_joint("armature", armature)
-    yield from steps_of(root)
-    for word, what in (("num_actions", "actions"), ("num_observations", "observed numbers")):
-        count = root.get("env", word)
-        if count is not None and count.number:
-            yield stated(what, count)
+    yield from told_of(root)
     scales = root.get("normalization", "obs_scales")
     held = {} if scales is None else getattr(scales.value, "fields", scales.value)
     for word, node in held.items() if isinstance(held, dict) else ():
