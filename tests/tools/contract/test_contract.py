@@ -213,7 +213,8 @@ SLIPS = {
     "unit": ("default_joint_pos", listed(ANGLES),
              listed(round(57.29578 * one, 2) for one in ANGLES), "default angle", "unit"),
     "step": ("step_dt", "0.02", "0.01", "policy step", ""),
-    "seen": ("base_ang_vel", "[0.25, 0.25, 0.25]", "[1.0, 1.0, 1.0]", "observation base_ang_vel", ""),
+    "seen": ("base_ang_vel", "[0.25, 0.25, 0.25]", "[1.0, 1.0, 1.0]",
+             "observation base_ang_vel", ""),
 }  # fmt: skip
 
 
