@@ -277,7 +277,7 @@ def _written(_: Path, mjcf: Path, folder: Path) -> Cell:
         stood,
         passed=cell.passed or stood.passed,
         word=f"{cell.word}, {stood.word}",
-        truth=truth_of(made, made),
+        truth=truth_of(made, folder.parent / "plain" / mjcf.name),
     )
 
 
