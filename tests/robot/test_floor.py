@@ -125,3 +125,14 @@ def test_a_plain_ground_stays_as_it_is(tmp_path: Path) -> None:
     before = spec.to_xml()
     assert level_ground(spec) == []
     assert spec.to_xml() == before
+
+
+def test_of_a_pair_with_two_frictions_the_lesser_counts(tmp_path: Path) -> None:
+    """What holds by it holds by both, whichever way the ground rises."""
+    pairs = "".join(
+        f'<pair geom1="ground" geom2="foot{leg}" friction="{values}"/>'
+        for leg, values in enumerate(("0.9 0.3 .02 .004 .003", "0.3 0.9 .02 .003 .004") * 2)
+    )
+    robot = loaded(scene(tmp_path, PLANE + "/>", pairs))
+    assert any(note.code == "friction-sideways-dropped" for note in robot.notes)
+    assert {contact.friction[0] for contact in robot.contacts.values()} == {0.3}
