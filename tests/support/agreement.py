@@ -341,7 +341,9 @@ def _compare_hold(found: Agreement, run: Commands) -> None:
     done, content = run("hold")
     found.codes["hold"] = _code(done, content)
     payload = content.get("payload", {})
-    most = min(payload.get("mass", math.nan), payload.get("servos", math.nan))
+    # JSON has no infinity: what nothing limits is null there.
+    bounds = [payload.get(name, math.nan) for name in ("mass", "servos")]
+    most = min(math.inf if bound is None else bound for bound in bounds)
     if done.returncode != 0 or not 0 < most < math.inf:
         return
     found.payload = most
