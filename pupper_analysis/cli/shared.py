@@ -411,7 +411,7 @@ def parse_point(
     except ValueError:
         numbers = ()
     if len(numbers) != size:
-        form = ", ".join([",".join("XYZ"[:size]) + " (m)", *choices])
+        form = ", ".join(["X,Y,Z"[: 2 * size - 1] + f" ({'10mm,0,0'[: 2 * size + 2]})", *choices])
         raise ConfigurationError(option, diagnose("not-of-the-form", given=text, form=form))
     return numbers
 

@@ -54,7 +54,7 @@ _USES = {".urdf": _ALWAYS, ".xml": _ALWAYS | _OF_AN_MJCF}
 @click.option(
     "--sag",
     type=shared.QuantityType("angle"),
-    help="Largest static deflection of a joint, which sets the servos' kp (rad); e.g. 1deg.",
+    help="Largest static deflection of a joint, which sets the servos' kp; e.g. 1deg.",
 )
 @click.option(
     "--damping-ratio",

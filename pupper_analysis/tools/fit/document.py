@@ -200,13 +200,13 @@ def _errors(fit: MotionFit) -> Iterator[doc.Words]:
     if math.isfinite(fit.held_out):
         yield text(
             "held-out-error",
-            after=f"{1e3 * fit.held_out:.2f}",
-            before=f"{1e3 * fit.held_out_before:.2f}",
+            after=f"{math.degrees(fit.held_out):.3f}",
+            before=f"{math.degrees(fit.held_out_before):.3f}",
         )
     else:
-        yield text("nothing-held-out", after=f"{1e3 * fit.fitted:.2f}")
+        yield text("nothing-held-out", after=f"{math.degrees(fit.fitted):.3f}")
     if math.isfinite(fit.repeatability):
-        yield text("repeatability-is", own=f"{1e3 * fit.repeatability:.2f}")
+        yield text("repeatability-is", own=f"{math.degrees(fit.repeatability):.3f}")
     else:
         yield text("repeatability-unknown")
 
@@ -215,11 +215,11 @@ def _joints(fit: MotionFit) -> doc.BarPlot:
     """Returns what is off at each joint, and its encoder's noise."""
     return plot_joints(
         text("off-at-joints"),
-        doc.Axis(text("root-mean-square"), "mrad", ".2f"),
+        doc.Axis(text("root-mean-square"), "deg", ".3f"),
         fit.by_joint,
         fit.encoder_noise,
         text("encoder-noise"),
-        scale=1e3,
+        scale=math.degrees(1.0),
     )
 
 
@@ -270,7 +270,7 @@ def _worst(first: Iterable[JointResidual]) -> Iterator[doc.Words]:
             "worst-residual",
             joint=doc.Name(one.joint),
             stand=doc.Name(one.stand),
-            off=f"{1e3 * one.off:+.2f}",
+            off=f"{math.degrees(one.off):+.3f}",
             times=f"{abs(one.deviations):.1f}",
         )
 
@@ -283,7 +283,7 @@ def _joint_residuals(found: Sequence[JointResidual]) -> Iterator[doc.Table]:
         (
             doc.Name(one.stand),
             doc.Name(one.joint),
-            doc.number_cell(one.off, "+.2f", scale=1e3),
+            doc.number_cell(one.off, "+.3f", scale=math.degrees(1.0)),
             doc.number_cell(one.deviations, "+.1f"),
         )
         for one in found[:MOST_ROWS]
@@ -291,7 +291,7 @@ def _joint_residuals(found: Sequence[JointResidual]) -> Iterator[doc.Table]:
     columns = (
         doc.Column(text("planned-stand"), left=True),
         doc.Column(text("joint"), left=True),
-        doc.Column(text("measured-less-predicted"), "mrad"),
+        doc.Column(text("measured-less-predicted"), "deg"),
         doc.Column(text("in-standard-deviations"), "1"),
     )
     yield doc.Table(text("residuals-of-joints"), columns, rows, detail=True)
