@@ -179,7 +179,7 @@ def test_the_rest_of_a_best_stance_is_the_stance_s_own() -> None:
     titles = [[in_english(one.title) for one in document.blocks if isinstance(one, Table)]
               for document in (shown, alone)]  # fmt: skip
     assert set(titles[1]) < set(titles[0])
-    assert shown.told[1:] == alone.told
+    assert shown.findings[1:] == alone.findings
 
 
 def test_what_engines_make_of_one_file_is_seen_where_they_differ() -> None:

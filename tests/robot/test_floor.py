@@ -58,9 +58,9 @@ def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
 def test_a_floor_anywhere_is_the_ground(tmp_path: Path, floor: str, said: str | None) -> None:
     """A stand on it, and one on a slope, are those on the plane at home, to rounding."""
     robot, plain = (loaded(scene(tmp_path, text)) for text in (floor, PLANE + "/>"))
-    told = [note for note in robot.notes if note.code == LEVEL]
-    assert bool(told) == (said is not None)
-    assert not told or (said or "") in str(told[0])
+    messages = [note for note in robot.notes if note.code == LEVEL]
+    assert bool(messages) == (said is not None)
+    assert not messages or (said or "") in str(messages[0])
     assert not [note for note in robot.notes if note.code == OTHERS]
     for task in ({}, {"ground": pa.Ground(slope=0.05, uphill=0.7)}):
         seen, known = (stands(one, **task) for one in (robot, plain))

@@ -266,20 +266,20 @@ def test_what_holds_stays_and_what_is_refused_does_not(examples: int, nudges: in
     """Of random stands, payloads and gains; each judgement is taken at its word."""
     module = benchmark("stability")
     module.NUDGES = nudges
-    told = set()
+    message = set()
     for case in module.variants(examples):
         found, _ = module.judged(case)
         leaving = found.leaving() if found.at_rest else ()
         if not found.at_rest:
             continue
-        told.add(not leaving)
+        message.add(not leaving)
         if not leaving:
             assert module.seen(case, 12.0).word == "stays", case.name
             continue
         # Slow ones take longer than 12 s; what dry friction holds, a push beyond it sets free.
         seen = module.tried(case, leaving)
         assert seen.word != "stays", (case.name, leaving[0])
-    assert told == {True, False}
+    assert message == {True, False}
 
 
 def test_what_leaves_and_comes_back_has_left() -> None:

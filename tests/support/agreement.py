@@ -246,7 +246,7 @@ def _compare_best(found: Agreement, run: Commands) -> None:
         found.codes[f"best {objective}"] = f"exit {done.returncode}"
         if not content:
             continue
-        best, told = content["best"], content["stance"]
+        best, message = content["best"], content["stance"]
         typed = _typed(best["stand"]["task"])
         if objective == "payload":
             loaded, answered = run("payload", *at, *typed)
@@ -261,13 +261,15 @@ def _compare_best(found: Agreement, run: Commands) -> None:
             continue
         stood, stance = run("stand", *typed)
         code = _code(stood, stance)
-        if code != told["verdict"]["code"]:
-            found.disagreements.append(f"best {objective}: {told['verdict']['code']}, stand {code}")
+        if code != message["verdict"]["code"]:
+            found.disagreements.append(
+                f"best {objective}: {message['verdict']['code']}, stand {code}"
+            )
         if not stance:
             continue
         for what, one, other in (
-            ("stand", told["stand"]["qpos"], stance["stand"]["qpos"]),
-            ("torques", told["statics"]["joint_torques"], stance["statics"]["joint_torques"]),
+            ("stand", message["stand"]["qpos"], stance["stand"]["qpos"]),
+            ("torques", message["statics"]["joint_torques"], stance["statics"]["joint_torques"]),
         ):
             off = float(np.abs(np.asarray(one) - np.asarray(other)).max(initial=0.0))
             if not off <= SAME:

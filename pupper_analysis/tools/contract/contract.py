@@ -133,8 +133,8 @@ def read_contract(
             configurations that fit; one line that tells where, and what would be valid.
     """
     if fail_on not in list(map(str, Severity)):
-        told = diagnose("one-of", names=[str(each) for each in Severity])
-        raise ConfigurationError("fail_on", told)
+        message = diagnose("one-of", names=[str(each) for each in Severity])
+        raise ConfigurationError("fail_on", message)
     asked, folders = _asked(sources)
     read: list[Source] = []
     notes: list[Diagnostic] = []
@@ -161,9 +161,9 @@ def read_contract(
         if not own and not any(one.order) and (theirs or one.notes or not one.settings):
             if one.notes:
                 raise ModelError(one.source.path, one.notes[0])
-            told = diagnose("contract-no-joint", model=first.name, names=theirs[:4],
+            message = diagnose("contract-no-joint", model=first.name, names=theirs[:4],
                             joints=first.order[:4])  # fmt: skip
-            raise ModelError(one.source.path, told)
+            raise ModelError(one.source.path, message)
         notes += [*one.source.notes, *one.notes]
         if one.unknown:
             notes.append(diagnose("contract-names-unknown", file=one.source.name,
@@ -176,7 +176,7 @@ def read_contract(
     return Contract(
         model=str(first.path),
         joints=first.order,
-        sources=tuple(map(_told, placed)),
+        sources=tuple(map(_source_read, placed)),
         facts=tuple(_facts(placed)),
         findings=findings,
         poses=poses,
@@ -255,8 +255,8 @@ def _one_of(request: Request, found: list[Source]) -> list[Source]:
             kept.remove(one)
     if len(kept) > 1:
         names = [one.name.rpartition(":")[2] for one in kept]
-        told = diagnose("contract-several", names=names, file=request.path.name)
-        raise ModelError(request.path, told)
+        message = diagnose("contract-several", names=names, file=request.path.name)
+        raise ModelError(request.path, message)
     return kept
 
 
@@ -322,7 +322,7 @@ def _patterns(source: Source) -> list[str]:
     return [one.joint for one in source.statements if one.joint]
 
 
-def _told(one: Placed) -> SourceRead:
+def _source_read(one: Placed) -> SourceRead:
     source = one.source
     seen = tuple(name for name, _, _ in source.observations)
     return SourceRead(source.name, str(source.path), str(source.role), one.order, one.how,

@@ -71,7 +71,7 @@ class Disagreement(Result):
     places: tuple[str, ...]
     effects: tuple[Diagnostic, ...] = ()
 
-    _told = ("message",)
+    _reported = ("message",)
 
     @property
     def message(self) -> str:
@@ -181,10 +181,10 @@ def _grouped(
     swapped = _exchange(one, two)
     if swapped:
         pairs = tuple(f"{joint} ↔ {whose}" for joint, whose in swapped.items() if joint < whose)
-        told = diagnose("contract-exchanged", what=Term(quantity), joints=tuple(joints),
+        message = diagnose("contract-exchanged", what=Term(quantity), joints=tuple(joints),
                         pairs=pairs or tuple(f"{a} → {b}" for a, b in swapped.items()),
                         file=names["second"], other=names["first"])  # fmt: skip
-        yield _finding(quantity, told, sides(joints[0]), kind.severity, joints=joints,
+        yield _finding(quantity, message, sides(joints[0]), kind.severity, joints=joints,
                        slip="order", unit=kind.unit)  # fmt: skip
         return
     groups: dict[tuple[float, float], list[str]] = {}
@@ -198,12 +198,12 @@ def _grouped(
         meant = quantity in _LIMITS and _inside(quantity, first, other, members)
         near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b))
         head = members[0]
-        told = diagnose("contract-differs", subject=("joint", head), what=Term(quantity),
+        message = diagnose("contract-differs", subject=("joint", head), what=Term(quantity),
                         others=tuple(members[1:]), one=Quantity(one[head].value or 0.0, kind.unit),
                         two=Quantity(two[head].value or 0.0, kind.unit), **names,
                         sign=slip == "sign" or None, unit=unit or None,
                         side=_side(members, one, two) or None)  # fmt: skip
-        yield _finding(quantity, told, sides(head), None if meant or near else kind.severity,
+        yield _finding(quantity, message, sides(head), None if meant or near else kind.severity,
                        joints=members, slip=slip, unit=kind.unit,
                        effects=tuple(_effects(quantity, a, b)))  # fmt: skip
 
@@ -300,7 +300,7 @@ Side = tuple[Placed, Statement]
 
 def _finding(
     kind: str,
-    told: Diagnostic,
+    message: Diagnostic,
     sides: tuple[Side, Side],
     severity: Severity | None = Severity.ERROR,
     *,
@@ -314,7 +314,7 @@ def _finding(
         *((one.source.name, said.value, said.place.path) for one, said in sides), strict=True
     )
     return Disagreement(kind, slip, tuple(joints), names, values, unit, severity or Severity.NOTE,
-                        told, places, effects)  # fmt: skip
+                        message, places, effects)  # fmt: skip
 
 
 def _mirrored(
@@ -332,11 +332,11 @@ def _mirrored(
             sign = mirrored_sign(model, joint, other) if kind.mirrored < 0 else 1
             if like_mirror(one.value, two.value, sign):
                 continue
-            told = diagnose("contract-mirror", subject=("joint", joint), what=Term(quantity),
+            message = diagnose("contract-mirror", subject=("joint", joint), what=Term(quantity),
                             mirror=other, one=Quantity(one.value, kind.unit),
                             two=Quantity(two.value, kind.unit), file=source.source.name,
                             wanted=Quantity(sign * one.value, kind.unit))  # fmt: skip
-            yield _finding(quantity, told, ((source, one), (source, two)), Severity.WARNING,
+            yield _finding(quantity, message, ((source, one), (source, two)), Severity.WARNING,
                            joints=(joint, other), slip="mirror", unit=kind.unit)  # fmt: skip
 
 
@@ -351,12 +351,12 @@ def _orders(placed: Sequence[Placed]) -> Iterator[Disagreement]:
         if not moved or mapped or set(first.order) != set(other.order):
             continue
         words = tuple(f"{a} → {b} ({joint})" for a, b, joint in moved)
-        told = diagnose("contract-order", first=first.source.name, second=other.source.name,
+        message = diagnose("contract-order", first=first.source.name, second=other.source.name,
                         count=len(moved), moved=words[:6],
                         more=max(0, len(words) - 6) or None)  # fmt: skip
         here, there = (Statement("order", None, one.source.order_place or Place(one.source.path))
                        for one in (first, other))  # fmt: skip
-        yield _finding("order", told, ((first, here), (other, there)), slip="order",
+        yield _finding("order", message, ((first, here), (other, there)), slip="order",
                        joints=[joint for _, _, joint in moved])  # fmt: skip
 
 
@@ -370,9 +370,9 @@ def _settings(placed: Sequence[Placed]) -> Iterator[Disagreement]:
             if one.value is None or two.value is None or agree(one, two):
                 continue
             a, b = Quantity(one.value, kind.unit), Quantity(two.value, kind.unit)
-            told = diagnose("contract-setting", what=_term(word), one=a, two=b,
+            message = diagnose("contract-setting", what=_term(word), one=a, two=b,
                             first=stating[0].source.name, second=other.source.name)  # fmt: skip
-            yield _finding(word, told, ((stating[0], one), (other, two)), kind.severity,
+            yield _finding(word, message, ((stating[0], one), (other, two)), kind.severity,
                            unit=kind.unit)  # fmt: skip
 
 
@@ -398,15 +398,17 @@ def _observations(placed: Sequence[Placed]) -> Iterator[Disagreement]:
         here, there = ([name for name in each if name in one and name in two]
                        for each in (one, two))  # fmt: skip
         if here != there:
-            told = diagnose("contract-observed-order", one=tuple(here), two=tuple(there), **names)
+            message = diagnose(
+                "contract-observed-order", one=tuple(here), two=tuple(there), **names
+            )
             heads = (replace(next(iter(each.values())), value=None) for each in (one, two))
-            yield _finding("observations", told, tuple(zip((first, other), heads, strict=True)),  # type: ignore[arg-type]
+            yield _finding("observations", message, tuple(zip((first, other), heads, strict=True)),  # type: ignore[arg-type]
                            slip="order")  # fmt: skip
         for name in here:
             a, b = one[name].value, two[name].value
             if a is not None and b is not None and abs(a - b) > 1e-6 * max(abs(a), abs(b)):
-                told = diagnose("contract-observed-scale", what=name, one=a, two=b, **names)
-                yield _finding("observations", told, ((first, one[name]), (other, two[name])),
+                message = diagnose("contract-observed-scale", what=name, one=a, two=b, **names)
+                yield _finding("observations", message, ((first, one[name]), (other, two[name])),
                                unit="1")  # fmt: skip
 
 
@@ -420,7 +422,7 @@ def pose_effects(
         both = [heights.get(name) for name in one.sources]
         if one.kind == "default angle" and None not in both and both[0] != both[1]:
             apart = Quantity(abs((both[0] or 0.0) - (both[1] or 0.0)), "m")
-            told = diagnose("contract-effect-height", height=apart)
-            one = replace(one, effects=(*one.effects, told))
+            message = diagnose("contract-effect-height", height=apart)
+            one = replace(one, effects=(*one.effects, message))
         done.append(one)
     return tuple(done)

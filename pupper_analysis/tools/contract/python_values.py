@@ -178,8 +178,8 @@ class Evaluator:
         except InputError as error:
             raise ModelError(source_name(path, error.line), error.cause) from error
         except SyntaxError as error:
-            told = diagnose("contract-no-python", problem=error.msg)
-            raise ModelError(source_name(path, error.lineno), told) from error
+            message = diagnose("contract-no-python", problem=error.msg)
+            raise ModelError(source_name(path, error.lineno), message) from error
         except (RecursionError, MemoryError, ValueError) as error:
             raise ModelError(path, diagnose("contract-too-deep")) from error
         made = self.modules[path] = Module(path, text.splitlines())
@@ -205,8 +205,8 @@ class Evaluator:
         self.steps += 1
         if self.steps > MOST_STEPS:
             line = getattr(node, "lineno", None)
-            told = diagnose("contract-too-much", most=MOST_STEPS)
-            raise ModelError(source_name(scope.module.path, line), told)
+            message = diagnose("contract-too-much", most=MOST_STEPS)
+            raise ModelError(source_name(scope.module.path, line), message)
 
     def _do_assign(self, one: ast.Assign, scope: Scope) -> None:
         value = self.value(one.value, scope)

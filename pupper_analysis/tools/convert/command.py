@@ -152,8 +152,8 @@ def _by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
         )
         chosen = [name for name in joints if fnmatchcase(name, pattern)]
         if not chosen:
-            told = diagnose("no-joint-like", pattern=pattern, known=joints)
-            raise ConfigurationError("armature", told)
+            message = diagnose("no-joint-like", pattern=pattern, known=joints)
+            raise ConfigurationError("armature", message)
         if not 0 <= value < float("inf"):
             raise ConfigurationError("armature", diagnose("armature-negative", value=value))
         values.update(dict.fromkeys(chosen, value))

@@ -47,7 +47,7 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             _force(hold),
             force_plot(hold.force),
         ),
-        (_posture(hold), *_told(hold)),
+        (_posture(hold), *_findings(hold)),
         details=(_agreement(hold),),
         notes=robot_notes(robot),
     )
@@ -260,7 +260,7 @@ def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> 
         )
 
 
-def _told(hold: Hold) -> Iterable[doc.Words]:
+def _findings(hold: Hold) -> Iterable[doc.Words]:
     yield from hardest_motor(hold.statics, hold.limits)
     if hold.sagged is not None:
         yield text(

@@ -45,8 +45,8 @@ def read_rtneural(path: Path) -> RtneuralFile:
     except InputError as error:
         raise ModelError(source_name(path, error.line), error.cause) from error
     except orjson.JSONDecodeError as error:
-        told = diagnose("contract-no-json", problem=error.msg)
-        raise ModelError(source_name(path, error.lineno), told) from error
+        message = diagnose("contract-no-json", problem=error.msg)
+        raise ModelError(source_name(path, error.lineno), message) from error
     layers = values.get("layers") if isinstance(values, dict) else None
     if not isinstance(layers, list):
         raise ModelError(path, diagnose("contract-no-rtneural"))
