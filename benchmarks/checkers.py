@@ -85,8 +85,10 @@ def _run(words: list[str], share: Path, within: Path) -> str:
 def simcheck(path: Path, share: Path, bins: Path) -> Said:
     """Its static checks, and those in MuJoCo and PyBullet."""
     words = [str(bins / "simcheck"), "check", str(path), "--robot", "--no-config", "--no-cache"]
-    told = _run([*words, "--package-path", f"{PACKAGE}={share}", "--json", "-"], share, path.parent)
-    found = [one for result in json.loads(told)["results"] for one in result["findings"]]
+    output = _run(
+        [*words, "--package-path", f"{PACKAGE}={share}", "--json", "-"], share, path.parent
+    )
+    found = [one for result in json.loads(output)["results"] for one in result["findings"]]
     return Counter(
         f"{one['check']} {one['target']}"
         for one in found
@@ -105,44 +107,46 @@ def urdf_validator(path: Path, share: Path, bins: Path) -> Said:
         share,
         path.parent,
     )
-    told = json.loads((path.parent / f"{path.stem}_validation.json").read_text())
-    weak = [f"effort {one['name']}" for one in told["statics"]["joints"] if one["status"] == "FAIL"]
-    found = [*told["critical_issues"], *told["warnings"], *weak]
+    content = json.loads((path.parent / f"{path.stem}_validation.json").read_text())
+    weak = [
+        f"effort {one['name']}" for one in content["statics"]["joints"] if one["status"] == "FAIL"
+    ]
+    found = [*content["critical_issues"], *content["warnings"], *weak]
     return Counter(_without_numbers(str(one)) for one in found)
 
 
 def robot_doctor(path: Path, share: Path, bins: Path) -> Said:
     """Errors and warnings of Isaac Lab's doctor."""
-    told = _run(
+    output = _run(
         [str(bins / "isaaclab-robot-doctor"), "check", "--json", str(path)], share, path.parent
     )
     return Counter(
         _without_numbers(json.dumps({key: one.get(key) for key in ("id", "message")}))
-        for one in _findings(json.loads(told))
+        for one in _findings(json.loads(output))
         if str(one.get("severity", one.get("level"))).lower() in ("error", "warn", "warning")
     )
 
 
 def truerig(path: Path, share: Path, bins: Path) -> Said:
     """Errors and warnings of its validation."""
-    told = _run(
+    output = _run(
         [str(bins / "truerig"), "validate", "--report", "json", str(path)], share, path.parent
     )
     return Counter(
         _without_numbers(json.dumps(one, sort_keys=True))
-        for one in _findings(json.loads(told))
+        for one in _findings(json.loads(output))
         if str(one.get("severity", one.get("level"))).lower() in ("error", "warn", "warning")
     )
 
 
-def _findings(told: Any) -> list[dict[str, Any]]:
+def _findings(message: Any) -> list[dict[str, Any]]:
     """All objects in a report that state how bad they are."""
-    if isinstance(told, list):
-        return [one for each in told for one in _findings(each)]
-    if not isinstance(told, dict):
+    if isinstance(message, list):
+        return [one for each in message for one in _findings(each)]
+    if not isinstance(message, dict):
         return []
-    own = [told] if isinstance(told.get("severity", told.get("level")), str) else []
-    return own + [one for each in told.values() for one in _findings(each)]
+    own = [message] if isinstance(message.get("severity", message.get("level")), str) else []
+    return own + [one for each in message.values() for one in _findings(each)]
 
 
 CHECKERS: dict[str, Callable[[Path, Path, Path], Said]] = {
@@ -169,8 +173,8 @@ def said(checker: str, path: Path, share: Path, bins: Path, kept: Path) -> Said 
             click.echo(f"{path.stem}: {checker}: {error!s:.100}", err=True)
             found = None
         file.write_text(json.dumps(found))
-    told = json.loads(file.read_text())
-    return None if told is None else Counter(told)
+    content = json.loads(file.read_text())
+    return None if content is None else Counter(content)
 
 
 def edited(source: Path, slipped: Path) -> set[str]:

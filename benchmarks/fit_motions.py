@@ -142,7 +142,11 @@ def cover(name: str, given: argparse.Namespace) -> None:
             if one.name in truth:
                 inside = one.low <= truth[one.name] <= one.high
                 own.append(inside)
-                for key in ("all", f"told by {one.told.value}", f"{one.kind}, {one.told.value}"):
+                for key in (
+                    "all",
+                    f"told by {one.determined.value}",
+                    f"{one.kind}, {one.determined.value}",
+                ):
                     held.setdefault(key, []).append(inside)
                 if abs(truth[one.name] - one.mean) > FAR * one.std:
                     off = (truth[one.name] - one.mean) / one.std
@@ -178,8 +182,10 @@ def fit_logs(given: argparse.Namespace) -> None:
     )
     print(f"  fitted {1e3 * fit.fitted:.3f} ({1e3 * fit.fitted_before:.3f}), ", end="")
     print(f"the robot from itself {1e3 * fit.repeatability:.3f}")
-    told = [one.told.value for one in fit.estimates]
-    print(f"  { ({kind: told.count(kind) for kind in sorted(set(told))}) } of {len(told)}")
+    messages = [one.determined.value for one in fit.estimates]
+    print(
+        f"  { ({kind: messages.count(kind) for kind in sorted(set(messages))}) } of {len(messages)}"
+    )
     known, rng = fit.posterior, np.random.default_rng(0)
     for _ in range(given.start):
         motion, _ = begin_motion(robot, logs, (), others or 0.2, given.kp, given.kd)

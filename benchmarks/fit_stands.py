@@ -306,9 +306,9 @@ def row_of(name: str, robot: Robot, given: argparse.Namespace) -> str:
         for one in (whole, *fit.estimates):
             if one.name not in truth:
                 continue
-            rows[one.name] = ((one.mean - truth[one.name]) / one.std, one.told.value)
+            rows[one.name] = ((one.mean - truth[one.name]) / one.std, one.determined.value)
             inside = one.low <= truth[one.name] <= one.high
-            for key in ("all", one.told.value, "total" if one is whole else one.kind):
+            for key in ("all", one.determined.value, "total" if one is whole else one.kind):
                 held.setdefault(key, []).append(inside)
         if given.log:
             line = {"robot": name, "seed": seed, "failures": codes[-1], "z": rows}

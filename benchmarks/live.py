@@ -80,7 +80,7 @@ def dragged(variant: str, executable: str, seconds: float = 6.0) -> tuple[float,
     """Returns how often a second a page tells of a slider, and how many stances are shown then."""
     from playwright.sync_api import sync_playwright
 
-    told: list[float] = []
+    messages: list[float] = []
     shown: list[float] = []
     show = Scene.show
 
@@ -90,7 +90,7 @@ def dragged(variant: str, executable: str, seconds: float = 6.0) -> tuple[float,
 
     def sent(frame: bytes | str) -> None:
         if isinstance(frame, bytes) and b"GuiUpdate" in frame:
-            told.append(time.monotonic())
+            messages.append(time.monotonic())
 
     def listen(socket: Any) -> None:
         socket.on("framesent", sent)
@@ -119,7 +119,7 @@ def dragged(variant: str, executable: str, seconds: float = 6.0) -> tuple[float,
             time.sleep(0.008)  # as often as a mouse tells
         browser.close()
     page.close()
-    rates = (sum(0 < at - begun < seconds for at in times) / seconds for times in (told, shown))
+    rates = (sum(0 < at - begun < seconds for at in times) / seconds for times in (messages, shown))
     return next(rates), next(rates)
 
 
@@ -130,8 +130,8 @@ def dragged(variant: str, executable: str, seconds: float = 6.0) -> tuple[float,
 def main(variant: str, moves: int, browser: str | None) -> None:
     """Prints medians, and how many moves a second that makes."""
     if browser is not None:
-        told, shown = dragged(variant, shutil.which(browser) or browser)
-        print(f"a second: {told:.1f} moves that the page tells of, {shown:.1f} stances shown")
+        message, shown = dragged(variant, shutil.which(browser) or browser)
+        print(f"a second: {message:.1f} moves that the page tells of, {shown:.1f} stances shown")
         return
     taken = measure(variant, moves)
     for name, times in taken.items():

@@ -186,7 +186,7 @@ def setting() -> dict[str, object]:
 
 def processor() -> str:
     """Returns the processor's name, where the system tells it."""
-    told = Path("/proc/cpuinfo")
-    lines = told.read_text().splitlines() if told.exists() else []
+    message = Path("/proc/cpuinfo")
+    lines = message.read_text().splitlines() if message.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor()

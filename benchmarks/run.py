@@ -101,28 +101,28 @@ def tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, 
 def changes(found: dict[str, Any], old: dict[str, Any]) -> list[tuple[str, ...]]:
     """What has changed since another run: also in times of the bare engine, as that was then."""
     before = {row["name"]: row for row in old["jobs"]}
-    told: list[tuple[str, ...]] = [
+    messages: list[tuple[str, ...]] = [
         ("job", "before", "now", "change", "ratio before", "ratio now"),
     ]
     for row in found["jobs"]:
         was = before.get(row["name"])
         if was is None:
-            told.append((row["name"], "-", clock(row["ours"]), "new", "-", "-"))
+            messages.append((row["name"], "-", clock(row["ours"]), "new", "-", "-"))
             continue
         ratios = [
             f"{one['ours'] / one['bare'][1]:.2f}" if one["bare"] else "-" for one in (was, row)
         ]
         change = f"{row['ours'] / was['ours'] - 1:+.0%}"
-        told.append((row["name"], clock(was["ours"]), clock(row["ours"]), change, *ratios))
+        messages.append((row["name"], clock(was["ours"]), clock(row["ours"]), change, *ratios))
     now, then = found["setting"], old["setting"]
     for key in sorted(now["versions"].keys() | then["versions"].keys()):
         one, other = then["versions"].get(key, "-"), now["versions"].get(key, "-")
         if one != other:
-            told.append((f"version of {key}", one, other, "", "", ""))
+            messages.append((f"version of {key}", one, other, "", "", ""))
     for key in ("processor", "cores"):
         if now[key] != then[key]:
-            told.append((key, str(then[key]), str(now[key]), "", "", ""))
-    return told
+            messages.append((key, str(then[key]), str(now[key]), "", "", ""))
+    return messages
 
 
 def show(title: str, rows: list[tuple[str, ...]]) -> None:

@@ -192,7 +192,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--files", nargs="*", default=[])
     given = parser.parse_args()
-    told: Counter[tuple[str, str]] = Counter()
+    message: Counter[tuple[str, str]] = Counter()
     spent = []
     for case in (*variants(given.count, given.seed), *files(given.files)):
         found, took = judged(case)
@@ -207,12 +207,12 @@ def main() -> None:
         else:
             says = "shakes" if leaving[0].shakes else "buckles"
         saw = tried(case, leaving)
-        told[says, saw.word] += 1
+        message[says, saw.word] += 1
         differs = "DIFFERS: " if (says == "holds") != (saw.word == "stays") else ""
         mode = leaving[0] if leaving else found.slowest
         print(f"{differs}{case.name}: {says}, {saw.word} ({saw.way:.1e} rad); {mode}", flush=True)
-    print(f"{sum(told.values())} cases, {np.median(spent or [0]):.1f} ms each (median)")
-    for (says, word), number in sorted(told.items()):
+    print(f"{sum(message.values())} cases, {np.median(spent or [0]):.1f} ms each (median)")
+    for (says, word), number in sorted(message.items()):
         print(f"{says:30s} {word:10s} {number}")
 
 

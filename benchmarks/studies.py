@@ -395,11 +395,11 @@ def kills(count: int, kinds: tuple[str, ...]) -> None:
         for _ in range(count):
             with tempfile.TemporaryDirectory() as name:
                 folder = Path(name) / "study"
-                told = ways[kind](folder, chance)
+                message = ways[kind](folder, chance)
                 table = to_kill().run(folder, workers=2)
                 same = table.equals(whole) and rows_of(folder) == len(whole)
                 good += same
-                print(f"{kind}: {told}; the same afterwards: {same}", flush=True)
+                print(f"{kind}: {message}; the same afterwards: {same}", flush=True)
         print(f"{kind}: {good} of {count} are the same afterwards")
 
 

@@ -151,9 +151,9 @@ def default_run(names: Iterable[str]) -> dict[str, float]:
     stage(
         "verification, fed forward and not",
         lambda: [
-            pa.verify_stand(*pair, feedforward=told, duration=LASTING)
+            pa.verify_stand(*pair, feedforward=message, duration=LASTING)
             for pair in pairs
-            for told in (True, False)
+            for message in (True, False)
         ],
     )
     stage("gain sweeps", lambda: [pa.simulation.sweep_gains(*pair) for pair in pairs])
@@ -167,8 +167,8 @@ def default_run(names: Iterable[str]) -> dict[str, float]:
             for analysis in analyses
         ],
     )
-    with tempfile.TemporaryDirectory() as told:
-        folder = Path(told)
+    with tempfile.TemporaryDirectory() as message:
+        folder = Path(message)
         stage(
             "figures of poses",
             lambda: [

@@ -49,8 +49,8 @@ def main(tag: str, root: Path = ROOT) -> None:
     """Ends with status 1, and what differs, unless all files state the tag's version."""
     other = {name: version for name, version in stated(root).items() if f"v{version}" != tag}
     if other:
-        told = ", ".join(f"{name} has {version}" for name, version in other.items())
-        raise SystemExit(f"{tag}: {told}")
+        message = ", ".join(f"{name} has {version}" for name, version in other.items())
+        raise SystemExit(f"{tag}: {message}")
     print(f"{tag} may be released")
 
 

@@ -266,11 +266,11 @@ def problem_of(kind: Kind, data: bytes, folder: Path) -> str | None:
         with _limits():
             kind.read(path)
     except PupperAnalysisError as error:
-        told = str(error)
-        if "\n" in told:
-            return f"its error is no line: {told[:300]!r}"
-        if kind.name.partition(".")[0] not in told and folder.name not in told:
-            return f"its error names no file: {told[:300]!r}"
+        message = str(error)
+        if "\n" in message:
+            return f"its error is no line: {message[:300]!r}"
+        if kind.name.partition(".")[0] not in message and folder.name not in message:
+            return f"its error names no file: {message[:300]!r}"
     except Hang:
         return f"no end within {SECONDS} s"
     except BaseException as error:

@@ -356,7 +356,7 @@ def rooms_modules(room: str) -> list[str]:
     return found
 
 
-def told(found: Outcome) -> None:
+def report(found: Outcome) -> None:
     said = "killed" if found.killed else "equal" if found.equivalent else "SURVIVED"
     print(f"{said:8} {found.path}:{found.line} {found.tests} tests", *found.by[:1], flush=True)
     if said == "SURVIVED":
@@ -380,7 +380,7 @@ def mutate(room: str, sample: int, seed: int) -> None:
     outcomes: list[Outcome] = []
     for mutation in drawn(rooms_modules(room), sample, seed):
         outcomes.append(by_cosmic_ray(mutation))
-        told(outcomes[-1])
+        report(outcomes[-1])
         written(room, seed, outcomes, datetime.date.today().isoformat())
 
 
@@ -393,7 +393,7 @@ def again(room: str) -> None:
             if found is None:
                 print(f"gone     {old.path}:{old.line}\n{old.change}", flush=True)
                 continue
-            told(found)
+            report(found)
             outcomes[place] = Outcome(**{**asdict(old), "since": found.killed, "by": found.by})
             written(room, seed, outcomes, date)
 

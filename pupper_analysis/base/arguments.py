@@ -85,12 +85,12 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
         if found.dtype.kind == "O" and not all(map(_is_real, found.flat)):
             raise ConfigurationError(name, diagnose("array-of-other-things"))
         if found.dtype.kind not in "iufO":
-            told = diagnose("array-of-another-type", type=str(found.dtype))
-            raise ConfigurationError(name, told)
+            message = diagnose("array-of-another-type", type=str(found.dtype))
+            raise ConfigurationError(name, message)
         return np.array(found, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
-        told = diagnose("no-array", problem=str(error))
-        raise ConfigurationError(name, told) from error
+        message = diagnose("no-array", problem=str(error))
+        raise ConfigurationError(name, message) from error
 
 
 def _is_real(value: object) -> bool:
@@ -110,13 +110,13 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
     """
     found = real_array(name, values)
     if found.shape != (size,):
-        told = diagnose("array-of-another-shape", size=size, shape=str(found.shape))
-        raise ConfigurationError(name, told)
+        message = diagnose("array-of-another-shape", size=size, shape=str(found.shape))
+        raise ConfigurationError(name, message)
     # Quicker than to look at each; where the length overflows, each is looked at.
     if not math.isfinite(math.hypot(*found.tolist())) and not np.isfinite(found).all():
         index = int(np.flatnonzero(~np.isfinite(found))[0])
-        told = diagnose("element-not-finite", index=index, value=found[index])
-        raise ConfigurationError(name, told)
+        message = diagnose("element-not-finite", index=index, value=found[index])
+        raise ConfigurationError(name, message)
     return found
 
 
@@ -136,10 +136,10 @@ def check_length(name: str, value: object) -> float:
     """
     number = check_finite(name, value)
     if abs(number) > FARTHEST:
-        told = diagnose(
+        message = diagnose(
             "length-beyond", length=Quantity(number, "m"), farthest=Quantity(FARTHEST, "m")
         )
-        raise ConfigurationError(name, told)
+        raise ConfigurationError(name, message)
     return number
 
 
@@ -199,13 +199,13 @@ def check_type(name: str, value: object, hint: Any) -> None:
     if _test(hint)(value):
         return
     kinds = {getattr(option, "__name__", "") for option in _options(hint)}
-    told = diagnose(
+    message = diagnose(
         "of-another-type",
         value=reprlib.repr(value),
         wanted=[_kind(option) for option in _options(hint)],
         made_by=[maker for kind, maker in _MADE_BY.items() if kind in kinds],
     )
-    raise ConfigurationError(name, told)
+    raise ConfigurationError(name, message)
 
 
 @cache

@@ -41,9 +41,9 @@ class PupperAnalysisError(Exception):
 
     def at(self, where: Problem) -> Self:
         """Returns the same error, with all it carries, whose message begins with where it was."""
-        told = diagnose("error-at", where=where, what=vars(self).get("diagnostic", str(self)))
-        error = _restore(type(self), (str(told),), vars(self))
-        error.diagnostic = told
+        message = diagnose("error-at", where=where, what=vars(self).get("diagnostic", str(self)))
+        error = _restore(type(self), (str(message),), vars(self))
+        error.diagnostic = message
         error.where = str(where)
         return error
 
@@ -258,8 +258,8 @@ class OutputError(PupperAnalysisError):
 
     def __init__(self, path: str | PathLike[str], problem: object) -> None:
         self.path = path
-        told = problem if isinstance(problem, Diagnostic) else str(problem)
-        super().__init__(diagnose("output-not-written", path=str(path), problem=told))
+        message = problem if isinstance(problem, Diagnostic) else str(problem)
+        super().__init__(diagnose("output-not-written", path=str(path), problem=message))
 
 
 class NoEquilibriumError(PupperAnalysisError):
@@ -354,8 +354,8 @@ class MeasurementError(PupperAnalysisError):
         self.source = str(source)
         self.problem = str(problem)
         self.cause = as_diagnostic(problem)
-        told = diagnose("measurements-unusable", source=self.source, problem=problem)
-        super().__init__(told)
+        message = diagnose("measurements-unusable", source=self.source, problem=problem)
+        super().__init__(message)
 
 
 class FitError(PupperAnalysisError):

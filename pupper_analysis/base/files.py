@@ -471,8 +471,8 @@ class _File:
                 number += 1
             except OSError as error:
                 path.unlink(missing_ok=True)
-                told = diagnose("copy-not-written", file=path.name, problem=reason_of(error))
-                raise self._error(told) from error
+                message = diagnose("copy-not-written", file=path.name, problem=reason_of(error))
+                raise self._error(message) from error
             else:
                 if self.there is not None:
                     os.utime(path, ns=(self.there.st_atime_ns, self.there.st_mtime_ns))

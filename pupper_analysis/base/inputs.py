@@ -136,8 +136,8 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         if isinstance(table, dict):
             for key in table:
                 if len(key) > _LONGEST_KEY:
-                    told = diagnose("toml-key-too-long", begins=key[:40], most=_LONGEST_KEY)
-                    raise InputError(path, told)
+                    message = diagnose("toml-key-too-long", begins=key[:40], most=_LONGEST_KEY)
+                    raise InputError(path, message)
         if isinstance(table, dict | list):
             tables += table.values() if isinstance(table, dict) else table
     return text, values

@@ -39,8 +39,8 @@ def to_json(result: object) -> str:
     except orjson.JSONEncodeError as error:
         if isinstance(error.__cause__, ConfigurationError):
             raise error.__cause__ from None
-        told = diagnose("no-json", problem=str(error))
-        raise ConfigurationError("result", told) from error
+        message = diagnose("no-json", problem=str(error))
+        raise ConfigurationError("result", message) from error
 
 
 def to_plain(value: Any) -> Any:
@@ -49,7 +49,7 @@ def to_plain(value: Any) -> Any:
         return value.to_dict()
     if is_dataclass(value):
         names = [f.name for f in fields(value) if f.name[0] != "_"]
-        return {name: getattr(value, name) for name in (*names, *getattr(value, "_told", ()))}
+        return {name: getattr(value, name) for name in (*names, *getattr(value, "_reported", ()))}
     if hasattr(value, "tolist"):  # an array that is not contiguous
         return value.tolist()
     if hasattr(value, "keys"):  # a mapping that is no dict
@@ -70,10 +70,10 @@ class Result:
     Their ``repr`` is short: arrays and long lists are shown by their sizes. ``to_json`` has it all.
     Nothing in them can be written to: other functions take them for checked.
 
-    JSON has their fields, and those properties that a class names in ``_told``.
+    JSON has their fields, and those properties that a class names in ``_reported``.
     """
 
-    _told: ClassVar[tuple[str, ...]] = ()
+    _reported: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
         # A dataclass writes its own __repr__, unless the class itself has one.

@@ -64,6 +64,6 @@ def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str
     for text in pairs:
         old, new = shared.parse_assignment("map", text)
         if names.setdefault(old, new) != new:
-            told = diagnose("mapped-twice", joint=old, one=names[old], two=new)
-            raise ConfigurationError("map", told)
+            message = diagnose("mapped-twice", joint=old, one=names[old], two=new)
+            raise ConfigurationError("map", message)
     return names

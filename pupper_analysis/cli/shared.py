@@ -273,8 +273,8 @@ def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
     try:
         return name, float(value)
     except ValueError as error:
-        told = diagnose("part-is-no-number", part=value, given=text)
-        raise ConfigurationError(option, told) from error
+        message = diagnose("part-is-no-number", part=value, given=text)
+        raise ConfigurationError(option, message) from error
 
 
 def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
@@ -411,7 +411,7 @@ def parse_point(
     except ValueError:
         numbers = ()
     if len(numbers) != size:
-        form = ", ".join([",".join("XYZ"[:size]) + " (m)", *choices])
+        form = ", ".join(["X,Y,Z"[: 2 * size - 1] + f" ({'10mm,0,0'[: 2 * size + 2]})", *choices])
         raise ConfigurationError(option, diagnose("not-of-the-form", given=text, form=form))
     return numbers
 
@@ -431,6 +431,6 @@ def package_folders(packages: tuple[str, ...]) -> dict[str, Path]:
     }
     for name, folder in folders.items():
         if not folder.is_dir():
-            told = diagnose("package-is-no-folder", package=name, folder=folder)
-            raise ConfigurationError("package", told)
+            message = diagnose("package-is-no-folder", package=name, folder=folder)
+            raise ConfigurationError("package", message)
     return folders

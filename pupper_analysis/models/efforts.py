@@ -288,17 +288,17 @@ def placeholder_efforts(
         names, limit = tuple(one.joint for one in several), Quantity(effort, "N m")
         if code == "effort-beyond-links":
             mass = Quantity(min(one.mass for one in several), "kg")
-            told = diagnose("effort-beyond-links", more=names[1:], effort=limit, mass=mass)
+            message = diagnose("effort-beyond-links", more=names[1:], effort=limit, mass=mass)
         else:
             armature = min(one.armature for one in several)
-            told = diagnose(
+            message = diagnose(
                 "effort-beyond-armature",
                 more=names[1:],
                 effort=limit,
                 armature=Quantity(armature, "kg m^2"),
                 quick=effort / armature,
             )
-        yield names, told
+        yield names, message
     named = {one.joint for several in found.values() for one in several}
     rest = [one for one in stated if one.joint not in named]
     share = sum(one.effort for one in rest) / total if total > 0 else 0.0

@@ -34,7 +34,7 @@ class Found:
     Attributes:
         kind: The tag of the element at fault.
         name: Its name; "" where the file as a whole is at fault.
-        told: What is wrong with it.
+        message: What is wrong with it.
         child: A path below the element, for the line.
         place: Where it is, if the element cannot be found by its name.
         severity: If less bad than the rule says.
@@ -42,7 +42,7 @@ class Found:
 
     kind: str
     name: str
-    told: Diagnostic
+    message: Diagnostic
     child: str | None = None
     place: Place | None = None
     severity: Severity | None = None

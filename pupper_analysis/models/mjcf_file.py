@@ -171,10 +171,10 @@ def _users(spec: mujoco.MjSpec, root: Node, names: set[str]) -> list[Diagnostic]
         *(("contact pair", p) for p in spec.pairs if {p.geomname1, p.geomname2} & names),
         *(("tuple", element) for element in spec.tuples if element.name in tuples),
     ]
-    told = [diagnose("named-element", subject=(what, user.name)) for what, user in users]
+    messages = [diagnose("named-element", subject=(what, user.name)) for what, user in users]
     for _, user in users:
         spec.delete(user)
-    return told
+    return messages
 
 
 _FLAT: Final = re.compile(r"mesh volume is too small: (.*?) \. Try setting inertia to shell")

@@ -169,12 +169,12 @@ def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
     if stand is None:
         return with_held_servos(robot, mjcf)
     built, kp, kd, rests = add_position_servos(robot, stand, mjcf)
-    made, told = _tell_made(robot, built, mjcf, kp, kd)
+    made, messages = _tell_made(robot, built, mjcf, kp, kd)
     if not rests:
-        told.append(diagnose("no-servos-bring-it-to-rest"))
+        messages.append(diagnose("no-servos-bring-it-to-rest"))
     elif rests == 1:
-        told.append(diagnose("rests-with-feed-forward-alone"))
-    return made, told
+        messages.append(diagnose("rests-with-feed-forward-alone"))
+    return made, messages
 
 
 def with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
@@ -347,19 +347,19 @@ def servos_of(
     left = {*(own_servos(robot) if own is None else own), *idle}
     missing = [index for index, name in enumerate(robot.joint_names) if name not in left]
     stiffness = describe_span(kp[missing], "N m/rad")
-    told = diagnose(
+    message = diagnose(
         "servos-made",
         kp=stiffness,
         kd=describe_span(kd[missing], "N m s/rad"),
         timestep=Quantity(timestep, "s"),
     )
     made: list[Addition] = [
-        Options(told, {"integrator": "implicitfast", "timestep": timestep}),
+        Options(message, {"integrator": "implicitfast", "timestep": timestep}),
     ]
     for index in missing:
         limit = robot.efforts[index]
         bounded = math.isfinite(limit.lower) and math.isfinite(limit.upper)
         limits = (limit.lower, limit.upper) if bounded else None
         name = robot.joint_names[index]
-        made.append(Servo(told, name, float(kp[index]), float(kd[index]), limits))
+        made.append(Servo(message, name, float(kp[index]), float(kd[index]), limits))
     return made

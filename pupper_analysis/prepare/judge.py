@@ -176,14 +176,14 @@ a robot be simulated."""
 def _made_up(robot: Robot) -> tuple[Diagnostic, ...]:
     """Tells which errors of a robot's files its verdict rests on."""
     loaded = as_loaded(robot)
-    told = [note for note in loaded.notes if note.code in _BEARING]
+    messages = [note for note in loaded.notes if note.code in _BEARING]
     own, model = loaded.joint_names, loaded.mj_model
     driving = [
         name for name in own if model.dof_damping[model.jnt_dofadr[model.joint(name).id]] < 0
     ]
     if driving:
-        told.insert(0, diagnose("joints-damped-negatively", joints=driving))
-    return (diagnose("rests-on-made-up", told=told),) if told else ()
+        messages.insert(0, diagnose("joints-damped-negatively", joints=driving))
+    return (diagnose("rests-on-made-up", findings=messages),) if messages else ()
 
 
 @check_arguments

@@ -62,11 +62,11 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     tree = UrdfTree.of(robot.description.urdf)
     for name, ends in narrower.items():
         tree.joints[name].set_range(*ends)
-    told = [
+    messages = [
         diagnose("joint-range", subject=("joint", name), lower=low, upper=high)
         for name, (low, high) in narrower.items()
     ]
-    noted = [diagnose("narrower-limits-kept", joints=told)]
+    noted = [diagnose("narrower-limits-kept", joints=messages)]
     return replace(robot.description, urdf=to_text(tree.root)), noted
 
 

@@ -76,7 +76,7 @@ def explain_loading(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[P
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
     robot, runs = prepare_robot(urdf, mjcf, request)
-    told = Preparation(
+    message = Preparation(
         name=robot.name,
         mass=robot.total_mass,
         floating=robot.floating,
@@ -85,7 +85,7 @@ def explain_loading(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[P
         passes=tuple(runs),
         notes=robot.notes,
     )
-    return told, robot
+    return message, robot
 
 
 def prepare_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:

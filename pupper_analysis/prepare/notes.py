@@ -47,7 +47,7 @@ def tell_joints(matched: Match) -> Iterator[Diagnostic]:
 
 def named_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
     """Tells which feet there are, and with how many contact points."""
-    told = [
+    messages = [
         diagnose(
             "foot-on-body",
             subject=("foot", foot.name),
@@ -57,7 +57,7 @@ def named_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic
         )
         for foot in feet
     ]
-    return diagnose("feet-named" if given else "feet-found", feet=told)
+    return diagnose("feet-named" if given else "feet-found", feet=messages)
 
 
 def tell_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
@@ -68,7 +68,7 @@ def tell_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
             edgy = len(foot.points) == 1 and foot.points[0].radius == BALL
             kind = "soles" if len(foot.points) > 1 else "edges" if edgy else "round"
             kinds.setdefault(kind, []).append(foot.name)
-    told = {}
+    values = {}
     for kind, names in kinds.items():
         if kind == "round":
             why = diagnose("balls-for-round-meshes", feet=names)
@@ -76,8 +76,8 @@ def tell_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
             why = diagnose("balls-for-soles", feet=names)
         else:
             why = diagnose("balls-for-edges", feet=names)
-        told.update(dict.fromkeys(names, why))
-    return told
+        values.update(dict.fromkeys(names, why))
+    return values
 
 
 def tell_planar(robot: Robot) -> Iterator[Diagnostic]:
@@ -89,7 +89,7 @@ def tell_planar(robot: Robot) -> Iterator[Diagnostic]:
 def bound_joints(robot: Robot) -> Iterator[Diagnostic]:
     """Tells which joints follow others."""
     if robot.closure is not None:
-        yield robot.closure.told()
+        yield robot.closure.describe()
 
 
 def made_servos(servos: Sequence[MadeServo], own: int, timestep: float) -> Iterator[Diagnostic]:

@@ -232,10 +232,10 @@ def own_run_held(robot: Robot, qpos: Array) -> OwnRun | None:
             key = number
             mujoco.mj_resetDataKeyframe(model, data, number)
             break
-    told = _angles(bare, robot, data, qpos)
+    angles = _angles(bare, robot, data, qpos)
     if key is not None:
-        told = Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {})
-    run = _own(bare, robot, data, told, standing=False)
+        angles = Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {})
+    run = _own(bare, robot, data, angles, standing=False)
     return replace(
         run,
         keyframe="" if key is None else model.key(key).name or f"keyframe {key + 1}",
@@ -288,7 +288,7 @@ def _own(
             name,
             float(off[index]),
             bare.drives[index],
-            _told(bare, name, hold.ctrl, float(start.qpos[places[index]])),
+            _servo_lead(bare, name, hold.ctrl, float(start.qpos[places[index]])),
             added=name in given
             or bare.model.jnt_dofadr[bare.model.joint(name).id] in hold.outside[0],
         )
@@ -319,7 +319,7 @@ def _far(joint: JointOff) -> float:
     return abs(joint.off)
 
 
-def _told(bare: Bare, joint: str, ctrl: Array, angle: float) -> float | None:
+def _servo_lead(bare: Bare, joint: str, ctrl: Array, angle: float) -> float | None:
     """Returns where a joint's servo is told to be less its angle; None where it has no one servo.
 
     By its law at rest: its gain's part of ctrl balances its stiffness's.
@@ -328,8 +328,8 @@ def _told(bare: Bare, joint: str, ctrl: Array, angle: float) -> float | None:
     laws = [law_of(bare.model, motor) for motor in motors]
     if len(motors) != 1 or laws[0].at_joint[0] <= 0:
         return None
-    told = laws[0].gain * float(ctrl[bare.model.actuator_ctrladr[motors[0]]])
-    return told / (laws[0].stiffness * laws[0].gear) - angle
+    message = laws[0].gain * float(ctrl[bare.model.actuator_ctrladr[motors[0]]])
+    return message / (laws[0].stiffness * laws[0].gear) - angle
 
 
 def _commands_angles(model: mujoco.MjModel, key: int) -> bool:

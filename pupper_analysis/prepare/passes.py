@@ -176,8 +176,8 @@ def _name_elements(draft: Draft) -> Made:
 
 @_pass(Term("frees the base of a robot with limbs"), _free)
 def _free_base(draft: Draft) -> Made:
-    spec, told = free_base(draft.urdf, draft.spec)
-    return replace(draft, spec=spec), told
+    spec, messages = free_base(draft.urdf, draft.spec)
+    return replace(draft, spec=spec), messages
 
 
 @_pass(Term("puts the base's body where its free joint is"), _free)
@@ -190,21 +190,21 @@ def _match(draft: Draft) -> Made:
     files = draft.urdf, replace(draft.mjcf, spec=draft.spec)
     found = match_models(*files, names=draft.request.joints, complete=True)
     description = found.robot.description
-    told = (*found.notes, *notes.tell_joints(found))
-    return replace(draft, found=found, description=description), told
+    messages = (*found.notes, *notes.tell_joints(found))
+    return replace(draft, found=found, description=description), messages
 
 
 @_pass(Term("adds parts that only the MJCF has"), _any)
 def _weigh_parts(draft: Draft) -> Made:
-    whole, told = with_parts(draft.match, draft.spec)
+    whole, messages = with_parts(draft.match, draft.spec)
     name = draft.request.name or draft.spec.modelname
-    return replace(draft, description=replace(whole or draft.described, name=name)), told
+    return replace(draft, description=replace(whole or draft.described, name=name)), messages
 
 
 @_pass(Term("couples joints that follow others"), _any)
 def _couple_mimics(draft: Draft) -> Made:
-    description, told = couple_mimics(draft.match, draft.described)
-    return replace(draft, description=description), told
+    description, messages = couple_mimics(draft.match, draft.described)
+    return replace(draft, description=description), messages
 
 
 @_pass(Term("builds the robot on its fixed base"), _held)
@@ -219,16 +219,16 @@ def _build_held(draft: Draft) -> Made:
 @_pass(Term("adds a level ground, or makes it level"), _stands)
 def _level_ground(draft: Draft) -> Made:
     ready = draft.described.mjcf.copy()  # which the passes up to the building change in place
-    told = level_ground(ready)
-    floors = tuple(Floor(note) for note in told if note.code == "ground-added")
+    messages = level_ground(ready)
+    floors = tuple(Floor(note) for note in messages if note.code == "ground-added")
     described = replace(draft.described, mjcf=ready, added=(*draft.described.added, *floors))
     # Of a robot that stood on nothing, whoever lays the ground says how it grips.
     laid = floors and not has_free_joint(draft.mjcf.spec)
     options = (attributes.keys() for attributes, _ in draft.mjcf.elements("option"))
     if draft.mjcf.of_urdf or (laid and not any(GRIP.keys() & stated for stated in options)):
         grip = ground_of_urdf()[1]
-        described, told = described.given(grip), [*told, grip.reason]
-    return replace(draft, description=described), told
+        described, messages = described.given(grip), [*messages, grip.reason]
+    return replace(draft, description=described), messages
 
 
 @_pass(Term("takes dry friction off the free joint"), _stands)
@@ -253,8 +253,8 @@ def _bound_joints(draft: Draft) -> Made:
 
 @_pass(Term("takes the narrower of both files' joint limits"), _stands)
 def _narrow_limits(draft: Draft) -> Made:
-    description, told = narrow_limits(draft.robot)
-    return _rebuilt(draft, description), told
+    description, messages = narrow_limits(draft.robot)
+    return _rebuilt(draft, description), messages
 
 
 @_pass(Term("refuses joints that move no mass"), _stands)
@@ -281,15 +281,15 @@ def _put_feet(draft: Draft) -> Made:
         raise ModelError(draft.mjcf.path, problem) from error
     if not feet:
         return draft, ()
-    told = [notes.named_feet(bare, feet, given=given is not None)]
+    messages = [notes.named_feet(bare, feet, given=given is not None)]
     apart = {foot.name: apart_at(bare, foot) for foot in feet}
     worst = max(apart, key=apart.__getitem__)
     if apart[worst] > _AXIS_TOLERANCE:
         off = Quantity(apart[worst], "m")
-        told.append(diagnose("last-joint-elsewhere", subject=("foot", worst), off=off))
+        messages.append(diagnose("last-joint-elsewhere", subject=("foot", worst), off=off))
     balls = notes.tell_balls(bare, feet)
-    told += dict.fromkeys(balls.values())
-    return replace(draft, built=build_robot(with_feet(bare, feet, balls))), told
+    messages += dict.fromkeys(balls.values())
+    return replace(draft, built=build_robot(with_feet(bare, feet, balls))), messages
 
 
 @_pass(Term("adds motors to joints of loops that have none"), _altered)
@@ -306,20 +306,20 @@ def _start_pose(draft: Draft) -> Made:
 
 @_pass(Term("lets feet alone touch the ground"), _altered)
 def _touch_with_feet_alone(draft: Draft) -> Made:
-    robot, told = touching.touch_with_feet_alone(draft.robot)
-    return replace(draft, built=robot), told
+    robot, messages = touching.touch_with_feet_alone(draft.robot)
+    return replace(draft, built=robot), messages
 
 
 @_pass(Term("excludes contacts of parts that overlap"), _commanded)
 def _keep_apart(draft: Draft) -> Made:
-    robot, told = touching.exclude_overlaps(draft.robot)
-    return replace(draft, built=robot), told
+    robot, messages = touching.exclude_overlaps(draft.robot)
+    return replace(draft, built=robot), messages
 
 
 @_pass(Term("chooses a solver that solves the equations of motion"), _altered)
 def _solve_exactly(draft: Draft) -> Made:
-    robot, told = choose_exact_solver(draft.robot)
-    return replace(draft, built=robot), told
+    robot, messages = choose_exact_solver(draft.robot)
+    return replace(draft, built=robot), messages
 
 
 @_pass(
@@ -345,8 +345,8 @@ def _add_servos(draft: Draft) -> Made:
 
 @_pass(Term("has the start pose that was found as the robot rests in it"), _altered)
 def _rest_at_start(draft: Draft) -> Made:
-    told = (note for run in draft.runs for note in run.done)
-    found = next((note for note in told if note.code == "start-pose-found"), None)
+    messages = (note for run in draft.runs for note in run.done)
+    found = next((note for note in messages if note.code == "start-pose-found"), None)
     if found is None:
         return draft, ()
     with contextlib.suppress(PupperAnalysisError):  # where it does not, no verdict will have it
@@ -402,9 +402,9 @@ def run_passes(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot,
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
     draft = _passed(Draft.of(urdf, mjcf, request))
-    told = (note for run in draft.runs for note in run.done)
+    messages = (note for run in draft.runs for note in run.done)
     robot = draft.robot
-    return replace(robot, notes=tuple(dict.fromkeys((*told, *robot.notes)))), list(draft.runs)
+    return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes)))), list(draft.runs)
 
 
 def _passed(draft: Draft) -> Draft:

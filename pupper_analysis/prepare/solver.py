@@ -75,8 +75,8 @@ def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
         return robot, []
     share = Quantity(part, "1")
     if mujoco.mj_isSparse(robot.mj_model):
-        told = diagnose("solver-made-dense", share=share)
-        dense = equipped_robot(robot, Options(told, {"jacobian": "dense"}))
+        message = diagnose("solver-made-dense", share=share)
+        dense = equipped_robot(robot, Options(message, {"jacobian": "dense"}))
         if solver_error(dense) is None:
-            return dense, [told]
+            return dense, [message]
     return robot, [diagnose("solver-inexact", share=share)]

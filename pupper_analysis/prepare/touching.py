@@ -42,8 +42,8 @@ def touch_with_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     geoms = tuple(geom.name for index, geom in named.items() if index in beside)
     bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
     depth = Quantity(max(stand.depths.values()), "m")
-    told = diagnose("shapes-beside-feet-do-not-touch", bodies=bodies, depth=depth)
-    return equipped_robot(robot, Untouching(told, geoms)), [told]
+    message = diagnose("shapes-beside-feet-do-not-touch", bodies=bodies, depth=depth)
+    return equipped_robot(robot, Untouching(message, geoms)), [message]
 
 
 def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
@@ -66,8 +66,8 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
         diagnose("bodies-overlap", one=one, two=two, depth=Quantity(by, "m"))
         for (one, two), by in deep.items()
     ]
-    told = diagnose("overlapping-bodies-do-not-touch", pairs=pairs)
-    return equipped_robot(robot, *(Apart(told, *both) for both in deep)), [told]
+    message = diagnose("overlapping-bodies-do-not-touch", pairs=pairs)
+    return equipped_robot(robot, *(Apart(message, *both) for both in deep)), [message]
 
 
 def _start_of(robot: Robot) -> Array | None:

@@ -467,8 +467,8 @@ class Document:
         warned: Whether it is between the two: it has passed, but has something to look at, or has
             not, but for a convention.
         failures: Why the verdict is not better.
-        told: The key figures, and what the verdict rests on.
-        details: What else it rests on: after what is ``told``, on a terminal with -v.
+        findings: The key figures, and what the verdict rests on.
+        details: What else it rests on: after ``findings``, on a terminal with -v.
         brief: Whether its head is the answer: a terminal shows its tables with -v.
         notes: What was assumed, found or left out on the way.
     """
@@ -480,7 +480,7 @@ class Document:
     verdict: Words | None = None
     warned: bool = False
     failures: tuple[Words, ...] = ()
-    told: tuple[Words, ...] = ()
+    findings: tuple[Words, ...] = ()
     notes: tuple[Words, ...] = ()
     details: tuple[Words, ...] = ()
     brief: bool = False

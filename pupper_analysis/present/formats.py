@@ -128,8 +128,8 @@ def _results(results: Iterable[SarifResult], numbers: dict[str, int]) -> Iterato
 
 def code_and_values(diagnostic: Diagnostic) -> dict[str, Any]:
     """Returns what a program wants to know of a diagnostic, as JSON has it."""
-    told = json.loads(to_json(diagnostic))
-    return {name: told[name] for name in ("code", "values")}
+    content = json.loads(to_json(diagnostic))
+    return {name: content[name] for name in ("code", "values")}
 
 
 def _plain(text: str) -> str:
@@ -234,8 +234,8 @@ def _together(group: Sequence[Annotation], how: str) -> Annotation:
     named = ", ".join(
         other.title if other.place is None else f"{other.title} ({other.place})" for other in others
     )
-    told = {"message": first.message, "count": len(others), "names": named}
-    return replace(first, message=fill_template(phrase(how, "en"), told, "en"))
+    values = {"message": first.message, "count": len(others), "names": named}
+    return replace(first, message=fill_template(phrase(how, "en"), values, "en"))
 
 
 def write_github(annotations: Iterable[Annotation]) -> str:
@@ -249,17 +249,17 @@ def write_github(annotations: Iterable[Annotation]) -> str:
         parameters = [f"file={_property(from_root(file))}"] if file else []
         parameters += [f"line={line}"] if line is not None else []
         parameters.append(f"title={_property(annotation.title)}")
-        told = annotation.message
+        messages = annotation.message
         if annotation.diagnostic is not None:
-            told += f" [{annotation.diagnostic.code}]"
-        lines.append(f"::{annotation.level} {','.join(parameters)}::{_data(told)}")
+            messages += f" [{annotation.diagnostic.code}]"
+        lines.append(f"::{annotation.level} {','.join(parameters)}::{_data(messages)}")
     return "\n".join(lines)
 
 
 def _data(text: str) -> str:
     # Ends of lines have words of their own there; what else would act on a log is shown.
-    told = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-    return escape_control(told)
+    message = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+    return escape_control(message)
 
 
 def _property(text: str) -> str:

@@ -65,8 +65,8 @@ def write_markdown(report: Report) -> str:
     short = "\n\n".join(
         [part for document in report.documents for part in _document(document, whole=False)]
     )
-    told = "*Its tables are longer than a comment may be: `--json` has all numbers.*"
-    return f"{short[:MOST_LETTERS]}\n\n{told}\n"
+    message = "*Its tables are longer than a comment may be: `--json` has all numbers.*"
+    return f"{short[:MOST_LETTERS]}\n\n{message}\n"
 
 
 def fold_lines(title: str, lines: Iterable[str]) -> str:
@@ -79,9 +79,9 @@ def _document(document: Document, *, whole: bool) -> list[str]:
     sign = SIGNS.get(document.mark, "")
     verdict = "" if document.verdict is None else f"{_escaped(document.verdict)} "
     title = f"### {f'{sign} ' if sign else ''}{verdict}{_escaped(document.title)}"
-    told = [f"- **{_escaped(one)}**" for one in document.failures]
-    told += [f"- {_escaped(one)}" for one in (*document.told, *document.details)]
-    parts = [title, "\n".join(told)] if told else [title]
+    messages = [f"- **{_escaped(one)}**" for one in document.failures]
+    messages += [f"- {_escaped(one)}" for one in (*document.findings, *document.details)]
+    parts = [title, "\n".join(messages)] if messages else [title]
     if whole:
         for block in document.blocks:
             parts += _folded(block)

@@ -134,17 +134,17 @@ def _left_out(document: Document, block: Block) -> bool:
 
 def print_head(out: Console, document: Document, *, everything: bool = False) -> None:
     """Prints a document's verdict with its first reason, then what else it rests on."""
-    told = [*document.failures, *document.told, *(document.details if everything else ())]
+    messages = [*document.failures, *document.findings, *(document.details if everything else ())]
     line = Text()
     if document.verdict is not None:
         line.append(_plain(document.verdict), f"bold {STYLES.get(document.mark, '')}".strip())
         line.append(" ")
     line.append(_plain(document.title), "bold")
-    if told:
+    if messages:
         line.append(": ")
-        line.append_text(_marked(told[0]))
+        line.append_text(_marked(messages[0]))
     _say(out, line)
-    for one in told[1:]:
+    for one in messages[1:]:
         _say(out, Text("  ").append_text(_marked(one)), indent=2)
 
 

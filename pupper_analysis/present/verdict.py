@@ -45,20 +45,20 @@ class Clause:
 
     Attributes:
         good: Whether it speaks for the stand.
-        told: What it says.
+        message: What it says.
     """
 
     good: bool
-    told: Diagnostic
+    message: Diagnostic
 
     def __str__(self) -> str:
-        return str(self.told)
+        return str(self.message)
 
 
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Returns what a verdict says: what decides it first, then what else it rests on."""
     own, fails = tuple(own_clauses(verdict.own)), verdict.code is VerdictCode.OWN_DRIVES_FAIL
-    told = (
+    messages = (
         *(own if fails else ()),
         *_replaced(verdict.servos.replaced),
         *_computed(verdict),
@@ -67,7 +67,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         *_beyond(verdict),
         *(() if fails else own),
     )
-    return tuple(sorted(told, key=lambda clause: clause.good != verdict.passed))
+    return tuple(sorted(messages, key=lambda clause: clause.good != verdict.passed))
 
 
 def in_words(verdict: Verdict) -> str:
@@ -94,8 +94,8 @@ def short_verdict(verdict: Verdict) -> str:
 
 def clause_text(clause: Clause) -> Text:
     """Returns a clause in both languages."""
-    told = clause.told
-    return Text(str(told), lambda: told.text("zh"), "good" if clause.good else "bad")
+    message = clause.message
+    return Text(str(message), lambda: message.text("zh"), "good" if clause.good else "bad")
 
 
 def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
@@ -113,7 +113,7 @@ def lines_to_read(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]
     """
     clauses, lines = verdict_clauses(verdict), verdict_lines(verdict)
     quiet = [
-        one.good and one.told.group is not Group.ASSUMED and one.told.code not in _ALWAYS_SAID
+        one.good and one.message.group is not Group.ASSUMED and one.message.code not in _ALWAYS_SAID
         for one in clauses
     ]
     first = tuple(line for line, less in zip(lines, quiet, strict=True) if not less)
@@ -174,7 +174,7 @@ def judged_document(
         passed=judged.passed,
         verdict=word or verdict_word(judged.verdict),
         failures=(*(() if judged.passed else first), *failures),
-        told=(*answer, *(first if judged.passed else ())),
+        findings=(*answer, *(first if judged.passed else ())),
         details=(*details, *more),
         brief=True,
         notes=tuple(notes),
@@ -215,7 +215,7 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
         joint = run.unheld or run.worst
         if joint is not None:
             how |= {"off": Quantity(abs(joint.off), "rad"), "drive": Term(joint.drive.value)}
-        told = diagnose(
+        message = diagnose(
             "own-run",
             collapses=run.collapses,
             gives=(run.left or run.unheld is not None) and not run.collapses,
@@ -230,7 +230,7 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
             commanded=joint is not None and joint.told_away,
             **how,
         )
-        yield Clause(not run.falls, told)
+        yield Clause(not run.falls, message)
     for cause in () if own is None else own.causes:
         yield Clause(False, told_cause(cause))
 
@@ -249,14 +249,16 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
     if fed is Ending.HOLDS and verdict.asked is not Asked.STANDS:
         pass  # what it carries, and how it follows, is told beside it
     elif fed is Ending.UNTRIED:
-        told = diagnose("in-balance", within=not verdict.overloaded)
-        yield Clause(verdict.code is not VerdictCode.IN_BALANCE, told)  # what decides stands first
+        message = diagnose("in-balance", within=not verdict.overloaded)
+        yield Clause(
+            verdict.code is not VerdictCode.IN_BALANCE, message
+        )  # what decides stands first
     elif fed is not Ending.HOLDS:
         collapses = fed is Ending.COLLAPSES
-        told = diagnose("fails-in-mujoco", collapses=collapses, failures=verdict.failures)
-        yield Clause(False, told)
+        message = diagnose("fails-in-mujoco", collapses=collapses, failures=verdict.failures)
+        yield Clause(False, message)
     else:
-        told = diagnose(
+        message = diagnose(
             "holds-in-mujoco",
             one=bool(verdict.converted),
             both=alone in (None, Ending.HOLDS),
@@ -264,7 +266,7 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
             torque=verdict.torque_error,
             force=verdict.force_error,
         )
-        yield Clause(True, told)
+        yield Clause(True, message)
     if verdict.servos.made:
         yield on_servos(verdict.servos, good=fed is Ending.HOLDS)
     elif verdict.servos.source is ServoSource.GIVEN and fed is not Ending.UNTRIED:
@@ -285,8 +287,8 @@ def published_clauses(published: Published | None) -> Iterator[Clause]:
         height = None if run.height_error is None else Quantity(run.height_error, "m")
         torque = Quantity(run.torque_error, "1")
         joint = Quantity(run.joint_error, "rad")
-        told = diagnose("off-as-published", torque=torque, joint=joint, height=height)
-        yield Clause(False, told)
+        message = diagnose("off-as-published", torque=torque, joint=joint, height=height)
+        yield Clause(False, message)
     for cause in published.causes:
         yield Clause(False, told_cause(cause))
 
@@ -297,78 +299,78 @@ def told_cause(cause: Cause) -> Diagnostic:  # noqa: C901 - one case for each ca
     Raises:
         KeyError: If its code is unknown.
     """
-    told: dict[str, Any] = {"names": cause.elements, "line": cause.line}
+    values: dict[str, Any] = {"names": cause.elements, "line": cause.line}
     match cause.code:
         case "exclude":
-            return diagnose("excluded-from-touching", **told)
+            return diagnose("excluded-from-touching", **values)
         case "override":
-            return diagnose("contacts-overridden", **told)
+            return diagnose("contacts-overridden", **values)
         case "actuatorgroupdisable":
-            return diagnose("actuators-disabled", **told)
+            return diagnose("actuators-disabled", **values)
         case "solver":
-            return diagnose("solver-leaves-forces-out", **told)
+            return diagnose("solver-leaves-forces-out", **values)
         case "weld":
-            return diagnose("weld-holds-it", **told)
+            return diagnose("weld-holds-it", **values)
         case "connect":
-            return diagnose("connect-holds-it", **told)
+            return diagnose("connect-holds-it", **values)
         case "ctrlrange":
-            return diagnose("ctrlrange-cuts-off", **told)
+            return diagnose("ctrlrange-cuts-off", **values)
         case "forcerange":
-            return diagnose("forcerange-cuts-off", **told)
+            return diagnose("forcerange-cuts-off", **values)
         case "actuatorfrcrange":
-            return diagnose("actuatorfrcrange-cuts-off", **told)
+            return diagnose("actuatorfrcrange-cuts-off", **values)
         case "motors-elsewhere":
-            return diagnose("motors-elsewhere-push", **told)
+            return diagnose("motors-elsewhere-push", **values)
         case "pair-friction":
-            return diagnose("pair-friction-uneven", **told)
+            return diagnose("pair-friction-uneven", **values)
         case "timeconst":
-            return diagnose("timeconst-too-long", **told)
+            return diagnose("timeconst-too-long", **values)
         case "loose-joints":
-            return diagnose("loose-joints-move", **told)
+            return diagnose("loose-joints-move", **values)
         case "flex":
-            return diagnose("flexible-bodies-touch", **told)
+            return diagnose("flexible-bodies-touch", **values)
         case "shapes-beside-feet":
-            return diagnose("shapes-kept-from-ground", **told)
+            return diagnose("shapes-kept-from-ground", **values)
         case "obstacles":
-            return diagnose("obstacles-touch", **told)
+            return diagnose("obstacles-touch", **values)
         case "balls":
-            return diagnose("balls-for-meshes", **told)
+            return diagnose("balls-for-meshes", **values)
         case "other-drive":
-            return diagnose("servos-for-actuators", **told)
+            return diagnose("servos-for-actuators", **values)
         case "pair":
             return diagnose("files-differ", difference=cause.difference)
         case "timestep":
-            return diagnose("timestep-too-long", **told)
+            return diagnose("timestep-too-long", **values)
         case "iterations":
-            return diagnose("solver-too-rough", **told)
+            return diagnose("solver-too-rough", **values)
         case "bias":
-            return diagnose("servos-are-biased", **told)
+            return diagnose("servos-are-biased", **values)
         case "gain":
-            return diagnose("gain-is-no-stiffness", **told)
+            return diagnose("gain-is-no-stiffness", **values)
         case "gaintype":
-            return diagnose("gain-is-not-fixed", **told)
+            return diagnose("gain-is-not-fixed", **values)
         case "delay":
-            return diagnose("servos-are-late", **told)
+            return diagnose("servos-are-late", **values)
         case "gear":
-            return diagnose("gear-is-negative", **told)
+            return diagnose("gear-is-negative", **values)
         case "damping":
             return diagnose("joints-damped-negatively", joints=cause.elements)
         case "spring":
-            return diagnose("springs-pull", **told)
+            return diagnose("springs-pull", **values)
         case "range":
-            return diagnose("range-stops", **told)
+            return diagnose("range-stops", **values)
         case "fluid":
-            return diagnose("fluid-drags", **told)
+            return diagnose("fluid-drags", **values)
         case "gravity":
-            return diagnose("gravity-aside", **told)
+            return diagnose("gravity-aside", **values)
         case "slippery":
-            return diagnose("contacts-slip", **told)
+            return diagnose("contacts-slip", **values)
         case "soft":
-            return diagnose("contacts-give-way", **told)
+            return diagnose("contacts-give-way", **values)
         case "base-held":
-            return diagnose("base-held-as-published", **told)
+            return diagnose("base-held-as-published", **values)
         case "ground":
-            return diagnose("ground-not-level-as-published", **told)
+            return diagnose("ground-not-level-as-published", **values)
         case _:
             raise KeyError(cause.code)
 
@@ -395,14 +397,14 @@ def _beyond(verdict: Verdict) -> Iterator[Clause]:
 def on_servos(servos: ServosUsed, *, good: bool) -> Clause:
     """Says that a result rests on servos that were made up, and on which."""
     few = servos.made if len(servos.made) <= FEW else ()
-    told = diagnose(
+    message = diagnose(
         "on-servos-made-up",
         count=len(servos.made),
         names=[servo.joint for servo in few],
         kinds=dict.fromkeys(Term(servo.instead_of.value) for servo in few),
         **_gains(servos),
     )
-    return Clause(good, told)
+    return Clause(good, message)
 
 
 def _gains(servos: ServosUsed) -> dict[str, Any]:

@@ -115,7 +115,7 @@ def limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
         return ()
     model = robot.mj_model
     carrying = {int(model.body_weldid[body]) for body, _ in robot.contact_places.values()}
-    limbs, told = limbs_of(robot), []
+    limbs, messages = limbs_of(robot), []
     footed = [limb for limb in limbs if limb.bodies[-1] in carrying]
     for limb in limbs:
         alike = [other for other in footed if other.like(limb)]
@@ -125,7 +125,7 @@ def limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
         if len(alike) * 2 < len(every):
             continue
         body, gap = _displaced(robot, limb, alike)
-        told.append(
+        messages.append(
             diagnose(
                 "limb-without-foot",
                 subject=("body", model.body(limb.bodies[-1]).name),
@@ -135,7 +135,7 @@ def limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
                 gap=None if body is None else Quantity(gap, "m"),
             )
         )
-    return tuple(told)
+    return tuple(messages)
 
 
 def joints_unlike(robot: Robot) -> tuple[Diagnostic, ...]:
@@ -144,7 +144,7 @@ def joints_unlike(robot: Robot) -> tuple[Diagnostic, ...]:
     Where two limbs are alike and differ, which of them is meant cannot be known: the one with the
     greater number is named.
     """
-    limbs, numbers, told = limbs_of(robot), _numbers_of(robot), []
+    limbs, numbers, messages = limbs_of(robot), _numbers_of(robot), []
     for limb in limbs:
         others = [other for other in limbs if other is not limb and other.like(limb)]
         for joint, *like in zip(limb.joints, *(other.joints for other in others), strict=True):
@@ -155,7 +155,7 @@ def joints_unlike(robot: Robot) -> tuple[Diagnostic, ...]:
                 low, high = sorted((own, float(theirs.max())))
                 if high <= _UNLIKE[attribute] * low or (len(like) == 1 and own == low):
                     continue
-                told.append(
+                messages.append(
                     diagnose(
                         "joint-unlike",
                         subject=("joint", robot.mj_model.joint(joint).name),
@@ -165,7 +165,7 @@ def joints_unlike(robot: Robot) -> tuple[Diagnostic, ...]:
                         like=robot.mj_model.joint(like[0]).name,
                     )
                 )
-    return (diagnose("joints-unlike", told=told),) if told else ()
+    return (diagnose("joints-unlike", findings=messages),) if messages else ()
 
 
 def _numbers_of(robot: Robot) -> dict[str, Array]:

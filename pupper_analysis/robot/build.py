@@ -411,7 +411,7 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
     if not efforts:
         return robot
     urdf, mjcf = robot.description.trees()
-    stated, told = dict(robot.description.efforts), []
+    stated, messages = dict(robot.description.efforts), []
     before = {limit.joint: limit for limit in robot.efforts}
     for name, effort in efforts.items():
         urdf.joints[name].state(BY_KIND["effort"], effort)
@@ -420,7 +420,7 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
         origin = EffortStatement.of("", "joint", name, "effort", range_)
         stated[name] = EffortLimit(name, *range_, origin, (origin,))
         own = before[name].least
-        told.append(
+        messages.append(
             diagnose(
                 "effort-in-place-of",
                 subject=("joint", name),
@@ -429,7 +429,7 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
             )
         )
     built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec, efforts=stated)
-    return replace(built, notes=(*robot.notes, diagnose("efforts-as-asked", joints=told)))
+    return replace(built, notes=(*robot.notes, diagnose("efforts-as-asked", joints=messages)))
 
 
 def efforts_nobody_meant(robot: Robot) -> tuple[Diagnostic, ...]:

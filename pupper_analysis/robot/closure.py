@@ -253,7 +253,7 @@ class Closure:
         moving[placing] = _UNMOVED
         return moving
 
-    def told(self) -> Diagnostic:
+    def describe(self) -> Diagnostic:
         """Tells which joints follow which."""
         following = [self._joint_names[joint] for joint in self.following]
         leading = [self._joint_names[joint] for joint in self.leading]
@@ -348,13 +348,13 @@ class Closure:
         """Finds joints without motors, as many as the constraints can move by the others."""
         unmoved = [joint for joint in used if self._convention.actuator_index[joint] < 0]
         model = self._model
-        told = [
+        messages = [
             self._joint_names.index(model.joint(int(model.eq_obj1id[index])).name)
             for index in range(model.neq)
             if model.eq_type[index] == mujoco.mjtEq.mjEQ_JOINT.value
             and model.joint(int(model.eq_obj1id[index])).name in self._joint_names
         ]
-        first = [joint for joint in told if joint in unmoved]
+        first = [joint for joint in messages if joint in unmoved]
         order = list(dict.fromkeys([*first, *reversed(unmoved)]))
         chosen: list[int] = []
         for joint in order:
@@ -366,11 +366,11 @@ class Closure:
 
 def _bonds(model: mujoco.MjModel) -> tuple[str, ...]:
     """Names the equality constraints that act."""
-    told = []
+    messages = []
     for index in np.flatnonzero(model.eq_active0):
         kind = mujoco.mjtEq(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
-        told.append(f"{kind} {model.equality(int(index)).name or f'#{index}'}")
-    return tuple(told)
+        messages.append(f"{kind} {model.equality(int(index)).name or f'#{index}'}")
+    return tuple(messages)
 
 
 def closure_of(

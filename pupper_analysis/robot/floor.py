@@ -171,7 +171,8 @@ def _take_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> list[Diagnostic]:
         floor.conaffinity |= bit
         geom.priority = floor.priority + 1  # its parameters count alone, as those of the pair did
         geom.condim, geom.solref, geom.solimp = pair.condim, pair.solref, pair.solimp
-        geom.friction = pair.friction[[0, 2, 3]]
+        # A geom has one along both axes: what holds by the lesser holds by both.
+        geom.friction = np.minimum(pair.friction[[0, 2, 3]], pair.friction[[1, 2, 4]])
         geom.margin, geom.gap = pair.margin - floor.margin, pair.gap - floor.gap
         if pair.friction[0] != pair.friction[1] or pair.friction[3] != pair.friction[4]:
             done.append(diagnose("friction-sideways-dropped", subject=("geom", other)))

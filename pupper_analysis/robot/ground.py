@@ -51,8 +51,8 @@ class Ground:
         if not 0 <= self.slope < math.pi / 2:
             slope = Quantity(self.slope, "rad")
             degrees = self.slope if 0 < self.slope < 90 else None
-            told = diagnose("slope-not-valid", slope=slope, degrees=degrees)
-            raise ConfigurationError("slope", told)
+            message = diagnose("slope-not-valid", slope=slope, degrees=degrees)
+            raise ConfigurationError("slope", message)
         heights = {foot: check_length(f"heights[{foot}]", h) for foot, h in self.heights.items()}
         object.__setattr__(self, "heights", FrozenDict(heights))
 

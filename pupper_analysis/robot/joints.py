@@ -63,6 +63,11 @@ class JointSummary(Result):
         """Whether its axis is along none of the base's."""
         return self.motion in _OBLIQUE
 
+    @property
+    def slides(self) -> bool:
+        """Whether it slides, and does not turn."""
+        return self.motion.startswith("along ") or self.motion == _OBLIQUE[1]
+
 
 def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
     """Tells of each joint what it does and what it can, in actuator order."""

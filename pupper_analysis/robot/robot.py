@@ -93,8 +93,8 @@ def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
                 key = pair[0].file, pair[0].attribute, pair[1].attribute
                 least, unused = (Quantity(one.least, "N m") for one in pair)
                 joint = "joint", limit.joint
-                told = diagnose("lesser-effort", subject=joint, least=least, unused=unused)
-                differing.setdefault(key, []).append(told)
+                message = diagnose("lesser-effort", subject=joint, least=least, unused=unused)
+                differing.setdefault(key, []).append(message)
     if unstated:
         notes.append(diagnose("effort-unstated", joints=unstated))
     if geared:

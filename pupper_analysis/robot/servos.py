@@ -434,7 +434,7 @@ def with_options(
         loaded = None if loaded is None else with_options(loaded, integrator, cone, impratio)
         options = {**dict(published.options), **asked}
         published = replace(published, options=tuple(options.items()), loaded=loaded)
-    told = robot.notes
+    messages = robot.notes
     if cone is not None or impratio is not None:
         file = ("pyramidal", "elliptic")[int(robot.mj_model.opt.cone)]
         said = diagnose(
@@ -444,11 +444,11 @@ def with_options(
             own_cone=file,
             own_impratio=float(robot.mj_model.opt.impratio),
         )
-        told = (*told, said)
+        messages = (*messages, said)
     return replace(
         robot,
         description=replace(robot.description, mjcf=spec),
         mj_model=model,
-        notes=told,
+        notes=messages,
         published=published,
     )

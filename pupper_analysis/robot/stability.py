@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -134,9 +135,6 @@ where it began, nothing is: v3 half way down on soft servos told 1.5 to 25 s for
 
 _NAMED_SHARE = 0.5
 """Of the greatest share in a mode: what moves by less is not named."""
-
-_RUBBING = ("dof_frictionloss", "tendon_frictionloss", "geom_condim", "pair_dim")
-"""What of a model has the dry friction that hides what is not stable."""
 
 SLIDING_CONDIM = 3
 """Of a contact without torsional and rolling friction."""
@@ -320,13 +318,13 @@ def _judged(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Sta
     rolls = (np.append(model.geom_condim, model.pair_dim) > SLIDING_CONDIM).any()
     if not (rubs or rolls) or any(mode.shakes for mode in found.unstable):
         return found
-    kept = {name: getattr(model, name).copy() for name in _RUBBING}
+    kept = [(values, values.copy()) for values in _rubbing(model)]
     free_of_friction(model)
     try:
         free = _judged_at_limits(model, copy_data(model, data), settled=settled)
     finally:
-        for name, values in kept.items():
-            getattr(model, name)[:] = values
+        for values, before in kept:
+            values[:] = before
     freed = [replace(mode, freed=True) for mode in free.unstable if mode.grows_within(LASTING)]
     unstable = sorted([*found.unstable, *freed], key=lambda mode: -mode.growth)
     damped = [found.least_damped] if found.least_damped is not None else []
@@ -336,10 +334,25 @@ def _judged(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Sta
 
 
 def free_of_friction(model: mujoco.MjModel) -> None:
-    """Takes away the dry friction of joints, tendons and of feet that turn or roll."""
-    model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
-    for name in ("geom_condim", "pair_dim"):
-        getattr(model, name)[:] = np.minimum(getattr(model, name), SLIDING_CONDIM)
+    """Takes away the dry friction of joints, tendons and of feet that turn or roll.
+
+    An elliptic cone has rows of their own for those, which are left out. The edges of a pyramid
+    carry the normal force, too: with fewer of them the ground would be softer, so they stay, and
+    their coefficients are as small as MuJoCo has them.
+    """
+    joints, tendons, dims, pair_dims, geoms, pairs, override = _rubbing(model)
+    joints[:] = tendons[:] = 0.0
+    if model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC:
+        for counts in (dims, pair_dims):
+            counts[:] = np.minimum(counts, SLIDING_CONDIM)
+    else:
+        geoms[:, 1:] = pairs[:, 2:] = override[2:] = 0.0
+
+
+def _rubbing(model: mujoco.MjModel) -> tuple[NDArray[Any], ...]:
+    """Returns the arrays of a model that have the dry friction that hides what is not stable."""
+    contacts = model.geom_condim, model.pair_dim, model.geom_friction, model.pair_friction
+    return model.dof_frictionloss, model.tendon_frictionloss, *contacts, model.opt.o_friction
 
 
 def _judged_at_limits(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Stability:

@@ -120,13 +120,13 @@ def tell_ranges_not_kept(model: mujoco.MjModel, joints: tuple[str, ...]) -> list
         joints: In actuator order.
     """
     kept = {*_kept(model, joints)}
-    told = []
+    messages = []
     for tendon in _limited(model):
         if tendon not in kept:
             lower, upper = model.tendon_range[tendon].tolist()
             whose = [name for name, _ in _sum(model, tendon)]
             named = ("tendon", _name(model, tendon))
-            told.append(
+            messages.append(
                 diagnose("tendon-with-range", subject=named, lower=lower, upper=upper, joints=whose)
             )
-    return [diagnose("tendon-ranges-not-kept", tendons=told)] if told else []
+    return [diagnose("tendon-ranges-not-kept", tendons=messages)] if messages else []

@@ -74,21 +74,21 @@ def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnost
         nudge: What became of the nudge, if it was given.
     """
     leaving = stability.leaving() if stability.at_rest else ()
-    told = [describe_growth(mode) for mode in leaving[:1]]
+    messages = [describe_growth(mode) for mode in leaving[:1]]
     quiet = nudge is not None and nudge.left <= _NOISE * nudge.speed
-    if nudge is not None and not nudge.decayed and not quiet and not told:
+    if nudge is not None and not nudge.decayed and not quiet and not messages:
         after = Quantity(nudge.duration, "s")
-        told.append(
+        messages.append(
             diagnose("nudge-does-not-decay", speed=nudge.speed, after=after, left=nudge.left)
         )
     if nudge is not None and not nudge.moved < LEFT:
         after, moved = Quantity(nudge.duration, "s"), Quantity(nudge.moved, "rad")
-        told.append(diagnose("joint-left-by-nudge", after=after, moved=moved))
+        messages.append(diagnose("joint-left-by-nudge", after=after, moved=moved))
     elif nudge is not None and not nudge.stays:
         after, way = Quantity(nudge.farthest_time, "s"), Quantity(nudge.farthest, "rad")
         joint = nudge.farthest_joint
-        told.append(diagnose("joint-left-and-came-back", after=after, way=way, joint=joint))
-    return told
+        messages.append(diagnose("joint-left-and-came-back", after=after, way=way, joint=joint))
+    return messages
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
@@ -147,7 +147,7 @@ def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> l
         return []
     option = robot.mj_model.opt
     elliptic = option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC.value
-    told = diagnose(
+    message = diagnose(
         "foot-creeps",
         subject=("foot", foot),
         speed=Quantity(speeds[foot], "m/s"),
@@ -155,4 +155,4 @@ def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> l
         cone="elliptic" if elliptic else "pyramidal",
         impratio=float(option.impratio),
     )
-    return [told]
+    return [message]

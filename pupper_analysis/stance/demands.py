@@ -218,8 +218,10 @@ def round_demands(
     """
     now, before = Numbers(robot, task, demands), Numbers(robot, asked, demands)
     numbers = zip(now.keys, now.values, now.nominal, before.values, strict=True)
-    told = [_rounded(FIELDS[key.field], *map(float, three), back=back) for key, *three in numbers]
-    return now.task(before.inside(np.array(told)))
+    messages = [
+        _rounded(FIELDS[key.field], *map(float, three), back=back) for key, *three in numbers
+    ]
+    return now.task(before.inside(np.array(messages)))
 
 
 def _rounded(field: Field, number: float, usual: float, asked: float, *, back: bool) -> float:
@@ -256,13 +258,13 @@ def describe_limit(
     kind, number = doubtful_number(robot, task, possible, demands) or ("", 0.0)
     return diagnose(
         "demands-can-go",
-        demands=[_told(possible, demand) for demand in demands],
+        demands=[_describe_demand(possible, demand) for demand in demands],
         angle=number if kind == "angle" else None,
         length=number if kind and kind != "angle" else None,
     )
 
 
-def _told(task: StandTask, demand: str) -> Diagnostic:
+def _describe_demand(task: StandTask, demand: str) -> Diagnostic:
     """Tells a demand's value with its unit, in as many digits as it has."""
     name = Term(demand)
     if demand == "ground":
@@ -284,11 +286,11 @@ def _told(task: StandTask, demand: str) -> Diagnostic:
 
 def _of_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
     for foot, value in _values(task, field):
-        told = field.quantity(value)
-        if isinstance(told, Vector):
-            yield diagnose("demanded-place", field=foot, place=told)
+        message = field.quantity(value)
+        if isinstance(message, Vector):
+            yield diagnose("demanded-place", field=foot, place=message)
         else:
-            yield diagnose("demanded-of-foot", subject=("foot", foot), value=told)
+            yield diagnose("demanded-of-foot", subject=("foot", foot), value=message)
 
 
 def _cut(angle: Quantity) -> Quantity:

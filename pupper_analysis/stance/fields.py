@@ -168,8 +168,8 @@ class Field:
     def _checked(self, name: str, value: Any) -> Any:
         if self.choices and isinstance(value, str):
             if value not in self.choices:
-                told = diagnose("neither-word-nor-point", given=value, known=self.choices)
-                raise ConfigurationError(name, told)
+                message = diagnose("neither-word-nor-point", given=value, known=self.choices)
+                raise ConfigurationError(name, message)
             return value
         if self.axes or self.choices:
             if not isinstance(value, tuple | list | np.ndarray) or len(value) != 2:
@@ -196,16 +196,16 @@ class Field:
             return
         given = Quantity(number, unit or self.unit)
         if number <= low and self.kind == "length" and self.open:
-            told = diagnose("height-not-above-ground", height=given)
+            message = diagnose("height-not-above-ground", height=given)
         elif number <= low and self.open:
-            told = diagnose("not-above", value=given, bound=Quantity(low, given.unit))
+            message = diagnose("not-above", value=given, bound=Quantity(low, given.unit))
         elif number < low:
-            told = diagnose("below-the-least", value=given, bound=Quantity(low, given.unit))
+            message = diagnose("below-the-least", value=given, bound=Quantity(low, given.unit))
         else:
             degrees = number if given.unit == "rad" and number <= math.degrees(high) else None
             bound = Quantity(high, given.unit)
-            told = diagnose("above-the-most", value=given, bound=bound, degrees=degrees)
-        raise ConfigurationError(name, told)
+            message = diagnose("above-the-most", value=given, bound=bound, degrees=degrees)
+        raise ConfigurationError(name, message)
 
     def quantity(self, value: Any) -> Quantity | Vector:
         """Returns a value with its unit."""

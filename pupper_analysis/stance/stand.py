@@ -194,10 +194,10 @@ def solve_stands(
             try:
                 solved.append(sequence.solve(goal, explain=explain))
             except StanceUnreachableError as error:
-                told = error.at(f"tasks[{number}]")
+                message = error.at(f"tasks[{number}]")
                 if not keep_going:
-                    raise told from None
-                solved.append(told)
+                    raise message from None
+                solved.append(message)
     return tuple(solved)
 
 

@@ -96,8 +96,8 @@ class StandTask:
             raise ConfigurationError("offset", diagnose("offset-and-com"))
         for foot in self.feet:
             if foot in self.foot_offsets:
-                told = diagnose("foot-placed-twice", foot=foot)
-                raise ConfigurationError("feet", told)
+                message = diagnose("foot-placed-twice", foot=foot)
+                raise ConfigurationError("feet", message)
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> StandTask:
@@ -169,8 +169,8 @@ class StandTask:
             if isinstance(value, float | tuple)
         }
         for entry, of, value in self._asked():
-            told = {**values, "of": of, "value": entry.quantity(value)}
-            parts.append(fill_template(entry.words(language).said, told, language))
+            fields = {**values, "of": of, "value": entry.quantity(value)}
+            parts.append(fill_template(entry.words(language).said, fields, language))
         return _COMMA[language].join(parts)
 
     def _asked(self) -> Iterator[tuple[Field, str, float | Point]]:
@@ -195,9 +195,9 @@ def _refuse_elsewhere(init: Callable[..., None]) -> Callable[..., None]:
     @wraps(init)
     def call(self: StandTask, *args: Any, **values: Any) -> None:
         for name in values.keys() - _DEFAULTS.keys():
-            told = _elsewhere(name)
-            if told is not None:
-                raise ConfigurationError(name, told)
+            hint = _elsewhere(name)
+            if hint is not None:
+                raise ConfigurationError(name, hint)
         init(self, *args, **values)
 
     return call

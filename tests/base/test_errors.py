@@ -33,7 +33,7 @@ def test_errors_are_of_one_family(error: type[Exception]) -> None:
         (pa.ConfigurationError("kp", "-1 is negative"), ["kp", "-1 is negative"]),
         (
             pa.StanceUnreachableError("height 1 m", {"FR": 0.0123}, {"knee": -2.6}),
-            ["height 1 m", "FR by 12.3 mm", "knee (-2.60 rad)"],
+            ["height 1 m", "FR by 12.3 mm", "knee (-149.0 deg)"],
         ),
         (pa.StanceUnreachableError("height 1 m", {"FR": 0.0123}, {}), ["FR by 12.3 mm"]),
         (

@@ -112,11 +112,11 @@ def test_a_readers_bug_is_found(tmp_path: Path) -> None:
         while True:
             pass
 
-    for read, told in ((fails, "KeyError"), (speaks, "no line"), (hangs, "no end")):
+    for read, message in ((fails, "KeyError"), (speaks, "no line"), (hangs, "no end")):
         kind = damaged.Kind("a.csv", b"a,b\n", read)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(damaged, "SECONDS", 0.2)
-            assert told in str(damaged.problem_of(kind, b"", tmp_path))
+            assert message in str(damaged.problem_of(kind, b"", tmp_path))
 
 
 def test_a_name_that_no_file_can_have_is_that_of_none(tmp_path: Path) -> None:
@@ -135,9 +135,9 @@ def test_the_line_about_a_huge_word_is_short(
     texts = {"first": huge + b" = 1\n" + kind.sound, "last": kind.sound + huge + b" = 1\n"}
     path = tmp_path / kind.name
     path.write_bytes(texts.get(place, kind.sound.replace(b"v3", huge).replace(b"hip", huge)))
-    told = ""
+    message = ""
     try:
         kind.read(path)
     except PupperAnalysisError as error:
-        told = str(error)
-    assert len(told) < 2000
+        message = str(error)
+    assert len(message) < 2000

@@ -159,10 +159,10 @@ def test_every_result_is_whole_and_strict_json(name: str) -> None:
             value = getattr(result, field.name)
             if isinstance(value, np.ndarray):
                 # A number that is not finite becomes null.
-                told = (
+                message = (
                     value if value.dtype.kind != "f" else np.where(np.isfinite(value), value, None)
                 )
-                np.testing.assert_array_equal(np.array(parsed[field.name], told.dtype), told)
+                np.testing.assert_array_equal(np.array(parsed[field.name], message.dtype), message)
         assert parsed == result.to_dict()  # type: ignore[attr-defined]
         assert parsed == json.loads(pa.results.to_json(result), **strict)
 

@@ -89,7 +89,7 @@ def test_a_page_by_default_and_a_line_if_quiet(tmp_path: Path) -> None:
     robot = pa.load_variant("v3")
     held = pa.stance.stand_statics(robot, pa.stance.solve_stand_as_simulated(robot))
     peak = f"{held.motor_utilisation.max():.1%} of its limit"
-    assert lines[0].startswith("VERIFIED v3: 3.170 kg; peak torque ")
+    assert lines[0].startswith("VERIFIED v3: 3.170 kg; on the simulated ground the peak torque is ")
     assert lines[0].endswith(peak)
     assert "stands 131.5 mm high, in MuJoCo 131.5 mm" in lines[1]
     assert "commanded to the same joints without feed-forward 124.1 mm" in lines[1]

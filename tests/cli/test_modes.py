@@ -45,13 +45,13 @@ class _Calls:
 
     def of(self, name: str, result: Any = None) -> Any:
         def call(*words: Any, **given: Any) -> Any:
-            self.noted.append(f"{name}{[_told(word) for word in words]}{sorted(given.items())}")
+            self.noted.append(f"{name}{[_noted(word) for word in words]}{sorted(given.items())}")
             return result
 
         return call
 
 
-def _told(word: object) -> object:
+def _noted(word: object) -> object:
     """What a function learns of an argument: of a context, where what is written goes, and how."""
     if not isinstance(word, click.Context):
         return word
@@ -144,12 +144,12 @@ def test_each_option_reaches_what_a_mode_calls_or_is_refused(
 
 
 def test_the_refusal_names_the_option_and_whose_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = typed(("fit", "v3", "--plan", "2", "--weight", "3kg"), monkeypatch)
-    assert str(told) == (
+    message = typed(("fit", "v3", "--plan", "2", "--weight", "3kg"), monkeypatch)
+    assert str(message) == (
         "--weight: it does nothing with --plan, it is of --stands; leave one of the two out"
     )
-    told = typed(("fit", "v3", "--plan", "2", "--degrees"), monkeypatch)
-    assert "as in -o plan.csv" in str(told)
+    message = typed(("fit", "v3", "--plan", "2", "--degrees"), monkeypatch)
+    assert "as in -o plan.csv" in str(message)
 
 
 def test_defaults_are_not_typed_and_new_options_are_refused() -> None:

@@ -260,10 +260,10 @@ def test_no_output_is_an_input(command: Command, folder: Path) -> None:
         words = aimed(folder, *case)
         for force in ([], ["--force"]):
             given = answer(*words, *force, folder=folder)
-            told = (*words, *force, given)
-            assert given.returncode == 2, told
-            assert one_line(given), told
-            assert not force or "this run reads" in given.stderr, told
+            messages = (*words, *force, given)
+            assert given.returncode == 2, messages
+            assert one_line(given), messages
+            assert not force or "this run reads" in given.stderr, messages
             count += 1
         shutil.rmtree(folder / "into", ignore_errors=True)
     (folder / "linked").unlink(missing_ok=True)

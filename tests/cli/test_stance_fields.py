@@ -18,15 +18,15 @@ from tests.support.commands import check_refusal
 
 def asked(*arguments: str) -> RobotAndTask:
     """What a command of stances is told."""
-    told: list[RobotAndTask] = []
+    messages: list[RobotAndTask] = []
 
     @click.command()
     @robot_and_task
     def command(asked: RobotAndTask) -> None:
-        told.append(asked)
+        messages.append(asked)
 
     command.main(args=list(arguments), standalone_mode=False)
-    return told[0]
+    return messages[0]
 
 
 def test_a_file_says_what_options_say(tmp_path: Path) -> None:

@@ -68,8 +68,8 @@ def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:
     ).replace("<freejoint/>", '<freejoint/><geom type="mesh" mesh="shell" contype="0"/>')
     comparison = compared(write(tmp_path, URDF, text))
     assert comparison.agree
-    told = {note.code: note for note in comparison.notes if not isinstance(note, str)}
-    assert told["files-are-lfs-pointers"].values["files"] == ("shell.stl",)
+    values = {note.code: note for note in comparison.notes if not isinstance(note, str)}
+    assert values["files-are-lfs-pointers"].values["files"] == ("shell.stl",)
     (finding,) = [
         f for f in audit_model(tmp_path / "robot.xml").findings if f.rule == "mesh-missing"
     ]

@@ -69,8 +69,8 @@ def test_crosscheck_reads_standard_input(capfd, given, format: str) -> None:
     names = ["robot.urdf", "robot.xml"]
     of_files = results(capfd, "crosscheck", *names)
     given(text[format])
-    told = ["-" if name.endswith(format) else name for name in names]
-    status, of_input = results(capfd, "crosscheck", *told, "--report", "report.html")
+    messages = ["-" if name.endswith(format) else name for name in names]
+    status, of_input = results(capfd, "crosscheck", *messages, "--report", "report.html")
     assert status == of_files[0]
     expected = of_files[1].replace(f"robot.{format}", str(standard_input.NAME))
     assert of_input == expected

@@ -22,7 +22,7 @@ ROLL = 4.0  # deg: unequal loads, so that on soft ground angles are others than 
 TASK = pa.StandTask(roll=np.radians(ROLL))
 
 
-def told(folder: Path, *arguments: str) -> dict[str, Any]:
+def answer(folder: Path, *arguments: str) -> dict[str, Any]:
     done = run_command(*arguments, "--json", "it.json", folder=folder)
     assert done.returncode in (0, 1), done.stderr
     found: dict[str, Any] = json.loads((folder / "it.json").read_text())
@@ -37,9 +37,9 @@ def test_commands_page_and_interface_tell_the_same_of_a_stance(tmp_path: Path) -
     rigid = pa.stance.stand_statics(robot, pa.solve_stand(robot, TASK))
     assert np.abs(rigid.joint_torques - held.joint_torques).max() > 0.01  # it matters which
 
-    one = told(tmp_path, "stand", "v3", "--roll", f"{ROLL}deg")
+    one = answer(tmp_path, "stand", "v3", "--roll", f"{ROLL}deg")
     asked = ("analyze", "v3", "--roll", str(TASK.roll), "--no-figures")
-    other = told(tmp_path, *asked)["variants"]["v3"]
+    other = answer(tmp_path, *asked)["variants"]["v3"]
     live = Model(LiveVariants(pa.VARIANTS["v3"])).answer(State(roll=ROLL))
     played, settled = simulate_stance(live), predict_sag(live).settled
     assert live.stand is not None

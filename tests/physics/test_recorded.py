@@ -27,18 +27,18 @@ def coarse(where: str) -> list[float]:
 
 def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -> list[str]:
     """What is not as it was, in words."""
-    told = [f"{where} is new" for where in found.keys() - expected.keys()]
+    messages = [f"{where} is new" for where in found.keys() - expected.keys()]
     for where, old in expected.items():
         if where not in found:
-            told.append(f"{where} is gone")
+            messages.append(f"{where} is gone")
             continue
         one, other = np.atleast_1d(np.array(found[where])), np.atleast_1d(np.array(old))
         scale = max(1.0, float(np.abs(other).max()))
         if one.shape != other.shape:
-            told.append(f"{where} had {other.shape} numbers, and has {one.shape}")
+            messages.append(f"{where} had {other.shape} numbers, and has {one.shape}")
         elif not np.abs(one - other).max() <= max(tolerance, *coarse(where)) * scale:
-            told.append(f"{where} was {old}, and is {found[where]}")
-    return told
+            messages.append(f"{where} was {old}, and is {found[where]}")
+    return messages
 
 
 @pytest.mark.parametrize("job", JOBS_AND_MARKS)

@@ -107,7 +107,7 @@ def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> Non
     """Servos and step are ours, made for spheres: at 2 ms meshes shake on them, at 1 ms not."""
     verdict = verdict_of(pa.load_robot(two_legs(tmp_path)))
     assert verdict.passed, in_words(verdict)
-    assert "on-balls-for-soles" in {clause.told.code for clause in verdict_clauses(verdict)}
+    assert "on-balls-for-soles" in {clause.message.code for clause in verdict_clauses(verdict)}
     assert verdict.own is not None
     assert verdict.own.timestep == 1e-3
     assert "at 1 ms a step, as it shakes at longer ones" in in_words(verdict)
@@ -117,7 +117,7 @@ def test_other_verdicts_have_the_same_line(tmp_path: Path) -> None:
     robot = pa.load_robot(four_legs(tmp_path))
     found = study_path(robot, pa.StandTask(height=0.33), 1.0).verdict
     assert found.own == own_run(robot)
-    assert "own-run" in {clause.told.code for clause in verdict_clauses(found)}
+    assert "own-run" in {clause.message.code for clause in verdict_clauses(found)}
 
 
 def test_what_mujoco_does_not_import_is_told(tmp_path: Path) -> None:

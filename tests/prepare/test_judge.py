@@ -60,23 +60,23 @@ def slipped(folder: Path, slip: Slip) -> Path:
 
 @pytest.mark.parametrize("rule", SLIPS)
 def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule: str) -> None:
-    slip, told = SLIPS[rule]
+    slip, message = SLIPS[rule]
     urdf = slipped(tmp_path, slip)
     errors = {found.rule for found in pa.audit_model(urdf).findings if found.severity == "error"}
     assert errors == {rule}
-    if told is None:
+    if message is None:
         with pytest.raises(pa.PupperAnalysisError, match=r"lower limit 0\.8 is above"):
             verdict_of(pa.load_robot(urdf))
         return
     verdict = verdict_of(pa.load_robot(urdf))
     said = in_words(verdict)
     assert "on files with errors (audit lists them): " in said
-    assert told in said
+    assert message in said
 
 
 def test_a_sound_file_has_no_such_line(tmp_path: Path) -> None:
     verdict = verdict_of(pa.load_robot(four_legs(tmp_path)))
-    assert "rests-on-made-up" not in {clause.told.code for clause in verdict_clauses(verdict)}
+    assert "rests-on-made-up" not in {clause.message.code for clause in verdict_clauses(verdict)}
 
 
 def test_what_is_held_has_it_too(tmp_path: Path) -> None:

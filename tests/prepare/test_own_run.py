@@ -122,7 +122,7 @@ def judged(robot: pa.Robot, asked: str) -> Verdict:
 
 
 def codes(verdict: Verdict) -> list[str]:
-    return [clause.told.code for clause in verdict_clauses(verdict)]
+    return [clause.message.code for clause in verdict_clauses(verdict)]
 
 
 @pytest.mark.parametrize("name", SLIPS)
@@ -130,9 +130,9 @@ def test_a_slip_fails_and_its_own_cause_alone_is_told(tmp_path: Path, name: str)
     slip, cause = SLIPS[name]
     verdict = judged(slipped(tmp_path, slip), "stand")
     assert not verdict.passed, in_words(verdict)
-    told = codes(verdict)
-    assert {"own-run", "own-run-diverges"} & set(told)
-    assert _CAUSES & set(told) == ({cause} if cause else set())
+    message = codes(verdict)
+    assert {"own-run", "own-run-diverges"} & set(message)
+    assert _CAUSES & set(message) == ({cause} if cause else set())
 
 
 @pytest.mark.parametrize("asked", ["push", "path", "api"])

@@ -35,8 +35,8 @@ def draft_of(pair: Pair, **asked: object) -> Draft:
 def run(draft: Draft, *names: str) -> tuple[Draft, list[str]]:
     codes: list[str] = []
     for name in names:
-        draft, told = named(name).apply(draft)
-        codes += [note.code for note in told]
+        draft, messages = named(name).apply(draft)
+        codes += [note.code for note in messages]
     return draft, codes
 
 
@@ -53,38 +53,38 @@ def test_names_are_distinct_and_the_file_is_read_only(tmp_path: Path) -> None:
 
 def test_each_note_of_a_robot_is_told_by_one_pass(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
-    told, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
-    done = {run.name: [note.code for note in run.done] for run in told.passes}
+    explained, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+    done = {run.name: [note.code for note in run.done] for run in explained.passes}
     assert done["level-ground"] == ["ground-added"]
     assert done["put-feet"] == ["feet-found"]
     assert done["start-pose"][-1].startswith("start-pose")
     assert done["add-servos"][0] == "servos-added"
     assert done["free-base"] == done["narrow-limits"] == done["solve-exactly"] == []
-    of_passes = [note for run in told.passes for note in run.done]
+    of_passes = [note for run in explained.passes for note in run.done]
     assert list(robot.notes[: len(of_passes)]) == of_passes
-    assert told.feet == tuple(robot.feet)
-    assert told.mass == pytest.approx(float(robot.mj_model.body_mass.sum()))
+    assert explained.feet == tuple(robot.feet)
+    assert explained.mass == pytest.approx(float(robot.mj_model.body_mass.sum()))
 
 
 def test_a_fixed_base_is_built_and_needs_no_ground(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
-    told, robot = explain_loading(
+    explained, robot = explain_loading(
         read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(fixed_base=True)
     )
     assert not robot.floating
-    assert "build-held" in {run.name for run in told.passes}
-    assert "level-ground" not in {run.name for run in told.passes}
+    assert "build-held" in {run.name for run in explained.passes}
+    assert "level-ground" not in {run.name for run in explained.passes}
 
 
 def test_a_base_that_stands_on_no_feet_is_held_as_the_file_has_it(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, foot="", free=False, keyframe="")
-    told, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+    explained, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
     assert not robot.floating
-    assert told.passes[-1].name == "hold-base"
-    (held,) = told.passes[-1].done
+    assert explained.passes[-1].name == "hold-base"
+    (held,) = explained.passes[-1].done
     assert (held.code, held.values["why"].code) == ("base-kept-in-the-world", "no-feet-found")
-    assert "build-held" in {run.name for run in told.passes}
-    assert "put-feet" not in {run.name for run in told.passes}  # of the robot that was not to be
+    assert "build-held" in {run.name for run in explained.passes}
+    assert "put-feet" not in {run.name for run in explained.passes}  # of a robot not to be
 
 
 def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:
@@ -95,8 +95,10 @@ def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:
 
 def test_as_it_is_nothing_is_added(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
-    told, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(as_is=True))
-    names = {run.name for run in told.passes}
+    explained, robot = explain_loading(
+        read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(as_is=True)
+    )
+    names = {run.name for run in explained.passes}
     assert not names & {"add-servos", "add-motors", "keep-apart", "touch-with-feet-alone"}
     motors = robot.mj_model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE.value
     assert motors.all()
@@ -174,5 +176,5 @@ def test_files_that_are_ready_need_no_pass() -> None:
         read_mjcf(ROOT / "mjcf/pupper_skeleton.xml"),
     )
     feet = pa.load_variant("original").description.contact_points
-    told, _ = explain_loading(*files, Request(feet=feet))
-    assert told.passes == ()
+    explained, _ = explain_loading(*files, Request(feet=feet))
+    assert explained.passes == ()

@@ -33,7 +33,7 @@ def causes(verdict: Verdict) -> list[str]:
     """Returns what is told of a verdict's causes, the first first."""
     found = []
     for clause in verdict_clauses(verdict):
-        code = clause.told.code
+        code = clause.message.code
         own = verdict.own if code == "own-run" else None
         joint = None if own is None else own.unheld or own.worst
         if code == "fails-in-mujoco":
@@ -80,12 +80,12 @@ def right(folder: Path, robot: str, plant: str) -> bool | None:
     except pa.PupperAnalysisError as error:
         stated = (error.diagnostic, *error.diagnostic.values.values())
         return bool({getattr(one, "code", "") for one in stated} & set(allowed))
-    told = causes(verdict)
-    assert set(told) <= {*allowed, *CONSEQUENCES}, (robot, plant, told, in_words(verdict))
-    if verdict.passed and not told:
+    message = causes(verdict)
+    assert set(message) <= {*allowed, *CONSEQUENCES}, (robot, plant, message, in_words(verdict))
+    if verdict.passed and not message:
         assert robot == "arm" or stands(mjcf), (robot, plant, in_words(verdict))
         return None
-    return bool(told) and told[0] in allowed
+    return bool(message) and message[0] in allowed
 
 
 PAIRS = [(robot, plant) for robot in ROBOTS for plant in (HELD if robot == "arm" else PLANTS)]
@@ -131,7 +131,7 @@ def test_what_nothing_else_explains_is_told(
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_right_one_is_told_of_nine_in_ten(tmp_path: Path, robot: str) -> None:
     found = {plant: right(tmp_path, robot, plant) for one, plant in PAIRS if one == robot}
-    harmful = [plant for plant, told in found.items() if told is not None]
+    harmful = [plant for plant, message in found.items() if message is not None]
     missed = [plant for plant in harmful if not found[plant]]
     assert len(harmful) >= len(found) // 2
     assert len(missed) <= 0.1 * len(harmful), missed

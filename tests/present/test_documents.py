@@ -164,14 +164,16 @@ FIELDS: tuple[tuple[str, str, str, str, float | str, float], ...] = (
           ("joint error", math.degrees(one.joint_error), 1),
           ("torque off prediction, of the largest", one.torque_error, 100),
           ("vertical foot force off prediction", one.force_error, 100))),
+    *(("analysis", "Joints, in actuator order", joint.name, column, math.degrees(limit), 1)
+      for joint in ANALYSIS.joints for limit, column in (
+          (joint.lower, "lower limit (°)"), (joint.upper, "upper limit (°)"))),
     *(("analysis", "Joints, in actuator order", joint.name, column, getattr(joint, field), 1)
       for joint in ANALYSIS.joints for field, column in (
-          ("lower", "lower limit (rad)"), ("upper", "upper limit (rad)"),
           ("effort", "effort (N m)"), ("velocity", "velocity (rad/s)"),
           ("armature", "armature (kg m²)"), ("damping", "damping (N m s/rad)"),
           ("friction", "friction (N m)"))),
     ("analysis", "Errors of the solved stand (PlaCo, 7 iterations)", "com", "value",
-     ANALYSIS.stand.com_error, 1),
+     ANALYSIS.stand.com_error, 1e3),
     *(("variants", "Comparison (ratios to the unscaled base model)", "one", column,
        getattr(row("one", 0.0), field), scale) for field, column, scale in (
         ("total_mass", "mass (kg)", 1), ("mass_ratio", "mass ratio (–)", 1),

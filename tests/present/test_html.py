@@ -239,11 +239,13 @@ def test_the_overlay_marks_what_differs() -> None:
     names = [body["name"] for body in drawn["bodies"]]
     marked = {names[geom["body"]] for geom in drawn["geoms"] if geom["marked"]}
     assert marked == {"base_link"}
-    told = {body["name"]: body["told"] for body in drawn["bodies"] if "told" in body}
-    assert list(told) == ["base_link"]
-    assert "mass 1.625 kg in the URDF" in told["base_link"]["en"]
-    assert "质量在 URDF 中为 1.625 kg" in told["base_link"]["zh"]
-    assert all(joint["told"] == {"en": "", "zh": ""} for joint in drawn["joints"])
+    values = {
+        body["name"]: body["differences"] for body in drawn["bodies"] if "differences" in body
+    }
+    assert list(values) == ["base_link"]
+    assert "mass 1.625 kg in the URDF" in values["base_link"]["en"]
+    assert "质量在 URDF 中为 1.625 kg" in values["base_link"]["zh"]
+    assert all(joint["differences"] == {"en": "", "zh": ""} for joint in drawn["joints"])
 
 
 def test_the_two_files_lie_on_each_other() -> None:

@@ -172,14 +172,14 @@ def test_a_joint_lights_up_and_says_what_it_does(opened: Opened) -> None:
     dark = opened.pixels(canvas)
     button = opened.page.get_by_role("button", name="leg_front_r_2", exact=True)
     button.focus()
-    told = opened.page.locator(".told").inner_text()
-    assert told.startswith("leg_front_r_2: roll; position ")
-    assert "torque -0.200 N m / 3 N m" in told
+    message = opened.page.locator(".hint").inner_text()
+    assert message.startswith("leg_front_r_2: roll; position ")
+    assert "torque -0.200 N m / 3 N m" in message
     lit = opened.pixels(canvas)
     orange = (lit[..., 0] > 190) & (lit[..., 1] < 140) & (lit[..., 2] < 70)
     assert orange.sum() > ((dark[..., 0] > 190) & (dark[..., 1] < 140) & (dark[..., 2] < 70)).sum()
     button.blur()
-    assert opened.page.locator(".told").inner_text().startswith("Drag to turn")
+    assert opened.page.locator(".hint").inner_text().startswith("Drag to turn")
 
 
 def test_parts_can_be_hidden(opened: Opened) -> None:
@@ -267,7 +267,7 @@ def test_the_language_switches_everything(opened: Opened) -> None:
     assert page.locator(".canvas").get_attribute("aria-label").startswith("机器人三维视图")
     assert page.locator("select.motion option").nth(1).inner_text().startswith("仿真")
     page.get_by_role("button", name="leg_front_r_2", exact=True).focus()
-    assert "横滚" in page.locator(".told").inner_text()
+    assert "横滚" in page.locator(".hint").inner_text()
     page.locator("#language").click()
     assert page.locator("h2").first.inner_text() == "Summary"
 
@@ -333,11 +333,11 @@ def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
     none = "HTMLCanvasElement.prototype.getContext = () => null"
     one = Opened(browser, file, script=none)
     one.page.locator(".canvas").scroll_into_view_if_needed()
-    told = one.page.locator(".told")
+    message = one.page.locator(".hint")
     sync_api = pytest.importorskip("playwright.sync_api")
-    sync_api.expect(told).to_contain_text("The browser has no WebGL")
+    sync_api.expect(message).to_contain_text("The browser has no WebGL")
     one.page.get_by_role("button", name="leg_front_r_2", exact=True).focus()
-    sync_api.expect(told).to_contain_text("leg_front_r_2: roll")
+    sync_api.expect(message).to_contain_text("leg_front_r_2: roll")
     assert one.complaints == []
     one.context.close()
 

@@ -58,7 +58,7 @@ DOCUMENT = Document(
     passed=False,
     verdict=text("FAILS"),
     failures=(tell(problem("it fell over")),),
-    told=(tell(problem("height 0.13 m")),),
+    findings=(tell(problem("height 0.13 m")),),
     notes=(tell(problem("a floor was added")),),
 )
 
@@ -151,7 +151,7 @@ def test_no_name_acts(name: str) -> None:
         Lines((said,), title=said, detail=True),
         Listing(said, name, "diff"),
     )
-    evil = Document(said, said, blocks, True, said, told=(said,), notes=(said,))
+    evil = Document(said, said, blocks, True, said, findings=(said,), notes=(said,))
     shown = write_markdown(Report(said, (replace(evil, passed=False),)))
     # What is between fences and ticks is shown letter by letter.
     outside = re.sub(r"```diff\n.*?```|` .*? `", "", shown, flags=re.S)

@@ -158,7 +158,7 @@ def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
     one.verdict, one.passed = judge_stance(run(0.0, passed=False), None, SERVOS), False
     text = " ".join(printed(push_document(one)))
     assert text.startswith("FAILS one: FAILS in MuJoCo: ")
-    assert "weakest at 240°: 0.43 N s" in text
+    assert "weakest at 240°, on the simulated ground: 0.43 N s" in text
     one.recovery.unpushed = (problem("it fell over"),)
     text = " ".join(printed(push_document(one)))
     assert "it does not stand, so it withstands no push of 2.15 kg" in text
@@ -179,7 +179,7 @@ def test_the_rest_of_a_best_stance_is_the_stance_s_own() -> None:
     titles = [[in_english(one.title) for one in document.blocks if isinstance(one, Table)]
               for document in (shown, alone)]  # fmt: skip
     assert set(titles[1]) < set(titles[0])
-    assert shown.told[1:] == alone.told
+    assert shown.findings[1:] == alone.findings
 
 
 def test_what_engines_make_of_one_file_is_seen_where_they_differ() -> None:

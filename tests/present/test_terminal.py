@@ -106,7 +106,7 @@ def test_notes_are_at_most_eight_lines(count: int) -> None:
 
 def test_lines_are_wrapped_on_a_terminal_alone() -> None:
     wrapped = tell(problem("a word " * 40))
-    document = Document(Name(""), Name("robot"), (), told=(Name("x"), wrapped))
+    document = Document(Name(""), Name("robot"), (), findings=(Name("x"), wrapped))
     assert len(printed(document).splitlines()) == 2
     file = io.StringIO()
     out = SafeConsole(

@@ -86,8 +86,8 @@ def test_a_text_that_is_not_there_is_refused() -> None:
 
 
 def test_words_are_filled_in_in_their_language() -> None:
-    told = text("force-axis", axis=text("roll"))
-    assert (told.en, told.zh) == ("force roll", "力 横滚")
+    message = text("force-axis", axis=text("roll"))
+    assert (message.en, message.zh) == ("force roll", "力 横滚")
     listed = join_words([text("mass"), Name("com {x}")])
     assert (listed.en, listed.zh) == ("mass, com {x}", "质量、com {x}")
 

@@ -32,32 +32,32 @@ def test_a_calf_that_is_elsewhere_is_named_with_its_gap(tmp_path: Path) -> None:
     """One digit, -0.2 -> -0.02, and the robot stands on three feet: that is no HOLDS."""
     path = slipped(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.02"')
     robot = pa.load_robot(path)
-    [told] = limbs_without_feet(robot)
-    assert (told.values["feet"], told.values["alike"]) == (3, 4)
-    assert told.values["gap"].value == pytest.approx(0.18, abs=1e-6)
+    [message] = limbs_without_feet(robot)
+    assert (message.values["feet"], message.values["alike"]) == (3, 4)
+    assert message.values["gap"].value == pytest.approx(0.18, abs=1e-6)
     verdict = judge_stand(robot, pa.solve_stand(robot))
     assert verdict.code is VerdictCode.LIMB_WITHOUT_FOOT
     assert not verdict.passed
-    assert verdict.remarks[0] == told
+    assert verdict.remarks[0] == message
     converted = convert_model(path, tmp_path / "slipped.xml")
-    assert told.code in {one.code for one in converted.failures}
+    assert message.code in {one.code for one in converted.failures}
     assert not converted.passed
     assert convert_model(standing_urdf(tmp_path), tmp_path / "sound.xml").passed
 
 
 def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
     robot = pa.load_robot(slipped(tmp_path, '<sphere radius="0.02"/>', ""))
-    [told] = limbs_without_feet(robot)
-    assert told.values["gap"] is None
-    assert "no collision shape" in str(told)
+    [message] = limbs_without_feet(robot)
+    assert message.values["gap"] is None
+    assert "no collision shape" in str(message)
 
 
 def test_limbs_of_other_weights_are_alike_by_their_shape(tmp_path: Path) -> None:
     """Six legs in a ring, each of another weight, one of which touches nothing."""
     urdf, mjcf = planted(tmp_path, "ring", "a foot that does not touch")
-    [told] = limbs_without_feet(pa.load_robot(urdf, mjcf))
-    assert (told.values["feet"], told.values["alike"]) == (5, 6)
-    assert told.values["gap"] is None, "it is where the others' turned about the base are"
+    [message] = limbs_without_feet(pa.load_robot(urdf, mjcf))
+    assert (message.values["feet"], message.values["alike"]) == (5, 6)
+    assert message.values["gap"] is None, "it is where the others' turned about the base are"
 
 
 def test_feet_that_are_named_are_as_they_are_meant(tmp_path: Path) -> None:
@@ -80,23 +80,23 @@ def test_a_joint_with_another_number_than_its_like_is_in_the_verdict(
     assert joints_unlike(robot) == ()
     old = 'effort="80"' if "effort" in slip else 'upper="-0.4"'
     robot = pa.load_robot(slipped(tmp_path, old, slip))
-    [told] = joints_unlike(robot)
-    assert said in str(told)
-    assert told in judge_stand(robot, pa.solve_stand(robot)).remarks
+    [message] = joints_unlike(robot)
+    assert said in str(message)
+    assert message in judge_stand(robot, pa.solve_stand(robot)).remarks
 
 
 def test_a_joint_without_the_limits_of_its_like_has_an_infinite_range() -> None:
     robot = pa.load_variant("v3")
     robot.mj_model.jnt_limited[robot.mj_model.joint("leg_back_l_3").id] = 0
-    [told] = joints_unlike(robot)
-    assert "leg_back_l_3 has range inf" in str(told)
+    [message] = joints_unlike(robot)
+    assert "leg_back_l_3 has range inf" in str(message)
 
 
-@pytest.mark.parametrize(("factor", "told"), [(10.0, True), (2.0, False), (0.1, True)])
-def test_what_was_measured_of_each_joint_may_differ_by_half(factor: float, told: bool) -> None:
+@pytest.mark.parametrize(("factor", "reported"), [(10.0, True), (2.0, False), (0.1, True)])
+def test_what_was_measured_of_each_joint_may_differ_by_half(factor: float, reported: bool) -> None:
     robot = pa.load_variant("v3")
     assert joints_unlike(robot) == ()
     model = robot.mj_model
     model.dof_armature[model.jnt_dofadr[model.joint("leg_back_l_3").id]] *= factor
     found = joints_unlike(robot)
-    assert ["leg_back_l_3 has armature" in str(one) for one in found] == [True] * told
+    assert ["leg_back_l_3 has armature" in str(one) for one in found] == [True] * reported

@@ -50,9 +50,9 @@ def test_a_verdict_names_placeholders_until_others_are_asked_for(tmp_path: Path)
     efforts = "|".join(f"{effort}" for effort in arm.EFFORTS.values())
     path.write_text(re.sub(f'effort="({efforts})"', 'effort="2000"', arm.URDF))
     robot = pa.load_robot(path)
-    (told,) = pa.hold_posture(robot).verdict.remarks
-    assert told.code == "rests-on-placeholder-efforts"
-    assert sorted(told.values["joints"]) == ["a_turn", "elbow", "shoulder"]  # not the slide
+    (message,) = pa.hold_posture(robot).verdict.remarks
+    assert message.code == "rests-on-placeholder-efforts"
+    assert sorted(message.values["joints"]) == ["a_turn", "elbow", "shoulder"]  # not the slide
     asked = with_efforts(robot, {"shoulder": 30.0, "elbow": 9.0, "a_turn": 5.0})
     held = pa.hold_posture(asked)
     assert held.verdict.remarks == ()
@@ -75,15 +75,15 @@ def test_a_verdict_names_placeholders_until_others_are_asked_for(tmp_path: Path)
 def test_one_motor_is_held_against_its_links_and_its_armature(
     motor: Motor, code: str | None
 ) -> None:
-    codes = [told.code for _, told in placeholder_efforts([motor], 100.0)]
+    codes = [message.code for _, message in placeholder_efforts([motor], 100.0)]
     assert codes == ([] if code is None else [code])
 
 
 def test_all_motors_are_held_against_the_robot() -> None:
     motors = [Motor(f"joint{number}", 10.0, 0.1) for number in range(6)]
     assert not list(placeholder_efforts(motors, 60 / 89))
-    ((joints, told),) = placeholder_efforts(motors, 60 / 91)
+    ((joints, message),) = placeholder_efforts(motors, 60 / 91)
     assert len(joints) == 6
-    assert told.code == "efforts-beyond-robot"
-    assert told.values["same"]
-    assert told.values["share"] == pytest.approx(91)
+    assert message.code == "efforts-beyond-robot"
+    assert message.values["same"]
+    assert message.values["share"] == pytest.approx(91)

@@ -206,8 +206,8 @@ def test_a_foot_that_comes_nearest_does_so_with_loops_closed(tmp_path: Path) -> 
     # A stand whose feet are in place may have loops that are not.
     stand = pa.solve_stand(robot)
     there = replace(stand, foot_error=0.03)
-    told = explain_refusal(context, make_goal(robot, None, {}), there, explain=False)
-    assert [one.code for one in told.blocked] == ["loops-stay-open"]
+    message = explain_refusal(context, make_goal(robot, None, {}), there, explain=False)
+    assert [one.code for one in message.blocked] == ["loops-stay-open"]
 
 
 def test_a_loops_derivative_is_that_of_its_residual(tmp_path: Path) -> None:

@@ -58,9 +58,9 @@ def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
 def test_a_floor_anywhere_is_the_ground(tmp_path: Path, floor: str, said: str | None) -> None:
     """A stand on it, and one on a slope, are those on the plane at home, to rounding."""
     robot, plain = (loaded(scene(tmp_path, text)) for text in (floor, PLANE + "/>"))
-    told = [note for note in robot.notes if note.code == LEVEL]
-    assert bool(told) == (said is not None)
-    assert not told or (said or "") in str(told[0])
+    messages = [note for note in robot.notes if note.code == LEVEL]
+    assert bool(messages) == (said is not None)
+    assert not messages or (said or "") in str(messages[0])
     assert not [note for note in robot.notes if note.code == OTHERS]
     for task in ({}, {"ground": pa.Ground(slope=0.05, uphill=0.7)}):
         seen, known = (stands(one, **task) for one in (robot, plain))
@@ -125,3 +125,14 @@ def test_a_plain_ground_stays_as_it_is(tmp_path: Path) -> None:
     before = spec.to_xml()
     assert level_ground(spec) == []
     assert spec.to_xml() == before
+
+
+def test_of_a_pair_with_two_frictions_the_lesser_counts(tmp_path: Path) -> None:
+    """What holds by it holds by both, whichever way the ground rises."""
+    pairs = "".join(
+        f'<pair geom1="ground" geom2="foot{leg}" friction="{values}"/>'
+        for leg, values in enumerate(("0.9 0.3 .02 .004 .003", "0.3 0.9 .02 .003 .004") * 2)
+    )
+    robot = loaded(scene(tmp_path, PLANE + "/>", pairs))
+    assert any(note.code == "friction-sideways-dropped" for note in robot.notes)
+    assert {contact.friction[0] for contact in robot.contacts.values()} == {0.3}

@@ -177,9 +177,9 @@ def test_motors_of_tendons_exert_nothing_and_are_told(
     )
     pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", rope))
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    (told,) = [note for note in robot.notes if note.code == "motors-commanded-zero"]
-    assert (told.values["motors"], told.values["kinds"]) == (("winch",), ("tendon",))
-    assert told.values["servos"] == (("winch",) if pulls else ())
+    (message,) = [note for note in robot.notes if note.code == "motors-commanded-zero"]
+    assert (message.values["motors"], message.values["kinds"]) == (("winch",), ("tendon",))
+    assert message.values["servos"] == (("winch",) if pulls else ())
     holds(robot)
     plain = quadruped(tmp_path)
     notes = pa.load_robot(urdf=plain.urdf, mjcf=plain.mjcf).notes
@@ -192,8 +192,8 @@ def test_contacts_are_simulated_as_asked_and_it_is_said() -> None:
     assert robot.mj_model.opt.impratio == robot.description.mjcf.option.impratio == 50.0
     assert robot.mj_model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC.value
     assert plain.mj_model.opt.impratio != 50.0
-    [told] = [note for note in robot.notes if note.code == "contacts-as-asked"]
-    assert told.values["own_impratio"] == plain.mj_model.opt.impratio
+    [message] = [note for note in robot.notes if note.code == "contacts-as-asked"]
+    assert message.values["own_impratio"] == plain.mj_model.opt.impratio
     assert with_options(plain) is plain
 
 

@@ -76,12 +76,12 @@ def test_a_range_that_is_not_kept_is_told(tmp_path: Path) -> None:
     )
     robot = pa.load_robot(*pair)
     assert not tendon_ranges(robot).names
-    [told] = [note for note in robot.notes if note.code == "tendon-ranges-not-kept"]
-    assert "rope (0 to 1)" in str(told)
+    [message] = [note for note in robot.notes if note.code == "tendon-ranges-not-kept"]
+    assert "rope (0 to 1)" in str(message)
     # Where MuJoCo does not keep it either, there is nothing to tell.
     off = '<option><flag limit="disable"/></option></mujoco>'
     pair.mjcf.write_text(pair.mjcf.read_text().replace(ENDING, off))
-    assert all(note.code != told.code for note in pa.load_robot(*pair).notes)
+    assert all(note.code != message.code for note in pa.load_robot(*pair).notes)
 
 
 def test_every_kind_of_equality_is_kept_told_or_gone() -> None:
@@ -92,8 +92,8 @@ def test_every_kind_of_equality_is_kept_told_or_gone() -> None:
       <flexcomp name="cloth" type="grid" count="3 3 1" spacing="0.1 0.1 0.1" mass="1" radius="0.01">
         <edge equality="true"/></flexcomp></worldbody></mujoco>"""
     model = mujoco.MjModel.from_xml_string(scene)
-    [told] = tell_bonds_not_kept(model)
-    assert "(flex)" in str(told)
+    [message] = tell_bonds_not_kept(model)
+    assert "(flex)" in str(message)
     model.eq_active0[:] = 0
     assert not tell_bonds_not_kept(model)
     for kind in np.array([kind.value for kind in BONDS]):

@@ -36,7 +36,7 @@ def outcome(seed: int, folder: Path) -> set[str]:
     if run.passed:
         assert run.torque_error < 1e-3
         return set()
-    codes = {told.code for told in (*run.failures, *robot.notes)}
+    codes = {message.code for message in (*run.failures, *robot.notes)}
     if not codes & OWN:  # what was tried on loading did not last as long: the time step is too long
         assert "mode-shakes" in codes
         step = robot.mj_model.opt.timestep / 4

@@ -474,7 +474,9 @@ def test_an_mjcf_converts_and_agrees(package: str, name: str, tmp_path: Path) ->
     found = pa.convert_model(file(package, name), tmp_path / "new.urdf")
     assert found.passed, found.failures
     assert any(
-        word in str(told) for told in found.not_converted for word in ("armature", "effort limit")
+        word in str(message)
+        for message in found.not_converted
+        for word in ("armature", "effort limit")
     )
 
 
@@ -485,8 +487,8 @@ def test_a_stand_tells_which_parts_push_on_each_other() -> None:
     for elbow, pairs in ((0.0, set()), (np.radians(60), {"left", "right"})):
         stand = pa.solve_stand(robot, pa.StandTask(posture={"*elbow*": float(elbow)}))
         found = pa.verify_stand(robot, stand, duration=4.0)
-        told = {one.code: one for one in found.failures}
-        assert ("parts-touch" in told) is bool(pairs)
+        values = {one.code: one for one in found.failures}
+        assert ("parts-touch" in values) is bool(pairs)
         touching = [one.values["bodies"] for one in found.failures if one.code == "parts-touch"]
         assert set(touching) == {
             (f"{side}_hip_yaw_link", f"{side}_wrist_yaw_link") for side in pairs

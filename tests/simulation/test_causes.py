@@ -24,8 +24,8 @@ def test_a_ground_that_pushes_by_jolts_rattles() -> None:
             qpos = at_rest.copy()
             qpos[2] += way if number % 2 else -way
             states.append(state_at(robot, drive.model, qpos))
-        told = find_chatter(robot, drive, np.array(states), ctrl)
-        shares.append(sum(float(one.values["share"]) for one in told))
+        message = find_chatter(robot, drive, np.array(states), ctrl)
+        shares.append(sum(float(one.values["share"]) for one in message))
     assert shares[:2] == [0.0, 0.0]  # what varies by less than a twentieth is told by none
     assert 0.1 < shares[2] < 0.9
     assert shares[3] > 1.5 * shares[2]

@@ -110,6 +110,6 @@ def test_of_nine_demands_few_must_give() -> None:
     assert {"pitch", "foot_offsets", "swing", "com_margin"}.isdisjoint(limits)
     assert pa.solve_stand(robot, replace(task, **limits), explain=False).solved
     assert refusal.value.nearest.task.pitch == task.pitch
-    (told,) = refusal.value.possible.values()
-    assert told.code == "demands-can-go"
-    assert len(told.values["demands"]) == len(limits)
+    (message,) = refusal.value.possible.values()
+    assert message.code == "demands-can-go"
+    assert len(message.values["demands"]) == len(limits)

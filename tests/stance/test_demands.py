@@ -81,21 +81,23 @@ def test_placed_feet_are_given_up_for_their_nominal_places() -> None:
     np.testing.assert_allclose(give_up(robot, task, ["feet"]).feet["FL"], nominal[:2])
 
 
-def told(task: pa.StandTask, *demands: str) -> str:
+def described(task: pa.StandTask, *demands: str) -> str:
     return str(describe_limit(load("v3"), task, task, demands))
 
 
 def test_limits_are_told_with_their_units() -> None:
-    assert told(TASK, "height") == "height 150 mm"
+    assert described(TASK, "height") == "height 150 mm"
     turned = pa.StandTask(roll=math.radians(11.5), pitch=math.radians(-4.25), joint_margin=0.02)
-    assert told(turned, "roll") == "roll 11.5 deg (0.2007 rad)"  # 0.20071: cut, not rounded
-    assert told(turned, "pitch") == "pitch -4.25 deg (-0.0741 rad)"
-    assert told(TASK, "offset") == "offset (0.02, -0.04) m"
+    assert described(turned, "roll") == "roll 11.5 deg (0.2007 rad)"  # 0.20071: cut, not rounded
+    assert described(turned, "pitch") == "pitch -4.25 deg (-0.0741 rad)"
+    assert described(TASK, "offset") == "offset (0.02, -0.04) m"
     slope = pa.StandTask(ground=pa.Ground(math.radians(5.7), 0.5, {"FR": 0.02}))
-    assert told(slope, "ground") == "ground slope 5.7 deg (0.0994 rad), steps FR 20 mm"
-    assert told(TASK, "swing", "ground_clearance") == "swing RR 20 mm and ground_clearance 10 mm"
-    assert told(TASK, "foot_offsets") == "foot_offsets FL (0.02, 0.01) m"
-    assert told(pa.StandTask(com=(0.0123, -0.004)), "com") == "com (0.0123, -0.004) m"
+    assert described(slope, "ground") == "ground slope 5.7 deg (0.0994 rad), steps FR 20 mm"
+    assert (
+        described(TASK, "swing", "ground_clearance") == "swing RR 20 mm and ground_clearance 10 mm"
+    )
+    assert described(TASK, "foot_offsets") == "foot_offsets FL (0.02, 0.01) m"
+    assert described(pa.StandTask(com=(0.0123, -0.004)), "com") == "com (0.0123, -0.004) m"
 
 
 def test_rounding_is_away_from_what_was_asked_and_by_little() -> None:
@@ -229,13 +231,13 @@ def test_a_limit_with_the_com_in_a_corner_of_its_margin_is_all_that_there_is() -
 def test_a_refusal_says_what_was_asked_in_both_languages() -> None:
     with pytest.raises(pa.StanceUnreachableError) as refused:
         pa.solve_stand(pa.load_variant("v3"), pa.StandTask(height=0.4, swing={"FL": 0.02}))
-    told = pickle.loads(pickle.dumps(refused.value)).diagnostic
-    assert "height 400.0 mm" in told.text("en")
-    chinese = told.text("zh")
+    message = pickle.loads(pickle.dumps(refused.value)).diagnostic
+    assert "height 400.0 mm" in message.text("en")
+    chinese = message.text("zh")
     assert "高度 400.0 mm" in chinese
     assert "FL 抬起 20 mm" in chinese
     assert "height" not in chinese
-    assert from_record(to_record(told)).text("zh") == chinese
+    assert from_record(to_record(message)).text("zh") == chinese
 
 
 def test_lengths_may_change_by_as_much_as_the_robot_is_large() -> None:

@@ -205,12 +205,19 @@ def test_each_field_that_is_a_number_is_a_parameter_of_studies(field: Field) -> 
         assert moved.values()[field.name] == (value[0], 0.5)
 
 
-def test_options_say_units_and_what_they_are() -> None:
+def test_options_show_a_value_in_mm_or_degrees() -> None:
+    """Of what is typed: no option asks for metres or radians."""
+    shown = {"m": ("mm", "cm"), "rad": ("deg",)}
     command = cli.find_command("stand")
     for option in command.params:
         if option.name in TYPED:
             assert isinstance(option, click.Option)
-            assert f"({FIELDS[option.name].unit})" in (option.help or "") or option.name == "com"
+            text, unit = option.help or "", FIELDS[option.name].unit
+            assert "(m)" not in text, option.name
+            assert "(rad" not in text, option.name
+            if unit in shown:
+                example = text.partition("e.g. ")[2]
+                assert any(one in example for one in shown[unit]), option.name
 
 
 def test_a_task_is_said_in_order_and_with_units() -> None:

@@ -134,9 +134,9 @@ def test_links_that_are_too_near_are_both_named() -> None:
     stand = pa.solve_stand(load("v3"), pa.StandTask(self_clearance=1e-3))
     assert stand.self_clearance is not None
     near = replace(stand, task=pa.StandTask(self_clearance=stand.self_clearance.distance + 0.01))
-    (told,) = near.blocked
-    assert told.code == "links-too-near"
-    named = [told.subject.name, told.values["other"]]
+    (message,) = near.blocked
+    assert message.code == "links-too-near"
+    named = [message.subject.name, message.values["other"]]
     assert named == list(stand.self_clearance.links)
     assert len(set(named)) == 2
 

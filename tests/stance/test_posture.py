@@ -79,7 +79,7 @@ def test_a_weld_that_puts_a_joint_out_of_its_range_is_named(tmp_path: Path) -> N
     robot = pa.load_robot(*files)
     with pytest.raises(ConfigurationError) as refused:
         find_posture(robot)
-    told = str(refused.value)
-    assert "elbow at 0 rad, outside [0.2, 2.4]" in told or "elbow at -0 rad" in told
-    assert "weld bolt" in told
-    assert "within the ranges" in told
+    message = str(refused.value)
+    assert "elbow at 0 rad, outside [0.2, 2.4]" in message or "elbow at -0 rad" in message
+    assert "weld bolt" in message
+    assert "within the ranges" in message

@@ -246,7 +246,7 @@ def _compare_best(found: Agreement, run: Commands) -> None:
         found.codes[f"best {objective}"] = f"exit {done.returncode}"
         if not content:
             continue
-        best, told = content["best"], content["stance"]
+        best, message = content["best"], content["stance"]
         typed = _typed(best["stand"]["task"])
         if objective == "payload":
             loaded, answered = run("payload", *at, *typed)
@@ -261,13 +261,15 @@ def _compare_best(found: Agreement, run: Commands) -> None:
             continue
         stood, stance = run("stand", *typed)
         code = _code(stood, stance)
-        if code != told["verdict"]["code"]:
-            found.disagreements.append(f"best {objective}: {told['verdict']['code']}, stand {code}")
+        if code != message["verdict"]["code"]:
+            found.disagreements.append(
+                f"best {objective}: {message['verdict']['code']}, stand {code}"
+            )
         if not stance:
             continue
         for what, one, other in (
-            ("stand", told["stand"]["qpos"], stance["stand"]["qpos"]),
-            ("torques", told["statics"]["joint_torques"], stance["statics"]["joint_torques"]),
+            ("stand", message["stand"]["qpos"], stance["stand"]["qpos"]),
+            ("torques", message["statics"]["joint_torques"], stance["statics"]["joint_torques"]),
         ):
             off = float(np.abs(np.asarray(one) - np.asarray(other)).max(initial=0.0))
             if not off <= SAME:
@@ -341,7 +343,9 @@ def _compare_hold(found: Agreement, run: Commands) -> None:
     done, content = run("hold")
     found.codes["hold"] = _code(done, content)
     payload = content.get("payload", {})
-    most = min(payload.get("mass", math.nan), payload.get("servos", math.nan))
+    # JSON has no infinity: what nothing limits is null there.
+    bounds = [payload.get(name, math.nan) for name in ("mass", "servos")]
+    most = min(math.inf if bound is None else bound for bound in bounds)
     if done.returncode != 0 or not 0 < most < math.inf:
         return
     found.payload = most

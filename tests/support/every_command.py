@@ -128,8 +128,8 @@ def truth_of(
         or math.hypot(*(end - start)[:2]) > start[2]
     )
     if fell:
-        told = Truth.FALLS if stated else Truth.UNTOLD
-        return told if driven.any() else Truth.LIMP
+        message = Truth.FALLS if stated else Truth.UNTOLD
+        return message if driven.any() else Truth.LIMP
     return Truth.SHAKES if fastest > SHAKES else Truth.STANDS
 
 
@@ -208,10 +208,10 @@ def _command(name: str, *options: str, before: tuple[str, ...] = (), alone: bool
 
 def _cell(status: int, out: str, err: str) -> Cell:
     assert status in (0, 1, 2), err  # 3 is a bug, whatever else
-    told = " ".join((out + err).split())
+    message = " ".join((out + err).split())
     lines = [line for line in out.splitlines() if line.split() and not line.startswith(NOTES)]
     word = lines[0].split()[0] if lines else err.strip()[-80:]
-    return Cell(status == 0, status == 2, OWN in told, ADDED in told, word)
+    return Cell(status == 0, status == 2, OWN in message, ADDED in message, word)
 
 
 def _study(urdf: Path, mjcf: Path, _: Path) -> Cell:
@@ -277,7 +277,7 @@ def _written(_: Path, mjcf: Path, folder: Path) -> Cell:
         stood,
         passed=cell.passed or stood.passed,
         word=f"{cell.word}, {stood.word}",
-        truth=truth_of(made, made),
+        truth=truth_of(made, folder.parent / "plain" / mjcf.name),
     )
 
 

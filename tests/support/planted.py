@@ -374,9 +374,9 @@ def _mute_foot(root: Element) -> None:
 
 def _command_elsewhere(root: Element) -> None:
     for key in root.iter("key"):
-        told = key.get("ctrl").split()
-        told[2] = f"{float(told[2]) + 0.6:g}"
-        key.set("ctrl", " ".join(told))
+        message = key.get("ctrl").split()
+        message[2] = f"{float(message[2]) + 0.6:g}"
+        key.set("ctrl", " ".join(message))
 
 
 def _pair_friction(root: Element) -> None:

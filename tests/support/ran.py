@@ -64,8 +64,8 @@ def how_to_have(reason: str) -> str:
 
 def reason_of(report: Any) -> str:
     """Why a test was skipped."""
-    told = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
-    return " ".join(str(told).removeprefix("Skipped: ").split())
+    message = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+    return " ".join(str(message).removeprefix("Skipped: ").split())
 
 
 def summary_lines(reports: Iterable[Any]) -> list[str]:

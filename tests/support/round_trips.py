@@ -187,8 +187,8 @@ def main() -> None:
                 print(f"{file.name}: refused: {str(error)[:150]}", flush=True)
                 continue
         silent += bool(lost)
-        told = {word: (len(names), names[:2]) for word, names in lost.items()}
-        print(f"{file.name}: {count} numbers, {changed} are others; silent: {told}", flush=True)
+        values = {word: (len(names), names[:2]) for word, names in lost.items()}
+        print(f"{file.name}: {count} numbers, {changed} are others; silent: {values}", flush=True)
     sys.exit(bool(silent))
 
 

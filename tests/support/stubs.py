@@ -111,6 +111,7 @@ def joint(name: str, shift: float) -> Stub:
     return Stub(
         name=name,
         motion="oblique",
+        slides=False,
         oblique=True,
         axis=np.array([0.11, 0.22, -0.33]) + shift,
         lower=-1.51 + shift,
@@ -140,6 +141,7 @@ ANALYSIS: Any = Stub(
         task=StandTask(height=0.1),
         iterations=7,
         qpos=np.array([0.0, 0.0, 0.1009]),
+        depths={"FR": 0.0, "RL": 0.00311},
         foot_error=1.1e-16,
         orientation_error=2.2e-15,
         height_error=3.3e-14,

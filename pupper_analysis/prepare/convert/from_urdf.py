@@ -200,8 +200,8 @@ class UrdfBodies:
             leader = self._tree.joints.get(meant)
         if leader is None or leader.is_fixed:
             meant = str(joint.mimic.get("joint"))
-            told = diagnose("mimic-leads-nowhere", subject=("joint", joint.name), leader=meant)
-            self.notes.append(told)
+            message = diagnose("mimic-leads-nowhere", subject=("joint", joint.name), leader=meant)
+            self.notes.append(message)
             return False
         return True
 
@@ -243,11 +243,11 @@ class UrdfBodies:
         sizes = " ".join(str(geometry.get(word)) for word in _SIZES.get(tag, ()))
         point = tag == "sphere" and is_zero(sizes) and kind == "collision"
         if point:
-            told = diagnose("points-made-spheres", radius=Quantity(float(_POINT), "m"))
-            self.notes += [told] if told not in self.notes else []
+            message = diagnose("points-made-spheres", radius=Quantity(float(_POINT), "m"))
+            self.notes += [message] if message not in self.notes else []
         elif any(float(size) <= 0 for size in sizes.split()):
-            told = diagnose("flat-shape-left", tag=tag, sizes=sizes)
-            self.notes += [told] if told not in self.notes else []
+            message = diagnose("flat-shape-left", tag=tag, sizes=sizes)
+            self.notes += [message] if message not in self.notes else []
             return None
         if tag == "mesh":
             name = self.meshes.name(geometry, touches=kind == "collision")

@@ -65,10 +65,10 @@ class ModelPair:
         description = replace(robot.description, converted=self.converted)
         source = self.urdf if self.converted == "mjcf" else self.mjcf
         made = self.converted.upper()
-        told = diagnose("one-model-converted", made=made, file=source.path.name)
+        message = diagnose("one-model-converted", made=made, file=source.path.name)
         known = _OF_A_URDF if self.converted == "urdf" else ()
         own = [note for note in robot.notes if note.code not in known]
-        return replace(robot, description=description, notes=(told, *own))
+        return replace(robot, description=description, notes=(message, *own))
 
 
 def _bare_urdf(file: MjcfFile) -> UrdfFile:

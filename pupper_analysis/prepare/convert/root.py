@@ -94,8 +94,8 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
         spec.delete(key)
     for key in keys:
         spec.add_key(name=key.name, qpos=key.qpos[places], ctrl=key.ctrl[actuators])
-    told = diagnose("others-left-out", bodies=[model.body(index).name for index in others])
-    notes: tuple[Diagnostic, ...] = (*file.notes, told)
+    message = diagnose("others-left-out", bodies=[model.body(index).name for index in others])
+    notes: tuple[Diagnostic, ...] = (*file.notes, message)
     return replace(file, spec=spec, notes=notes, _model=compile_spec(spec.copy(), file.path))
 
 

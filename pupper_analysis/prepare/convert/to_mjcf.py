@@ -101,8 +101,8 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
     except _LeglessError as error:
         # Nothing said that it is free but its number of limbs: a hand or a torso has as many.
         held = _made(urdf, output, replace(options, fixed_base=True))
-        told = diagnose("base-fixed-as-it-does-not-stand", why=error.reason)
-        return replace(held, notes=(*held.notes, told))
+        message = diagnose("base-fixed-as-it-does-not-stand", why=error.reason)
+        return replace(held, notes=(*held.notes, message))
 
 
 @dataclass(frozen=True)
@@ -312,21 +312,21 @@ def _put_stand(
         if not (meshes.missing or sure or _has_bare_legs(model, bodies.root)):
             raise _LeglessError(problem) from error
         put_all(ground_of_urdf(), mjcf)
-        told = [each.reason for each in ground_of_urdf()] + _put_held(bare, options)
+        messages = [each.reason for each in ground_of_urdf()] + _put_held(bare, options)
         equip.lift_base(mjcf, bodies, model)
         problem = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
-        return told, problem, frozenset()
+        return messages, problem, frozenset()
     if len(robot.contact_points) < _LIMBS and not sure:
         raise _LeglessError(diagnose("lowest-limbs", limbs=robot.contact_points))
-    told = [note for note in robot.notes if note.code != "armature-from-mjcf"]
+    messages = [note for note in robot.notes if note.code != "armature-from-mjcf"]
     added, failure = robot.description.added, None
     try:
         stand = solve_stand_on_soft_ground(robot)
         if options.sag is not None or options.damping_ratio is not None:
             kp, kd = stand_gains(robot, stand, options.sag, options.damping_ratio)
             added = drives.retuned(robot, kp, kd, stand)
-            told = [note for note in told if note.code != "servos-added"]
-            told += [each.reason for each in added if isinstance(each, Servo)][:1]
+            messages = [note for note in messages if note.code != "servos-added"]
+            messages += [each.reason for each in added if isinstance(each, Servo)][:1]
     except PupperAnalysisError as error:
         if not (sure or meshes.missing) and _reaches_no_ground(robot, error):
             raise _LeglessError(
@@ -338,7 +338,7 @@ def _put_stand(
         added = drives.retuned(robot, *gains)
     put_all(added, mjcf)
     equip.lift_base(mjcf, bodies, robot.mj_model)
-    return told, failure, _joints_on_balls(robot)
+    return messages, failure, _joints_on_balls(robot)
 
 
 def _joints_on_balls(robot: Robot) -> frozenset[str]:
@@ -399,7 +399,7 @@ def _unstated(mjcf: MjcfXml) -> list[Diagnostic]:
     """Tells which joints have neither armature nor damping: a URDF states no armature."""
     joints = mjcf.joints
     still, undamped = (sum(j.get(word) is None for j in joints) for word in ("armature", "damping"))
-    told = [diagnose("armature-unstated", count=still, joints=len(joints))] if still else []
+    messages = [diagnose("armature-unstated", count=still, joints=len(joints))] if still else []
     if undamped:
-        told.append(diagnose("damping-unstated", count=undamped, joints=len(joints)))
-    return told
+        messages.append(diagnose("damping-unstated", count=undamped, joints=len(joints)))
+    return messages

@@ -37,7 +37,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         text("workspace"),
         doc.Name(workspace.name),
         (table, view_block(robot, workspace.start, None)),
-        told=(
+        findings=(
             task_text(workspace.start.task),
             text("range-in-short", ranges=join_words(ranges)),
         ),

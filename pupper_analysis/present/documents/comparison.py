@@ -99,7 +99,7 @@ _WHOLE = 1.005
 """A share that is printed as 100 %."""
 
 
-def effects_told(difference: Difference) -> Diagnostic:
+def describe_effects(difference: Difference) -> Diagnostic:
     """Returns what a difference does."""
     if not difference.effects:
         return diagnose("no-effect")
@@ -130,7 +130,7 @@ def comparison_remarks(comparison: Comparison) -> list[Annotation]:
         title = f"{one.kind} of {one.element}"
         found.append(_remark(one.kind, title, one.diagnostic, one.urdf_place, one.mjcf_place))
     found += [
-        _remark("joint", f"joint {name}", told, file) for name, told, file in _left_over(comparison)
+        _remark("joint", f"joint {name}", one, file) for name, one, file in _left_over(comparison)
     ]
     found += [_remark("agreement", "agreement", one, mjcf) for one in comparison.objections]
     if comparison.guessed:
@@ -157,17 +157,17 @@ def _guessed(comparison: Comparison) -> Diagnostic:
 
 
 def _remark(
-    kind: str, title: str, told: Diagnostic, place: str | None, other: str | None = None
+    kind: str, title: str, finding: Diagnostic, place: str | None, other: str | None = None
 ) -> Annotation:
-    message = str(told) if other is None else f"{told} [{other}]"
+    message = str(finding) if other is None else f"{finding} [{other}]"
     rule = f"crosscheck/{kind}"
     about = about_kind(kind)
-    return Annotation("error", title, message, place, rule=rule, about=about, diagnostic=told)
+    return Annotation("error", title, message, place, rule=rule, about=about, diagnostic=finding)
 
 
 def comparison_cases(comparison: Comparison) -> list[CheckedItem]:
     """Returns one case per kind of number of each joint and body, and one per quantity."""
-    missing = [told for _, told, _ in _left_over(comparison)]
+    missing = [messages for _, messages, _ in _left_over(comparison)]
     result = [_case("the same joints", missing)]
     by_element: dict[str, list[Difference]] = {}
     for difference in comparison.differences:
@@ -175,8 +175,8 @@ def comparison_cases(comparison: Comparison) -> list[CheckedItem]:
     for element in dict.fromkeys([comparison.base, *comparison.joints, *by_element]):
         own = by_element.get(element, [])
         places = [f" [{one.urdf_place}, {one.mjcf_place}]" for one in own]
-        told = [one.diagnostic for one in own]
-        result.append(_case(f"parameters of {element}", told, places))
+        messages = [one.diagnostic for one in own]
+        result.append(_case(f"parameters of {element}", messages, places))
     for quantity in comparison.check.quantities:
         deviation = diagnose(
             "quantity-deviates",
@@ -190,10 +190,10 @@ def comparison_cases(comparison: Comparison) -> list[CheckedItem]:
     return result
 
 
-def _case(name: str, told: Sequence[Diagnostic], places: Sequence[str] = ()) -> CheckedItem:
+def _case(name: str, messages: Sequence[Diagnostic], places: Sequence[str] = ()) -> CheckedItem:
     """Returns a case with a line per diagnostic, each with its places."""
-    lines = map("".join, zip(map(str, told), places or [""] * len(told), strict=True))
-    return CheckedItem(name, "\n".join(lines) or None, tuple(told))
+    lines = map("".join, zip(map(str, messages), places or [""] * len(messages), strict=True))
+    return CheckedItem(name, "\n".join(lines) or None, tuple(messages))
 
 
 _OVERLAY = "overlay-note"
@@ -232,7 +232,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         passed=agree,
         verdict=text("agree") if agree else differ,
         warned=same and not agree,
-        told=(
+        findings=(
             doc.tell(first_to_mend(comparison, causes, groups)),
             text("1-difference")
             if len(comparison.differences) == 1
@@ -309,7 +309,7 @@ def _sides(
 
 def _effects(difference: Difference) -> doc.Text:
     """Returns what a difference does."""
-    return doc.tell(effects_told(difference), "" if difference.effects else "quiet")
+    return doc.tell(describe_effects(difference), "" if difference.effects else "quiet")
 
 
 def _differences(comparison: Comparison) -> doc.Table:

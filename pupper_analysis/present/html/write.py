@@ -321,12 +321,12 @@ def _overlay(scene: OverlayScene) -> dict[str, Any] | None:
         return None
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    told = _told(comparison, model)
+    message = _differences_by_body(comparison, model)
     bodies, (geoms, meshes) = bodies_of(model), geoms_of(model)
-    for body, differences in told.items():
-        bodies[body - 1]["told"] = _in_both(differences)
+    for body, differences in message.items():
+        bodies[body - 1]["differences"] = _in_both(differences)
     for geom in geoms:
-        geom["marked"] = geom["body"] + 1 in told
+        geom["marked"] = geom["body"] + 1 in message
     root = _root(comparison, model)
     turn = data.xmat[root].reshape(3, 3)
     placed = [data.xpos[root] + line @ turn.T for line in lines]
@@ -376,9 +376,11 @@ def _root(comparison: Comparison, model: mujoco.MjModel) -> int:
     return 1
 
 
-def _told(comparison: Comparison, model: mujoco.MjModel) -> dict[int, list[Diagnostic]]:
+def _differences_by_body(
+    comparison: Comparison, model: mujoco.MjModel
+) -> dict[int, list[Diagnostic]]:
     """Returns {body: what differs of it, or of the joint that moves it}."""
-    told: dict[int, list[Diagnostic]] = {}
+    values: dict[int, list[Diagnostic]] = {}
     for difference in comparison.differences:
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, difference.element)
         if joint >= 0:
@@ -387,8 +389,8 @@ def _told(comparison: Comparison, model: mujoco.MjModel) -> dict[int, list[Diagn
             body = _root(comparison, model)
         else:
             continue
-        told.setdefault(body, []).append(difference.diagnostic)
-    return told
+        values.setdefault(body, []).append(difference.diagnostic)
+    return values
 
 
 def _joints(comparison: Comparison, model: mujoco.MjModel) -> list[dict[str, Any]]:
@@ -404,7 +406,7 @@ def _joints(comparison: Comparison, model: mujoco.MjModel) -> list[dict[str, Any
                 "body": int(model.jnt_bodyid[joint]) - 1,
                 "anchor": short_numbers(model.jnt_pos[joint]),
                 "axis": short_numbers(model.jnt_axis[joint]),
-                "told": _in_both(found),
+                "differences": _in_both(found),
             }
         )
     return listed
@@ -412,10 +414,10 @@ def _joints(comparison: Comparison, model: mujoco.MjModel) -> list[dict[str, Any
 
 def _in_both(found: Iterable[Diagnostic]) -> dict[str, str]:
     """Returns {language: sentences}, empty texts where there is none."""
-    told = tuple(found)
+    messages = tuple(found)
     between = {"en": "; ", "zh": "；"}  # noqa: RUF001 (Chinese)
     return {
-        language: escape_control(comma.join(one.text(language) for one in told))
+        language: escape_control(comma.join(one.text(language) for one in messages))
         for language, comma in between.items()
     }
 

@@ -187,14 +187,14 @@ def _extra(extra: MjcfOnlyEffect, effects: dict[str, Effect]) -> Difference:
 
 def _mimic(name: str, said: tuple[str, float, float]) -> Difference:
     leader, multiplier, offset = said
-    told = diagnose(
+    message = diagnose(
         "mimic-without-equality",
         subject=("joint", name),
         leader=leader,
         multiplier=multiplier,
         offset=offset,
     )
-    return Difference("mimic", name, said, None, "", told, {})
+    return Difference("mimic", name, said, None, "", message, {})
 
 
 _LEG_LOAD_RATIO = 1.25
@@ -216,24 +216,24 @@ def armature_differences(
     if values.base_armature:
         value = values.base_armature
         unit = "kg and kg m^2"
-        told = diagnose(
+        message = diagnose(
             "free-joint-armature", subject=("body", values.base), armature=Quantity(value, unit)
         )
         effects = judge.effects(behaviour(replace(values, base_armature=0.0)), judge.one)
-        differences.append(Difference("armature", values.base, None, value, unit, told, effects))
+        differences.append(Difference("armature", values.base, None, value, unit, message, effects))
     for name, usual in _unusual_armatures(values).items():
         joint = replace(values.joints[name], armature=usual)
         alone = behaviour(replace(values, joints={**values.joints, name: joint}))
         value = values.joints[name].armature
         unit = "kg" if joint.slides else "kg m^2"
-        told = diagnose(
+        message = diagnose(
             "armature-unlike-other-legs",
             subject=("joint", name),
             armature=Quantity(value, unit),
             usual=Quantity(usual, unit),
         )
         effects = judge.effects(judge.one, alone)
-        differences.append(Difference("armature", name, None, value, unit, told, effects))
+        differences.append(Difference("armature", name, None, value, unit, message, effects))
     return differences
 
 

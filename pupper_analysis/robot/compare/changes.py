@@ -39,7 +39,7 @@ from pupper_analysis.robot.compare.differences import (
     vector_pair,
 )
 from pupper_analysis.robot.matching.alignment import with_base
-from pupper_analysis.robot.matching.conventions import Conventions, pose_told, with_zero
+from pupper_analysis.robot.matching.conventions import Conventions, describe_pose, with_zero
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 
@@ -80,36 +80,36 @@ def changes_between(
         yield from _joint_changes(name, joint, two.joints[name], tolerances, sides)
     if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
         both = {**vector_pair(one.gravity, two.gravity, "m/s^2"), **sides.named}
-        told = diagnose("gravity-differs" if sides.alike else "gravity-stated", **both)
-        yield Change("gravity", "option", one.gravity, two.gravity, "m/s^2", told)
+        message = diagnose("gravity-differs" if sides.alike else "gravity-stated", **both)
+        yield Change("gravity", "option", one.gravity, two.gravity, "m/s^2", message)
     greater = max(one.base_damping, two.base_damping)
     free = ("body", one.base)
     if abs(two.base_damping - one.base_damping) > tolerances.damping * greater:
         both = {**number_pair(one.base_damping, two.base_damping, "N s/m"), **sides.named}
-        told = diagnose("free-joint-damping-differs", subject=free, **both)
+        message = diagnose("free-joint-damping-differs", subject=free, **both)
         values = one.base_damping, two.base_damping
-        yield Change("damping", one.base, *values, "N s/m", told)
+        yield Change("damping", one.base, *values, "N s/m", message)
     # A URDF is given the MJCF's: see `armature.armature_differences`.
     if sides.alike and two.base_armature != one.base_armature:
         unit = "kg and kg m^2"
         both = {**number_pair(one.base_armature, two.base_armature, unit), **sides.named}
-        told = diagnose("free-joint-armature-differs", subject=free, **both)
+        message = diagnose("free-joint-armature-differs", subject=free, **both)
         values = one.base_armature, two.base_armature
-        yield Change("armature", one.base, *values, unit, told)
+        yield Change("armature", one.base, *values, unit, message)
     for name, (owner, position) in one.frames.items():
         other_owner, other = two.frames[name]
         apart = float(np.linalg.norm(other - position))
         if owner != other_owner:
             links = {"one": one.bodies[owner].link, "two": two.bodies[other_owner].link}
             both = {**links, **sides.named}
-            told = diagnose("frame-on-other-body", subject=("frame", name), **both)
+            message = diagnose("frame-on-other-body", subject=("frame", name), **both)
         elif apart > tolerances.position:
             both = {**vector_pair(position, other, "m"), **sides.named}
             distance = Quantity(apart, "m")
-            told = diagnose("frame-apart", subject=("frame", name), distance=distance, **both)
+            message = diagnose("frame-apart", subject=("frame", name), distance=distance, **both)
         else:
             continue
-        yield Change("frame", name, position, other, "m", told)
+        yield Change("frame", name, position, other, "m", message)
 
 
 def apply_changes(
@@ -133,13 +133,13 @@ def body_changes(
     greater = max(abs(one.mass), abs(two.mass))
     if abs(two.mass - one.mass) > tolerances.mass * greater:
         both = {**number_pair(one.mass, two.mass, "kg"), **sides.named}
-        told = diagnose(
+        message = diagnose(
             "mass-differs", subject=body, guess=describe_ratio(one.mass, two.mass), **both
         )
-        yield Change("mass", name, one.mass, two.mass, "kg", told)
+        yield Change("mass", name, one.mass, two.mass, "kg", message)
     apart = float(np.linalg.norm(two.com - one.com))
     if apart > tolerances.com:
-        told = diagnose(
+        message = diagnose(
             "com-differs",
             subject=body,
             distance=Quantity(apart, "m"),
@@ -147,7 +147,7 @@ def body_changes(
             **vector_pair(one.com, two.com, "m"),
             **sides.named,
         )
-        yield Change("com", name, one.com, two.com, "m", told)
+        yield Change("com", name, one.com, two.com, "m", message)
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
     differs = np.abs(two.inertia - one.inertia) > tolerances.inertia * size
     if differs.any():
@@ -161,8 +161,10 @@ def body_changes(
                         "inertia-entry-differs", entry=label, guess=describe_ratio(a, b), **both
                     )
                 )
-        told = diagnose("inertia-differs", subject=body, entries=entries, guess=_turned(one, two))
-        yield Change("inertia", name, one.inertia, two.inertia, "kg m^2", told)
+        message = diagnose(
+            "inertia-differs", subject=body, entries=entries, guess=_turned(one, two)
+        )
+        yield Change("inertia", name, one.inertia, two.inertia, "kg m^2", message)
 
 
 def _turned(one: TreeBody, two: TreeBody) -> Diagnostic | None:
@@ -191,13 +193,13 @@ def _kinds_of_joints(
     """Yields another parent, and another type."""
     if one.parent != two.parent:
         both = {"one": one.parent, "two": two.parent, **sides.named}
-        told = diagnose("parent-differs", subject=("joint", name), **both)
-        yield Change("parent", name, one.parent, two.parent, "", told)
+        message = diagnose("parent-differs", subject=("joint", name), **both)
+        yield Change("parent", name, one.parent, two.parent, "", message)
     if one.slides != two.slides:
         kinds = ["prismatic" if joint.slides else "revolute" for joint in (one, two)]
         both = {"one": Term(kinds[0]), "two": Term(kinds[1]), **sides.named}
-        told = diagnose("joint-type-differs", subject=("joint", name), **both)
-        yield Change("type", name, kinds[0], kinds[1], "", told)
+        message = diagnose("joint-type-differs", subject=("joint", name), **both)
+        yield Change("type", name, kinds[0], kinds[1], "", message)
 
 
 def _placements(
@@ -206,7 +208,7 @@ def _placements(
     """Yields another position or orientation in the parent's frame."""
     apart = float(np.linalg.norm(two.position - one.position))
     if apart > tolerances.position:
-        told = diagnose(
+        message = diagnose(
             "joint-position-differs",
             subject=("joint", name),
             distance=Quantity(apart, "m"),
@@ -214,12 +216,12 @@ def _placements(
             **vector_pair(one.position, two.position, "m"),
             **sides.named,
         )
-        yield Change("position", name, one.position, two.position, "m", told)
+        yield Change("position", name, one.position, two.position, "m", message)
     turn = pin.log3(one.rotation.T @ two.rotation)
     angle = float(np.linalg.norm(turn))
     if angle > tolerances.rotation:
         about = abs(float(turn @ one.axis)) > (1 - 1e-6) * angle
-        told = diagnose(
+        message = diagnose(
             "joint-frame-turned",
             subject=("joint", name),
             angle=Quantity(angle, "rad"),
@@ -227,7 +229,7 @@ def _placements(
             about_its_axis=about,
             guess=quaternion_order(one.rotation, two.rotation),
         )
-        yield Change("rotation", name, one.rotation, two.rotation, "1", told)
+        yield Change("rotation", name, one.rotation, two.rotation, "1", message)
 
 
 def _axes(
@@ -237,14 +239,14 @@ def _axes(
     between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
     if float(np.linalg.norm(np.cross(one.axis, two.axis))) > tolerances.axis or between > 1.0:
         reversed_axis = between > math.pi - tolerances.axis
-        told = diagnose(
+        message = diagnose(
             "axis-reversed" if reversed_axis else "axis-turned",
             subject=("joint", name),
             angle=Quantity(between, "rad"),
             **vector_pair(one.axis, two.axis),
             **sides.named,
         )
-        yield Change("axis", name, one.axis, two.axis, "1", told)
+        yield Change("axis", name, one.axis, two.axis, "1", message)
 
 
 def _joint_numbers(
@@ -271,7 +273,7 @@ def _joint_numbers(
         guess = in_degrees(a, b)
         if kind == "effort" and a == 0 and not sides.alike:
             guess = diagnose("guess-zero-for-unknown")
-        told = diagnose(
+        message = diagnose(
             "joint-number-differs",
             subject=("joint", name),
             what=Term(kind),
@@ -279,7 +281,7 @@ def _joint_numbers(
             **number_pair(a, b, unit),
             **sides.named,
         )
-        yield Change(kind, name, a, b, unit, told, felt=attribute.felt)
+        yield Change(kind, name, a, b, unit, message, felt=attribute.felt)
 
 
 def convention_changes(
@@ -293,20 +295,20 @@ def convention_changes(
         sides: What the two are called.
     """
     if found.base is not None and (first.floating or not found.shown):
-        told = diagnose(
+        message = diagnose(
             "base-frame-elsewhere",
             subject=("body", first.base),
-            pose=pose_told(found.base),
+            pose=describe_pose(found.base),
             floating=first.floating,
             shown=found.shown,
             **sides.named,
         )
         pose = np.array(found.base.homogeneous)
-        difference = Difference("base frame", first.base, pose, np.eye(4), "m", told, {})
+        difference = Difference("base frame", first.base, pose, np.eye(4), "m", message, {})
         yield difference, with_base(first, found.base.inverse())
     for name, offset in found.zeros.items():
         unit = "m" if first.joints[name].slides else "rad"
-        told = diagnose(
+        message = diagnose(
             "joint-zero-elsewhere",
             subject=("joint", name),
             offset=Quantity(offset, unit),
@@ -315,5 +317,5 @@ def convention_changes(
             turn=None if unit == "m" else Quantity(offset, unit),
             **sides.named,
         )
-        difference = Difference("zero", name, offset, 0.0, unit, told, {})
+        difference = Difference("zero", name, offset, 0.0, unit, message, {})
         yield difference, with_zero(first, name, -offset)

@@ -268,13 +268,13 @@ def _of_feet(
         at = ((urdf.place("link", link) if here is None else here.place()).path, stated.path)
         both = {"one": sides[0][1], "two": sides[1][1], **FORMATS.named}
         if not (one and two):
-            told = diagnose("foot-touches-in-one-file", subject=subject, **both)
+            message = diagnose("foot-touches-in-one-file", subject=subject, **both)
             found = [None if not side else "there" for side in (one, two)]
-            yield Difference("collision", name, found[0], found[1], "", told, {}, *at)
+            yield Difference("collision", name, found[0], found[1], "", message, {}, *at)
             continue
         lower = sides[0][0] - sides[1][0]  # of the MJCF's
         if abs(lower) > SAME_CONTACT:
-            told = diagnose(
+            message = diagnose(
                 "foot-surface-differs",
                 subject=subject,
                 lower=Quantity(lower, "m") if lower > 0 else None,
@@ -288,7 +288,7 @@ def _of_feet(
                 sides[0][0],
                 sides[1][0],
                 "m",
-                told,
+                message,
                 effects,
                 *at,
             )
@@ -725,8 +725,8 @@ def _explained(explanation: Explanation) -> float:
 
 
 def _name(urdf: str, mjcf: str) -> Difference:
-    told = diagnose("joint-name-differs", subject=("joint", mjcf), urdf=urdf, mjcf=mjcf)
-    return Difference("name", mjcf, urdf, mjcf, "", told, {})
+    message = diagnose("joint-name-differs", subject=("joint", mjcf), urdf=urdf, mjcf=mjcf)
+    return Difference("name", mjcf, urdf, mjcf, "", message, {})
 
 
 def _servo_gains(
@@ -744,7 +744,7 @@ def _servo_gains(
         units = (("N m/rad", "N m s/rad"), ("N/m", "N s/m"))[joints[name].slides]
         for kind, one, two, unit in zip(SERVO_GAINS, mine, theirs[name], units, strict=True):
             if abs(two - one) > tolerances.damping * max(abs(one), abs(two)):
-                told = diagnose(
+                message = diagnose(
                     "joint-number-differs",
                     subject=("joint", name),
                     what=Term(kind),
@@ -752,7 +752,7 @@ def _servo_gains(
                     **number_pair(one, two, unit),
                     **FORMATS.named,
                 )
-                yield Difference(kind, name, one, two, unit, told, {})
+                yield Difference(kind, name, one, two, unit, message, {})
 
 
 def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:

@@ -335,7 +335,7 @@ VERSIONS = ModelNames(Term("the old file"), Term("the new file"), alike=True)
 """Two files of one format."""
 
 
-def with_names_of_models(told: Diagnostic, names: Mapping[str, Term]) -> Diagnostic:
+def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diagnostic:
     """Returns a difference with other names of the models, {name: other name}."""
 
     def renamed(value: Any) -> Any:
@@ -345,8 +345,8 @@ def with_names_of_models(told: Diagnostic, names: Mapping[str, Term]) -> Diagnos
             return with_names_of_models(value, names)
         return names.get(str(value), value) if isinstance(value, Term) else value
 
-    values = {key: renamed(value) for key, value in told.values.items()}
-    return replace(told, values=FrozenDict(values)) if names else told
+    values = {key: renamed(value) for key, value in message.values.items()}
+    return replace(message, values=FrozenDict(values)) if names else message
 
 
 def number_pair(one: float, two: float, unit: str) -> dict[str, Any]:

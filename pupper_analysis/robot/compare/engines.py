@@ -592,8 +592,8 @@ def _evaluations(
             description.urdf, description.urdf_source, robot.mj_model, robot.mj_base, robot.imu
         )
     except ModelError as error:
-        told = error.diagnostic.values["problem"]
-        left_out.append(diagnose("urdf-not-in-mujoco", problem=told))
+        message = error.diagnostic.values["problem"]
+        left_out.append(diagnose("urdf-not-in-mujoco", problem=message))
     pairs = some_of(robot, _pairs(robot))
     urdf_frames = {name: pair[0] for name, pair in pairs.items()}
     mjcf_frames = {name: pair[1] for name, pair in pairs.items()}

@@ -156,7 +156,7 @@ def find_springs(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             value["rest"] = float(model.qpos_spring[model.jnt_qposadr[joint]])
         if model.jnt_springyield[joint]:
             value["yield"] = float(model.jnt_springyield[joint])
-        told = diagnose(
+        message = diagnose(
             "spring-of-the-mjcf-alone",
             subject=("joint", name),
             stiffness=Quantity(linear, f"{force}/{length}"),
@@ -170,7 +170,7 @@ def find_springs(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             name,
             value,
             f"{force}/{length}",
-            told,
+            message,
             (("jnt_stiffness", joint), ("jnt_stiffnesspoly", joint)),
         )
 
@@ -186,9 +186,9 @@ def find_damping_polynomials(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             values = [float(each) for each in model.dof_dampingpoly[first]]
             name = scene.joint_name(joint)
             powers = Vector(tuple(values), "1")
-            told = diagnose("damping-in-higher-powers", subject=("joint", name), powers=powers)
+            message = diagnose("damping-in-higher-powers", subject=("joint", name), powers=powers)
             slots = (("dof_dampingpoly", dofs),)
-            yield MjcfOnlyEffect("damping polynomial", name, values, "", told, slots)
+            yield MjcfOnlyEffect("damping polynomial", name, values, "", message, slots)
 
 
 def find_gravity_compensation(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
@@ -198,13 +198,13 @@ def find_gravity_compensation(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         share = float(model.body_gravcomp[body])
         if share and model.body_mass[body] and model.body_weldid[body]:
             name = scene.name("body", body)
-            told = diagnose(
+            message = diagnose(
                 "gravity-compensation-of-the-mjcf-alone",
                 subject=("body", name),
                 share=Quantity(share, "1"),
             )
             slots = (("body_gravcomp", body),)
-            yield MjcfOnlyEffect("gravity compensation", name, share, "", told, slots)
+            yield MjcfOnlyEffect("gravity compensation", name, share, "", message, slots)
 
 
 def free_joint_friction(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
@@ -215,8 +215,8 @@ def free_joint_friction(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         if model.jnt_type[joint] == JointKind.FREE and value:
             name = scene.joint_name(joint)
             friction = Quantity(value, "N and N m")
-            told = diagnose("free-joint-friction", subject=("body", name), friction=friction)
-            yield MjcfOnlyEffect("dry friction", name, value, "", told)
+            message = diagnose("free-joint-friction", subject=("body", name), friction=friction)
+            yield MjcfOnlyEffect("dry friction", name, value, "", message)
 
 
 def find_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
@@ -232,8 +232,8 @@ def find_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         name = scene.name("tendon", tendon)
         arrays = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature")
         slots = tuple((f"tendon_{array}", tendon) for array in arrays) if acts else ()
-        told = diagnose("tendon-of-the-mjcf-alone", subject=("tendon", name), terms=terms)
-        yield MjcfOnlyEffect("tendon", name, value, "", told, slots)
+        message = diagnose("tendon-of-the-mjcf-alone", subject=("tendon", name), terms=terms)
+        yield MjcfOnlyEffect("tendon", name, value, "", message, slots)
 
 
 def _tendon_terms(
@@ -326,11 +326,11 @@ def find_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             slots.append(("actuator_dampingpoly", motor))
         name = scene.name("actuator", motor)
         if acts_without_command(model, motor) and not scene.off(DISABLE.mjDSBL_ACTUATION):
-            told = diagnose("dc-motor-of-the-mjcf-alone", subject=("actuator", name))
+            message = diagnose("dc-motor-of-the-mjcf-alone", subject=("actuator", name))
             group = ("actuator_group", motor)  # 0 is off in `as_it_is`
-            yield MjcfOnlyEffect("actuator", name, "DC motor", "", told, (group,))
+            yield MjcfOnlyEffect("actuator", name, "DC motor", "", message, (group,))
         if value:
-            told = diagnose(
+            message = diagnose(
                 "actuator-terms-of-the-mjcf-alone",
                 subject=("actuator", name),
                 armature=value.get("armature"),
@@ -338,7 +338,7 @@ def find_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
                 higher=Vector(tuple(higher), "1") if higher.any() else None,
                 gear=Vector(tuple(actuator_gear(model, motor)), "1"),
             )
-            yield MjcfOnlyEffect("actuator", name, value, "", told, tuple(slots))
+            yield MjcfOnlyEffect("actuator", name, value, "", message, tuple(slots))
 
 
 def _drives(scene: NamedModel, motor: int) -> set[int]:
@@ -409,14 +409,14 @@ def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     if option.density or option.viscosity:
         wind = [float(each) for each in option.wind]
         value = {"density": option.density, "viscosity": option.viscosity, "wind": wind}
-        told = diagnose(
+        message = diagnose(
             "fluid-of-the-mjcf-alone",
             density=Quantity(option.density, "kg/m^3"),
             viscosity=Quantity(option.viscosity, "Pa s"),
             wind=Vector(tuple(wind), "m/s"),
         )
         slots: tuple[Slot, ...] = (("opt.density", 0), ("opt.viscosity", 0))
-        yield MjcfOnlyEffect("fluid", "option", value, "", told, slots)
+        yield MjcfOnlyEffect("fluid", "option", value, "", message, slots)
 
 
 def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
@@ -503,9 +503,9 @@ def find_flexes(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     filled = [f"flex_{array}" for array in arrays if getattr(model, f"flex_{array}").any()]
     if touched & scene.bodies:
         name = scene.name("flex", 0)
-        told = diagnose("flex-of-the-mjcf-alone", subject=("flex", name))
+        message = diagnose("flex-of-the-mjcf-alone", subject=("flex", name))
         slots = tuple((array, everything) for array in filled)
-        yield MjcfOnlyEffect("flex", name, model.nflex, "", told, slots)
+        yield MjcfOnlyEffect("flex", name, model.nflex, "", message, slots)
 
 
 def find_plugins(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
@@ -513,16 +513,16 @@ def find_plugins(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     for body in sorted(scene.bodies):
         if scene.model.body_plugin[body] >= 0:
             name = scene.name("body", body)
-            told = diagnose("plugin-of-the-mjcf-alone", subject=("body", name))
-            yield MjcfOnlyEffect("plugin", name, int(scene.model.body_plugin[body]), "", told)
+            message = diagnose("plugin-of-the-mjcf-alone", subject=("body", name))
+            yield MjcfOnlyEffect("plugin", name, int(scene.model.body_plugin[body]), "", message)
 
 
 def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """What the file states and switches off again; springs and damping are 0 then."""
     for bit, word, what in _FLAGS:
         if scene.off(bit):
-            told = diagnose("flag-of-the-mjcf-alone", subject=("flag", word), what=Term(what))
-            yield MjcfOnlyEffect("flag", word, "disable", "", told)
+            message = diagnose("flag-of-the-mjcf-alone", subject=("flag", word), what=Term(what))
+            yield MjcfOnlyEffect("flag", word, "disable", "", message)
 
 
 # MuJoCo's eq_objtype is for constraints that take bodies or sites.

@@ -135,14 +135,14 @@ def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[D
     """Says of which links or bodies a mass, a com or an inertia is made, with their lines."""
     if difference.kind not in ("mass", "com", "inertia"):
         return ()
-    told = []
+    messages = []
     for file, sources in (("URDF", urdf), ("MJCF", mjcf)):
         heavy = [(name, mass) for name, mass in sources.members(difference.element) if mass]
         if len(heavy) < 2:
             continue
         total = sum(mass for _, mass in heavy)
         heavy.sort(key=lambda member: -member[1])
-        members_told = [
+        listed_members = [
             diagnose(
                 "share-of-a-body",
                 subject=("body", name),
@@ -153,16 +153,16 @@ def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[D
             for name, mass in heavy[:_LISTED]
         ]
         rest = total - sum(mass for _, mass in heavy[:_LISTED])
-        told.append(
+        messages.append(
             diagnose(
                 "body-is-made-of",
                 file=file,
-                members=members_told,
+                members=listed_members,
                 more=len(heavy[_LISTED:]),
                 rest=Quantity(rest, "kg"),
             )
         )
-    return tuple(told)
+    return tuple(messages)
 
 
 _LISTED = 6
@@ -352,10 +352,10 @@ def find_exchanged(case: PatternCase) -> Found:
             pairs.append((one, two))
             second, gone = _renamed(second, exchange), gone | (before - after)
     if pairs:
-        limbs_told = [diagnose("limbs-of-a-pair", one=one, two=two) for one, two in pairs]
+        listed_limbs = [diagnose("limbs-of-a-pair", one=one, two=two) for one, two in pairs]
         yield PatternFinding(
             "exchanged",
-            diagnose("limbs-exchanged", pairs=limbs_told, count=len(gone), total=len(case.keys)),
+            diagnose("limbs-exchanged", pairs=listed_limbs, count=len(gone), total=len(case.keys)),
             gone,
         )
 
@@ -607,16 +607,16 @@ def masses_of_geoms(case: PatternCase) -> Found:
             for tree in (case.first, case.second)
         )
         bodies = [body for name in movers for body in made[name]]
-        told = diagnose("masses-of-geoms", bodies=bodies, urdf=urdf, mjcf=mjcf)
-        yield PatternFinding("geoms", told, found)
+        message = diagnose("masses-of-geoms", bodies=bodies, urdf=urdf, mjcf=mjcf)
+        yield PatternFinding("geoms", message, found)
 
 
 def closed_loops(case: PatternCase) -> Found:
     """Puts together what an MJCF alone holds by equality constraints."""
     found = [name for kind, name in case.open if kind == "equality"]
     if len(found) > 1:
-        told = diagnose("equalities-of-the-mjcf-alone", names=found)
-        yield PatternFinding("equalities", told, {("equality", name) for name in found})
+        message = diagnose("equalities-of-the-mjcf-alone", names=found)
+        yield PatternFinding("equalities", message, {("equality", name) for name in found})
 
 
 @dataclass(frozen=True, eq=False)
@@ -657,10 +657,10 @@ def other_links(case: PatternCase) -> Found:
         else:
             yield PatternFinding("scaled links", _scaled(group), explained)
     for name in differ:
-        told = None if ("mass", name) in case.open else _moved(case, name)
-        if told is not None:
+        message = None if ("mass", name) in case.open else _moved(case, name)
+        if message is not None:
             keys = {key for key in case.open if key[0] in OF_INERTIALS and key[1] == name}
-            yield PatternFinding("moved link", told, keys)
+            yield PatternFinding("moved link", message, keys)
 
 
 def _moved(case: PatternCase, name: str) -> Diagnostic | None:
@@ -778,12 +778,12 @@ def _lacking(slips: Sequence[_Slip], known: Sequence[str]) -> Diagnostic:
     groups = sorted(
         by_pattern(list(links)).items(), key=lambda group: -sum(links[name] for name in group[1])
     )
-    told = []
+    messages = []
     for pattern, names in groups:
         masses = [links[name] for name in names]
         every = sum(fnmatchcase(name, pattern) for name in known)
         alike = len(names) > 1 and math.isclose(min(masses), max(masses), rel_tol=1e-6)
-        told.append(
+        messages.append(
             diagnose(
                 "links-of-a-pattern",
                 pattern=pattern,
@@ -794,7 +794,7 @@ def _lacking(slips: Sequence[_Slip], known: Sequence[str]) -> Diagnostic:
             )
         )
     mass = Quantity(sum(links.values()), "kg")
-    return diagnose("links-lacking", lacks=slips[0].lacks, has=other, mass=mass, links=told)
+    return diagnose("links-lacking", lacks=slips[0].lacks, has=other, mass=mass, links=messages)
 
 
 def _scaled(slips: Sequence[_Slip]) -> Diagnostic:

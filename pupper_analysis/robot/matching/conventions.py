@@ -93,8 +93,8 @@ def find_conventions(
     if base is not None:
         # What is on the base must not have to pay for it further out.
         as_it_is = align_frames(second, first, tolerances).values
-        told = digits_in_all(first, as_it_is, tolerances)
-        if told < digits_in_all(placed, in_place, tolerances):
+        message = digits_in_all(first, as_it_is, tolerances)
+        if message < digits_in_all(placed, in_place, tolerances):
             base, placed, in_place = None, first, as_it_is
     first, second = placed, in_place
     zeros = {}
@@ -304,7 +304,7 @@ def take_conventions(
                     limit.set(word, repr(float(limit.get(word, "0")) - offset))
 
 
-def pose_told(pose: pin.SE3) -> Diagnostic:
+def describe_pose(pose: pin.SE3) -> Diagnostic:
     """Says where a frame is in another."""
     turn = pin.log3(pose.rotation)
     angle = float(np.linalg.norm(turn))

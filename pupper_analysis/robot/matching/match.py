@@ -40,8 +40,8 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.matching.alignment import with_base
 from pupper_analysis.robot.matching.conventions import (
     Conventions,
+    describe_pose,
     find_conventions,
-    pose_told,
     take_conventions,
 )
 from pupper_analysis.robot.matching.mjcf import (
@@ -441,11 +441,13 @@ def _conventions(robot: Robot, tolerances: Tolerances) -> tuple[Conventions, lis
         return find_conventions(urdf, mjcf, tolerances, fixed=False), []
     pose, notes, base = base_pose(robot), [], ("body", robot.mj_base)
     if not pose.isIdentity(1e-9):
-        notes.append(diagnose("fixed-base-stands", subject=base, pose=pose_told(pose)))
+        notes.append(diagnose("fixed-base-stands", subject=base, pose=describe_pose(pose)))
     one, two = (with_base(tree, pose.inverse()) for tree in (urdf, mjcf))
     found = find_conventions(one, two, tolerances, fixed=True)
     if found.base is not None and found.shown:
-        notes.append(diagnose("fixed-base-frame-moved", subject=base, pose=pose_told(found.base)))
+        notes.append(
+            diagnose("fixed-base-frame-moved", subject=base, pose=describe_pose(found.base))
+        )
     return found, notes
 
 
@@ -575,7 +577,7 @@ def take_unknown(
     Returns:
         What was given to which.
     """
-    told, mine = [], UrdfTree(root).joints
+    messages, mine = [], UrdfTree(root).joints
     theirs = {joint.name: joint for joint in spec.joints}
     for kind, names in unknown.items():
         one = BY_KIND[kind]
@@ -588,7 +590,7 @@ def take_unknown(
             for model in models if one.mujoco else ():
                 getattr(model, one.mujoco)[model.jnt_dofadr[model.joint(name).id]] = value
         if given:
-            told.append(
+            messages.append(
                 diagnose("unknown-taken-from-urdf", file=source.name, what=Term(kind), joints=given)
             )
-    return told
+    return messages

@@ -197,8 +197,8 @@ def open_loops(
             through |= dict.fromkeys(name for name in gone if name in joints)
             freed |= dict.fromkeys(sorted(joints - set(gone) - driven))
             spec.delete(equality)
-    told = [diagnose("loops-opened", constraints=opened, freed=freed)] if opened else []
-    return tuple(through), told
+    messages = [diagnose("loops-opened", constraints=opened, freed=freed)] if opened else []
+    return tuple(through), messages
 
 
 def _joints_between(

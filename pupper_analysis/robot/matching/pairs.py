@@ -47,7 +47,7 @@ def pair_up(
     """
     mine, theirs = joints
     pairs = {old: new for old, new in wanted.items() if old in mine and new in theirs}
-    told = len(pairs)
+    message = len(pairs)
     taken = set(pairs.values())
     known, used = set(theirs), {*pairs, *taken}
     pairs |= {name: name for name in mine if name in known and name not in used}
@@ -64,7 +64,7 @@ def pair_up(
     if not pairs and not choices:
         problem = diagnose("no-joint-paired", other=files[1], urdf=mine, mjcf=theirs)
         raise ModelError(files[0], problem)
-    if (2 * len(pairs) < fewer and len(pairs) > told) or not pairs:
+    if (2 * len(pairs) < fewer and len(pairs) > message) or not pairs:
         partners = set(pairs.values())
         raise ModelError(
             files[0],

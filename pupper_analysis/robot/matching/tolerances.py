@@ -52,8 +52,8 @@ class Tolerances:
         for kind in fields(self):
             value = getattr(self, kind.name)
             if not value > 0:
-                told = diagnose("tolerance-not-positive", kind=kind.name, value=value)
-                raise ConfigurationError("tolerance", told)
+                message = diagnose("tolerance-not-positive", kind=kind.name, value=value)
+                raise ConfigurationError("tolerance", message)
 
     @staticmethod
     def strict() -> Tolerances:
@@ -69,6 +69,6 @@ class Tolerances:
         valid = [kind.name for kind in fields(self)]
         for kind in changes:
             if kind not in valid:
-                told = diagnose("tolerance-unknown", kind=kind, known=valid)
-                raise ConfigurationError("tolerance", told)
+                message = diagnose("tolerance-unknown", kind=kind, known=valid)
+                raise ConfigurationError("tolerance", message)
         return replace(self, **changes)

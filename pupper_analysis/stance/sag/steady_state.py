@@ -411,8 +411,8 @@ class HomotopyPath:
         while True:
             found = self.system.solve(self.solution, exact=exact)
             if found is None:
-                told = diagnose("equilibrium-ends", when=when, loops=self._begun_closed())
-                raise NoEquilibriumError(self.share, told)
+                message = diagnose("equilibrium-ends", when=when, loops=self._begun_closed())
+                raise NoEquilibriumError(self.share, message)
             self.iterations += len(found.residuals) - 1
             wrong = self.system.against(found)
             if not wrong:
@@ -754,8 +754,8 @@ def _failures(
     for foot, force in solution.forces.items():
         if foot not in stand.stance_feet:
             force_up = Quantity(force[2], "N")
-            told = diagnose("lifted-foot-presses", subject=("foot", foot), force=force_up)
-            failures.append(told)
+            message = diagnose("lifted-foot-presses", subject=("foot", foot), force=force_up)
+            failures.append(message)
     touching = {foot for foot, force in solution.forces.items() if force[2] > 0}
     failures += [
         diagnose("foot-slides", subject=("foot", foot))

@@ -35,7 +35,7 @@ def variants_table(variants: Iterable[tuple[VariantSpec, Robot]]) -> Table:
             Column(Name("leg_scale"), "1"),
             Column(Name("torso_mass_scale"), "1"),
             Column(text("mass"), "kg"),
-            Column(text("stand-height"), "m"),
+            Column(text("stand-height"), "mm"),
         ),
         tuple(
             (
@@ -44,7 +44,7 @@ def variants_table(variants: Iterable[tuple[VariantSpec, Robot]]) -> Table:
                 number_cell(spec.leg_scale, "g"),
                 number_cell(spec.torso_mass_scale, "g"),
                 number_cell(robot.total_mass, ".3f"),
-                number_cell(robot.stand_height, ".4f"),
+                number_cell(robot.stand_height, ".1f", scale=1e3),
             )
             for spec, robot in variants
         ),
@@ -160,7 +160,7 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
         ("mass-ratio", "1", "mass_ratio", ".3f", 1.0),
         ("thigh-ratio-hip-to-knee", "1", "thigh_ratio", ".3f", 1.0),
         ("thigh-ratio-drawn-shape", "1", "thigh_shape_ratio", ".3f", 1.0),
-        ("stand-height", "m", "height", ".4f", 1.0),
+        ("stand-height", "mm", "height", ".1f", 1e3),
         ("peak-torque", "N m", "peak_torque", ".3f", 1.0),
         ("peak-utilisation", "%", "peak_utilisation", ".1f", 100.0),
         ("servo-sag", "mm", "servo_sag", ".3f", 1e3),

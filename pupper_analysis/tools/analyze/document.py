@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -28,7 +29,7 @@ from pupper_analysis.present.documents.sources import (
     joint_places,
     page_of,
 )
-from pupper_analysis.present.documents.standing import quantity_columns, task_text
+from pupper_analysis.present.documents.standing import ground_word, quantity_columns, task_text
 from pupper_analysis.present.verdict import lines_to_read, verdict_of_files
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
@@ -64,7 +65,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         passed=analysis.verified,
         verdict=_verdict_word(analysis),
         failures=tuple(map(doc.tell, analysis.failures)),
-        told=(*_key_figures(analysis), *first, *_fall(analysis.sagging)),
+        findings=(*_key_figures(analysis), *first, *_fall(analysis.sagging)),
         details=(*more, *_surprises(analysis)),
         brief=True,
         notes=tuple(map(doc.tell, analysis.notes)),
@@ -86,6 +87,7 @@ def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     peak = text(
         "mass-kg-peak-torque-torque",
         mass=f"{analysis.total_mass:.3f}",
+        ground=ground_word(analysis.stand.depths.values()),
         torque=f"{statics.joint_torques[most]:+.3f}",
         joint=doc.Name(statics.joint_names[most]),
     )
@@ -153,7 +155,7 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
                 nv=analysis.nv,
                 nu=analysis.nu,
                 mass=f"{analysis.total_mass:.3f}",
-                com=doc.vector_cell(analysis.center_of_mass, "+.4f"),
+                com=doc.vector_cell(1e3 * analysis.center_of_mass, "+.1f"),
             ),
             text(
                 "thigh-thigh-calf-calf",
@@ -184,12 +186,13 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
     places = {} if robot is None else joint_places(robot)
     rows: list[tuple[doc.Cell, ...]] = []
     for joint in analysis.joints:
+        scale = 1e3 if joint.slides else math.degrees(1.0)
         cells: list[doc.Cell] = [
             doc.Name(joint.name),
             word(joint.motion),
             doc.vector_cell(joint.axis, "+.2f" if joint.oblique else "+.0f"),
-            doc.number_cell(joint.lower, "+.2f"),
-            doc.number_cell(joint.upper, "+.2f"),
+            doc.number_cell(joint.lower, "+.1f", scale=scale),
+            doc.number_cell(joint.upper, "+.1f", scale=scale),
             *(
                 doc.number_cell(value, "g")
                 for value in (
@@ -209,6 +212,8 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
     )
     origins = (joint.effort_origin for joint in analysis.joints)
     notes: list[doc.Words] = [text("axes-at-zero-angles")]
+    if slides := [joint.name for joint in analysis.joints if joint.slides]:
+        notes.append(text("limits-of-slides", joints=", ".join(slides)))
     if robot is not None and is_derived(robot):
         notes.append(text("source-lines-of-files"))
     return doc.Table(
@@ -217,8 +222,8 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
             doc.Column(text("joint"), left=True),
             doc.Column(text("motion"), left=True),
             doc.Column(text("axis"), "1", left=True),
-            doc.Column(text("lower limit"), "rad"),
-            doc.Column(text("upper limit"), "rad"),
+            doc.Column(text("lower limit"), "°"),
+            doc.Column(text("upper limit"), "°"),
             doc.Column(text("effort"), "N m"),
             doc.Column(text("velocity"), "rad/s"),
             doc.Column(text("armature"), "kg m²"),
@@ -242,18 +247,18 @@ def _millimetres(length: float | None) -> str:
 def _stand(analysis: Analysis) -> doc.Block:
     stand = analysis.stand
     rows = (
-        ("feet-off-their-targets-by-pinocchio", "m", stand.foot_error),
-        ("feet-off-their-targets", "m", analysis.verification.mujoco_foot_error),
-        ("orientation-of-the-base", "rad", stand.orientation_error),
-        ("height-of-the-base", "m", stand.height_error),
-        ("com", "m", stand.com_error),
+        ("feet-off-their-targets-by-pinocchio", "mm", 1e3, stand.foot_error),
+        ("feet-off-their-targets", "mm", 1e3, analysis.verification.mujoco_foot_error),
+        ("orientation-of-the-base", "deg", math.degrees(1.0), stand.orientation_error),
+        ("height-of-the-base", "mm", 1e3, stand.height_error),
+        ("com", "mm", 1e3, stand.com_error),
     )
     return doc.Table(
         text("errors-of-the-solved-stand", count=stand.iterations),
         quantity_columns(of="deviation"),
         tuple(
-            (text(name), doc.number_cell(value, ".1e"), doc.Name(unit))
-            for name, unit, value in rows
+            (text(name), doc.number_cell(value, ".1e", scale=scale), doc.Name(unit))
+            for name, unit, scale, value in rows
         ),
         (task_text(stand.task),),
         (

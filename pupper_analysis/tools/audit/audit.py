@@ -56,8 +56,8 @@ def audit_model(
     unwanted = tuple(dict.fromkeys(disabled))
     unknown = [name for name in unwanted if name not in RULES]
     if unknown:
-        told = diagnose("rules-unknown", names=unknown, known=RULES)
-        raise ConfigurationError("disabled", told)
+        message = diagnose("rules-unknown", names=unknown, known=RULES)
+        raise ConfigurationError("disabled", message)
     reader = reader_of(Path(path))
     with warnings.catch_warnings(), np.errstate(all="ignore"), silence_mujoco():
         warnings.simplefilter("ignore")  # MuJoCo's, about models that the rules are about
@@ -118,8 +118,8 @@ def _finding(file: ModelFile, rule: Rule, found: Found) -> Finding:
     if place is None:
         place = Place(file.path)
     severity = found.severity or rule.severity
-    told = replace(
-        found.told,
+    message = replace(
+        found.message,
         severity=severity,
         subject=Subject(found.kind, found.name),
         sources=(place.source,),
@@ -133,5 +133,5 @@ def _finding(file: ModelFile, rule: Rule, found: Found) -> Finding:
         element=f"{found.kind} {found.name!r}" if found.name else found.kind,
         why=rule.why,
         todo=rule.todo,
-        diagnostic=told,
+        diagnostic=message,
     )

@@ -49,7 +49,7 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         passed=audit.passed,
         verdict=passed if audit.passed else text("audit-errors"),
         warned=audit.passed and suspect,
-        told=(join_words([*counts, rules]),),
+        findings=(join_words([*counts, rules]),),
         notes=tuple(map(doc.tell, audit.notes)),
     )
 
@@ -80,8 +80,8 @@ def _groups(audit: Audit) -> Iterable[doc.Sides]:
 def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]) -> doc.Sides:
     """Returns findings of which only the element is another."""
     first, *others = group
-    told = doc.tell(first.diagnostic)
-    said = text("element-message", element=element_text(first.diagnostic), message=told)
+    message = doc.tell(first.diagnostic)
+    said = text("element-message", element=element_text(first.diagnostic), message=message)
     if others:
         names = join_words(element_text(other.diagnostic) for other in others)
         said = text("finding-likewise-names", finding=said, names=names)

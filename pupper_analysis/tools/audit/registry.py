@@ -111,7 +111,7 @@ class Finding(Result):
     diagnostic: Diagnostic
     prim: str | None = None
 
-    _told = ("message",)
+    _reported = ("message",)
 
     @property
     def message(self) -> str:

@@ -160,8 +160,8 @@ def _objective(value: str) -> Objective:
     try:
         return Objective(value)
     except ValueError as error:
-        told = diagnose("none-of", value=value, known=Objective)
-        raise ConfigurationError("objective", told) from error
+        message = diagnose("none-of", value=value, known=Objective)
+        raise ConfigurationError("objective", message) from error
 
 
 def _active(space: StanceSpace, best: EvaluatedStance) -> tuple[str, ...]:

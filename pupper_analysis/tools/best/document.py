@@ -27,14 +27,14 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     """Returns the best stance, how it was found, and what is found out about it; see ``build``."""
     found = stance_document(study.stance, robot)
     blocks: tuple[doc.Block, ...] = (_coordinates(study.best), *found.blocks)
-    told: tuple[doc.Words, ...] = (_search(study.best), *found.told)
+    messages: tuple[doc.Words, ...] = (_search(study.best), *found.findings)
     details = found.details
     failures, verdict = found.failures, found.verdict
     if study.best.payload is not None:
         loaded = document(study.best.payload)
         blocks = (*(block for block in loaded.blocks if isinstance(block, doc.Table)), *blocks)
         # The stance of both is the same, and told once.
-        told += tuple(line for line in loaded.told if line not in found.told)
+        messages += tuple(line for line in loaded.findings if line not in found.findings)
         details += tuple(line for line in loaded.details if line not in found.details)
         failures += loaded.failures
         verdict = verdict if loaded.passed else loaded.verdict
@@ -45,7 +45,7 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
         passed=study.passed,
         verdict=verdict,
         failures=failures,
-        told=told,
+        findings=messages,
         details=details,
     )
 

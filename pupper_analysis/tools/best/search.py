@@ -115,12 +115,12 @@ class StanceSearch:
     def _check_limits(self) -> None:
         robot = self.robot
         if not self.bears.any():
-            told = diagnose("no-effort-limits", robot=robot.name)
-            raise ConfigurationError("objective", told)
+            message = diagnose("no-effort-limits", robot=robot.name)
+            raise ConfigurationError("objective", message)
         none = np.flatnonzero(self.limits <= 0)
         if len(none):
-            told = diagnose("effort-limit-is-zero", joint=robot.joint_names[none[0]])
-            raise ConfigurationError("objective", told)
+            message = diagnose("effort-limit-is-zero", joint=robot.joint_names[none[0]])
+            raise ConfigurationError("objective", message)
 
     def value(self, stand: Stand) -> float:
         """Returns the utilisation, or the margin (m), of a stand."""

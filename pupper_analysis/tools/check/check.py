@@ -77,8 +77,10 @@ def of_history(
             "diff", pair.name, change.kind, change.element, named, change.diagnostic, bad,
             change.new_place or str(file), consequences=change.consequences,
         )  # fmt: skip
-    for told in diff.together:
-        yield remark_of("diff", pair.name, TOGETHER, "", named, told, _severity((told,)), str(file))
+    for message in diff.together:
+        yield remark_of(
+            "diff", pair.name, TOGETHER, "", named, message, _severity((message,)), str(file)
+        )
 
 
 def _of_effects(felt: bool) -> Severity:
@@ -87,8 +89,8 @@ def _of_effects(felt: bool) -> Severity:
 
 def _severity(consequences: tuple[Diagnostic, ...]) -> Severity:
     """Returns how bad a change is: who meant one tells why; a robot that falls nobody means."""
-    felt = [told for told in consequences if told.code != "simulation-unchanged"]
-    if any(told.values.get("falls") or told.values.get("diverges") for told in felt):
+    felt = [message for message in consequences if message.code != "simulation-unchanged"]
+    if any(message.values.get("falls") or message.values.get("diverges") for message in felt):
         return Severity.ERROR
     return _of_effects(bool(felt))
 
@@ -222,9 +224,11 @@ def _lasts(remark: Remark) -> bool:
 
 def _changed(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterator[Remark]:
     """Yields what has changed since a revision, but for what the comparison says itself."""
-    told, folder, done = list(found), config.path.parent, set()
-    refused = {remark.pair for remark in told if remark.kind == REFUSED}
-    differences = {(one.pair, one.kind, one.element) for one in told if one.check == "crosscheck"}
+    messages, folder, done = list(found), config.path.parent, set()
+    refused = {remark.pair for remark in messages if remark.kind == REFUSED}
+    differences = {
+        (one.pair, one.kind, one.element) for one in messages if one.check == "crosscheck"
+    }
     with open_revision(since, folder.absolute()) as before:
         for pair in config.pairs:
             for file in (pair.urdf, pair.mjcf):

@@ -230,8 +230,8 @@ class _Reader:
         for number, entry in enumerate(entries):
             for pair in self.pairs(entry, ("pair", number)):
                 if pair.name in [other.name for other in pairs]:
-                    told = diagnose("pair-twice", pair=pair.name)
-                    raise self.file.error(("pair", number, "name"), told)
+                    message = diagnose("pair-twice", pair=pair.name)
+                    raise self.file.error(("pair", number, "name"), message)
                 pairs = (*pairs, pair)
         baseline = self.folder / (self.text(top, (), "baseline") or BASELINE)
         return GuardConfig(self.file.path, pairs, fail_on, baseline, self.file)
@@ -270,8 +270,8 @@ class _Reader:
         except (NotImplementedError, ValueError) as error:
             raise self.invalid(key, pattern, Term("a pattern relative to this file")) from error
         if not paths:
-            told = diagnose("no-file-matches", key=str(key[-1]), pattern=pattern)
-            raise self.file.error(key, told)
+            message = diagnose("no-file-matches", key=str(key[-1]), pattern=pattern)
+            raise self.file.error(key, message)
         return [path.relative_to(self.folder).as_posix() for path in paths]
 
     def pair(self, entry: dict[str, Any], key: Key) -> GuardedPair:
@@ -305,8 +305,8 @@ class _Reader:
         for text in found:
             path = self.folder / text
             if not path.exists() and not (self.folder / text.rpartition(":")[0]).is_file():
-                told = diagnose("pair-file-missing", key=tool, file=text)
-                raise self.file.error((*key, tool), told)
+                message = diagnose("pair-file-missing", key=tool, file=text)
+                raise self.file.error((*key, tool), message)
         return tuple(self.folder / text for text in found)
 
     def model(self, entry: dict[str, Any], key: Key, kind: str) -> Path | None:
@@ -315,8 +315,8 @@ class _Reader:
             return None
         path = self.folder / text
         if not is_input(path):
-            told = diagnose("pair-file-missing", key=kind, file=text)
-            raise self.file.error((*key, kind), told)
+            message = diagnose("pair-file-missing", key=kind, file=text)
+            raise self.file.error((*key, kind), message)
         return path
 
     def names(self, entry: dict[str, Any], key: Key) -> dict[str, str]:
@@ -326,8 +326,8 @@ class _Reader:
             if not isinstance(new, str):
                 raise self.invalid((*key, "map", old), new, Term("the name in the MJCF, in quotes"))
             if names.setdefault(old, new) != new:
-                told = diagnose("mapped-to-both", joint=old, one=names[old], other=new)
-                raise self.file.error((*key, "map", old), told)
+                message = diagnose("mapped-to-both", joint=old, one=names[old], other=new)
+                raise self.file.error((*key, "map", old), message)
         return names
 
     def packages(self, entry: dict[str, Any], key: Key) -> dict[str, Path]:
@@ -364,13 +364,13 @@ class _Reader:
         for name in table:
             if name not in valid:
                 inside = ".".join(part for part in key if isinstance(part, str))
-                told = diagnose(
+                message = diagnose(
                     "rule-unknown" if rules else "key-unknown",
                     key=name,
                     within=inside,
                     known=valid,
                 )
-                raise self.file.error((*key, name), told)
+                raise self.file.error((*key, name), message)
 
     def text(self, table: dict[str, Any], key: Key, name: str) -> str | None:
         value = table.get(name)
@@ -401,8 +401,8 @@ class _Reader:
         return value
 
     def invalid(self, key: Key, value: object, valid: Term | Diagnostic) -> ModelError:
-        told = diagnose("setting-not-valid", key=str(key[-1]), value=repr(value), valid=valid)
-        return self.file.error(key, told)
+        message = diagnose("setting-not-valid", key=str(key[-1]), value=repr(value), valid=valid)
+        return self.file.error(key, message)
 
 
 # The first `pupper-analysis.toml` of a repository: the models that its folders have.

@@ -40,7 +40,7 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
         tuple(blocks),
         passed=check.passed,
         verdict=text("passed") if check.passed else text("FAILED"),
-        told=(summarise_check(check),),
+        findings=(summarise_check(check),),
     )
 
 
@@ -57,7 +57,7 @@ def _groups(remarks: Iterable[Remark]) -> list[list[Remark]]:
 def _group(group: list[Remark]) -> doc.Sides:
     first, *others = group
     notes: list[doc.Words] = []
-    told = doc.tell(first.diagnostic if first.cause is None else first.cause)
+    message = doc.tell(first.diagnostic if first.cause is None else first.cause)
     if first.cause is not None:
         notes.append(text("this-alone-makes-count-differences", count=len(group)))
         notes.append(doc.tell(first.diagnostic))
@@ -84,9 +84,9 @@ def _group(group: list[Remark]) -> doc.Sides:
         for place in places
     )
     if first.check == "audit" and first.kind in RULES:
-        told = text("element-message", element=element_text(first.diagnostic), message=told)
+        message = text("element-message", element=element_text(first.diagnostic), message=message)
         notes.append(rule_words(first.kind, "todo"))
-    sides = doc.Sides(told, columns, tuple(notes), tag)
+    sides = doc.Sides(message, columns, tuple(notes), tag)
     return replace(sides, detail=not any(remark.fails for remark in group))
 
 
@@ -185,7 +185,7 @@ def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[
         for group in _findings(check.remarks)
         for place in (_places(group[0]) if in_a_change or _guarded(group[0]) else [group[0].place])
     ]
-    found += [_of_baseline("stale", told, check) for told in stale_entries(check)]
+    found += [_of_baseline("stale", message, check) for message in stale_entries(check)]
     return found
 
 
@@ -194,16 +194,16 @@ def _guarded(remark: Remark) -> bool:
     return remark.check not in ("crosscheck", "audit", "diff")
 
 
-def _of_baseline(kind: str, told: Diagnostic, check: RepositoryCheck) -> Annotation:
+def _of_baseline(kind: str, message: Diagnostic, check: RepositoryCheck) -> Annotation:
     return Annotation(
         "notice",
         f"{kind} baseline",
-        str(told),
+        str(message),
         check.baseline,
         rule=f"check/{kind}",
         about=about_kind(kind),
         known=False,
-        diagnostic=told,
+        diagnostic=message,
     )
 
 

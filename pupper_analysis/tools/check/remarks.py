@@ -97,15 +97,15 @@ class Remark(Result):
     cause: Diagnostic | None = None
     consequences: tuple[Diagnostic, ...] = ()
 
-    _told = ("message",)
+    _reported = ("message",)
 
     @property
     def message(self) -> str:
         """One sentence; of a finding also what to do."""
         if self.check != "audit" or self.kind not in RULES:
             return "; ".join(map(str, (self.diagnostic, *self.consequences)))
-        told = str(self.diagnostic).rstrip(".")
-        return f"{self.element}: {told}. {RULES[self.kind].todo}"
+        finding = str(self.diagnostic).rstrip(".")
+        return f"{self.element}: {finding}. {RULES[self.kind].todo}"
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
@@ -157,7 +157,7 @@ def of_comparison(comparison: Comparison, pair: GuardedPair, folder: Path) -> It
             difference.mjcf_place,
             cause=causes.get(number),
         )
-    told = [("part", "", part, comparison.urdf) for part in comparison.parts]
+    messages = [("part", "", part, comparison.urdf) for part in comparison.parts]
     for joints, path, other in (
         (comparison.only_urdf, comparison.urdf, comparison.mjcf),
         (comparison.only_mjcf, comparison.mjcf, comparison.urdf),
@@ -166,13 +166,13 @@ def of_comparison(comparison: Comparison, pair: GuardedPair, folder: Path) -> It
             lacks = diagnose(
                 "joint-not-in-file", subject=("joint", name), lacks=Path(other).name, sources=path
             )
-            told.append(("joint", name, lacks, path))
-    told += [("agreement", "", one, comparison.mjcf) for one in comparison.objections]
+            messages.append(("joint", name, lacks, path))
+    messages += [("agreement", "", one, comparison.mjcf) for one in comparison.objections]
     if pair.base not in (None, comparison.base):
         subject = Subject("body", comparison.base)
         another = diagnose("base-not-as-named", subject=subject, named=pair.base, pair=pair.name)
-        told.append(("base", comparison.base, another, comparison.urdf))
-    for kind, element, diagnostic, place in told:
+        messages.append(("base", comparison.base, another, comparison.urdf))
+    for kind, element, diagnostic, place in messages:
         yield remark_of(
             "crosscheck", pair.name, kind, element, file, diagnostic, Severity.ERROR, place
         )
@@ -231,13 +231,13 @@ def of_error(
 
 
 def remark_of(
-    check: str, pair: str, kind: str, element: str, file: str, told: Diagnostic, bad: Severity,
+    check: str, pair: str, kind: str, element: str, file: str, message: Diagnostic, bad: Severity,
     place: str | None, other_place: str | None = None, consequences: tuple[Diagnostic, ...] = (),
 ) -> Remark:  # fmt: skip
     """Returns a remark whose values are its diagnostic's."""
     return Remark(
-        check, pair, kind, element, file, to_baseline(told), bad, told, about_kind(kind), place,
-        other_place, consequences=consequences,
+        check, pair, kind, element, file, to_baseline(message), bad, message, about_kind(kind),
+        place, other_place, consequences=consequences,
     )  # fmt: skip
 
 

@@ -132,8 +132,8 @@ def read_contract(
             configurations that fit; one line that tells where, and what would be valid.
     """
     if fail_on not in list(map(str, Severity)):
-        told = diagnose("one-of", names=[str(each) for each in Severity])
-        raise ConfigurationError("fail_on", told)
+        message = diagnose("one-of", names=[str(each) for each in Severity])
+        raise ConfigurationError("fail_on", message)
     asked, folders = _asked(sources)
     read = [source for request in asked for source in _one_of(request, _read(request))]
     models = [one for one in read if one.role is Role.MODEL]
@@ -297,7 +297,7 @@ def _files(folder: Path) -> Iterator[Path]:
     return islice(found, MOST_FILES)
 
 
-def _told(one: Placed) -> SourceRead:
+def _source_read(one: Placed) -> SourceRead:
     source = one.source
     seen = tuple(name for name, _, _ in source.observations)
     return SourceRead(source.name, str(source.path), str(source.role), one.order, one.how,

@@ -27,7 +27,7 @@ SHOWN = 25
 @build_document.register(Contract)
 def contract_document(contract: Contract, _: Robot | None = None) -> doc.Document:
     """Returns what differs between sources, and what they state; see ``build_document``."""
-    told = text("contract-count", findings=len(contract.findings), facts=len(contract.facts),
+    message = text("contract-count", findings=len(contract.findings), facts=len(contract.facts),
                 sources=len(contract.sources))  # fmt: skip
     found = bool(contract.findings)
     agree = text("contract-agree") if not found else text("contract-agree-but")
@@ -38,7 +38,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
         passed=contract.passed,
         verdict=agree if contract.passed else text("contract-differ"),
         warned=contract.passed and found,
-        told=(told,),
+        findings=(message,),
         notes=tuple(map(doc.tell, contract.notes)),
     )
 
@@ -205,6 +205,6 @@ def contract_cases(contract: Contract) -> list[CheckedItem]:
         found = [one for one in contract.findings if one.kind == kind]
         failed = [one for one in found if one.severity is not Severity.NOTE]
         lines = [f"{one.places[0]}, {one.places[1]}: {one.message}" for one in failed]
-        told = tuple(one.diagnostic for one in failed)
-        cases.append(CheckedItem(kind, "\n".join(lines) or None, told))
+        messages = tuple(one.diagnostic for one in failed)
+        cases.append(CheckedItem(kind, "\n".join(lines) or None, messages))
     return cases

@@ -71,7 +71,7 @@ class Disagreement(Result):
     places: tuple[str, ...]
     effects: tuple[Diagnostic, ...] = ()
 
-    _told = ("message",)
+    _reported = ("message",)
 
     @property
     def message(self) -> str:
@@ -184,10 +184,10 @@ def _grouped(
     swapped = _exchange(one, two)
     if swapped:
         pairs = tuple(f"{joint} ↔ {whose}" for joint, whose in swapped.items() if joint < whose)
-        told = diagnose("contract-exchanged", what=Term(quantity), joints=tuple(joints),
+        message = diagnose("contract-exchanged", what=Term(quantity), joints=tuple(joints),
                         pairs=pairs or tuple(f"{a} → {b}" for a, b in swapped.items()),
                         file=names["second"], other=names["first"])  # fmt: skip
-        yield _finding(quantity, told, sides(joints[0]), kind.severity, joints=joints,
+        yield _finding(quantity, message, sides(joints[0]), kind.severity, joints=joints,
                        slip="order", unit=kind.unit)  # fmt: skip
         return
     groups: dict[tuple[float, float], list[str]] = {}
@@ -281,7 +281,7 @@ Side = tuple[Placed, Statement]
 
 def _finding(
     kind: str,
-    told: Diagnostic,
+    message: Diagnostic,
     sides: tuple[Side, Side],
     severity: Severity | None = Severity.ERROR,
     *,
@@ -295,7 +295,7 @@ def _finding(
         *((one.source.name, said.value, said.place.path) for one, said in sides), strict=True
     )
     return Disagreement(kind, slip, tuple(joints), names, values, unit, severity or Severity.NOTE,
-                        told, places, effects)  # fmt: skip
+                        message, places, effects)  # fmt: skip
 
 
 def _mirrored(
@@ -313,11 +313,11 @@ def _mirrored(
             sign = mirrored_sign(model, joint, other) if kind.mirrored < 0 else 1
             if like_mirror(one.value, two.value, sign):
                 continue
-            told = diagnose("contract-mirror", subject=("joint", joint), what=Term(quantity),
+            message = diagnose("contract-mirror", subject=("joint", joint), what=Term(quantity),
                             mirror=other, one=Quantity(one.value, kind.unit),
                             two=Quantity(two.value, kind.unit), file=source.source.name,
                             wanted=Quantity(sign * one.value, kind.unit))  # fmt: skip
-            yield _finding(quantity, told, ((source, one), (source, two)), Severity.WARNING,
+            yield _finding(quantity, message, ((source, one), (source, two)), Severity.WARNING,
                            joints=(joint, other), slip="mirror", unit=kind.unit)  # fmt: skip
 
 
@@ -379,7 +379,7 @@ def pose_effects(
         both = [heights.get(name) for name in one.sources]
         if one.kind == "default angle" and None not in both and both[0] != both[1]:
             apart = Quantity(abs((both[0] or 0.0) - (both[1] or 0.0)), "m")
-            told = diagnose("contract-effect-height", height=apart)
-            one = replace(one, effects=(*one.effects, told))
+            message = diagnose("contract-effect-height", height=apart)
+            one = replace(one, effects=(*one.effects, message))
         done.append(one)
     return tuple(done)

@@ -33,8 +33,10 @@ def read_marked(path: Path, text: str) -> list[Node]:
         return [_node(path, one, left) for one in documents if one is not None]
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        told = diagnose("contract-no-yaml", problem=one_line(error.problem or error.context or ""))
-        raise ModelError(source_name(path, mark.line + 1 if mark else None), told) from error
+        message = diagnose(
+            "contract-no-yaml", problem=one_line(error.problem or error.context or "")
+        )
+        raise ModelError(source_name(path, mark.line + 1 if mark else None), message) from error
     except yaml.YAMLError as error:
         raise ModelError(path, diagnose("contract-no-yaml", problem=one_line(error))) from error
     except RecursionError as error:

@@ -180,10 +180,10 @@ def _order(
     if wrong[order] > MOST_UNLIKE:
         return (), "", []
     if order == joints:
-        told = diagnose("contract-order-of-file", file=source.name, first=order[:3])
+        message = diagnose("contract-order-of-file", file=source.name, first=order[:3])
     else:
-        told = diagnose("contract-order-by-depth", file=source.name, first=order[:3])
-    return order, "assumed", [told]
+        message = diagnose("contract-order-by-depth", file=source.name, first=order[:3])
+    return order, "assumed", [message]
 
 
 MOST_UNLIKE = 1 / 3

@@ -54,7 +54,7 @@ _USES = {".urdf": _ALWAYS, ".xml": _ALWAYS | _OF_AN_MJCF}
 @click.option(
     "--sag",
     type=shared.QuantityType("angle"),
-    help="Largest static deflection of a joint, which sets the servos' kp (rad); e.g. 1deg.",
+    help="Largest static deflection of a joint, which sets the servos' kp; e.g. 1deg.",
 )
 @click.option(
     "--damping-ratio",
@@ -152,8 +152,8 @@ def _by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
         )
         chosen = [name for name in joints if fnmatchcase(name, pattern)]
         if not chosen:
-            told = diagnose("no-joint-like", pattern=pattern, known=joints)
-            raise ConfigurationError("armature", told)
+            message = diagnose("no-joint-like", pattern=pattern, known=joints)
+            raise ConfigurationError("armature", message)
         if not 0 <= value < float("inf"):
             raise ConfigurationError("armature", diagnose("armature-negative", value=value))
         values.update(dict.fromkeys(chosen, value))

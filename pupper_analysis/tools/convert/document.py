@@ -26,7 +26,7 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
         passed=conversion.passed,
         verdict=text(_verdict(conversion)),
         failures=tuple(map(doc.tell, conversion.failures)),
-        told=tuple(_proof(conversion)),
+        findings=tuple(_proof(conversion)),
         notes=tuple(map(doc.tell, conversion.notes)),
     )
 

@@ -191,7 +191,7 @@ def _of_the_import(
         verdict = judge_stand(robot, solve_stand(robot))
         if verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED:
             for clause in published_clauses(verdict.published):
-                yield diagnose("import-does-otherwise", problem=clause.told)
+                yield diagnose("import-does-otherwise", problem=clause.message)
 
 
 @dataclass(frozen=True, eq=False)

@@ -185,19 +185,19 @@ class _Comparison:
     def _alike(self, one: MultibodyTree, two: MultibodyTree) -> tuple[MultibodyTree, MultibodyTree]:
         """Fixes the joints that one version lacks, and gives the new one the old names."""
         if one.joints and two.joints and not self.pairs:
-            told = diagnose("no-joint-in-common", other=self.sources[0].name)
-            raise ModelError(self.sources[1].name, told)
+            message = diagnose("no-joint-in-common", other=self.sources[0].name)
+            raise ModelError(self.sources[1].name, message)
         gone = [name for name in one.joints if name not in self.pairs]
         come = [name for name in two.joints if name not in self.pairs.values()]
         for joints, where in ((gone, VERSIONS.first), (come, VERSIONS.second)):
             for name in joints:
                 old, new = ("there", None) if joints is gone else (None, "there")
-                told = diagnose("joint-in-one-version", subject=("joint", name), file=where)
-                self.differences.append(Difference("joint", name, old, new, "", told, {}))
+                message = diagnose("joint-in-one-version", subject=("joint", name), file=where)
+                self.differences.append(Difference("joint", name, old, new, "", message, {}))
         for old, new in self.pairs.items():
             if old != new:
-                told = diagnose("joint-renamed", subject=("joint", old), new=new)
-                self.differences.append(Difference("name", old, old, new, "", told, {}))
+                message = diagnose("joint-renamed", subject=("joint", old), new=new)
+                self.differences.append(Difference("name", old, old, new, "", message, {}))
         for name in reversed(gone):
             one = with_fixed(one, name)
         for name in reversed(come):
@@ -207,8 +207,8 @@ class _Comparison:
         if one.floating != two.floating:
             before, after = ("free" if tree.floating else "fixed" for tree in (one, two))
             both = {"one": Term(before), "two": Term(after), **VERSIONS.named}
-            told = diagnose("base-type-differs", subject=("body", one.base), **both)
-            self.differences.append(Difference("type", one.base, before, after, "", told, {}))
+            message = diagnose("base-type-differs", subject=("body", one.base), **both)
+            self.differences.append(Difference("type", one.base, before, after, "", message, {}))
             one, two = replace(one, floating=True), replace(two, floating=True)
         common = [frame for frame in one.frames if frame in two.frames]
         one, two = (
@@ -273,9 +273,13 @@ class _Comparison:
             kind, element = key
             old, new = here.get(key), there.get(key)
             if _values(old) != _values(new):
-                both = {"one": _told(old, new), "two": _told(new, old), **VERSIONS.named}
-                told = diagnose("element-differs", subject=(kind, element), **both)
-                yield Difference(kind, element, old, new, "", told, {})
+                both = {
+                    "one": _stated_value(old, new),
+                    "two": _stated_value(new, old),
+                    **VERSIONS.named,
+                }
+                message = diagnose("element-differs", subject=(kind, element), **both)
+                yield Difference(kind, element, old, new, "", message, {})
 
     def _change(self, difference: Difference) -> ModelChange:
         """Returns a difference as a change, with where it stands in both files."""
@@ -332,7 +336,7 @@ def _values(value: Any) -> Any:
     return list(value) if isinstance(value, list | tuple) else value
 
 
-def _told(value: Any, other: Any) -> Diagnostic | Term | str:
+def _stated_value(value: Any, other: Any) -> Diagnostic | Term | str:
     """Says a value; of a table, what is another in the other."""
     value, other = _values(value), _values(other)
     if value is None:

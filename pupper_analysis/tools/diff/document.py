@@ -28,7 +28,7 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
         tuple(_blocks(diff)),
         passed=diff.same,
         verdict=text("same") if diff.same else text("different"),
-        told=(text("no-change") if diff.same else changes, *_mass(diff)),
+        findings=(text("no-change") if diff.same else changes, *_mass(diff)),
         notes=tuple(map(doc.tell, diff.notes)),
     )
 

@@ -157,7 +157,7 @@ def _change(
     one, two = old.get(keys[0]), new.get(keys[0])
     before, after = (_value(element, word) for element in (one, two))
     whole = kind in ("option", "flag")  # of which there is one, with many numbers
-    told = diagnose(
+    message = diagnose(
         "mjcf-element-differs",
         subject=(kind, word if kind == "option" else names[0]),
         others=() if whole else names[1:],
@@ -184,7 +184,7 @@ def _change(
         unit=next(
             (row.unit for row in ELEMENT_ATTRIBUTES if (row.element, row.word) == (kind, word)), ""
         ),
-        diagnostic=told,
+        diagnostic=message,
         effects=effects,
         consequences=consequences,
         places=(one.place(word) if one else None, two.place(word) if two else None),
@@ -267,12 +267,12 @@ def effect_of_all(
         return ()
     before, after = _simulate(old, 0), _simulate(new, 0)
     start = old.key(0).name if old.nkey else ""
-    effects, told = _weigh(before, after, start, together=False)
+    effects, messages = _weigh(before, after, start, together=False)
     if explained or not effects:
-        return told if explained else ()
+        return messages if explained else ()
     nudged, _ = _weigh(before, _simulate(old, 0, ROUNDING), start, together=False)
     # A tenth: where both have left their course, they are apart by any part of the way.
-    return () if nudged and nudged[MOTION].deviation > 0.1 * effects[MOTION].deviation else told
+    return () if nudged and nudged[MOTION].deviation > 0.1 * effects[MOTION].deviation else messages
 
 
 def _image(model: mujoco.MjModel) -> bytes:

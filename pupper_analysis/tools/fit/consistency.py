@@ -43,12 +43,12 @@ class _Bound:
     Attributes:
         matrix: (m, n).
         right: (m,).
-        told: What is said where it holds an estimate.
+        message: What is said where it holds an estimate.
     """
 
     matrix: Array
     right: Array
-    told: Diagnostic
+    message: Diagnostic
 
 
 def make_consistent(robot: Robot, posterior: Posterior) -> tuple[Array, tuple[Diagnostic, ...]]:
@@ -102,7 +102,7 @@ def make_consistent(robot: Robot, posterior: Posterior) -> tuple[Array, tuple[Di
     found, at = [], 0
     for bound in bounds:
         if np.abs(multipliers[at : at + len(bound.right)]).max(initial=0.0) > _BINDING:
-            found.append(bound.told)
+            found.append(bound.message)
         at += len(bound.right)
     off = float(np.linalg.norm(step))
     return mean + spread @ step, (*found, diagnose("estimate-moved", deviations=off))

@@ -10,7 +10,14 @@ from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS
-from pupper_analysis.tools.fit.result import Correlation, Estimate, Fit, MotionFit, Together, Told
+from pupper_analysis.tools.fit.result import (
+    Correlation,
+    Determined,
+    Estimate,
+    Fit,
+    MotionFit,
+    Together,
+)
 from pupper_analysis.tools.fit.stands.fit import JointResidual, StandFit
 from pupper_analysis.tools.fit.stands.plan import StandPlan
 
@@ -33,22 +40,22 @@ SHOWN_UNITS: Mapping[str, tuple[float, str]] = {
 }
 """{unit of a parameter: what it is multiplied by to be shown, and the unit that is shown}."""
 
-TOLD_BY = {
-    Told.DATA: "told-by-data",
-    Told.PARTLY: "told-by-partly",
-    Told.PRIOR: "told-by-prior",
+DETERMINED_BY = {
+    Determined.DATA: "determined-by-data",
+    Determined.PARTLY: "determined-by-partly",
+    Determined.PRIOR: "determined-by-prior",
 }
 
 
 def describe_fit(
-    fit: Fit, title: doc.Words, told: Iterable[doc.Words], left: Iterable[doc.Block]
+    fit: Fit, title: doc.Words, messages: Iterable[doc.Words], left: Iterable[doc.Block]
 ) -> doc.Document:
     """Returns the document of a fit.
 
     Args:
         fit: The fit.
         title: Its title.
-        told: What it rests on, and how well it explains that.
+        messages: What it rests on, and how well it explains that.
         left: What is left unexplained, and where.
     """
     return doc.Document(
@@ -58,7 +65,7 @@ def describe_fit(
         passed=fit.explained,
         verdict=text("model-explains") if fit.explained else text("model-does-not-explain"),
         failures=tuple(doc.tell(one) for one in fit.failures),
-        told=(*told, *open_lines(fit.estimates, fit.together)),
+        findings=(*messages, *open_lines(fit.estimates, fit.together)),
         notes=tuple(doc.tell(one) for one in fit.diagnostics),
     )
 
@@ -67,14 +74,14 @@ def parameter_tables(estimates: Iterable[Estimate]) -> list[doc.Block]:
     """Returns tables of estimates: what measurements tell by kind, and the rest in detail."""
     given = list(estimates)
     own = [one for one in given if one.kind not in OF_SURROUNDINGS]
-    finding = [one for one in own if one.told is Told.DATA]
+    finding = [one for one in own if one.determined is Determined.DATA]
     blocks: list[doc.Block] = [
         _table(text(TITLES[kind]), [one for one in finding if one.kind == kind])
         for kind in dict.fromkeys(one.kind for one in finding)
     ]
     for title, rest in (
-        ("told-in-part", [one for one in own if one.told is Told.PARTLY]),
-        ("prior-alone", [one for one in own if one.told is Told.PRIOR]),
+        ("determined-in-part", [one for one in own if one.determined is Determined.PARTLY]),
+        ("prior-alone", [one for one in own if one.determined is Determined.PRIOR]),
         ("fitted-surroundings", [one for one in given if one.kind in OF_SURROUNDINGS]),
     ):
         if rest:
@@ -85,8 +92,8 @@ def parameter_tables(estimates: Iterable[Estimate]) -> list[doc.Block]:
 def open_lines(estimates: Iterable[Estimate], together: Iterable[Together]) -> list[doc.Words]:
     """Returns what measurements leave open: combinations, and what the prior holds."""
     own = [one for one in estimates if one.kind not in OF_SURROUNDINGS]
-    partly = [one for one in own if one.told is Told.PARTLY]
-    untold = [one for one in own if one.told is Told.PRIOR]
+    partly = [one for one in own if one.determined is Determined.PARTLY]
+    untold = [one for one in own if one.determined is Determined.PRIOR]
     return [*_open(together), *_held(partly, untold)]
 
 
@@ -123,7 +130,7 @@ def _table(title: doc.Words, estimates: list[Estimate], *, detail: bool = False)
             doc.number_cell(one.mean, ".4g", scale=units[one.unit][0]),
             doc.number_cell(one.high - one.mean, ".2g", scale=units[one.unit][0]),
             doc.number_cell(one.mean - one.stated, "+.3g", scale=units[one.unit][0]),
-            text(TOLD_BY[one.told]),
+            text(DETERMINED_BY[one.determined]),
         )
         for one in estimates
     )
@@ -134,7 +141,7 @@ def _table(title: doc.Words, estimates: list[Estimate], *, detail: bool = False)
         doc.Column(text("fitted"), shared),
         doc.Column(text("half-of-95"), shared),
         doc.Column(text("fitted-difference"), shared),
-        doc.Column(text("told-by"), left=True),
+        doc.Column(text("determined-by"), left=True),
     )
     return doc.Table(title, columns, rows, detail=detail)
 
@@ -200,13 +207,13 @@ def _errors(fit: MotionFit) -> Iterator[doc.Words]:
     if math.isfinite(fit.held_out):
         yield text(
             "held-out-error",
-            after=f"{1e3 * fit.held_out:.2f}",
-            before=f"{1e3 * fit.held_out_before:.2f}",
+            after=f"{math.degrees(fit.held_out):.3f}",
+            before=f"{math.degrees(fit.held_out_before):.3f}",
         )
     else:
-        yield text("nothing-held-out", after=f"{1e3 * fit.fitted:.2f}")
+        yield text("nothing-held-out", after=f"{math.degrees(fit.fitted):.3f}")
     if math.isfinite(fit.repeatability):
-        yield text("repeatability-is", own=f"{1e3 * fit.repeatability:.2f}")
+        yield text("repeatability-is", own=f"{math.degrees(fit.repeatability):.3f}")
     else:
         yield text("repeatability-unknown")
 
@@ -215,11 +222,11 @@ def _joints(fit: MotionFit) -> doc.BarPlot:
     """Returns what is off at each joint, and its encoder's noise."""
     return plot_joints(
         text("off-at-joints"),
-        doc.Axis(text("root-mean-square"), "mrad", ".2f"),
+        doc.Axis(text("root-mean-square"), "deg", ".3f"),
         fit.by_joint,
         fit.encoder_noise,
         text("encoder-noise"),
-        scale=1e3,
+        scale=math.degrees(1.0),
     )
 
 
@@ -243,7 +250,7 @@ def _total(mass: Estimate) -> doc.Words:
         "half": f"{mass.high - mass.mean:.3f}",
         "stated": f"{mass.stated:.3f}",
     }
-    if mass.told is Told.DATA:
+    if mass.determined is Determined.DATA:
         return text("total-mass-told", **values)
     return text("total-mass-not-told", **values)
 
@@ -270,7 +277,7 @@ def _worst(first: Iterable[JointResidual]) -> Iterator[doc.Words]:
             "worst-residual",
             joint=doc.Name(one.joint),
             stand=doc.Name(one.stand),
-            off=f"{1e3 * one.off:+.2f}",
+            off=f"{math.degrees(one.off):+.3f}",
             times=f"{abs(one.deviations):.1f}",
         )
 
@@ -283,7 +290,7 @@ def _joint_residuals(found: Sequence[JointResidual]) -> Iterator[doc.Table]:
         (
             doc.Name(one.stand),
             doc.Name(one.joint),
-            doc.number_cell(one.off, "+.2f", scale=1e3),
+            doc.number_cell(one.off, "+.3f", scale=math.degrees(1.0)),
             doc.number_cell(one.deviations, "+.1f"),
         )
         for one in found[:MOST_ROWS]
@@ -291,7 +298,7 @@ def _joint_residuals(found: Sequence[JointResidual]) -> Iterator[doc.Table]:
     columns = (
         doc.Column(text("planned-stand"), left=True),
         doc.Column(text("joint"), left=True),
-        doc.Column(text("measured-less-predicted"), "mrad"),
+        doc.Column(text("measured-less-predicted"), "deg"),
         doc.Column(text("in-standard-deviations"), "1"),
     )
     yield doc.Table(text("residuals-of-joints"), columns, rows, detail=True)
@@ -311,17 +318,17 @@ def _residuals(fit: StandFit) -> doc.BarPlot:
 @build_document.register(StandPlan)
 def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
     """Returns which stands to take, and the interval that they leave of each parameter."""
-    finding = sum(one.told is Told.DATA for one in plan.expected)
+    finding = sum(one.determined is Determined.DATA for one in plan.expected)
     return doc.Document(
         text("plan-of-stands"),
         doc.Name(plan.name),
         (_stands(plan), _expected(plan)),
-        told=(
+        findings=(
             text(
                 "planned-stands",
                 stands=str(len(plan.stands)),
                 candidates=str(plan.candidates),
-                told=str(finding),
+                determined=str(finding),
                 parameters=str(len(plan.expected)),
             ),
             text("how-to-take-stands"),
@@ -363,7 +370,7 @@ def _expected(plan: StandPlan) -> doc.Table:
                 doc.number_cell(one.stated, ".4g", scale=factor),
                 doc.number_cell(one.before, ".2g", scale=factor),
                 doc.number_cell(one.after, ".2g", scale=factor),
-                text(TOLD_BY[one.told]),
+                text(DETERMINED_BY[one.determined]),
             )
         )
     columns = (
@@ -372,6 +379,6 @@ def _expected(plan: StandPlan) -> doc.Table:
         doc.Column(text("in-the-file")),
         doc.Column(text("known-before")),
         doc.Column(text("known-after")),
-        doc.Column(text("told-by"), left=True),
+        doc.Column(text("determined-by"), left=True),
     )
     return doc.Table(text("what-stands-will-tell"), columns, tuple(rows), detail=True)

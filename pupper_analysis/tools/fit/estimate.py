@@ -254,28 +254,30 @@ class _Quadratic:
 
     Args:
         table: The parameters.
-        told: The measurements.
+        linearised: The measurements.
         x: (n,) values.
         least: (n,) of them.
 
     Attributes:
         table: The parameters.
-        told: The measurements.
+        linearised: The measurements.
         x: (n,) values.
         least: (n,) of them.
         cost: What is minimised.
     """
 
-    def __init__(self, table: ParameterTable, told: Linearised, x: Array, least: Array) -> None:
-        self.table, self.told, self.x, self.least = table, told, x, least
+    def __init__(
+        self, table: ParameterTable, linearised: Linearised, x: Array, least: Array
+    ) -> None:
+        self.table, self.linearised, self.x, self.least = table, linearised, x, least
         self._z = (x - table.stated) / table.width
-        self.cost = told.chi2 + float(self._z @ table.precision @ self._z)
+        self.cost = linearised.chi2 + float(self._z @ table.precision @ self._z)
 
     @cached_property
     def information(self) -> Array:
         """(n, n) of the measurements, in the priors' widths."""
         width = self.table.width
-        found: Array = width[:, None] * self.told.information * width
+        found: Array = width[:, None] * self.linearised.information * width
         return found
 
     @cached_property
@@ -286,7 +288,9 @@ class _Quadratic:
     @cached_property
     def downhill(self) -> Array:
         """(n,) half the negative gradient."""
-        found: Array = -(self.table.width * self.told.gradient + self.table.precision @ self._z)
+        found: Array = -(
+            self.table.width * self.linearised.gradient + self.table.precision @ self._z
+        )
         return found
 
     @property
@@ -345,9 +349,9 @@ class _Quadratic:
             covariance=width[:, None] * covariance * width,
             information=self.information,
             precision=self.table.precision,
-            chi2=self.told.chi2,
+            chi2=self.linearised.chi2,
             moved=self._z,
-            rows=self.told.rows,
+            rows=self.linearised.rows,
             steps=steps,
             open_step=None if open_step is None else width * open_step,
         )

@@ -21,7 +21,7 @@ from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS, Parameter
 Array = NDArray[np.float64]
 
 
-class Told(StrEnum):
+class Determined(StrEnum):
     """How much of an estimate is from measurements."""
 
     DATA = "data"
@@ -42,11 +42,11 @@ _AS_ONE = 0.1
 """Difference of the logarithms of two relative deviations: both are off by the same share."""
 
 
-def told_by(share: float) -> Told:
+def determined_by(share: float) -> Determined:
     """Returns how much is from measurements, by the share of the prior's variance that is left."""
     if share < _BY_DATA:
-        return Told.DATA
-    return Told.PARTLY if share < _BY_PRIOR else Told.PRIOR
+        return Determined.DATA
+    return Determined.PARTLY if share < _BY_PRIOR else Determined.PRIOR
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class Estimate(Result):
         std: Standard deviation.
         low: Lower end of the interval that holds it with 95 %.
         high: Upper end.
-        told: How much of it is from measurements: ``data``, ``partly``, ``prior``.
+        determined: How much of it is from measurements: ``data``, ``partly``, ``prior``.
     """
 
     name: str
@@ -165,7 +165,7 @@ class Estimate(Result):
     std: float
     low: float
     high: float
-    told: Told
+    determined: Determined
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class Expected(Result):
         stated: The model's value.
         before: Half of the interval that holds it with 95 %, before.
         after: The same after the measurements.
-        told: How much of it will be from them.
+        determined: How much of it will be from them.
     """
 
     name: str
@@ -186,7 +186,7 @@ class Expected(Result):
     stated: float
     before: float
     after: float
-    told: Told
+    determined: Determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +210,7 @@ class Fit(Result):
     failures: tuple[Diagnostic, ...]
     diagnostics: tuple[Diagnostic, ...]
     posterior: Posterior
-    _told: ClassVar[tuple[str, ...]] = ("explained", "correlations")
+    _reported: ClassVar[tuple[str, ...]] = ("explained", "correlations")
 
     @property
     def explained(self) -> bool:
@@ -235,11 +235,11 @@ def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
             one,
             float(posterior.mean[place]),
             float(posterior.std[place]),
-            told_by(float(posterior.shares[place])),
+            determined_by(float(posterior.shares[place])),
         )
 
 
-def describe_parameter(one: Parameter, mean: float, std: float, told: Told) -> Estimate:
+def describe_parameter(one: Parameter, mean: float, std: float, determined: Determined) -> Estimate:
     """Returns what is known of a parameter."""
     return Estimate(
         name=one.name,
@@ -252,7 +252,7 @@ def describe_parameter(one: Parameter, mean: float, std: float, told: Told) -> E
         std=std,
         low=mean - NORMAL_95 * std,
         high=mean + NORMAL_95 * std,
-        told=told,
+        determined=determined,
     )
 
 

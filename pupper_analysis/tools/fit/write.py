@@ -269,7 +269,7 @@ def _json(
     posterior: Posterior,
     vector: Array,
     models: WrittenNumbers,
-    told: tuple[Diagnostic, ...],
+    messages: tuple[Diagnostic, ...],
     fit: object,
 ) -> bytes:
     rows = [
@@ -302,7 +302,7 @@ def _json(
         "parameters": rows,
         "covariance": posterior.covariance,
         "edits": [replace(edit, file=Path(edit.file).name) for edit in models.edits],
-        "diagnostics": told,
+        "diagnostics": messages,
         **({} if fit is None else {"fit": fit}),
     }
     return marked_json(document).encode()

@@ -29,7 +29,7 @@ from pupper_analysis.cli.stance_options import (
     "positions",
     multiple=True,
     metavar="NAME=POSITION",
-    help="Position of a joint, or of all that match a pattern (rad, m); e.g. elbow=90deg, "
+    help="Position of a joint, or of all that match a pattern; e.g. elbow=90deg, "
     "'*finger*=2cm'. Repeatable.",
 )
 @click.option(

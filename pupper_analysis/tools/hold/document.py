@@ -41,13 +41,13 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             _torques(hold, limits),
             torque_plot(hold.statics, run.joint_torques.tolist(), limits),
             _tool(hold),
-            _worst(hold.worst),
+            _worst(hold.worst, shown_scales(hold.units)),
             reach_plot(hold.reach),
             _payload(hold),
             _force(hold),
             force_plot(hold.force),
         ),
-        (_posture(hold), *_told(hold)),
+        (_posture(hold), *_findings(hold)),
         details=(_agreement(hold),),
         notes=robot_notes(robot),
     )
@@ -56,16 +56,18 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
 def _torques(hold: Hold, limits: list[float]) -> doc.Table:
     """Returns what every motor holds, and how far its joint sags."""
     sag: list[float | None] = [None] * len(limits)
-    sag = sag if hold.sagged is None else hold.sagged.joint_sag.tolist()
-    simulated = (hold.sagging.joint_positions - hold.posture.qpos).tolist()
+    scales = shown_scales(hold.units)
+    if hold.sagged is not None:
+        sag = (scales * hold.sagged.joint_sag).tolist()
+    simulated = (scales * (hold.sagging.joint_positions - hold.posture.qpos)).tolist()
     table = torque_table(
         hold.statics,
         limits,
         {
             doc.Column(text("simulated"), "N m"): hold.verification.joint_torques.tolist(),
-            doc.Column(text("position"), "rad"): hold.posture.qpos.tolist(),
-            doc.Column(text("joint-sag"), "rad"): sag,
-            doc.Column(text("joint-sag-simulated"), "rad"): simulated,
+            doc.Column(text("position"), "°"): (scales * hold.posture.qpos).tolist(),
+            doc.Column(text("joint-sag"), "°"): sag,
+            doc.Column(text("joint-sag-simulated"), "°"): simulated,
         },
     )
     notes: list[doc.Words] = [text("limit-origins", origins=origins_text(hold.limit_origins))]
@@ -96,7 +98,16 @@ def _tool(hold: Hold) -> doc.Table:
     return doc.Table(text("tool-of-link", tool=doc.Name(hold.tool.name)), columns, rows)
 
 
-def _worst(worst: WorstPostures) -> doc.Table:
+def shown_scales(units: Iterable[str]) -> NDArray[np.float64]:
+    """Returns what positions (nu,) are multiplied by to be in degrees, or mm where they slide.
+
+    Args:
+        units: (nu,) those that they have: rad or m.
+    """
+    return np.array([1e3 if unit == "m" else math.degrees(1.0) for unit in units])
+
+
+def _worst(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
     """Returns the worst posture of each motor."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -104,7 +115,7 @@ def _worst(worst: WorstPostures) -> doc.Table:
             doc.number_cell(worst.joint_torques[index], "+.4g"),
             doc.number_cell(worst.limits[index], "g"),
             utilisation_cell(float(worst.utilisation[index]), float(worst.limits[index])),
-            doc.vector_cell(worst.postures[index], ".3g"),
+            doc.vector_cell(scales * worst.postures[index], ".1f"),
         )
         for index, name in enumerate(worst.joint_names)
     ]
@@ -113,7 +124,7 @@ def _worst(worst: WorstPostures) -> doc.Table:
         doc.Column(text("worst-torque"), "N m"),
         doc.Column(text("limit"), "N m"),
         doc.Column(text("utilisation"), "%"),
-        doc.Column(text("worst-posture"), "rad", left=True, detail=True),
+        doc.Column(text("worst-posture"), "°", left=True, detail=True),
     )
     notes = (text("worst-found"),)
     if worst.endless is not None:
@@ -197,9 +208,9 @@ def reach_plot(reach: ReachLoad) -> doc.LinePlot:
     edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _RINGS + 1)
     ring = np.clip(np.digitize(reach.distances, edges) - 1, 0, _RINGS - 1)
     full = np.unique(ring)
-    middle = (edges[full] + edges[full + 1]) / 2
+    middle = 1e3 * (edges[full] + edges[full + 1]) / 2
     per_ring = [100 * reach.utilisation[ring == one] for one in full]
-    axis = doc.Axis(text("distance-from-the-first-joint"), "m", ".2f")
+    axis = doc.Axis(text("distance-from-the-first-joint"), "mm", ".0f")
     share = doc.Axis(text("utilisation"), "%", ".1f")
     lines = (
         doc.Series(text("greatest-found"), middle, np.array([one.max() for one in per_ring])),
@@ -249,7 +260,7 @@ def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> 
         )
 
 
-def _told(hold: Hold) -> Iterable[doc.Words]:
+def _findings(hold: Hold) -> Iterable[doc.Words]:
     yield from hardest_motor(hold.statics, hold.limits)
     if hold.sagged is not None:
         yield text(

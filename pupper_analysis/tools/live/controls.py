@@ -113,7 +113,7 @@ class Controls:
                     if folder == "Servos":
                         own = gui.add_button(say("own-servos"))
         self.on.on_update(self._when(self._with_link))
-        own.on_click(lambda _: self.put(self.state.having(kp=None, kd=None), told=True))
+        own.on_click(lambda _: self.put(self.state.having(kp=None, kd=None), notify=True))
 
     def _add(self, folder: str, *but: str) -> None:
         """Adds the sliders under a heading."""
@@ -196,12 +196,12 @@ class Controls:
         with self._lock:
             return self._state
 
-    def put(self, state: State, *, told: bool) -> None:
+    def put(self, state: State, *, notify: bool) -> None:
         """Sets all controls.
 
         Args:
             state: What they shall say.
-            told: Whether that is a change to be answered.
+            notify: Whether that is a change to be answered.
         """
         with self._lock:
             self._state = state
@@ -221,7 +221,7 @@ class Controls:
             self._show_foot()
             self.posture.show(self._posture_of(state))
             self._show_link()
-        if told:
+        if notify:
             self._changed()
 
     def _value(self, state: State, control: Control) -> float:

@@ -65,20 +65,22 @@ def brief_document(answer: Answer, judged: Verdict | None) -> doc.Document:
     hardest = int(np.argmax(shares))
     used = f"{100 * float(shares[hardest]):.0f} %"
     motor = text("name-note", name=doc.Name(statics.joint_names[hardest]), note=used)
-    return replace(shown, told=(*shown.told, motor))
+    return replace(shown, findings=(*shown.findings, motor))
 
 
 def _judged(answer: Answer, judged: Verdict | None, blocks: Iterable[doc.Block]) -> doc.Document:
     """Returns a document with the verdict: whether it stands, and why or why not."""
-    told: tuple[doc.Words, ...] = ()
+    messages: tuple[doc.Words, ...] = ()
     if judged is not None:
-        told = tuple(map(clause_text, verdict_clauses(judged)))
+        messages = tuple(map(clause_text, verdict_clauses(judged)))
     elif answer.unreachable:
-        told = (text("out-of-reach"),)
+        messages = (text("out-of-reach"),)
     elif answer.refusal is not None:
-        told = (doc.tell(answer.refusal.diagnostic),)
+        messages = (doc.tell(answer.refusal.diagnostic),)
     passed = judged is not None and (judged.passed or judged.code is VerdictCode.IN_BALANCE)
-    return doc.Document(text("stance"), _title(answer), tuple(blocks), passed=passed, told=told)
+    return doc.Document(
+        text("stance"), _title(answer), tuple(blocks), passed=passed, findings=messages
+    )
 
 
 def _title(answer: Answer) -> doc.Name:
@@ -111,15 +113,17 @@ def refusal_document(
         pending: Whether it is not explained yet; ``error`` is None then.
     """
     blocks: list[doc.Block] = []
-    told = text("out-of-reach")
+    message = text("out-of-reach")
     if pending:
         blocks.append(doc.Lines((text("explaining"),), "warn"))
     elif error is None:
-        told = text("it-is-in-reach-after")
+        message = text("it-is-in-reach-after")
     else:
         blocks += _explained(answer, error)
     passed = not pending and error is None
-    return doc.Document(text("stance"), _title(answer), tuple(blocks), passed=passed, told=(told,))
+    return doc.Document(
+        text("stance"), _title(answer), tuple(blocks), passed=passed, findings=(message,)
+    )
 
 
 def _explained(answer: Answer, error: StanceUnreachableError) -> Iterable[doc.Block]:
@@ -153,13 +157,13 @@ def _possible(state: State, fields: Mapping[str, Any]) -> doc.Text:
     """Returns how far fields of a task can go, as their sliders say it."""
     task = replace(state.task(), **fields)
     feet = dict.fromkeys((*task.foot_offsets, *task.swing, *task.ground.heights)) or {"": None}
-    told = {
+    values = {
         (name, foot if CONTROLS[name].field.per else "", f"{value:g}"): None
         for foot in feet
         for name, value in slider_values(state, task, fields, foot).items()
     }
     return join_words(
-        text("name-note", name=_label(name, foot), note=value) for name, foot, value in told
+        text("name-note", name=_label(name, foot), note=value) for name, foot, value in values
     )
 
 
@@ -208,8 +212,8 @@ def simulation_document(stance: Stance, *, feedforward: bool) -> doc.Document:
     predicted = (text("base-at-predicted"), doc.number_cell(expected, ".5f"), doc.Name("m"))
     blocks = (replace(table, rows=(predicted, *table.rows)), _AS_SIMULATED)
     good = stance.verdict.passed
-    told = tuple(map(clause_text, verdict_clauses(stance.verdict)))
-    return doc.Document(text("stance"), headed, blocks, passed=good, told=told)
+    messages = tuple(map(clause_text, verdict_clauses(stance.verdict)))
+    return doc.Document(text("stance"), headed, blocks, passed=good, findings=messages)
 
 
 def push_document(trial: PushTrial) -> doc.Document:
@@ -235,12 +239,12 @@ def held_document(robot: Robot, statics: GravityCompensation) -> doc.Document:
 
 def failure_document(error: PupperAnalysisError) -> doc.Document:
     """Returns why something could not be done."""
-    told = (doc.tell(error.diagnostic),)
-    return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=told)
+    messages = (doc.tell(error.diagnostic),)
+    return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=messages)
 
 
 def unforeseen_document(error: Exception) -> doc.Document:
     """Returns that something went wrong that should not."""
     what = without_folders(f"{type(error).__name__}: {error}".rstrip(": "))
-    told = (text("unforeseen", what=what),)
-    return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=told)
+    messages = (text("unforeseen", what=what),)
+    return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=messages)

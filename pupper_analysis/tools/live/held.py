@@ -130,11 +130,11 @@ class HeldSession:
         posture = find_posture(robot, positions)
         config = Configuration(robot, posture.qpos)
         statics = gravity_compensation(config, contacts=[])
-        told = render.render_panel(held_document(robot, statics), self._say)
+        message = render.render_panel(held_document(robot, statics), self._say)
         axes = joint_axes(config, posture.qpos, statics)
         hardest = max(axes, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
         with self._client.atomic():
-            self._numbers.content = told
+            self._numbers.content = message
             self._command.value = escape_control(hold_command(self._source, {}, positions))
             self._figure.pose(posture.qpos)
             for disc, one in zip(self._discs, axes, strict=True):
@@ -146,10 +146,10 @@ class HeldSession:
     def _hold(self) -> None:
         """Simulates the posture; what is wrong with it is its result."""
         try:
-            told = build_document(hold_posture(self._robot, self.joints.changed()))
+            message = build_document(hold_posture(self._robot, self.joints.changed()))
         except PupperAnalysisError as error:
-            told = failure_document(error)
-        self._result.content = render.render_panel(told, self._say)
+            message = failure_document(error)
+        self._result.content = render.render_panel(message, self._say)
 
 
 class HeldPage(Served):

@@ -80,8 +80,8 @@ def free_port(host: str, port: int | None) -> int:
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         where = f"{host}:{port}" if port else host
-        told = diagnose("cannot-serve", address=where, reason=reason)
-        raise ConfigurationError("--host, --port", told) from error
+        message = diagnose("cannot-serve", address=where, reason=reason)
+        raise ConfigurationError("--host, --port", message) from error
 
 
 @contextlib.contextmanager
@@ -139,8 +139,8 @@ def _behind(door: Door) -> Iterator[None]:
         def answered(connection: Any, request: Any) -> Any:
             headers = {name: ", ".join(request.headers.get_all(name)) for name in HEADERS}
             if refusal := door.refusal(request.path, headers):
-                told = "".join(f"{refusal.text(language)}\n" for language in LANGUAGES)
-                return connection.respond(HTTPStatus.FORBIDDEN, told)
+                message = "".join(f"{refusal.text(language)}\n" for language in LANGUAGES)
+                return connection.respond(HTTPStatus.FORBIDDEN, message)
             response = answer(connection, request)
             if door.token and response is not None and urlsplit(request.path).path == "/":
                 response.headers["Set-Cookie"] = door.cookie
@@ -288,9 +288,9 @@ class Language:
         """
         return self._of(text(key, **values))
 
-    def sentence(self, told: Diagnostic) -> str:
+    def sentence(self, message: Diagnostic) -> str:
         """Returns what a diagnostic says."""
-        return told.with_names(without_folders).text(self.code)
+        return message.with_names(without_folders).text(self.code)
 
     def either(self, choices: Iterable[str]) -> str:
         """Returns choices with the word for *or* between them."""
@@ -364,8 +364,8 @@ def render_verdict(document: Document, say: Language) -> str:
     if document.passed is None:
         return ""
     verdict = () if document.verdict is None else (document.verdict,)
-    told = (*verdict, *document.failures, *document.told, *document.details)
-    return _box(document.mark, "; ".join(say.words(one) for one in told))
+    messages = (*verdict, *document.failures, *document.findings, *document.details)
+    return _box(document.mark, "; ".join(say.words(one) for one in messages))
 
 
 def join_parts(*parts: str) -> str:
@@ -384,17 +384,17 @@ def render_hint(words: Words, say: Language) -> str:
 
 
 def _headed(words: Words, say: Language) -> str:
-    told = say.words(words)
-    return f"<h4>{_said(told)}</h4>" if told else ""
+    message = say.words(words)
+    return f"<h4>{_said(message)}</h4>" if message else ""
 
 
-def _said(told: str) -> str:
+def _said(text: str) -> str:
     """Returns a text as it is shown: nothing in it acts."""
-    return escape(escape_control(told))
+    return escape(escape_control(text))
 
 
-def _box(mark: str, told: str) -> str:
-    return f'<div class="{_BOXES[mark]}">{_said(told)}</div>'
+def _box(mark: str, text: str) -> str:
+    return f'<div class="{_BOXES[mark]}">{_said(text)}</div>'
 
 
 @singledispatch
@@ -406,10 +406,10 @@ def _block(_: object, __: Language) -> str:
 @_block.register
 def _lines(block: Lines, say: Language) -> str:
     title = "" if block.title is None else _headed(block.title, say)
-    told = [say.words(one) for one in block.lines]
+    messages = [say.words(one) for one in block.lines]
     if block.mark:
-        return title + "".join(_box(block.mark, one) for one in told)
-    return title + "".join(f"<div>{_said(one)}</div>" for one in told)
+        return title + "".join(_box(block.mark, one) for one in messages)
+    return title + "".join(f"<div>{_said(one)}</div>" for one in messages)
 
 
 @_block.register

@@ -209,14 +209,14 @@ class Panels:
         """How hard (N s), and where to (rad)."""
         return float(self._impulse.value), math.radians(float(self._direction.value))
 
-    def status(self, told: Document, brief: Document | None = None) -> None:
+    def status(self, document: Document, brief: Document | None = None) -> None:
         """Shows what it takes.
 
         Args:
-            told: All of it.
+            document: All of it.
             brief: The verdict alone, for a screen that has no room for it beside the sliders.
         """
-        self._numbers.content = render.render_panel(told, self.say)
+        self._numbers.content = render.render_panel(document, self.say)
         self._brief.content = "" if brief is None else render.render_brief(brief, self.say)
 
     def making(self) -> None:
@@ -224,9 +224,9 @@ class Panels:
         self._numbers.content = render.render_waiting(text("making-the-robot"), self.say)
         self._brief.content = ""
 
-    def result(self, told: Document) -> None:
+    def result(self, document: Document) -> None:
         """Shows what came of a simulation."""
-        self._result.content = render.render_panel(told, self.say)
+        self._result.content = render.render_panel(document, self.say)
 
     def wait(self, key: str) -> None:
         """Shows that a simulation is under way."""
@@ -315,7 +315,7 @@ class Session:
         self._begin(None, None)
         self._scene = Scene(client.scene)
         self._panels = Panels(client, model, address, self, say)
-        self._panels.controls.put(state, told=False)
+        self._panels.controls.put(state, notify=False)
         if problem is not None:
             say = self._panels.say
             self._panels.notify("this-state-cannot-be-shown", say.sentence(problem))
@@ -345,7 +345,7 @@ class Session:
 
     def reset(self) -> None:
         """Goes back to where a page begins."""
-        self._panels.controls.put(State(), told=True)
+        self._panels.controls.put(State(), notify=True)
 
     def speak(self, language: Language) -> None:
         """Goes on in another language: with other panels, of the same state."""
@@ -354,7 +354,7 @@ class Session:
             state = before.controls.state
             self._panels = Panels(self._client, self._model, self._address, self, language, before)
             self._panels.like(before)
-            self._panels.controls.put(state, told=False)
+            self._panels.controls.put(state, notify=False)
             if self._answer is None:
                 self._asked.set()
                 return
@@ -370,7 +370,7 @@ class Session:
     def go_to(self, words: str) -> None:
         """Goes to a state that is given as a text."""
         try:
-            self._panels.controls.put(parse_state(words), told=True)
+            self._panels.controls.put(parse_state(words), notify=True)
         except PupperAnalysisError as error:
             self._panels.notify("this-is-no-state", self._panels.say.sentence(error.diagnostic))
 
@@ -379,7 +379,7 @@ class Session:
         with self._lock:
             answer, refusal = self._answer, self._refusal
         if answer is not None and refusal is not None and refusal.nearest is not None:
-            self._panels.controls.put(answer.state.with_task(refusal.nearest.task), told=True)
+            self._panels.controls.put(answer.state.with_task(refusal.nearest.task), notify=True)
 
     def simulate(self) -> None:
         """Simulates the stance."""
@@ -467,10 +467,10 @@ class Session:
         answer = self._answer
         assert answer is not None
         if answer.unreachable:
-            told = refusal_document(answer, self._refusal, pending=self._pending)
+            message = refusal_document(answer, self._refusal, pending=self._pending)
         else:
-            told = stance_document(answer, self._sag, self._verdict)
-        self._panels.status(told, brief_document(answer, self._verdict))
+            message = stance_document(answer, self._sag, self._verdict)
+        self._panels.status(message, brief_document(answer, self._verdict))
 
     def _looking(self) -> None:
         """Looks closer at what stays, and simulates."""
@@ -500,10 +500,10 @@ class Session:
         except PupperAnalysisError as error:
             self._if_shown(answer, partial(self._tell_result, failure_document(error)))
 
-    def _tell_result(self, told: Document) -> None:
+    def _tell_result(self, document: Document) -> None:
         """Tells what came of a simulation."""
-        self._result = told
-        self._panels.result(told)
+        self._result = document
+        self._panels.result(document)
 
     def _if_shown(self, answer: Answer, show: Callable[[], None]) -> bool:
         """Shows something of an answer, if that is still the one that is shown."""
@@ -541,18 +541,22 @@ class Session:
         feedforward = self._panels.feedforward
         stance = answers.simulate_stance(answer)
         shown = stance.verification if feedforward else stance.sagging
-        told = simulation_document(stance, feedforward=feedforward)
+        message = simulation_document(stance, feedforward=feedforward)
         motion = PlayedMotion(shown.motion_time, shown.motion)
-        self._show_motion(answer, told, motion, stance.verdict)
+        self._show_motion(answer, message, motion, stance.verdict)
 
     def _push(self, answer: Answer) -> None:
         impulse, direction = self._panels.push_asked
         trial = answers.push_stand(answer, impulse, direction, feedforward=self._panels.feedforward)
-        told = push_document(trial)
-        self._show_motion(answer, told, PlayedMotion(trial.motion_time, trial.motion))
+        message = push_document(trial)
+        self._show_motion(answer, message, PlayedMotion(trial.motion_time, trial.motion))
 
     def _show_motion(
-        self, answer: Answer, told: Document, motion: PlayedMotion, verdict: Verdict | None = None
+        self,
+        answer: Answer,
+        document: Document,
+        motion: PlayedMotion,
+        verdict: Verdict | None = None,
     ) -> None:
         """Tells what came of a simulation, and plays it."""
 
@@ -561,7 +565,7 @@ class Session:
             self._tell()
             self._motion = motion
             self._held.clear()
-            self._tell_result(told)
+            self._tell_result(document)
             self._panels.simulated(motion.duration)
 
         if self._if_shown(answer, show):

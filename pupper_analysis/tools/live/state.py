@@ -337,16 +337,16 @@ def parse_state(text: str) -> State:
             found = _value(name, _split(name, numbers, max(1, len(field.axes))))
             given[field.name] = (unquote(frame), *found) if framed else found  # type: ignore[misc]
         else:
-            told = diagnose("entry-unknown", entry=name, known=[*_BY_ADDRESS, "place"])
-            raise ConfigurationError("stance", told)
+            message = diagnose("entry-unknown", entry=name, known=[*_BY_ADDRESS, "place"])
+            raise ConfigurationError("stance", message)
     return State(**given)
 
 
 def _split(name: str, value: str, count: int) -> list[str]:
     parts = value.split(",")
     if len(parts) != count:
-        told = diagnose("values-by-commas", given=f"{name}:{value}", count=count)
-        raise ConfigurationError("stance", told)
+        message = diagnose("values-by-commas", given=f"{name}:{value}", count=count)
+        raise ConfigurationError("stance", message)
     return parts
 
 
@@ -359,8 +359,8 @@ def _number(name: str, text: str) -> float:
     try:
         return check_finite(name, float(text))
     except ValueError:
-        told = diagnose("part-is-no-number", part=text, given=name)
-        raise ConfigurationError("stance", told) from None
+        message = diagnose("part-is-no-number", part=text, given=name)
+        raise ConfigurationError("stance", message) from None
 
 
 class LiveVariants(Scaled):

@@ -284,7 +284,7 @@ def print_imu(data: mujoco.MjData, *, at_rest: bool) -> None:
     """Prints how the IMU is read, and what it reads now, of a robot that has one."""
     model = data.model
     there = {model.sensor(number).name for number in range(model.nsensor)}
-    known = {name: told for name, told in IMU_SENSORS.items() if name in there}
+    known = {name: message for name, message in IMU_SENSORS.items() if name in there}
     own = zip(imu_sensors(model), ("body_acc", "body_gyro"), strict=True)
     known |= {name: IMU_SENSORS[kind] for name, kind in own if name is not None}
     if not known:

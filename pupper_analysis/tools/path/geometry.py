@@ -341,13 +341,13 @@ def path_geometry(
             stand.qpos[3:7] *= -1  # the same rotation, without a jump
         jumps = np.abs(stand.joint_positions(robot) - ik_seed)
         if jumps.max() > MAX_JUMP:
-            told = diagnose(
+            message = diagnose(
                 "joint-jumps",
                 subject=("joint", robot.joint_names[int(jumps.argmax())]),
                 jump=Quantity(jumps.max(), "rad"),
                 where=where,
             )
-            raise ConfigurationError("stances", told)
+            raise ConfigurationError("stances", message)
         ik_seed = stand.joint_positions(robot)
         tangent, curvature = _derivatives(robot, segment, share, stand.qpos, rolling=rolling)
         places.append(PathPlace(segment, number, progress, share, stand, tangent, curvature))

@@ -445,9 +445,9 @@ def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
         if isinstance(value, bool) or not 0 < number < math.inf:
             raise ConfigurationError(name, diagnose("not-finite-above-0", value=repr(value)))
     if seconds < SHORTEST:
-        told = diagnose("shorter-than-least", seconds=seconds, least=SHORTEST)
-        raise ConfigurationError("seconds", told)
+        message = diagnose("shorter-than-least", seconds=seconds, least=SHORTEST)
+        raise ConfigurationError("seconds", message)
     if max(seconds * rate, LEAST_PER_SEGMENT * len(stances)) > MAX_SAMPLES:
-        told = diagnose("too-many-samples", most=MAX_SAMPLES)
-        raise ConfigurationError("seconds, rate", told)
+        message = diagnose("too-many-samples", most=MAX_SAMPLES)
+        raise ConfigurationError("seconds, rate", message)
     return max(LEAST_PER_SEGMENT, math.ceil(seconds * rate / (len(stances) - 1) - 1e-9))

@@ -229,7 +229,7 @@ class Bench:
         mujoco.mj_kinematics(self.robot.mj_model, data)
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 
-    def told(self) -> dict[str, Any]:
+    def fields(self) -> dict[str, Any]:
         """Returns the fields of ``Pushed``."""
         return {
             "feedforward": self.feedforward,

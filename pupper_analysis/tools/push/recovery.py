@@ -257,7 +257,7 @@ def push_recovery(
         resolution=float(resolution),
         rollouts=bench.rollouts,
         unpushed=bench.unpushed,
-        **bench.told(),
+        **bench.fields(),
     )
 
 

@@ -117,5 +117,5 @@ def simulate_push(
         velocity_step=impulse / robot.total_mass,
         motion_time=shown[:, 0].copy(),
         motion=np.round(shown[:, 1 + robot.mj_convention.qpos_index], 6),
-        **bench.told(),
+        **bench.fields(),
     )

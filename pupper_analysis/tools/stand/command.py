@@ -139,10 +139,10 @@ def _explain(asked: RobotAndTask, words: tuple[str, ...], json_path: Path | None
             body=said.get("body"),
             packages=said.get("packages"),
         )
-        told, robot = explain_loading(pair.urdf, pair.mjcf, request)
-        told = replace(told, notes=pair.mark(robot).notes)
-    document = preparation_document(told)
+        messages, robot = explain_loading(pair.urdf, pair.mjcf, request)
+        messages = replace(messages, notes=pair.mark(robot).notes)
+    document = preparation_document(messages)
     shared.show_report(
         Report(document.title, (document,)), asked.style, everything=asked.everything
     )
-    shared.finish_command(json_path, told, passed=True)
+    shared.finish_command(json_path, messages, passed=True)

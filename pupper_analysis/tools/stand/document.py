@@ -47,7 +47,7 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
         text("loading-title"),
         doc.Name(loading.name),
         (_passes(loading),) if loading.passes else (),
-        told=(robot, *ready),
+        findings=(robot, *ready),
         notes=tuple(
             map(doc.tell, merge_diagnostics([note for note in loading.notes if note not in shown]))
         ),

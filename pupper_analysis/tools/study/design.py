@@ -64,14 +64,14 @@ from pupper_analysis.tools.study.parameters import (
 )
 
 
-def to_record(told: Diagnostic) -> dict[str, Any]:
+def to_record(message: Diagnostic) -> dict[str, Any]:
     """Returns a diagnostic as JSON can hold it, from which ``from_record`` makes it again."""
-    subject, sources = told.subject, told.sources
+    subject, sources = message.subject, message.sources
     return {
-        "code": told.code,
-        "severity": told.severity.value,
+        "code": message.code,
+        "severity": message.severity.value,
         "subject": None if subject is None else [subject.kind, subject.name],
-        "values": {name: _recorded(value) for name, value in told.values.items()},
+        "values": {name: _recorded(value) for name, value in message.values.items()},
         "sources": [[one.file, one.line, one.element, one.attribute] for one in sources],
     }
 
@@ -97,7 +97,7 @@ def _recorded(value: Value) -> Any:
     if isinstance(value, tuple):
         return [_recorded(one) for one in value]
     if isinstance(value, Diagnostic):
-        return {"told": to_record(value)}
+        return {"diagnostic": to_record(value)}
     if isinstance(value, Quantity):
         return {"quantity": [value.value, value.unit]}
     if isinstance(value, Vector):
@@ -113,7 +113,7 @@ def _restored(kept: Any) -> Value:
     if not isinstance(kept, dict):
         return kept  # type: ignore[no-any-return]  # a number, a text, true or false, None
     ((kind, value),) = kept.items()
-    if kind == "told":
+    if kind == "diagnostic":
         return from_record(value)
     if kind == "quantity":
         return Quantity(*value)

@@ -64,7 +64,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
         finding.append(text("it-stands-with-all-motors",
                          share=f"{both.probability:.1%}"))  # fmt: skip
     return doc.Document(
-        text("study-of-designs"), doc.Name(outcome.robot), tuple(blocks), told=tuple(finding)
+        text("study-of-designs"), doc.Name(outcome.robot), tuple(blocks), findings=tuple(finding)
     )
 
 
@@ -369,7 +369,9 @@ def estimate_document(
     if expected.failures:
         kinds = join_words(map(word, expected.failures))
         finding.append(text("timed-that-failed", kinds=kinds))
-    return doc.Document(text("study-of-designs"), text("estimate-title"), (), told=tuple(finding))
+    return doc.Document(
+        text("study-of-designs"), text("estimate-title"), (), findings=tuple(finding)
+    )
 
 
 def duration_text(seconds: float) -> str:
@@ -434,7 +436,7 @@ def measured_document(
     if objectives:
         front = pareto_front(standing_designs(table), objectives)
         blocks.append(_front_table(front, objectives, tuple(variables), table))
-    return doc.Document(text("study-of-designs"), doc.Name(name), tuple(blocks), told=lines)
+    return doc.Document(text("study-of-designs"), doc.Name(name), tuple(blocks), findings=lines)
 
 
 def metrics_document() -> doc.Document:
@@ -475,7 +477,7 @@ def written_document(written: WrittenDesign) -> doc.Document:
         text("design-written", number=written.number),
         text("design-of", number=written.number, numbers=doc.Name(numbers)),
         (doc.Table(text("what-was-measured"), columns, rows),),
-        told=(text("its-command", command=doc.Name(written.command)),),
+        findings=(text("its-command", command=doc.Name(written.command)),),
         passed=written.passed,
         failures=tuple(map(doc.tell, written.failures)),
     )

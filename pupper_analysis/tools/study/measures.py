@@ -166,7 +166,9 @@ def _stands(design: Design) -> bool:
     """Tells so, or says why not: it stays up, and neither shakes nor buckles within 12 s."""
     own = own_run(design.robot) if design.own_servos else None
     if own is not None and own.fails:
-        raise NotStandingError(tuple(clause.told for clause in own_clauses(own) if not clause.good))
+        raise NotStandingError(
+            tuple(clause.message for clause in own_clauses(own) if not clause.good)
+        )
     leaving = design.stability.leaving()
     if leaving:
         raise NotStandingError((describe_growth(leaving[0]),))

@@ -281,10 +281,10 @@ def study_outcome(
 
 def rests_on(robot: Robot) -> tuple[Diagnostic, ...]:
     """Returns what stands of a robot rest on; see ``StudyOutcome``."""
-    finding = [clause.told for clause in own_clauses(own_run(robot))]
+    finding = [clause.message for clause in own_clauses(own_run(robot))]
     with contextlib.suppress(ModelError):  # without servos gains are given
         servos = servos_used(robot)
-        finding += [on_servos(servos, good=True).told] if servos.made else []
+        finding += [on_servos(servos, good=True).message] if servos.made else []
     return tuple(finding)
 
 
@@ -374,12 +374,12 @@ def _failures(table: pd.DataFrame) -> tuple[Failures, ...]:
         first = table[table["failure"] == kind].iloc[0]
         metric = first["failed_metric"] if isinstance(first["failed_metric"], str) else None
         share = float(count) / len(table)
-        reason, finding = str(first["reason"]), _told(first.get("diagnostic"))
+        reason, finding = str(first["reason"]), _read_diagnostic(first.get("diagnostic"))
         found.append(Failures(str(kind), metric, int(count), share, reason, finding))
     return tuple(found)
 
 
-def _told(kept: object) -> Diagnostic | None:
+def _read_diagnostic(kept: object) -> Diagnostic | None:
     """Returns the diagnostic of a cell; None where it has none, or one whose code is gone."""
     try:
         return from_record(orjson.loads(kept)) if isinstance(kept, str) else None

@@ -271,7 +271,7 @@ def _means(plot: MeansPlot) -> Drawing:
             return "", 1.0
         return colour_of_share((mean - low) / wide if wide else 0.5), 1.0
 
-    def told(row: int, column: int) -> str:
+    def label(row: int, column: int) -> str:
         mean = float(found.means[row, column])
         if not math.isfinite(mean):
             return "-"
@@ -282,7 +282,7 @@ def _means(plot: MeansPlot) -> Drawing:
     cells = _Grid(found.x, found.y)
     marks = [*cells.cells(filled), *cells.crossed(found.partial), *cells.axes(x, y)]
     marks += _bar(low, high)
-    marks.append(cells.labels(Name(column_label(plot.metric)), x, y, told))
+    marks.append(cells.labels(Name(column_label(plot.metric)), x, y, label))
     return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks))
 
 
@@ -310,12 +310,12 @@ def _ends(plot: EndsPlot) -> Drawing:
         named
     ):  # where it is the most frequent: what it is, and of how many
 
-        def told(row: int, column: int, kind: int = kind) -> str:
+        def label(row: int, column: int, kind: int = kind) -> str:
             return f"{found.counts[kind, row, column]:.0f} / {total[row, column]:.0f}"
 
         chosen = (most == kind) & (total > 0)
         if chosen.any():
-            marks.append(cells.labels(name, x, y, told, chosen))
+            marks.append(cells.labels(name, x, y, label, chosen))
     counts = found.counts.sum(axis=(1, 2))
     legend = tuple((name, shade[kind]) for kind, name in enumerate(named) if counts[kind])
     return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks), legend)
@@ -450,7 +450,7 @@ class _Grid:
         name: Words,
         x: str,
         y: str,
-        told: Callable[[int, int], str],
+        label: Callable[[int, int], str],
         chosen: NDArray[np.bool_] | None = None,
     ) -> Mark:
         """Returns what cells say when pointed at: an unseen line through their middles."""
@@ -461,7 +461,7 @@ class _Grid:
             middle = LEFT + (column + 0.5) * self.across
             points.append([round(middle, 1), round(TOP + self.tall - (row + 0.5) * self.up, 1)])
             at = f"{x} {self.x.centres[column]:.4g}, {y} {self.y.centres[row]:.4g}"
-            labels.append(_plain(f"{at}: {told(row, column)}"))
+            labels.append(_plain(f"{at}: {label(row, column)}"))
         reach = math.hypot(self.across, self.up) / 2
         return {"tag": "polyline", "class": "unseen", "points": points, "labels": labels,
                 "name": name, "reach": reach}  # fmt: skip

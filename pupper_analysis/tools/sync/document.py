@@ -44,9 +44,9 @@ def sync_document(
         "attributes-that-would-be-written" if would else "attributes-written-count",
         count=count,
     )
-    told = [written]
+    messages = [written]
     if sync.not_mended:
-        told.append(text("differences-left-count", count=len(sync.not_mended)))
+        messages.append(text("differences-left-count", count=len(sync.not_mended)))
     return doc.Document(
         text("sync"),
         text("both-files"),
@@ -54,7 +54,7 @@ def sync_document(
         passed=sync.agree,
         verdict=text("agree") if sync.agree else text("disagree"),
         failures=tuple(_withheld(sync)),
-        told=tuple(told),
+        findings=tuple(messages),
         notes=tuple(
             text("difference-note", difference=doc.Name(named), note=doc.tell(note))
             for named, note in sync.notes.items()

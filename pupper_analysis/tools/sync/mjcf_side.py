@@ -84,8 +84,8 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
             return
         for plan in spread:
             _write_plan(side, plan)
-        told = diagnose("bodies-changed-alike", bodies=len(spread))
-        side.notes.update(dict.fromkeys(keys, told))
+        message = diagnose("bodies-changed-alike", bodies=len(spread))
+        side.notes.update(dict.fromkeys(keys, message))
         return
     best = min(plans, key=lambda plan: plan[0])
     _write_plan(side, best)
@@ -564,8 +564,8 @@ def write_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:
         side.write(key, element, "gainprm", gain)
         side.write(key, element, "biasprm", _padded(element, "biasprm", [0, -stiffness, -damping]))
     else:
-        told = diagnose("servo-without-words", tag=element.tag)
-        side.left.update(dict.fromkeys(wanted, told))
+        message = diagnose("servo-without-words", tag=element.tag)
+        side.left.update(dict.fromkeys(wanted, message))
 
 
 def _position(

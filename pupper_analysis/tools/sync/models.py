@@ -338,8 +338,8 @@ def _write_trial(place: Path, data: bytes, path: Path) -> None:
         clear_left(place.parent)
         write_new(place, data, lasting=False)
     except OSError as error:
-        told = diagnose("nothing-to-be-tried", problem=error.strerror or str(error))
-        raise OutputError(path, told) from error
+        message = diagnose("nothing-to-be-tried", problem=error.strerror or str(error))
+        raise OutputError(path, message) from error
 
 
 def _with_includes(document: XmlDocument, main: Path, places: Mapping[Path, Path]) -> bytes:
@@ -468,8 +468,8 @@ def _numbers(text: str, most: int) -> Iterator[int]:
             raise ConfigurationError("take", diagnose("no-list-of-numbers", given=text))
         first, last = int(found[1]), int(found[2] or found[1])
         if not 1 <= first <= last <= most:
-            told = diagnose("no-such-number", given=part.strip(), most=most)
-            raise ConfigurationError("take", told)
+            message = diagnose("no-such-number", given=part.strip(), most=most)
+            raise ConfigurationError("take", message)
         yield from range(first, last + 1)
 
 

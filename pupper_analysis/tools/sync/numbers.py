@@ -442,9 +442,9 @@ def try_files(
             if mjcf[1] is not None:
                 wrong |= _odd_in_mjcf(changes, mjcf[0].model, read_mjcf(folder / mjcf[1]).model)
         except ModelError as error:
-            told = error.cause.with_names(lambda text: text.replace(f"{folder}/", ""))
+            message = error.cause.with_names(lambda text: text.replace(f"{folder}/", ""))
             raise ModelError(
-                matched.robot.name, diagnose("written-not-read", problem=told)
+                matched.robot.name, diagnose("written-not-read", problem=message)
             ) from error
     if wrong:
         raise refuse_numbers(matched.robot, wrong)
@@ -618,14 +618,14 @@ def check_own(robot: Robot, changes: NumberChanges) -> None:
             or float(np.abs(body.com - stated.com).max()) > _OWN
             or float(np.abs(body.inertia - stated.inertia).max()) > 1e3 * _OWN * size
         ):
-            told = diagnose(
+            message = diagnose(
                 "robot-is-not-its-files",
                 subject=("link", both.matched.urdf_link.get(mover, mover)),
                 file=both.matched.robot.description.urdf_source.name,
                 mass=Quantity(body.mass, "kg"),
                 stated=Quantity(stated.mass, "kg"),
             )
-            raise ModelError(robot.name, told)
+            raise ModelError(robot.name, message)
 
 
 class NumberChanges:

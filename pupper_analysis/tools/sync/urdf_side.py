@@ -212,14 +212,14 @@ class UrdfSide(Side):
                 inside = self._pose(link).actInv(part)
                 element = self._links[link].element
                 self._write(link, inertial_changes(element, inside, self.digits))
-            told = diagnose("links-changed-alike", links=len(spread))
-            self.notes.update(dict.fromkeys(keys, told))
+            message = diagnose("links-changed-alike", links=len(spread))
+            self.notes.update(dict.fromkeys(keys, message))
             return
         link, changes = min(found, key=lambda one: len(one[1]))
         self._write(link, changes)
         if len(heavy) > 1:
-            told = diagnose("one-link-changed", links=len(heavy), link=link)
-            self.notes.update(dict.fromkeys(keys, told))
+            message = diagnose("one-link-changed", links=len(heavy), link=link)
+            self.notes.update(dict.fromkeys(keys, message))
 
     def _write(self, link: str, changes: Changes) -> None:
         """Notes changes of a link's inertial."""

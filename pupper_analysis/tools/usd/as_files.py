@@ -79,9 +79,12 @@ def read_usd_as_urdf(path: Path) -> UsdAsUrdf:
     unknown = {"effort": joints_without(model, "effort")}
     if unknown["effort"]:
         notes.append(diagnose("usd-efforts-unknown", joints=unknown["effort"]))
-    told = (*notes, *(note for note in made.notes if note.code != "effort-or-velocity-unstated"))
+    messages = (
+        *notes,
+        *(note for note in made.notes if note.code != "effort-or-velocity-unstated"),
+    )
     return UsdAsUrdf(
-        path, made.text, made.root, {}, told, unknown, STANDS_FOR, model.gains, usd=file
+        path, made.text, made.root, {}, messages, unknown, STANDS_FOR, model.gains, usd=file
     )
 
 
@@ -227,10 +230,10 @@ def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
         inertial = inertials.get(name)
         if inertial is not None:
             if not _is_taken(inertial):
-                told = diagnose(
+                message = diagnose(
                     "usd-inertia-of-no-body", moments=Vector(tuple(inertial.moments), "kg m^2")
                 )
-                raise refuse_file(model.file.place("body", name), told)
+                raise refuse_file(model.file.place("body", name), message)
             set_inertia(body, inertial.rigid)
         _add_joints(model, link, body)
         for frame in link.frames:

@@ -142,8 +142,8 @@ def weigh_body(body: Any, place: Placed, shapes: Sequence[UsdShape], units: Stag
             return Weighed(None, Origin.UNKNOWN, made, newton)
         ball = 0.4 * mass * BALL**2 * np.eye(3)
         com = np.zeros(3) if com is None else com
-        told = Inertial(mass, com, ball if tensor is None else tensor, True, rounding)
-        return Weighed(told, Origin.STATED, made, newton, axes_made=axes_made)
+        message = Inertial(mass, com, ball if tensor is None else tensor, True, rounding)
+        return Weighed(message, Origin.STATED, made, newton, axes_made=axes_made)
     whole, middle, about, water = summed
     origin = Origin.STATED if mass > 0 else Origin.WATER if water > 0 else Origin.SHAPES
     factor = mass / whole if mass > 0 else 1.0
@@ -152,9 +152,9 @@ def weigh_body(body: Any, place: Placed, shapes: Sequence[UsdShape], units: Stag
     com = middle if com is None else com
     if tensor is None:
         tensor = about + mass * _square(com - middle)
-    told = Inertial(mass, com, tensor, origin is Origin.STATED and not made, rounding)
+    message = Inertial(mass, com, tensor, origin is Origin.STATED and not made, rounding)
     water = 0.0 if origin is Origin.STATED else water
-    return Weighed(told, origin, made, newton, water, axes_made, com_made)
+    return Weighed(message, origin, made, newton, water, axes_made, com_made)
 
 
 def _summed(
@@ -314,8 +314,8 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     }
     for name, place in places.items():
         if np.ptp(place.scale) > 1e-4 * place.scale.max():
-            told = diagnose("usd-body-scaled-unevenly", scale=Vector(tuple(place.scale), "1"))
-            raise refuse_file(file.place("body", name), told)
+            message = diagnose("usd-body-scaled-unevenly", scale=Vector(tuple(place.scale), "1"))
+            raise refuse_file(file.place("body", name), message)
     edges = {edge.name: edge for edge in _edges(file, places, units, cache)}
     trees = _Forest(list(prims), edges, _article_roots(file))
     base = trees.base
@@ -379,8 +379,8 @@ def _edges(
             targets = prim.GetRelationship(f"physics:body{end}").GetTargets()
             target = file.stage.GetPrimAtPath(targets[0]) if targets else None
             if targets and not target:
-                told = diagnose("usd-joint-of-no-prim", end=f"body{end}", prim=str(targets[0]))
-                raise refuse_file(Place(file.path, None, path), told)
+                message = diagnose("usd-joint-of-no-prim", end=f"body{end}", prim=str(targets[0]))
+                raise refuse_file(Place(file.path, None, path), message)
             body, place = _carrier(target, names), Placed(Pose(), np.full(3, units.length))
             if target:
                 matrix = world_matrix(file, target, cache)

@@ -40,13 +40,13 @@ def mass_of_water(robot: UsdModel) -> Iterator[Found]:
     """Finds bodies whose mass, or some of it, is of shapes without any stated density."""
     for name, weighed in robot.weights.items():
         if weighed.origin is Origin.WATER and weighed.inertial is not None:
-            told = diagnose(
+            message = diagnose(
                 "mass-of-water",
                 mass=Quantity(weighed.water, "kg"),
                 density=Quantity(WATER, "kg/m^3"),
                 total=Quantity(robot.total_mass, "kg"),
             )
-            yield Found(robot.link_tag, name, told)
+            yield Found(robot.link_tag, name, message)
 
 
 def mass_unstated(robot: UsdModel) -> Iterator[Found]:
@@ -54,9 +54,9 @@ def mass_unstated(robot: UsdModel) -> Iterator[Found]:
     for name, weighed in robot.weights.items():
         if weighed.inertial is None:
             shapes = any(shape.collides for shape in robot.links[name].shapes)
-            told = diagnose("mass-unstated", shapes=shapes)
+            message = diagnose("mass-unstated", shapes=shapes)
             alone = robot.links[name].moving or robot.links[name].parent is None
-            yield Found(robot.link_tag, name, told, severity=None if alone else Severity.NOTE)
+            yield Found(robot.link_tag, name, message, severity=None if alone else Severity.NOTE)
 
 
 def inertia_unstated(robot: UsdModel) -> Iterator[Found]:
@@ -65,19 +65,19 @@ def inertia_unstated(robot: UsdModel) -> Iterator[Found]:
         inertial, stated = weighed.inertial, weighed.origin is Origin.STATED
         if stated and weighed.inertia_made and inertial is not None and inertial.mass > 0:
             shapes = any(shape.collides for shape in robot.links[name].shapes)
-            told = diagnose(
+            message = diagnose(
                 "inertia-unstated",
                 mass=Quantity(inertial.mass, "kg"),
                 shapes=shapes,
                 radius=Quantity(BALL, "m"),
             )
             severity = None if shapes else Severity.WARNING
-            yield Found(robot.link_tag, name, told, severity=severity)
+            yield Found(robot.link_tag, name, message, severity=severity)
         elif stated and weighed.com_made and inertial is not None:
             away = float(np.linalg.norm(inertial.com))
             if away > OFF:
-                told = diagnose("com-unstated", away=Quantity(away, "m"))
-                yield Found(robot.link_tag, name, told, severity=Severity.WARNING)
+                message = diagnose("com-unstated", away=Quantity(away, "m"))
+                yield Found(robot.link_tag, name, message, severity=Severity.WARNING)
         elif weighed.axes_made and inertial is not None and np.ptp(inertial.moments) > 0:
             yield Found(robot.link_tag, name, diagnose("principal-axes-unstated"))
 
@@ -94,26 +94,26 @@ def inertias_contradict(robot: UsdModel) -> Iterator[Found]:
             continue
         moments = np.linalg.eigvalsh(weighed.newton)
         turned = bool(np.allclose(moments, stated.moments, atol=CONTRADICTION * size))
-        told = diagnose("inertias-contradict", off=Quantity(off / size, "1"), turned=turned)
-        yield Found(robot.link_tag, name, told)
+        message = diagnose("inertias-contradict", off=Quantity(off / size, "1"), turned=turned)
+        yield Found(robot.link_tag, name, message)
 
 
 def mass_not_counted(robot: UsdModel) -> Iterator[Found]:
     """Finds masses on what is neither a body nor touches things."""
     for path, mass in robot.idle.items():
-        told = diagnose("mass-not-counted", mass=Quantity(mass, "kg"))
+        message = diagnose("mass-not-counted", mass=Quantity(mass, "kg"))
         name = path.rpartition("/")[2]
-        yield Found("prim", name, told, place=Place(robot.file.path, None, path))
+        yield Found("prim", name, message, place=Place(robot.file.path, None, path))
 
 
 def joint_frames_apart(robot: UsdModel) -> Iterator[Found]:
     """Compares a joint's frames in its two bodies, as these stand, but for its own motion."""
     for name, (gap, turn) in robot.apart.items():
         if gap > GAP or turn > TURN:
-            told = diagnose(
+            message = diagnose(
                 "joint-frames-apart", gap=Quantity(gap, "m"), turn=Quantity(turn, "rad")
             )
-            yield Found("joint", name, told)
+            yield Found("joint", name, message)
 
 
 def joint_numbers_contradict(robot: UsdModel) -> Iterator[Found]:
@@ -127,14 +127,14 @@ def joint_numbers_contradict(robot: UsdModel) -> Iterator[Found]:
                 continue
             first, last = min(stated, key=stated.__getitem__), max(stated, key=stated.__getitem__)
             unit = BY_KIND[kind].unit(edge.kind == SLIDE)
-            told = diagnose(
+            message = diagnose(
                 "joint-numbers-contradict",
                 one=first,
                 first=Quantity(stated[first], unit),
                 two=last,
                 last=Quantity(stated[last], unit),
             )
-            yield Found("joint", name, told)
+            yield Found("joint", name, message)
 
 
 def drive_gain_in_wrong_unit(robot: UsdModel) -> Iterator[Found]:
@@ -148,14 +148,14 @@ def drive_gain_in_wrong_unit(robot: UsdModel) -> Iterator[Found]:
             continue
         meant = effort / (drive.stiffness * math.radians(1.0))
         if effort / drive.stiffness < SATURATED and USUAL[0] <= meant <= USUAL[1]:
-            told = diagnose(
+            message = diagnose(
                 "drive-gain-in-wrong-unit",
                 written=drive.written,
                 stiffness=Quantity(drive.stiffness, "N m/rad"),
                 effort=Quantity(effort, "N m"),
                 angle=Quantity(effort / drive.stiffness, "rad"),
             )
-            yield Found("joint", name, told, severity=Severity.NOTE)
+            yield Found("joint", name, message, severity=Severity.NOTE)
 
 
 def units_unstated(robot: UsdModel) -> Iterator[Found]:
@@ -164,13 +164,13 @@ def units_unstated(robot: UsdModel) -> Iterator[Found]:
         return
     places = np.array([joint.position for joint in robot.joints.values()])
     size = float(np.ptp(places, axis=0).max()) if len(places) > 1 else 0.0
-    told = diagnose(
+    message = diagnose(
         "units-unstated",
         unit=Quantity(robot.units.length, "m"),
         size=Quantity(size, "m"),
         drawn=Quantity(size / robot.units.length, "m"),
     )
-    yield Found("file", "", told, severity=None if 0 < size < SMALL else Severity.NOTE)
+    yield Found("file", "", message, severity=None if 0 < size < SMALL else Severity.NOTE)
 
 
 def value_impossible(robot: UsdModel) -> Iterator[Found]:
@@ -181,13 +181,13 @@ def value_impossible(robot: UsdModel) -> Iterator[Found]:
         for attribute in ("stiffness", "damping"):
             value = getattr(edge.drive, attribute)
             if value < 0:
-                told = diagnose("value-impossible", attribute=attribute, value=value)
-                yield Found("joint", name, told)
+                message = diagnose("value-impossible", attribute=attribute, value=value)
+                yield Found("joint", name, message)
     for link in robot.links.values():
         for shape in link.shapes:
             if shape.size and not min(shape.size) > 0:
-                told = diagnose("shape-without-size", shape=shape.name, kind=Term(shape.kind))
-                yield Found(robot.link_tag, link.name, told)
+                message = diagnose("shape-without-size", shape=shape.name, kind=Term(shape.kind))
+                yield Found(robot.link_tag, link.name, message)
 
 
 CHECKS: Final[Mapping[str, Check]] = {

@@ -118,8 +118,8 @@ def value_of(prim: Any, name: str, kind: str) -> Any:
     )
     if not fits:
         file = Path(prim.GetStage().GetRootLayer().realPath)
-        told = diagnose("usd-value-of-other-type", attribute=name, kind=type(value).__name__)
-        raise refuse_file(Place(file, None, str(prim.GetPath())), told)
+        message = diagnose("usd-value-of-other-type", attribute=name, kind=type(value).__name__)
+        raise refuse_file(Place(file, None, str(prim.GetPath())), message)
     return value
 
 
@@ -145,8 +145,8 @@ def axis_of(prim: Any, name: str, usual: str) -> str:
     axis = str(value_of(prim, name, "text") or usual)
     if axis not in AXES:
         file = Path(prim.GetStage().GetRootLayer().realPath)
-        told = diagnose("usd-value-of-other-type", attribute=name, kind=axis)
-        raise refuse_file(Place(file, None, str(prim.GetPath())), told)
+        message = diagnose("usd-value-of-other-type", attribute=name, kind=axis)
+        raise refuse_file(Place(file, None, str(prim.GetPath())), message)
     return axis
 
 
@@ -181,8 +181,8 @@ def world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
     try:
         return cache.GetLocalToWorldTransform(prim)
     except Tf.ErrorException as error:
-        told = diagnose("usd-transform-without-value")
-        raise refuse_file(Place(file.path, None, str(prim.GetPath())), told) from error
+        message = diagnose("usd-transform-without-value")
+        raise refuse_file(Place(file.path, None, str(prim.GetPath())), message) from error
 
 
 def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) -> Placed:
@@ -195,8 +195,8 @@ def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) ->
     scale = np.linalg.norm(whole[:3, :3], axis=0)
     turn = whole[:3, :3] / np.where(scale > 0, scale, 1.0)
     if not np.allclose(turn.T @ turn, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
-        told = diagnose("usd-frame-sheared", scale=Vector(tuple(scale), "1"))
-        raise refuse_file(Place(file.path, None, str(prim.GetPath())), told)
+        message = diagnose("usd-frame-sheared", scale=Vector(tuple(scale), "1"))
+        raise refuse_file(Place(file.path, None, str(prim.GetPath())), message)
     scale = np.where(np.abs(scale - 1.0) < SCALE_ROUNDING, 1.0, scale)
     left, _, right = np.linalg.svd(turn)
     return Placed(Pose(whole[:3, 3] * units.length, left @ right), scale * units.length)

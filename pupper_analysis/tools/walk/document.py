@@ -31,7 +31,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
         passed=walk.passed,
         verdict=text(word),
         failures=tuple(doc.tell(gait.fall) for gait in fallen[:1] if gait.fall is not None),
-        told=tuple(_told(walk)),
+        findings=tuple(_findings(walk)),
         notes=robot_notes(robot),
     )
 
@@ -51,7 +51,7 @@ def _view(walk: Walk, robot: Robot | None) -> doc.View:
     return doc.View(text("walk-view"), scene, text("walk-view-note"))
 
 
-def _told(walk: Walk) -> Iterable[doc.Words]:
+def _findings(walk: Walk) -> Iterable[doc.Words]:
     first, gaits = walk.gaits[0], walk.gaits
     yield text(
         "walk-speed-line",
@@ -230,7 +230,7 @@ def intervals_document(found: TrackedIntervals, robot: Robot | None = None) -> d
         passed=found.passed,
         verdict=text(word),
         failures=tuple(reasons),
-        told=(text("walk-commanded", command=_command(found.command)),),
+        findings=(text("walk-commanded", command=_command(found.command)),),
         notes=robot_notes(robot),
     )
 
@@ -329,7 +329,7 @@ def orders_document(found: Orders, robot: Robot | None = None) -> doc.Document:
         verdict=text(word),
         warned=found.passed and not found.determined,
         failures=() if found.passed else (line,),
-        told=(*((line,) if found.passed else ()), text("walk-orders-not")),
+        findings=(*((line,) if found.passed else ()), text("walk-orders-not")),
         notes=robot_notes(robot),
     )
 

@@ -154,7 +154,7 @@ class TrackedInterval(Result):
     below: Array
     above: Array
     measured: tuple[float, float] | None = None
-    _told: ClassVar[tuple[str, ...]] = ("common", "inside")
+    _reported: ClassVar[tuple[str, ...]] = ("common", "inside")
 
     @property
     def common(self) -> tuple[float, float]:
@@ -193,7 +193,7 @@ class TrackedIntervals(Result):
     intervals: tuple[TrackedInterval, ...]
     rollouts: int
     seconds: float
-    _told: ClassVar[tuple[str, ...]] = ("passed",)
+    _reported: ClassVar[tuple[str, ...]] = ("passed",)
 
     @property
     def passed(self) -> bool:

@@ -94,7 +94,7 @@ class Orders(Result):
     stated: int
     lead: float | None
     seconds: float
-    _told: ClassVar[tuple[str, ...]] = ("passed", "determined", "alike")
+    _reported: ClassVar[tuple[str, ...]] = ("passed", "determined", "alike")
 
     @property
     def determined(self) -> bool:

@@ -122,13 +122,13 @@ def test_the_tables_are_those_that_toml_reads_and_no_code_is_in_two() -> None:
 
 def test_every_code_is_said_in_both_languages() -> None:
     for code in CODES:
-        told = entry(code)
-        assert told.severity in list(Severity), code
-        assert told.group in ("wrong", "assumed", "found"), code
-        assert uses(told.templates["en"]) == uses(told.templates["zh"]), code
-        words = re.sub(r"\{[^}]*\}|\[!?\w+\?", "", told.templates["en"])
+        message = entry(code)
+        assert message.severity in list(Severity), code
+        assert message.group in ("wrong", "assumed", "found"), code
+        assert uses(message.templates["en"]) == uses(message.templates["zh"]), code
+        words = re.sub(r"\{[^}]*\}|\[!?\w+\?", "", message.templates["en"])
         if re.search("[a-z]{4}", words) and "pip install" not in words:
-            assert HAN.search(told.templates["zh"]), code
+            assert HAN.search(message.templates["zh"]), code
 
 
 def test_every_code_that_is_used_is_in_the_catalogue_and_the_other_way_round() -> None:
@@ -225,10 +225,10 @@ def test_templates_are_filled_with_values(
 
 
 def test_what_is_within_is_said_in_the_same_language() -> None:
-    told = diagnose("name-unknown", kind=Term("joint"), unknown="knee", known=("hip", "foot"))
-    assert told.text("en") == "no joint 'knee'; there are: hip, foot"
-    assert told.text("zh") == "没有关节 'knee'；现有：hip、foot"
-    within = diagnose("argument-not-valid", field="feet", problem=told)
+    message = diagnose("name-unknown", kind=Term("joint"), unknown="knee", known=("hip", "foot"))
+    assert message.text("en") == "no joint 'knee'; there are: hip, foot"
+    assert message.text("zh") == "没有关节 'knee'；现有：hip、foot"
+    within = diagnose("argument-not-valid", field="feet", problem=message)
     assert within.text("zh") == "feet：没有关节 'knee'；现有：hip、foot"
 
 
@@ -242,17 +242,19 @@ def test_a_difference_is_said_in_both_languages() -> None:
         first=Term("the URDF"),
         second=Term("the MJCF"),
     )
-    told = diagnose("inertia-differs", subject=("body", "base"), entries=[entry, entry], guess=None)
+    message = diagnose(
+        "inertia-differs", subject=("body", "base"), entries=[entry, entry], guess=None
+    )
     english = "ixx 0.018 kg m^2 in the URDF, 0.016 kg m^2 in the MJCF (-7.39 %)"
-    assert str(told) == f"link base: inertia about the com: {english}; {english}"
+    assert str(message) == f"link base: inertia about the com: {english}; {english}"
     chinese = "ixx 在 URDF 中为 0.018 kg m^2，在 MJCF 中为 0.016 kg m^2（-7.39 %）"
-    assert told.text("zh") == f"连杆 base：关于质心的惯量：{chinese}；{chinese}"
+    assert message.text("zh") == f"连杆 base：关于质心的惯量：{chinese}；{chinese}"
 
 
 # --- diagnostics
 
 
-def told() -> Diagnostic:
+def message() -> Diagnostic:
     return diagnose(
         "foot-misses-target",
         subject=("foot", "FL"),
@@ -262,12 +264,12 @@ def told() -> Diagnostic:
 
 
 def test_a_diagnostic_survives_pickling_and_can_be_compared() -> None:
-    assert pickle.loads(pickle.dumps(told())) == told()
-    assert len({told(), told()}) == 1
+    assert pickle.loads(pickle.dumps(message())) == message()
+    assert len({message(), message()}) == 1
     other = diagnose("foot-misses-target", subject=("foot", "FR"), gap=Quantity(0.002, "m"))
-    assert other != told()
+    assert other != message()
     with pytest.raises(TypeError, match="cannot be changed"):
-        told().values["gap"] = 3  # type: ignore[index]
+        message().values["gap"] = 3  # type: ignore[index]
 
 
 def test_what_is_recorded_can_be_said_again_in_any_language() -> None:
@@ -280,14 +282,14 @@ def test_what_is_recorded_can_be_said_again_in_any_language() -> None:
         moved=Vector((0.0, 1.5, 0.0), "m"),
         asked=Vector((0.0, 0.0, 0.0), "m"),
     )
-    for kept in (told(), within, one, diagnose("argument-not-valid", field="f", problem=within)):
+    for kept in (message(), within, one, diagnose("argument-not-valid", field="f", problem=within)):
         again = from_record(json.loads(json.dumps(to_record(kept))))
         assert again == kept
         assert (again.text("en"), again.text("zh")) == (kept.text("en"), kept.text("zh"))
 
 
 def test_in_json_it_has_its_code_values_units_sources_and_words() -> None:
-    assert json.loads(to_json({"notes": [told()]}))["notes"] == [
+    assert json.loads(to_json({"notes": [message()]}))["notes"] == [
         {
             "code": "foot-misses-target",
             "severity": "error",

@@ -98,8 +98,8 @@ def test_it_is_said_that_there_was_one_file(
     assert both.description.converted == ""
     for robot, made, file in ((of_urdf, "mjcf", URDF), (of_mjcf, "urdf", MJCF)):
         assert robot.description.converted == made
-        [told] = [note for note in robot.notes if note.code == "one-model-converted"]
-        assert (told.values["made"], told.values["file"]) == (made.upper(), file.name)
+        [message] = [note for note in robot.notes if note.code == "one-model-converted"]
+        assert (message.values["made"], message.values["file"]) == (made.upper(), file.name)
         again = pickle.loads(pickle.dumps(robot))
         assert again.description.converted == made
         np.testing.assert_array_equal(

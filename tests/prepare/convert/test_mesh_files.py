@@ -119,10 +119,10 @@ def test_what_takes_minutes_to_compile_is_left(
     )
     found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
     reasons = {
-        (file, told.values["why"].code)
-        for told in found.not_converted
-        if told.code == "meshes-left"
-        for file in told.values["files"]
+        (file, message.values["why"].code)
+        for message in found.not_converted
+        if message.code == "meshes-left"
+        for file in message.values["files"]
     }
     assert reasons == {
         ("box.obj", "mesh-has-too-many-vertices"),
@@ -147,7 +147,9 @@ def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
         found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml", force=True)
         assert found.agree
         assert found.passed == passes
-        assert [told.code for told in found.failures] == ["collision-meshes-lost"] * (not passes)
+        assert [message.code for message in found.failures] == ["collision-meshes-lost"] * (
+            not passes
+        )
 
 
 def test_a_missing_shape_that_touches_is_a_failure_too(tmp_path: Path) -> None:
@@ -158,7 +160,9 @@ def test_a_missing_shape_that_touches_is_a_failure_too(tmp_path: Path) -> None:
         )
         found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml", force=True)
         assert found.passed == passes
-        assert [told.code for told in found.failures] == ["collision-meshes-lost"] * (not passes)
+        assert [message.code for message in found.failures] == ["collision-meshes-lost"] * (
+            not passes
+        )
 
 
 def test_a_flat_mesh_to_look_at_is_a_shell(tmp_path: Path) -> None:

@@ -51,10 +51,10 @@ def test_one_robot_is_cut_out_with_all_that_is_its_own(tmp_path: Path) -> None:
         assert (model.neq, model.nsensor) == (0, 1)
         assert model.body("table").id > 0
     assert file.model.njnt == 5  # the file is as it was
-    [told] = [
+    [message] = [
         note for note in with_one_robot(file, "right").notes if note.code == "others-left-out"
     ]
-    assert list(told.values["bodies"]) == ["cube", "left"]
+    assert list(message.values["bodies"]) == ["cube", "left"]
 
 
 def test_furniture_is_no_robot(tmp_path: Path) -> None:

@@ -122,9 +122,9 @@ def test_all_that_is_added_says_why(tmp_path: Path) -> None:
     assert kinds.count(Floor) == kinds.count(Start) == 1
     said = {each.reason.code for each in added}
     assert {"ground-added", "contacts-made-to-hold", "servos-made", "start-pose-found"} <= said
-    told = {note.code for note in robot.notes}
-    assert said - {"servos-made"} <= told
-    assert "servos-added" in told
+    messages = {note.code for note in robot.notes}
+    assert said - {"servos-made"} <= messages
+    assert "servos-added" in messages
 
 
 def test_what_an_mjcf_says_of_contacts_stays(tmp_path: Path) -> None:

@@ -45,9 +45,9 @@ def test_another_radius_is_a_difference_of_each_foot(
     assert [one.kind for one in found.differences] == ["collision"] * 4
     for one in found.differences:
         stated = {key: one.diagnostic.values[key] for key in ("lower", "higher")}
-        told = stated["lower"] if lower > 0 else stated["higher"]
-        assert isinstance(told, Quantity)
-        assert told.value == pytest.approx(abs(lower), abs=1e-9)
+        message = stated["lower"] if lower > 0 else stated["higher"]
+        assert isinstance(message, Quantity)
+        assert message.value == pytest.approx(abs(lower), abs=1e-9)
         assert stated["higher" if lower > 0 else "lower"] is None
         assert one.urdf_place is not None
         assert one.mjcf_place is not None

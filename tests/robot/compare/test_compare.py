@@ -393,5 +393,5 @@ def test_legs_without_their_base_do_not_agree_and_a_bolted_hand_does(tmp_path: P
         compared = compare_models(urdf, mjcf)
         assert "mass-of-base-left-out" in {note.code for note in compared.notes}
         assert compared.agree == agree, [*compared.objections, *compared.differences]
-        told = [objection.code for objection in compared.objections]
-        assert told == ([] if agree else ["base-of-legs-left-out"])
+        messages = [objection.code for objection in compared.objections]
+        assert messages == ([] if agree else ["base-of-legs-left-out"])

@@ -132,9 +132,9 @@ def test_a_com_that_is_moved_in_one_of_the_links_that_are_folded(name: str, fold
     assert lines(comparison)[0] == f"DISAGREE: {cause.message}"
 
 
-@pytest.mark.parametrize(("mass", "other", "told"), [(0.3, 3.0, True), (4.0, 2.5, False)])
+@pytest.mark.parametrize(("mass", "other", "reported"), [(0.3, 3.0, True), (4.0, 2.5, False)])
 def test_a_decimal_point_in_the_masses_of_two_links_is_told(
-    mass: float, other: float, told: bool, folder: Path
+    mass: float, other: float, reported: bool, folder: Path
 ) -> None:
     """Nothing else of them differs: by another factor, each difference says all that is known."""
     names = ("thigh0", "thigh1")
@@ -144,7 +144,7 @@ def test_a_decimal_point_in_the_masses_of_two_links_is_told(
     )
     comparison = compared(write(folder, urdf_text(urdf), mjcf_text(mjcf)))
     assert [kind for kind, _ in found(comparison)] == ["mass", "mass"]
-    assert ("scaled links" in {cause.kind for cause in comparison.causes}) == told
+    assert ("scaled links" in {cause.kind for cause in comparison.causes}) == reported
 
 
 def test_products_that_are_dropped_where_the_base_is_a_fold(folder: Path) -> None:

@@ -443,7 +443,7 @@ def test_small_differences_that_add_up_are_no_agreement(tmp_path: Path) -> None:
     assert comparison.complete
     assert not comparison.agree
     assert ("tolerances-add-up", "gravity") in [
-        (told.code, told.subject.name) for told in comparison.objections
+        (message.code, message.subject.name) for message in comparison.objections
     ]
     assert compared(files, tolerances=Tolerances().changed({"dynamics": 0.05})).agree
 

@@ -760,16 +760,16 @@ def test_a_bad_mapping_file(tmp_path: Path, text: str, message: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "text"),
     [(None, "there is no such file"), (b"a = \xff", "toml:1: byte 0xff is not UTF-8")],
 )
 def test_a_mapping_file_that_cannot_be_read(
-    tmp_path: Path, content: bytes | None, told: str
+    tmp_path: Path, content: bytes | None, text: str
 ) -> None:
     path = tmp_path / "names.toml"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(ModelError, match=told):
+    with pytest.raises(ModelError, match=text):
         read_mapping(path)
 
 

@@ -581,11 +581,11 @@ def test_a_slip_is_found_where_it_is(case: Case, tmp_path: Path, sound: dict[str
     rule = RULES[case.rule]
     assert (finding.why, finding.todo) == (rule.why, rule.todo)
     assert finding.severity.rank >= rule.severity.rank
-    told = finding.diagnostic
-    assert told.subject is not None
-    assert f"{told.subject.kind} {told.subject.name!r}".removesuffix(" ''") == finding.element
-    assert told.sources == (Source(str(path), finding.line),)
-    assert told.text("zh")
+    message = finding.diagnostic
+    assert message.subject is not None
+    assert f"{message.subject.kind} {message.subject.name!r}".removesuffix(" ''") == finding.element
+    assert message.sources == (Source(str(path), finding.line),)
+    assert message.text("zh")
     assert case.format in rule.formats
 
 
@@ -1179,11 +1179,11 @@ def test_of_a_link_without_shapes_a_com_beyond_the_robot_is_told(tmp_path: Path)
     thigh = '<inertial pos="0 0 -0.1" mass="0.5"'
     assert not any(one.rule == "com-outside-shapes" for one in pa.audit_model(pair.mjcf).findings)
     pair.mjcf.write_text(pair.mjcf.read_text().replace(thigh, thigh.replace("-0.1", "-5.73"), 1))
-    (told,) = (
+    (message,) = (
         one for one in pa.audit_model(pair.mjcf).findings if one.rule == "com-outside-shapes"
     )
-    assert told.severity == "warning"
-    assert told.diagnostic.code == "com-far-from-joints"
+    assert message.severity == "warning"
+    assert message.diagnostic.code == "com-far-from-joints"
 
 
 def rules_of(folder: Path, text: str) -> set[str]:
@@ -1202,9 +1202,9 @@ BOX = '<collision><geometry><box size="{} 0.1 0.1"/></geometry></collision>'
 
 def test_a_shape_of_many_times_the_robots_extent_is_told(tmp_path: Path) -> None:
     """Twenty times its joints' 0.3 m are 6 m: a box in millimetres."""
-    for size, told in ((5.9, False), (6.1, True), (100.0, True)):
+    for size, message in ((5.9, False), (6.1, True), (100.0, True)):
         rules = rules_of(tmp_path, ARM.format(shape=BOX.format(size), limit=0))
-        assert ("scale-unusual" in rules) == told
+        assert ("scale-unusual" in rules) == message
 
 
 def test_a_joint_that_cannot_move_has_no_start_to_be_outside_of(tmp_path: Path) -> None:

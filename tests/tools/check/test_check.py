@@ -434,9 +434,9 @@ def test_a_baseline_that_cannot_be_written_is_known_before(folder: Path) -> None
 
 def remark(element: str, value: object, kind: str = "mass", file: str = "a.urdf") -> Remark:
     values = {"urdf": value}
-    told = diagnose("problem", problem="text")
+    message = diagnose("problem", problem="text")
     return Remark(
-        "crosscheck", "a", kind, element, file, values, Severity.ERROR, told, "about", None
+        "crosscheck", "a", kind, element, file, values, Severity.ERROR, message, "about", None
     )
 
 

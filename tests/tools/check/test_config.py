@@ -143,12 +143,12 @@ def test_a_wrong_config_is_refused(folder: Path, text: str, line: int, said: str
 
 
 def test_the_page_tells_of_every_key_and_no_other(folder: Path) -> None:
-    told: dict[str, set[str]] = {"the file": set(), "a pair": set(), "both": set()}
+    values: dict[str, set[str]] = {"the file": set(), "a pair": set(), "both": set()}
     with (ROOT / "docs/data/config-keys.csv").open(newline="") as table:
         for row in csv.DictReader(table):
-            told[row["of"]] |= {name.strip() for name in row["key"].split(",")}
-    assert told["the file"] | told["both"] == set(config._TOP)
-    assert told["a pair"] | told["both"] == {*config._PAIR, *config.guards()}
+            values[row["of"]] |= {name.strip() for name in row["key"].split(",")}
+    assert values["the file"] | values["both"] == set(config._TOP)
+    assert values["a pair"] | values["both"] == {*config._PAIR, *config.guards()}
     page = (ROOT / "docs/how-to/check.md").read_text()
     (example,) = re.findall(r"```toml\n(.*?)```", page, re.S)
     for name in ("urdf/go1.urdf", "mjcf/go1.xml"):

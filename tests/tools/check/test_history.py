@@ -54,11 +54,11 @@ def test_each_edit_is_told_at_its_line_with_its_effect(folder: Path, name: str) 
     edit = (FELT | HARMLESS)[name]
     edit.written(folder / "mjcf")
     result = check(folder)
-    told = [remark for remark in result.remarks if remark.check != "audit"]
+    messages = [remark for remark in result.remarks if remark.check != "audit"]
     assert any(str(remark.place).endswith(f"{edit.file}:{edit.line}")
                or str(remark.other_place).endswith(f"{edit.file}:{edit.line}")
-               for remark in told)  # fmt: skip
-    changes = [remark for remark in told if remark.check == "diff"]
+               for remark in messages)  # fmt: skip
+    changes = [remark for remark in messages if remark.check == "diff"]
     assert changes
     worst = min(remark.severity.rank for remark in changes)
     felt = Severity.ERROR if name in FALLS else Severity.WARNING

@@ -34,13 +34,13 @@ def test_a_planted_slip_is_found_with_both_lines(
     path, lines = write(slipped, kind, tmp_path)
     other, its_lines = write(robot, BESIDE[kind], tmp_path)
     found = read_contract(robot.urdf, path, other, stand=False)
-    told = [(one.kind, one.slip, one.places, one.message) for one in found.findings]
+    messages = [(one.kind, one.slip, one.places, one.message) for one in found.findings]
     hits = [one for one in found.findings if one.kind == quantity and one.slip != "mirror"
             and (joint in one.joints or not joint)]  # fmt: skip
     if slip == "limit" and kind == "mjlab":  # the deployment's is the URDF's
         assert {one.sources[1] for one in hits} == {robot.urdf.name, other.name}
         hits = [one for one in hits if one.sources[1] == other.name]
-    assert len(hits) == 1, told
+    assert len(hits) == 1, messages
     assert hits[0].slip == LOOKS.get(slip, "")
     first = joint and hits[0].joints[0]  # joints with the same two numbers are one finding
     places = {place_of(path, lines, quantity, first)}
@@ -52,7 +52,7 @@ def test_a_planted_slip_is_found_with_both_lines(
     assert not found.passed
     # Legs whose names are exchanged have each other's angles, too.
     more = {"default angle"} if slip == "order" else set()
-    assert {one.kind for one in found.findings} <= {quantity, "action offset"} | more, told
+    assert {one.kind for one in found.findings} <= {quantity, "action offset"} | more, messages
 
 
 def test_at_least_sixty_slips_are_planted() -> None:

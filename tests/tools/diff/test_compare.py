@@ -225,14 +225,14 @@ def test_a_joint_that_has_gone_is_told_and_the_rest_compared_at_zero(
     new = changed(ROBOT, "shank2", kind="fixed", mass=0.3)
     diff = diff_of(tmp_path, ROBOT, new, kind)
     assert ("joint", "knee2") in kinds(diff)
-    told = next(change for change in diff.changes if change.kind == "joint")
-    assert "is in the old file alone" in told.message
+    message = next(change for change in diff.changes if change.kind == "joint")
+    assert "is in the old file alone" in message.message
     assert ("mass", "hip2") in kinds(diff)  # of thigh and shank together
     assert diff.mass[1] - diff.mass[0] == pytest.approx(0.3 - ROBOT["shank2"].mass)
     assert diff.complete
     back = diff_of(tmp_path, new, ROBOT, kind)
-    told = next(change for change in back.changes if change.kind == "joint")
-    assert "is in the new file alone" in told.message
+    message = next(change for change in back.changes if change.kind == "joint")
+    assert "is in the new file alone" in message.message
     same = changed(ROBOT, "shank2", kind="fixed")
     others = [kind for kind, _ in kinds(diff_of(tmp_path, ROBOT, same, kind))]
     assert set(others) <= {"joint", "motor"}

@@ -40,12 +40,12 @@ def test_one_edit_is_told_at_its_line_with_what_mujoco_makes_of_it(
     diff = pa.diff_models(before, after)
     assert not diff.same
     assert any(change.new_place.endswith(f"{edit.file}:{edit.line}") for change in diff.changes)
-    told = [one for change in diff.changes for one in change.consequences] + [*diff.together]
-    codes = {one.code for one in told}
+    messages = [one for change in diff.changes for one in change.consequences] + [*diff.together]
+    codes = {one.code for one in messages}
     assert ("simulation-changes" in codes) is (name in FELT)
     assert (codes == {"simulation-unchanged"}) is (name in HARMLESS)
     # The height that all of it tells together is the one that bare MuJoCo has.
-    whole = [one for one in diff.together or told if one.code == "simulation-changes"]
+    whole = [one for one in diff.together or messages if one.code == "simulation-changes"]
     for one in whole:
         stated = [one.values["higher"], one.values["lower"], one.values["falls"]]
         (height,) = [value.value for value in stated if value is not None] or [0.0]
@@ -71,7 +71,7 @@ def test_several_changes_are_also_told_together(tmp_path: Path) -> None:
     assert {str(change.diagnostic.values["what"]) for change in diff.changes} == {
         "friction", "priority",
     }  # fmt: skip
-    (slope,) = [told for told in diff.together if told.code == "slides-from"]
+    (slope,) = [message for message in diff.together if message.code == "slides-from"]
     assert slope.values["two"].value == pytest.approx(0.01, rel=1e-3)
     assert slope.values["one"].value == pytest.approx(0.7854, rel=1e-3)
 
@@ -85,7 +85,7 @@ def test_what_no_change_explains_is_no_same_model(
     diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", edited(tmp_path, FELT["impratio"]))
     assert not diff.changes
     assert not diff.same
-    assert [told.code for told in diff.together] == ["simulation-changes"]
+    assert [message.code for message in diff.together] == ["simulation-changes"]
 
 
 def test_shapes_of_a_urdf_that_touch_are_compared(tmp_path: Path) -> None:
@@ -102,8 +102,10 @@ def test_shapes_of_a_urdf_that_touch_are_compared(tmp_path: Path) -> None:
         for name in (change.element, *change.diagnostic.values["others"])
     ]
     assert len(feet) == 4
-    moved = [told for change in diff.changes for told in change.consequences]
-    assert all(told.values["distance"].value == pytest.approx(0.09 - 0.01995) for told in moved)
+    moved = [message for change in diff.changes for message in change.consequences]
+    assert all(
+        message.values["distance"].value == pytest.approx(0.09 - 0.01995) for message in moved
+    )
 
 
 @pytest.mark.parametrize("word", ["contype", "conaffinity"])
@@ -118,6 +120,6 @@ def test_a_drawn_shape_that_begins_to_touch_is_told_to_move_it(tmp_path: Path, w
     before.write_text(text)
     after.write_text(text.replace(f"{word}='0'", f"{word}='1'"))
     (change,) = pa.diff_models(before, after).changes
-    (told,) = change.consequences
-    assert told.code == "simulation-changes"
-    assert told.values["higher"].value == pytest.approx(0.15, abs=0.01)
+    (message,) = change.consequences
+    assert message.code == "simulation-changes"
+    assert message.values["higher"].value == pytest.approx(0.15, abs=0.01)

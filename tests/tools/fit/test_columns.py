@@ -128,7 +128,7 @@ def test_columns_may_be_separated_by_semicolons_or_tabs(tmp_path: Path, separato
 
 
 @pytest.mark.parametrize(
-    ("data", "code", "told"),
+    ("data", "code", "text"),
     [
         ("time\n1".encode("utf-16"), "encoded-in-utf-16", "UTF-8"),
         (b"time\n1\0", "file-is-binary", "a.csv:2"),
@@ -139,11 +139,11 @@ def test_columns_may_be_separated_by_semicolons_or_tabs(tmp_path: Path, separato
     ],
 )
 def test_a_csv_that_is_none_is_told_in_few_words(
-    tmp_path: Path, data: bytes, code: str, told: str
+    tmp_path: Path, data: bytes, code: str, text: str
 ) -> None:
     (tmp_path / "a.csv").write_bytes(data)
     with pytest.raises(MeasurementError) as refused:
         read_columns(tmp_path / "a.csv", KNOWN)
     assert refused.value.cause.code == code
-    assert told in str(refused.value)
+    assert text in str(refused.value)
     assert len(str(refused.value)) < 400 + len(str(tmp_path))

@@ -30,9 +30,9 @@ def test_a_plan_is_measured_and_fitted(capfd: pytest.CaptureFixture[str], tmp_pa
         writer.writeheader()
         writer.writerows(rows)
     found = tmp_path / "fit.json"
-    told = ("--json", str(found), "--report", str(page), "-o", str(tmp_path / "fitted"))
+    messages = ("--json", str(found), "--report", str(page), "-o", str(tmp_path / "fitted"))
     status, _, err = run_command(
-        capfd, "fit", "v3", "--stands", str(plan), "--prior", "kp=0", *told
+        capfd, "fit", "v3", "--stands", str(plan), "--prior", "kp=0", *messages
     )
     assert status in (1, 2), err
     assert not (tmp_path / "fitted").exists()
@@ -50,8 +50,8 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     arrays = {"joints": swing.joints, "time": swing.time, "position": swing.position}
     np.savez(path, **arrays, **{"command [deg]": np.rad2deg(swing.command)})
     given = ("fit", *map(str, files), "--log", str(path), "--prior", "mass=0", "--prior", "com=0")
-    told = ("-o", str(tmp_path / "fitted"), "--json", str(found))
-    status, out, err = run_command(capfd, *given, *told)
+    messages = ("-o", str(tmp_path / "fitted"), "--json", str(found))
+    status, out, err = run_command(capfd, *given, *messages)
     assert status == 0, err
     assert "friction turn" in out
     estimates = {one["name"]: one for one in json.loads(found.read_text())["estimates"]}

@@ -34,9 +34,11 @@ def of_base() -> list[Parameter]:
 
 def test_what_is_consistent_stays(v3: pa.Robot) -> None:
     mean = np.array([1.7, 0.03, 0.001, 0.02])
-    found, told = make_consistent(v3, posterior(of_base(), mean, np.diag([0.1, 0.01, 0.01, 0.01])))
+    found, messages = make_consistent(
+        v3, posterior(of_base(), mean, np.diag([0.1, 0.01, 0.01, 0.01]))
+    )
     assert np.array_equal(found, mean)
-    assert not told
+    assert not messages
 
 
 def test_a_com_outside_of_its_link_is_brought_to_it_as_the_covariance_says(v3: pa.Robot) -> None:
@@ -48,10 +50,10 @@ def test_a_com_outside_of_its_link_is_brought_to_it_as_the_covariance_says(v3: p
     covariance = np.diag(spread**2)
     covariance[0, 3] = covariance[3, 0] = 0.8 * spread[0] * spread[3]
     mean = np.array([1.5, 0.0, 0.0, limit + 0.01])
-    found, told = make_consistent(v3, posterior(of_base(), mean, covariance))
+    found, messages = make_consistent(v3, posterior(of_base(), mean, covariance))
     np.testing.assert_allclose(found, mean - covariance[:, 3] * 0.01 / spread[3] ** 2, atol=1e-7)
-    assert [one.code for one in told] == ["com-held-in-hull", "estimate-moved"]
-    assert told[1].values["deviations"] == pytest.approx(0.5, rel=1e-4)
+    assert [one.code for one in messages] == ["com-held-in-hull", "estimate-moved"]
+    assert messages[1].values["deviations"] == pytest.approx(0.5, rel=1e-4)
 
 
 def test_hulls_are_around_what_mujoco_has(v3: pa.Robot) -> None:
@@ -67,6 +69,8 @@ def test_hulls_are_around_what_mujoco_has(v3: pa.Robot) -> None:
 
 def test_a_mass_below_zero_is_none(v3: pa.Robot) -> None:
     mean = np.array([-0.4, 0.025, 0.0, 0.015])
-    found, told = make_consistent(v3, posterior(of_base(), mean, np.diag([0.5, 0.01, 0.01, 0.01])))
+    found, messages = make_consistent(
+        v3, posterior(of_base(), mean, np.diag([0.5, 0.01, 0.01, 0.01]))
+    )
     np.testing.assert_allclose(found, [0.01506, *mean[1:]], atol=1e-7)
-    assert told[0].code == "held-above-zero"
+    assert messages[0].code == "held-above-zero"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,11 @@ from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import Parameter
 from pupper_analysis.tools.fit.result import (
+    Determined,
     Estimate,
     Expected,
     MotionFit,
     Together,
-    Told,
     describe_parameters,
 )
 from pupper_analysis.tools.fit.stands.fit import JointResidual, StandFit
@@ -67,7 +68,7 @@ def stand_fit() -> StandFit:
         posterior=known,
         stands=12,
         total_mass=Estimate(
-            "mass dog", "mass", "dog", "", "kg", 3.0, 3.5, 0.1, 3.304, 3.696, Told.DATA
+            "mass dog", "mass", "dog", "", "kg", 3.0, 3.5, 0.1, 3.304, 3.696, Determined.DATA
         ),
         com=tuple(
             Estimate(
@@ -76,7 +77,7 @@ def stand_fit() -> StandFit:
             for axis, at in (("x", 0.012), ("y", -0.001), ("z", 0.005))
         ),
         kp_factor=Estimate(
-            "kp servos", "kp", "servos", "", "1", 1.0, 0.9, 0.01, 0.88, 0.92, Told.DATA
+            "kp servos", "kp", "servos", "", "1", 1.0, 0.9, 0.01, 0.88, 0.92, Determined.DATA
         ),
         weight=3.5,
         residuals={"s1": 0.5, "s2": 1.5},
@@ -119,7 +120,7 @@ def stand_plan() -> StandPlan:
             PlannedStand("s01", (), "above", {"knee": 0.5, "hip": -0.1}, 0.25),
             PlannedStand("s02", ("FL",), "below", {"knee": 0.6, "hip": -0.2}, 0.5),
         ),
-        expected=(Expected("offset knee", "rad", 0.0, 0.07, 0.01, Told.PARTLY),),
+        expected=(Expected("offset knee", "rad", 0.0, 0.07, 0.01, Determined.PARTLY),),
         candidates=72,
         gain=10.0,
     )
@@ -144,7 +145,9 @@ def test_bars_are_what_is_left() -> None:
          for bar in one.bars]
         for fit in (stand_fit(), motion_fit())
     ]  # fmt: skip
-    assert bars == [[(1.5, None), (0.5, None)], [(3.0, 0.4), (1.0, 0.5)]]
+    degrees = [(math.degrees(3e-3), math.degrees(4e-4)), (math.degrees(1e-3), math.degrees(5e-4))]
+    assert bars[0] == [(1.5, None), (0.5, None)]
+    assert np.array(bars[1]) == pytest.approx(np.array(degrees))
 
 
 if __name__ == "__main__":

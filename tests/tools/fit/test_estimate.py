@@ -45,8 +45,8 @@ def test_straight_measurements_and_a_prior_give_the_normal_equations_answer() ->
     assert found.chi2 == pytest.approx(((rows @ mean - right) ** 2).sum())
     off = mean - given.stated
     assert found.moved == pytest.approx(off / given.width)
-    told = np.trace(covariance @ rows.T @ rows)
-    assert found.freedom == pytest.approx(40 - told)
+    trace = np.trace(covariance @ rows.T @ rows)
+    assert found.freedom == pytest.approx(40 - trace)
     assert found.shares == pytest.approx(np.diag(covariance) / given.width**2)
     assert found.open_step is None
 

@@ -14,7 +14,7 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, UnknownNameError
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.tools.fit.motions.fit import fit_motion
-from pupper_analysis.tools.fit.result import MotionFit, Told, told_by
+from pupper_analysis.tools.fit.result import Determined, MotionFit, determined_by
 from tests.support.bar import MJCF, OFFSET, QUANTUM, TRUE, URDF, bar, log
 
 PRIORS = ("mass=0", "com=0")
@@ -33,7 +33,7 @@ def test_planted_errors_are_found_within_their_intervals() -> None:
         place = found[kind]
         off = posterior.mean[place] - true
         assert abs(off) < 4 * posterior.std[place] + 0.01 * abs(true), kind
-        assert told_by(float(posterior.shares[place])) is Told.DATA, kind
+        assert determined_by(float(posterior.shares[place])) is Determined.DATA, kind
         assert abs(off) < 0.25 * abs(true), kind
 
 

@@ -24,11 +24,11 @@ def test_the_chosen_make_the_determinant_largest() -> None:
     each = [one.T @ one for one in rows]
     before = np.diag([1.0, 0.5, 2.0, 0.1, 1.0])
 
-    def told(places: tuple[int, ...]) -> float:
+    def determinant(places: tuple[int, ...]) -> float:
         return float(np.linalg.slogdet(before + sum(each[place] for place in places))[1])
 
-    best = max(combinations(range(12), 4), key=told)
-    assert told(choose_stands(each, before, 4)) == pytest.approx(told(best), rel=0.02)
+    best = max(combinations(range(12), 4), key=determinant)
+    assert determinant(choose_stands(each, before, 4)) == pytest.approx(determinant(best), rel=0.02)
     assert len(set(choose_stands(each, before, 4))) == 4
 
 

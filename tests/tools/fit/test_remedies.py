@@ -84,16 +84,16 @@ def test_no_stand_tells_a_common_factor_of_masses_and_stiffnesses(
     """
     line = common_factor(equations)
 
-    def told(information: Array) -> float:
+    def widest(information: Array) -> float:
         return float(line @ information @ line)
 
-    ground = told(posterior.information)
+    ground = widest(posterior.information)
     assert ground < 20
     for what in ("stand-on-three-feet", "come-from-both-sides"):
-        assert told(further[what]) < 2 * ground + 1, what
+        assert widest(further[what]) < 2 * ground + 1, what
     # A sensor is sure to 2 % of 3 N m, which is a fifth of what a knee holds.
     for what, least in (("weigh-the-robot", 100), ("weigh-the-feet", 100), ("measure-torques", 5)):
-        assert told(further[what]) > least, what
+        assert widest(further[what]) > least, what
 
 
 def test_on_three_feet_each_foot_is_in_the_air_once_and_nothing_is_off(

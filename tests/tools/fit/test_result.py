@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
-from pupper_analysis.tools.fit.result import Told, find_together, told_by
+from pupper_analysis.tools.fit.result import Determined, determined_by, find_together
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ def test_a_prior_and_a_measurement_are_weighed_by_their_variances() -> None:
     assert found.shares[0] == pytest.approx(0.2)
     assert found.freedom == pytest.approx(1 - 0.8)  # of one row, 0.8 told the parameter
     assert (found.chi2, found.moved[0]) == pytest.approx((0.4**2, 0.8))
-    assert told_by(0.2) is Told.PARTLY
+    assert determined_by(0.2) is Determined.PARTLY
 
 
 def test_a_difference_is_told_and_the_sum_is_not() -> None:

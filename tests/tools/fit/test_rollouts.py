@@ -168,7 +168,7 @@ def test_a_factor_of_all_forces_moves_nothing_though_each_alone_moves_much() -> 
     simulator, moments = Simulator(robot, drive, given, 0.005), Moments(given)
     factor = given.stated / given.width
     factor /= np.linalg.norm(factor)
-    told, known = [], None
+    messages, known = [], None
     for _ in range(2):
         found = differentiate(simulator, moments, run, given.stated, known)
         information = np.zeros((len(given), len(given)))
@@ -177,9 +177,9 @@ def test_a_factor_of_all_forces_moves_nothing_though_each_alone_moves_much() -> 
                 moved = by_joint * given.width[places] / 5e-4
                 information[places[:, None], places] += moved.T @ moved
         known = information + np.eye(len(given))
-        told.append(float(factor @ information @ factor))
-    assert told[1] < 1e-2
-    assert told[0] > 1.0
+        messages.append(float(factor @ information @ factor))
+    assert messages[1] < 1e-2
+    assert messages[0] > 1.0
 
 
 def test_runs_end_where_the_clock_jumps_and_missing_commands_stay() -> None:

@@ -159,7 +159,7 @@ def test_masses_and_kp_that_are_all_too_small_explain_no_more(
     none = np.zeros(robot.nu)
     table = ParameterTable(give_widths(parameters_of(robot, stands, kp, none)))
     system = StandEquations(robot, stands, table, kp, none, StandNoise(encoder=4e-4))
-    found, told = [], []
+    found, messages = [], []
     for scale in (1.0, 0.9):
         x = table.stated.copy()
         places = [at for at, one in enumerate(table) if one.kind in ("mass", "kp")]
@@ -167,11 +167,11 @@ def test_masses_and_kp_that_are_all_too_small_explain_no_more(
         for _ in range(4):
             left = system.linearise(x, x)
         found.append(left.chi2)
-        told.append(2 * left.gradient[places] @ x[places])
+        messages.append(2 * left.gradient[places] @ x[places])
     # The planted robot is another: much is left to explain by what it has otherwise.
     assert found[0] > 1000
     assert found[1] == pytest.approx(found[0], rel=0.01)
-    assert np.abs(told).max() < 0.02 * found[0]
+    assert np.abs(messages).max() < 0.02 * found[0]
 
 
 def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: MeasuredStands) -> None:
@@ -260,10 +260,12 @@ def test_a_dead_band_is_found_and_kp_is_right_beside_it(
     fit = fit_stands(robot, lazy, weight=planted.total_mass)
     assert fit.explained
     (found,) = (one for one in fit.estimates if one.kind == "deadband")
-    assert found.told == "data"
+    assert found.determined == "data"
     assert found.low < band < found.high
     assert "servos-have-a-dead-band" in {one.code for one in fit.diagnostics}
-    near = {one.subject: one for one in fit.estimates if one.kind == "kp" and one.told == "data"}
+    near = {
+        one.subject: one for one in fit.estimates if one.kind == "kp" and one.determined == "data"
+    }
     assert len(near) > 6
     for joint, one in near.items():
         assert one.mean == pytest.approx(kp[robot.joint_names.index(joint)], rel=0.06), joint
@@ -342,12 +344,12 @@ def test_without_a_trusted_kp_only_the_ratio_is_told(
 ) -> None:
     """And a scale tells the rest."""
     fit = fit_stands(robot, stands)
-    assert fit.total_mass.told != "data"
+    assert fit.total_mass.determined != "data"
     (ratio,) = (one for one in fit.together if one.ratio)
     assert {name.split()[0] for name in ratio.names} <= {"kp", "mass"}
     assert "weigh-the-robot" in ratio.remedies
     weighed = fit_stands(robot, stands, weight=planted.total_mass)
-    assert weighed.total_mass.told == "data"
+    assert weighed.total_mass.determined == "data"
     assert not any(one.ratio for one in weighed.together)
 
 
@@ -387,8 +389,8 @@ def test_links_that_no_shape_bounds_are_named_once(robot: Robot) -> None:
     assert not list(unbounded_coms(robot, table))
     bare = copy.copy(robot.mj_model)
     bare.geom_type[:] = mujoco.mjtGeom.mjGEOM_PLANE  # which bounds nothing
-    (told,) = unbounded_coms(replace(robot, mj_model=bare), table)
-    assert tuple(told.values["links"]) == tuple(link for link, _ in bodies_of(robot))
+    (message,) = unbounded_coms(replace(robot, mj_model=bare), table)
+    assert tuple(message.values["links"]) == tuple(link for link, _ in bodies_of(robot))
 
 
 @pytest.mark.parametrize("side", ["above", "below"])
@@ -519,12 +521,12 @@ def test_what_is_told_by_ratios_alone_is_drawn_to_no_side() -> None:
     table = ParameterTable(parameters)
     logarithms = Logarithms(table)
 
-    def told(x: Array) -> Linearised:
+    def linearise(x: Array) -> Linearised:
         rows = np.column_stack([-x[1:] / x[0] ** 2, np.eye(12) / x[0]])
         return Linearised.of((x[1:] / x[0] - factors) / 1e-4, rows / 1e-4)
 
     def by_logarithms(y: Array, _: Array) -> Linearised:
-        return logarithms.linearise(told(logarithms.to_parameters(y)), y)
+        return logarithms.linearise(linearise(logarithms.to_parameters(y)), y)
 
     found = estimate_parameters(table, by_logarithms, least=logarithms.least)
     posterior = logarithms.of_posterior(found)
@@ -532,7 +534,7 @@ def test_what_is_told_by_ratios_alone_is_drawn_to_no_side() -> None:
     # What is not known of it, of each in proportion.
     assert posterior.std / posterior.mean == pytest.approx(np.full(13, found.std[0]), rel=1e-3)
     assert posterior.shares == pytest.approx(found.shares)
-    plain = estimate_parameters(table, lambda x, _: told(x))
+    plain = estimate_parameters(table, lambda x, _: linearise(x))
     assert plain.mean[0] < 0.96
 
 
@@ -545,14 +547,14 @@ WIDTH = math.radians(0.2)
 def measured(parameters: tuple[Parameter, ...], values: Array, noise: float) -> Posterior:
     """Returns what is known once each was measured, with noise in parts of the prior's width."""
     table = ParameterTable(parameters)
-    n, told = len(parameters), 1 / noise**2
-    share = 1 / (1 + told)
+    n, information = len(parameters), 1 / noise**2
+    share = 1 / (1 + information)
     width = table.width
     return Posterior(
         parameters=table.parameters,
         mean=table.stated + (1 - share) * (values - table.stated),
         covariance=share * np.diag(width**2),
-        information=told * np.eye(n),
+        information=information * np.eye(n),
         precision=table.precision,
         chi2=0.0,
         moved=(1 - share) * (values - table.stated) / width,
@@ -572,20 +574,20 @@ def test_two_weak_signs_of_a_slope_are_one() -> None:
     one = measured(SLOPE, np.array([2.6, 0.0]) * sigma, noise)
     both = measured(SLOPE, np.array([2.6, -2.7]) * sigma, noise)
     assert not list(doubt_surroundings(one))
-    (told,) = doubt_surroundings(both)
-    assert told.code == "ground-slopes"
-    assert told.values["axis"] == "y"
+    (message,) = doubt_surroundings(both)
+    assert message.code == "ground-slopes"
+    assert message.values["axis"] == "y"
     # As measured: not drawn to the level by what was known before.
-    assert told.values["slope"].value == pytest.approx(math.hypot(2.6, 2.7) * sigma)
+    assert message.values["slope"].value == pytest.approx(math.hypot(2.6, 2.7) * sigma)
 
 
 def test_soles_that_are_all_a_little_softer_are_softer() -> None:
     noise = 1.0
     sigma = 0.5 * math.hypot(1, noise)
     alike = measured(FEET, 1 + np.array([2.1, 2.2, 2.3, 1.9]) * sigma, noise)
-    told = list(doubt_surroundings(alike))
-    assert [one.subject.name for one in told if one.subject] == ["FL", "FR", "RL"]
-    assert told[0].values["times"] == pytest.approx(1 + 2.1 * sigma)
+    messages = list(doubt_surroundings(alike))
+    assert [one.subject.name for one in messages if one.subject] == ["FL", "FR", "RL"]
+    assert messages[0].values["times"] == pytest.approx(1 + 2.1 * sigma)
     assert not list(doubt_surroundings(measured(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
 
 

@@ -107,9 +107,9 @@ def test_offsets_and_parameters_are_told(written: tuple[Path, FitFiles]) -> None
         rows = {row["joint"]: row for row in csv.DictReader(file)}
     assert float(rows[JOINT]["offset_rad"]) == -0.02
     assert float(rows["leg_back_l_1"]["offset_deg"]) == pytest.approx(2.0053523, rel=1e-6)
-    told = json.loads((folder / "fit.json").read_text())
-    assert told["fit"] == {"stands": 30}
-    mass = told["parameters"][0]
+    content = json.loads((folder / "fit.json").read_text())
+    assert content["fit"] == {"stands": 30}
+    mass = content["parameters"][0]
     assert (mass["name"], mass["written"]) == ("mass base_link", 1.8825)
     assert mass["high"] - mass["mean"] == pytest.approx(1.96 * 0.02, rel=1e-3)
 

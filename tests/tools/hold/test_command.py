@@ -28,7 +28,7 @@ def test_what_is_printed_and_written_is_what_python_finds(
     given = ("--joints", "elbow=90deg", "--joints", "b_slide=5cm", "--payload", "0.2")
     out = tmp_path / "held.json", tmp_path / "held.html", tmp_path / "held.png"
     written = ("--json", str(out[0]), "--report", str(out[1]), "--figure", str(out[2]))
-    status, told, errors = run_command(capfd, "hold", *files, *given, *written)
+    status, output, errors = run_command(capfd, "hold", *files, *given, *written)
     assert status == 0, errors
     joints = {"elbow": 1.5707963267948966, "b_slide": 0.05}
     held = pa.hold_posture(arm(), joints, payload=0.2)
@@ -37,13 +37,13 @@ def test_what_is_printed_and_written_is_what_python_finds(
     assert json_written.pop("provenance")["command"].startswith("pupper-analysis hold ")
     assert json_written == json.loads(held.to_json())
     assert held.posture.qpos[0] == pytest.approx(joints["elbow"])
-    assert "HOLDS arm: Posture: the middle of the joints' ranges, but for" in told
-    assert "With 0.2 kg at the tool" in told
-    assert f"{held.payload.mass:.3g} kg at tip" in told
-    rows = {row[0]: row for row in (line.split() for line in told.splitlines()) if row}
+    assert "HOLDS arm: Posture: the middle of the joints' ranges, but for" in output
+    assert "With 0.2 kg at the tool" in output
+    assert f"{held.payload.mass:.3g} kg at tip" in output
+    rows = {row[0]: row for row in (line.split() for line in output.splitlines()) if row}
     assert rows["shoulder"][0] == "shoulder"
-    assert f"{held.statics.joint_torques[2]:+.4f}" in told
-    assert f"{held.force.weakest:.4g}" in told
+    assert f"{held.statics.joint_torques[2]:+.4f}" in output
+    assert f"{held.force.weakest:.4g}" in output
     assert imread(out[2]).std() > 0.01
     page = out[1].read_text(encoding="utf-8")
     assert "Worst posture of each motor" in page
@@ -59,10 +59,10 @@ def test_weak_motors_and_bad_input(
     here = tmp_path / "here"
     here.mkdir()
     monkeypatch.chdir(here)
-    status, told, _ = run_command(capfd, "hold", *files, "--payload", "3")
+    status, output, _ = run_command(capfd, "hold", *files, "--payload", "3")
     assert status == 1
-    assert "FAILS arm" in told
-    assert "OVERLOADED: the motors cannot hold it: elbow" in told
+    assert "FAILS arm" in output
+    assert "OVERLOADED: the motors cannot hold it: elbow" in output
     high = RANGES["elbow"][1]
     for wrong, said in (
         (("--joints", "elbow=3"), f"elbow at 3 rad, outside [0.2, {high}]"),

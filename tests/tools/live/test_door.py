@@ -57,8 +57,8 @@ def test_who_may_come_in(host: str, headers: dict[str, str], may: bool) -> None:
         assert (door.refusal("/", headers | more) is None) == may
 
 
-def code(told: Diagnostic | None) -> str:
-    return "" if told is None else told.code
+def code(message: Diagnostic | None) -> str:
+    return "" if message is None else message.code
 
 
 def test_others_must_know_the_token() -> None:
@@ -102,7 +102,7 @@ def test_what_a_browser_may_say(updates: dict[str, object], right: bool) -> None
 
 
 @pytest.mark.parametrize(
-    ("told", "shown"),
+    ("text", "shown"),
     [
         ("/home/a/robots/v3.xml: body 'payload' is there", "v3.xml: body 'payload' is there"),
         ("/home/a/b.urdf:12: no limit", "b.urdf:12: no limit"),
@@ -117,9 +117,9 @@ def test_what_a_browser_may_say(updates: dict[str, object], right: bool) -> None
         ("geom 'a/b/c' of models/robot.xml", "geom 'a/b/c' of models/robot.xml"),
     ],
 )
-def test_a_page_tells_no_folders_of_the_server(told: str, shown: str) -> None:
-    assert without_folders(told) == shown
-    assert Language("en").sentence(problem(told)) == shown
+def test_a_page_tells_no_folders_of_the_server(text: str, shown: str) -> None:
+    assert without_folders(text) == shown
+    assert Language("en").sentence(problem(text)) == shown
 
 
 @pytest.fixture(scope="module")
@@ -168,17 +168,17 @@ async def _talk(address: str, *messages: Any, origin: str | None = None) -> list
         subprotocols=[f"viser-v{viser.__version__}"],
         max_size=None,
     ) as socket:
-        told: list[bytes] = []
+        findings: list[bytes] = []
         for message in messages:
             await socket.send(message)
             await asyncio.sleep(0.05)
         end = asyncio.get_running_loop().time() + 1.0
         while (left := end - asyncio.get_running_loop().time()) > 0:
             try:
-                told.append(await asyncio.wait_for(socket.recv(), left))
+                findings.append(await asyncio.wait_for(socket.recv(), left))
             except TimeoutError:
                 break
-        return told
+        return findings
 
 
 def test_a_connection_of_another_page_is_refused_at_once(page: Page) -> None:
@@ -213,7 +213,7 @@ def test_what_is_no_value_moves_nothing(page: Page, capfd: pytest.CaptureFixture
     """Nor is it a traceback in the terminal of who serves the page; files are not taken at all."""
     pack = pytest.importorskip("msgspec").msgpack.encode
 
-    told: list[str] = []
+    messages: list[str] = []
 
     async def attack() -> tuple[float, float, int]:
         host = urlsplit(page.address).netloc
@@ -231,7 +231,7 @@ def test_what_is_no_value_moves_nothing(page: Page, capfd: pytest.CaptureFixture
                     break
             session = page.sessions[new.pop()]
             slider = session._panels.controls.sliders["roll"]
-            session._client.add_notification = lambda _, body, **__: told.append(body)
+            session._client.add_notification = lambda _, body, **__: messages.append(body)
             update = {"type": "GuiUpdateMessage", "uuid": slider._impl.uuid}
             bad = ({"value": math.nan}, {"value": 1e9}, {"value": [1]}, {"nonsense": 1})
             for updates in (*bad, {"update_cb": ["x"]}, {"max": 1e9}):
@@ -254,9 +254,9 @@ def test_what_is_no_value_moves_nothing(page: Page, capfd: pytest.CaptureFixture
             return before, session._panels.controls.state.roll, held
 
     assert asyncio.run(attack()) == (0.0, 5.0, 0)
-    assert len(told) == 6
-    assert told[0].code == "no-value-of-a-control"
-    assert told[1].code == "beyond-any-slider"
+    assert len(messages) == 6
+    assert messages[0].code == "no-value-of-a-control"
+    assert messages[1].code == "beyond-any-slider"
     printed = capfd.readouterr()
     assert "Traceback" not in printed.out + printed.err
 

@@ -416,8 +416,8 @@ def test_what_is_possible_is_in_the_units_of_the_page() -> None:
     found = model_of().answer(State(height=250.0))
     error = explain_unreachable(found)
     assert error is not None
-    told = render_panel(refusal_document(found, error, pending=False), ENGLISH)
-    assert f"height (mm): {1e3 * error.limits['height']['height']:g}" in told
+    message = render_panel(refusal_document(found, error, pending=False), ENGLISH)
+    assert f"height (mm): {1e3 * error.limits['height']['height']:g}" in message
     both = model_of().answer(State(roll=35.0))
     joints = render_panel(refusal_document(both, explain_unreachable(both), pending=False), ENGLISH)
     assert "leg_front_l_2 (+24.1°)" in joints  # of 0.42 rad

@@ -36,11 +36,11 @@ class Browser:
 
     def __init__(self, server: Any) -> None:
         self.gui, self.scene, self.atomic = server.gui, server.scene, server.atomic
-        self.told: list[tuple[str, str]] = []
+        self.notifications: list[tuple[str, str]] = []
         self.saved: dict[str, bytes] = {}
 
     def add_notification(self, title: str, body: str, **_: Any) -> None:
-        self.told.append((title, body))
+        self.notifications.append((title, body))
 
     def send_file_download(self, name: str, content: bytes, **_: Any) -> None:
         self.saved[name] = content
@@ -56,7 +56,7 @@ class Open:
         self.controls = self.session._panels.controls
 
     def ask(self, state: State) -> None:
-        self.controls.put(state, told=True)
+        self.controls.put(state, notify=True)
 
     @property
     def numbers(self) -> str:
@@ -286,7 +286,7 @@ def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
 def test_what_does_not_stand_is_not_simulated_and_what_is_shown_is_saved(page: Open) -> None:
     page.session._answer = None
     page.session._panels._save()
-    assert page.browser.told[-1][0] == "Nothing to save"
+    assert page.browser.notifications[-1][0] == "Nothing to save"
     page.ask(State(height=500.0))
     wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
     page.session.simulate()
@@ -304,7 +304,7 @@ def test_a_typed_state_is_taken_or_refused(page: Open) -> None:
     assert page.controls.foot.value == "FL"  # the sliders are those of the foot that is moved
     assert page.controls.sliders["move_x"].value == 5.0
     page.session.go_to("moon:3")
-    assert page.browser.told[-1][0] == "This is no state"
+    assert page.browser.notifications[-1][0] == "This is no state"
     assert page.controls.state == state
     page.session.go_to("lift:tail,10")  # a state, but not of this robot
     wait_for(lambda: "no foot &#x27;tail&#x27;" in page.numbers, "it has a tail")

@@ -201,7 +201,10 @@ BAD = {
     "two lifted": (["v3", "--swing", "FL=0.02", "--swing", "FR=0.02"], "only 2 feet carry"),
     "no height": (["v3", "--swing", "FL"], "'FL' is not of the form NAME=VALUE"),
     "no number": (["v3", "--step", "FL=high"], "'high' in 'FL=high' is no length"),
-    "no place": (["v3", "--com", "insde"], "'insde' is not of the form X,Y (m), centre, inside"),
+    "no place": (
+        ["v3", "--com", "insde"],
+        "'insde' is not of the form X,Y (10mm,0), centre, inside",
+    ),
     "metres for mm": (["v3", "--height", "12"], "did you mean 12 mm, 12 cm or 12 m?"),
     "one coordinate": (["v3", "--move", "FL=0.01"], "not of the form X,Y"),
     "slides": (["v3", "--slope", "0.8", "--pitch", "-0.8"], "1.030 is needed"),

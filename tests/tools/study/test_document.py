@@ -185,8 +185,8 @@ def test_the_page_has_the_table_s_numbers() -> None:
     front = next(rows for title, rows in tables.items() if "Pareto front" in title)
     assert [float(row["leg_scale"]) for row in front] == found.front["leg_scale"].to_list()
     assert "18 designs, of which 6 failed" in page.shown()
-    told = {row["metric"]: row for row in tables["Metrics"]}
-    assert float(told["com_margin"]["median"]) == pytest.approx(
+    values = {row["metric"]: row for row in tables["Metrics"]}
+    assert float(values["com_margin"]["median"]) == pytest.approx(
         float(found.table["com_margin"].median()), rel=1e-4
     )
 
@@ -253,9 +253,9 @@ def test_no_mean_leaves_out_what_does_not_stand_in_silence() -> None:
     page = Page(written(fallen, robots=False))
     svg = drawing(page, "servo_sag (m) over leg_scale and height: mean over mass, kp")
     (line,) = [one for one in svg.iter("polyline") if one.get("class") == "unseen"]
-    told = line.get("data-labels").split("|")
-    assert [label.rpartition(" (")[2] for label in told].count("2 / 2)") == 5
-    (partial,) = [label for label in told if label.endswith(" (1 / 2)")]
+    message = line.get("data-labels").split("|")
+    assert [label.rpartition(" (")[2] for label in message].count("2 / 2)") == 5
+    (partial,) = [label for label in message if label.endswith(" (1 / 2)")]
     assert partial.startswith("leg_scale 1.2, height 0.12: ")
     assert "contain designs that do not stand; the mean is of the others" in page.shown()
 

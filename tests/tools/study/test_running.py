@@ -500,14 +500,14 @@ def test_a_damaged_shard_and_a_strange_folder_are_named(tmp_path: Path, threads:
     shard.write_bytes(shard.read_bytes()[:-5])
     with pytest.raises(pa.StudyError, match=rf"{shard.name} is damaged .*delete it"):
         pa.read_study(tmp_path)
-    for told in ({}, {"study": 5}, {"study": {"vary": {}}}, {"digest": "a", "study": []}):
-        (tmp_path / "study.json").write_text(json.dumps({"format": 1} | told))
+    for values in ({}, {"study": 5}, {"study": {"vary": {}}}, {"digest": "a", "study": []}):
+        (tmp_path / "study.json").write_text(json.dumps({"format": 1} | values))
         with pytest.raises(pa.StudyError, match="does not say what was asked"):
             pa.read_study(tmp_path)
     asked = {"vary": {"kp": [5, 6]}, "measure": ["total_mass"], "robot": "v3"}
     for seed in ({}, {"seed": "x"}, {"seed": None}):
-        told = {"digest": "a", "study": asked | seed}
-        (tmp_path / "study.json").write_text(json.dumps({"format": 1} | told))
+        values = {"digest": "a", "study": asked | seed}
+        (tmp_path / "study.json").write_text(json.dumps({"format": 1} | values))
         with pytest.raises(pa.StudyError, match="seed"):
             pa.read_study(tmp_path)
     (tmp_path / "study.json").write_text('{"format": 99}')

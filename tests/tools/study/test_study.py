@@ -593,11 +593,13 @@ def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
             with pytest.raises(pa.NotStandingError, match="DIVERGES"):
                 study.metrics[0].function(maker.design({}))
         table = pd.DataFrame({"failure": [None]})
-        shown = measured_document("", study.variables, table, rests_on(study.base)).told
-        told = " ".join(map(str, shown))
-        assert ("the file by itself, reset to its keyframe home: it DIVERGES" in told) is not stands
-        assert "the file by itself, reset to its keyframe home: it" in told
-        assert ("on servos that were added" in told) is not stands
+        shown = measured_document("", study.variables, table, rests_on(study.base)).findings
+        message = " ".join(map(str, shown))
+        assert (
+            "the file by itself, reset to its keyframe home: it DIVERGES" in message
+        ) is not stands
+        assert "the file by itself, reset to its keyframe home: it" in message
+        assert ("on servos that were added" in message) is not stands
 
 
 def test_the_com_with_its_payload_is_over_the_feet() -> None:

@@ -70,8 +70,8 @@ def test_a_dry_run_prints_a_diff(folder: Path) -> None:
     assert '-<mass value="6.0"/>\n+<mass value="7.5"/>' in result.stdout
     assert "\n--- a/robot.urdf\n+++ b/robot.urdf\n@@ " in result.stdout
     assert "\nNot written\njoint hip1: effort: nothing was chosen for it" in result.stdout
-    told = "DISAGREE URDF and MJCF: attributes that would be written: 1\n  differences left: 1\n"
-    assert result.stdout.startswith(told)
+    message = "DISAGREE URDF and MJCF: attributes that would be written: 1\n  differences left: 1\n"
+    assert result.stdout.startswith(message)
     assert (folder / "robot.urdf").read_bytes() == before
 
 
@@ -80,8 +80,8 @@ def test_what_cannot_be_stated_is_left(tmp_path: Path) -> None:
     result = run(tmp_path, "--take", "mjcf")
     assert result.returncode == 1
     assert "\nNot written\njoint hip1: armature: a URDF has no armature" in result.stdout
-    told = "DISAGREE URDF and MJCF: attributes written: 2\n  differences left: 1\n"
-    assert result.stdout.startswith(told)
+    message = "DISAGREE URDF and MJCF: attributes written: 2\n  differences left: 1\n"
+    assert result.stdout.startswith(message)
 
 
 def test_the_sixth_digit_is_left_unless_asked_for(tmp_path: Path) -> None:

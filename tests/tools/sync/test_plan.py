@@ -314,7 +314,7 @@ def test_what_is_not_stated_overwrites_nothing_unless_asked_for(tmp_path: Path) 
     assert {left.cause for left in result.not_mended} == {UnwrittenCause.NOT_STATED}
     assert len([left for left in result.not_mended if left.difference.endswith("effort")]) == 8
     values = [left.reason.values for left in result.not_mended]
-    assert {(told["lacking"], told["stating"]) for told in values} == {("URDF", "MJCF")}
+    assert {(message["lacking"], message["stating"]) for message in values} == {("URDF", "MJCF")}
     assert not result.withheld
     assert 'mass="7' in files.mjcf.read_text()
     assert "limited" not in files.mjcf.read_text()
@@ -325,7 +325,7 @@ def test_what_is_not_stated_overwrites_nothing_unless_asked_for(tmp_path: Path) 
     assert edits(result) == [("link base > inertial > mass", "value", "7.0", "6")]
     assert {left.cause for left in result.not_mended} == {UnwrittenCause.NOT_STATED}
     values = [left.reason.values for left in result.not_mended]
-    assert {(told["lacking"], told["stating"]) for told in values} == {("MJCF", "URDF")}
+    assert {(message["lacking"], message["stating"]) for message in values} == {("MJCF", "URDF")}
     assert files.urdf.read_text().count("damping") == before.count("damping") > 0
     assert sync(files, "mjcf", take_absent=True).agree
     assert agree(files)

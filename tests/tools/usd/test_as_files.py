@@ -120,12 +120,12 @@ def test_what_the_usd_leaves_open_is_the_urdfs(tmp_path: Path) -> None:
     )
     found = compared(tmp_path, *changes)
     assert found.agree
-    told = {
+    values = {
         str(note.values["what"]): list(note.values["joints"])
         for note in found.notes
         if note.code == "unknown-taken-from-urdf"
     }
-    assert told == {"effort": ["hip"], "damping": ["knee"], "friction": ["hip"]} or told == {
+    assert values == {"effort": ["hip"], "damping": ["knee"], "friction": ["hip"]} or values == {
         "effort": ["hip"],
         "damping": ["hip"],
         "friction": ["hip"],

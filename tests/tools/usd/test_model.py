@@ -222,7 +222,7 @@ def test_a_body_weighs_what_usd_itself_reckons(case: str, tmp_path: Path) -> Non
     stage = mine.file.stage
     solids = {str(s.prim.GetPath()): s for s in mine.links["b"].shapes}  # type: ignore[attr-defined]
 
-    def told(prim: Usd.Prim) -> UsdPhysics.RigidBodyAPI.MassInformation:
+    def volume_of(prim: Usd.Prim) -> UsdPhysics.RigidBodyAPI.MassInformation:
         shape = solids[str(prim.GetPath())]
         info = UsdPhysics.RigidBodyAPI.MassInformation()
         info.volume = shape.solid.volume  # type: ignore[attr-defined]
@@ -234,7 +234,7 @@ def test_a_body_weighs_what_usd_itself_reckons(case: str, tmp_path: Path) -> Non
         return info
 
     prim = UsdPhysics.RigidBodyAPI(stage.GetPrimAtPath("/r/b"))
-    mass, moments, com, axes = prim.ComputeMassProperties(told)
+    mass, moments, com, axes = prim.ComputeMassProperties(volume_of)
     found = mine.links["b"].inertial
     assert found is not None
     assert found.mass == pytest.approx(mass, rel=1e-6)

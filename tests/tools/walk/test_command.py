@@ -74,7 +74,7 @@ def test_bad_input(
     folder.mkdir()
     monkeypatch.chdir(folder)
     words = ("walk", "v3", "--policy")
-    for more, told in (
+    for more, message in (
         ((str(tmp_path / "none.json"),), "none.json"),
         ((str(policy), "--command", "fast"), "fast"),
         ((str(policy), "--seconds", "nan"), "seconds"),
@@ -83,7 +83,7 @@ def test_bad_input(
         ((str(policy), "--vary", "mass", "--seeds", "0"), "seeds"),
         ((str(policy), "--contract", str(policy)), "TOML"),
     ):
-        check_refusal(capfd, folder, (*words, *more), told)
+        check_refusal(capfd, folder, (*words, *more), message)
 
 
 def test_a_robot_without_servos_or_joints_of_the_policy_is_a_line(

@@ -140,7 +140,7 @@ def test_standing_does_not_track_a_speed(still: Policy) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "text"),
     [
         ({"command": (math.nan, 0, 0)}, "command"),
         ({"command": (1, 0)}, "command"),
@@ -149,16 +149,16 @@ def test_standing_does_not_track_a_speed(still: Policy) -> None:
         ({"seconds": 0.1}, "seconds"),
     ],
 )
-def test_bad_arguments(still: Policy, changed: dict[str, object], told: str) -> None:
-    with pytest.raises(PupperAnalysisError, match=told):
+def test_bad_arguments(still: Policy, changed: dict[str, object], text: str) -> None:
+    with pytest.raises(PupperAnalysisError, match=text):
         simulate_walk(load("v3"), still, **changed)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("gain", "told"), [({"kp": None}, "kp"), ({"kd": None}, "kd")])
+@pytest.mark.parametrize(("gain", "text"), [({"kp": None}, "kp"), ({"kd": None}, "kd")])
 def test_one_gain_alone_is_not_passed_over(
-    still: Policy, gain: dict[str, object], told: str
+    still: Policy, gain: dict[str, object], text: str
 ) -> None:
-    with pytest.raises(PupperAnalysisError, match=f"states {told}"):
+    with pytest.raises(PupperAnalysisError, match=f"states {text}"):
         stage_of(load("v3"), still.with_contract(**gain))
 
 

@@ -211,22 +211,22 @@ def test_what_does_not_fit_names_its_layer() -> None:
 
 
 def test_onnx_that_is_none_or_too_large(tmp_path: Path) -> None:
-    def told(data: bytes) -> str:
+    def refusal(data: bytes) -> str:
         with pytest.raises(ModelError) as caught:
             read_graph(data, tmp_path)
         return str(caught.value)
 
-    assert "no network" in told(b"")
-    assert "no ONNX model" in told(b"\xff" * 40)
+    assert "no network" in refusal(b"")
+    assert "no ONNX model" in refusal(b"\xff" * 40)
     whole = made.dense_onnx([(np.ones((2, 3)), np.ones(3))], "Relu")
-    assert "no ONNX model" in told(whole[:-20])
+    assert "no ONNX model" in refusal(whole[:-20])
     large = made.tensor("W", [1.0], dims=(40_000, 25_000))
     ends = [made.value("obs", 1, 2)], [made.value("y", 1, 3)]
     nodes = [made.node("MatMul", ("obs", "W"), ("y",))]
-    assert "W has 1000000000 weights" in told(made.onnx(nodes, [large], *ends))
+    assert "W has 1000000000 weights" in refusal(made.onnx(nodes, [large], *ends))
     nodes = [made.node("Einsum", ("obs", "W"), ("y",))]
-    assert "Einsum" in told(made.onnx(nodes, [made.tensor("W", np.ones((2, 3)))], *ends))
+    assert "Einsum" in refusal(made.onnx(nodes, [made.tensor("W", np.ones((2, 3)))], *ends))
     spoilt = np.ones((2, 3))
     spoilt[1, 1] = np.inf
     nodes = [made.node("MatMul", ("obs", "W"), ("y",))]
-    assert "W: 1 of its weights" in told(made.onnx(nodes, [made.tensor("W", spoilt)], *ends))
+    assert "W: 1 of its weights" in refusal(made.onnx(nodes, [made.tensor("W", spoilt)], *ends))

@@ -76,7 +76,7 @@ def test_rtneural_of_pupper(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "text"),
     [
         ("rate = 50", "", "rate"),
         ("rate = 50", "rate = 0", "rate"),
@@ -93,9 +93,9 @@ def test_rtneural_of_pupper(tmp_path: Path) -> None:
         ("default = [0.1, -0.2]", "", "default"),
     ],
 )
-def test_a_contract_that_cannot_be(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_a_contract_that_cannot_be(tmp_path: Path, old: str, new: str, text: str) -> None:
     assert old in TOML
-    assert told in refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
+    assert text in refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@
   const stages = [...document.querySelectorAll(".stage")];
   const said = () => window.report.words();
   if (!THREE) {
-    for (const stage of stages) stage.querySelector(".told").textContent = said().no_library;
+    for (const stage of stages) stage.querySelector(".hint").textContent = said().no_library;
     return;
   }
   const meshes = JSON.parse(document.getElementById("meshes").textContent);
@@ -60,8 +60,8 @@
     constructor(stage) {
       this.stage = stage;
       this.box = stage.querySelector(".canvas");
-      this.told = stage.querySelector(".told");
-      this.hint = this.told.innerHTML;
+      this.hintLine = stage.querySelector(".hint");
+      this.hint = this.hintLine.innerHTML;
       this.data = JSON.parse(stage.querySelector("script.scene").textContent);
       this.motion = 0;
       this.frame = 0;
@@ -87,7 +87,7 @@
           preserveDrawingBuffer: true });
       } catch (error) {
         this.broken = true;
-        this.told.textContent = said().no_webgl;
+        this.hintLine.textContent = said().no_webgl;
         return;
       }
       active.push(this);
@@ -336,7 +336,7 @@
         });
       for (const button of this.stage.querySelectorAll(".joint"))
         button.classList.toggle("lit", Number(button.dataset.joint) === index);
-      if (text) this.told.textContent = text; else this.told.innerHTML = this.hint;
+      if (text) this.hintLine.textContent = text; else this.hintLine.innerHTML = this.hint;
       this.draw();
     }
 
@@ -345,8 +345,8 @@
       const data = this.data;
       if (kind === "joint") {
         const joint = data.joints[index];
-        if (joint.told !== undefined)
-          return `${joint.name}: ${joint.told[window.report.language()] || words.same}`;
+        if (joint.differences !== undefined)
+          return `${joint.name}: ${joint.differences[window.report.language()] || words.same}`;
         const limit = joint.limit === null ? "" : ` / ${joint.limit} N m`;
         const torque = joint.torque === null ? "" :
           `; ${words.torque} ${joint.torque.toFixed(3)} N m${limit}`;
@@ -354,8 +354,8 @@
           `${joint.position.toFixed(3)} rad${torque}`;
       }
       if (kind === "body") {
-        const { name, mass, told } = data.bodies[index];
-        return `${name}: ${words.mass} ${mass.toFixed(3)} kg${told ? `; ${told[window.report.language()]}` : ""}`;
+        const { name, mass, differences } = data.bodies[index];
+        return `${name}: ${words.mass} ${mass.toFixed(3)} kg${differences ? `; ${differences[window.report.language()]}` : ""}`;
       }
       if (kind === "com")
         return `${words.com}: (${data.com.map((value) => value.toFixed(4)).join(", ")}) m`;

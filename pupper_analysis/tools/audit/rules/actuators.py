@@ -78,8 +78,8 @@ def actuator_without_effect(robot: MjcfModel) -> Iterator[Found]:
     """Finds gains and gears of 0."""
     for _, drive in _drives(robot):
         if drive.gain == 0 or drive.gear == 0:
-            told = diagnose("actuator-without-effect", gain=drive.gain, gear=drive.gear)
-            yield Found("actuator", drive.name, told)
+            message = diagnose("actuator-without-effect", gain=drive.gain, gear=drive.gear)
+            yield Found("actuator", drive.name, message)
 
 
 @rule
@@ -88,8 +88,8 @@ def servo_drives_away(robot: MjcfModel) -> Iterator[Found]:
     for _, drive in _drives(robot):
         if drive.stiffness < 0:
             stiffness = Quantity(drive.stiffness, "N m/rad")
-            told = diagnose("servo-drives-away", stiffness=stiffness)
-            yield Found("actuator", drive.name, told)
+            message = diagnose("servo-drives-away", stiffness=stiffness)
+            yield Found("actuator", drive.name, message)
         if drive.damping < 0:
             damping = Quantity(drive.damping, "N m s/rad")
             yield Found("actuator", drive.name, diagnose("damping-drives", damping=damping))
@@ -105,8 +105,8 @@ def servos_compete(robot: MjcfModel) -> Iterator[Found]:
     for joint, several in holding.items():
         if len(several) > 1:
             gains = [Quantity(drive.stiffness, "N m/rad") for drive in several]
-            told = diagnose("servos-compete", joint=joint, servos=len(several), gains=gains)
-            yield Found("actuator", several[1].name, told)
+            message = diagnose("servos-compete", joint=joint, servos=len(several), gains=gains)
+            yield Found("actuator", several[1].name, message)
 
 
 FEWEST = 5
@@ -123,8 +123,8 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[Found]:
     model, drive = others[0]
     hinge = model.jnt_type[drive.joint] == mujoco.mjtJoint.mjJNT_HINGE.value
     if hinge and model.jnt_limited[drive.joint]:
-        told = diagnose("drive-of-another-kind", gain=drive.gain, servos=len(found) - 1)
-        yield Found("actuator", drive.name, told)
+        message = diagnose("drive-of-another-kind", gain=drive.gain, servos=len(found) - 1)
+        yield Found("actuator", drive.name, message)
 
 
 SLOWEST = 1.0
@@ -141,8 +141,8 @@ def actuator_slow(robot: MjcfModel) -> Iterator[Found]:
         )
         constant = float(model.actuator_dynprm[drive.id, 0])
         if filtered and constant > SLOWEST:
-            told = diagnose("actuator-slow", constant=Quantity(constant, "s"))
-            yield Found("actuator", drive.name, told)
+            message = diagnose("actuator-slow", constant=Quantity(constant, "s"))
+            yield Found("actuator", drive.name, message)
 
 
 @rule
@@ -151,8 +151,8 @@ def forcerange_without_zero(robot: MjcfModel) -> Iterator[Found]:
     for model, drive in _drives(robot):
         low, high = model.actuator_forcerange[drive.id]
         if model.actuator_forcelimited[drive.id] and not low <= 0 <= high:
-            told = diagnose("forcerange-without-zero", low=low, high=high)
-            yield Found("actuator", drive.name, told)
+            message = diagnose("forcerange-without-zero", low=low, high=high)
+            yield Found("actuator", drive.name, message)
 
 
 @rule
@@ -161,13 +161,13 @@ def servo_gains_contradict(robot: MjcfModel) -> Iterator[Found]:
     for _, drive in _drives(robot):
         differ = drive.servo and not math.isclose(drive.gain, drive.stiffness, rel_tol=1e-6)
         if differ and drive.gain != 0:
-            told = diagnose(
+            message = diagnose(
                 "servo-gains-contradict",
                 ctrl=Quantity(drive.gain, "N m/rad"),
                 q=Quantity(-drive.stiffness, "N m/rad"),
                 qdot=Quantity(-drive.damping, "N m s/rad"),
             )
-            yield Found("actuator", drive.name, told)
+            yield Found("actuator", drive.name, message)
 
 
 @rule
@@ -178,8 +178,8 @@ def actuator_unlimited(robot: MjcfModel) -> Iterator[Found]:
         by_input = not drive.servo and model.actuator_ctrllimited[drive.control]
         if not limited and not by_input:
             kind = Term("position servo" if drive.servo else "motor")
-            told = diagnose("actuator-unlimited", kind=kind, gain=drive.gain)
-            yield Found("actuator", drive.name, told)
+            message = diagnose("actuator-unlimited", kind=kind, gain=drive.gain)
+            yield Found("actuator", drive.name, message)
 
 
 @rule
@@ -191,13 +191,13 @@ def forcerange_above_joint(robot: MjcfModel) -> Iterator[Found]:
         force = float(np.abs(model.actuator_forcerange[drive.id]).max()) * abs(drive.gear)
         joint = float(np.abs(model.jnt_actfrcrange[drive.joint]).max())
         if force > 1.01 * joint:
-            told = diagnose(
+            message = diagnose(
                 "forcerange-above-joint",
                 force=Quantity(force, "N m"),
                 joint=drive.joint_name,
                 through=Quantity(joint, "N m"),
             )
-            yield Found("actuator", drive.name, told)
+            yield Found("actuator", drive.name, message)
 
 
 @rule
@@ -212,7 +212,7 @@ def ctrlrange_differs(robot: MjcfModel) -> Iterator[Found]:
         lost = np.array([ctrl[0] - joint[0], joint[1] - ctrl[1]]) / (joint[1] - joint[0])
         narrower = lost.max() > 0.01
         if narrower or lost.min() < -0.01:
-            told = diagnose(
+            message = diagnose(
                 "ctrlrange-narrower" if narrower else "ctrlrange-wider",
                 ctrl_low=ctrl[0],
                 ctrl_high=ctrl[1],
@@ -221,4 +221,4 @@ def ctrlrange_differs(robot: MjcfModel) -> Iterator[Found]:
                 joint=drive.joint_name,
             )
             severity = Severity.WARNING if lost.max() > 0.1 else Severity.NOTE
-            yield Found("actuator", drive.name, told, severity=severity)
+            yield Found("actuator", drive.name, message, severity=severity)

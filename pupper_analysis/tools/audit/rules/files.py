@@ -46,10 +46,10 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
             name = mesh.get("filename", "")
             if name not in seen and robot.file.resolve_mesh(name) is None:
                 place = Place(robot.file.path, mesh.sourceline)
-                told = _what_is_missing(name, [robot.file.path.parent / name])
-                gone = told.code == "mesh-missing" and "://" not in name and name in touching
+                hint = _what_is_missing(name, [robot.file.path.parent / name])
+                gone = hint.code == "mesh-missing" and "://" not in name and name in touching
                 severity = None if gone else Severity.WARNING
-                yield Found("link", owner, told, place=place, severity=severity)
+                yield Found("link", owner, hint, place=place, severity=severity)
             seen.add(name)
 
 
@@ -67,8 +67,8 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[Found]:
             problem = mesh_problem(path)
             if problem is not None:
                 place = Place(robot.file.path, mesh.sourceline)
-                told = diagnose("mesh-unreadable", mesh=name, problem=problem)
-                yield Found("link", owner, told, place=place)
+                message = diagnose("mesh-unreadable", mesh=name, problem=problem)
+                yield Found("link", owner, message, place=place)
 
 
 def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
@@ -129,10 +129,10 @@ def joint_named_like_link(robot: RobotModel) -> Iterator[Found]:
         if j.kind == FIXED and j.name in robot.links and j.name not in both
     ]
     if both:
-        told = diagnose(
+        message = diagnose(
             "joint-named-like-link",
             kind=Term(robot.link_tag),
             joint=both[0],
             others=len(both) - 1,
         )
-        yield Found("joint", both[0], told)
+        yield Found("joint", both[0], message)

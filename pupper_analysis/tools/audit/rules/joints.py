@@ -71,13 +71,13 @@ def axis_contradicts_name(robot: RobotModel) -> Iterator[Found]:
             continue
         if abs(joint.axis[axis]) < 0.5:
             really = int(np.argmax(np.abs(joint.axis)))
-            told = diagnose(
+            message = diagnose(
                 "axis-contradicts-name",
                 named=_MOTIONS[axis],
                 axis=Vector(tuple(joint.axis), "1"),
                 turns=_MOTIONS[really],
             )
-            yield Found("joint", joint.name, told, "axis")
+            yield Found("joint", joint.name, message, "axis")
 
 
 @rule
@@ -95,8 +95,8 @@ def axis_not_unit(robot: RobotModel) -> Iterator[Found]:
         length = float(np.linalg.norm(joint.raw_axis))
         if joint.moves and length > 1e-9 and abs(length - 1.0) > 1e-3:
             axis = Vector(tuple(joint.raw_axis), "1")
-            told = diagnose("axis-not-unit", axis=axis, length=Quantity(length, "1"))
-            yield Found("joint", joint.name, told, "axis")
+            message = diagnose("axis-not-unit", axis=axis, length=Quantity(length, "1"))
+            yield Found("joint", joint.name, message, "axis")
 
 
 # Rules about the limits of joints.
@@ -112,8 +112,8 @@ def range_empty(robot: RobotModel) -> Iterator[Found]:
     for joint in robot.joints.values():
         if joint.moves and joint.lower >= joint.upper:
             lower, upper = Quantity(joint.lower, joint.unit), Quantity(joint.upper, joint.unit)
-            told = diagnose("range-empty", lower=lower, upper=upper)
-            yield Found("joint", joint.name, told, "limit")
+            message = diagnose("range-empty", lower=lower, upper=upper)
+            yield Found("joint", joint.name, message, "limit")
     if isinstance(robot, MjcfModel) and robot.refusal is None:
         yield from _inverted(robot)
 
@@ -136,8 +136,8 @@ def _inverted(robot: MjcfModel) -> Iterator[Found]:
                 if getattr(element, switch) == auto and low > high:
                     around = element.parent.name if tag == "joint" else robot.base
                     place = None if element.name else line_of(robot.file, element, around)
-                    told = diagnose("range-inverted", attribute=name, low=low, high=high)
-                    yield Found(tag, element.name, told, place=place)
+                    message = diagnose("range-inverted", attribute=name, low=low, high=high)
+                    yield Found(tag, element.name, message, place=place)
 
 
 @rule
@@ -152,8 +152,8 @@ def limit_missing(robot: RobotModel) -> Iterator[Found]:
             if ignored is not None:
                 yield Found("joint", joint.name, ignored, "limit")
                 continue
-            told = diagnose("joint-without-end", kind=Term(joint.kind))
-            yield Found("joint", joint.name, told)
+            message = diagnose("joint-without-end", kind=Term(joint.kind))
+            yield Found("joint", joint.name, message)
 
 
 def _limits_without_effect(joint: Joint) -> Diagnostic | None:
@@ -179,20 +179,20 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
         limits = (joint.lower, joint.upper)
         if 12 <= max(map(abs, limits)) <= 400:
             lower, upper = (Quantity(value, "rad") for value in limits)
-            told = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
-            yield Found("joint", joint.name, told, "limit")
+            message = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
+            yield Found("joint", joint.name, message, "limit")
     if not robot.in_degrees or len(hinges) < 3:
         return
     widest = max(hinges, key=lambda j: max(abs(j.lower), abs(j.upper)))
     low, high = np.rad2deg((widest.lower, widest.upper))
     if max(abs(low), abs(high)) <= 2 * math.pi:
-        told = diagnose(
+        message = diagnose(
             "limits-look-like-radians",
             hinges=len(hinges),
             lower=Quantity(widest.lower, "rad"),
             upper=Quantity(widest.upper, "rad"),
         )
-        yield Found("joint", widest.name, told)
+        yield Found("joint", widest.name, message)
 
 
 @rule
@@ -203,8 +203,8 @@ def range_placeholder(robot: RobotModel) -> Iterator[Found]:
         return
     upper = hinges[0].upper
     if upper >= _HALF_TURN and all(j.upper == upper and j.lower == -upper for j in hinges):
-        told = diagnose("one-range-of-all", upper=Quantity(upper, "rad"), count=len(hinges))
-        yield Found("joint", hinges[0].name, told, "limit")
+        message = diagnose("one-range-of-all", upper=Quantity(upper, "rad"), count=len(hinges))
+        yield Found("joint", hinges[0].name, message, "limit")
 
 
 _HINGES, _HALF_TURN = 4, 3.1
@@ -225,10 +225,10 @@ def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[Found]:
                 Quantity(zero[what], BY_KIND[what].unit(slides)) if what in zero else None
                 for what in ("effort", "velocity")
             )
-            told = diagnose(
+            message = diagnose(
                 "effort-or-velocity-zero", effort=effort, velocity=velocity, both=len(zero) == 2
             )
-            yield Found("joint", name, told, "limit")
+            yield Found("joint", name, message, "limit")
 
 
 @rule
@@ -241,5 +241,5 @@ def effort_placeholder(robot: RobotModel) -> Iterator[Found]:
             mass = sum(link.mass for end in ends for link in robot.fixed_group(end))
             armature = joint.stated.get("armature", 0.0)
             motors.append(Motor(joint.name, joint.effort, mass, armature))
-    for joints, told in placeholder_efforts(motors, robot.total_mass):
-        yield Found("joint", joints[0], told, "limit")
+    for joints, message in placeholder_efforts(motors, robot.total_mass):
+        yield Found("joint", joints[0], message, "limit")

@@ -157,11 +157,11 @@ def limits_away_from_stand(robot: RobotModel) -> Iterator[Found]:
         }
         name = max(others, key=lambda one: others[one])
         if others[name] > 0.95:
-            told = diagnose(
+            message = diagnose(
                 "limits-away-from-stand",
                 share=Quantity(share, "1"),
                 knee=leg.knee.name,
                 turned=name,
                 other=Quantity(others[name], "1"),
             )
-            yield Found("joint", leg.knee.name, told, "limit")
+            yield Found("joint", leg.knee.name, message, "limit")

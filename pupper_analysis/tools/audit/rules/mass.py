@@ -57,12 +57,12 @@ def mass_not_positive(robot: RobotModel) -> Iterator[Found]:
         if inertial.mass == 0 and not inertial.inertia.any():
             continue
         largest = float(np.abs(inertial.inertia).max())
-        told = diagnose(
+        message = diagnose(
             "mass-not-positive",
             mass=Quantity(inertial.mass, "kg"),
             largest=Quantity(largest, "kg m^2"),
         )
-        yield Found(robot.link_tag, body.name, told, robot.inertial_part("mass"))
+        yield Found(robot.link_tag, body.name, message, robot.inertial_part("mass"))
 
 
 @rule
@@ -73,8 +73,10 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[Found]:
             continue
         carries = any(other.mass > 0 for other in robot.descendants(body.name))
         joint = body.joints[0].name
-        told = diagnose("moving-body-without-mass", joint=joint, carries=carries)
-        yield Found(robot.link_tag, body.name, told, severity=Severity.WARNING if carries else None)
+        message = diagnose("moving-body-without-mass", joint=joint, carries=carries)
+        yield Found(
+            robot.link_tag, body.name, message, severity=Severity.WARNING if carries else None
+        )
 
 
 @rule
@@ -94,13 +96,13 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
         if points is None:
             outside = outside_hull(link_points(robot, body), inertial.com)
             if 0 < span < outside:
-                told = diagnose(
+                message = diagnose(
                     "com-far-from-joints",
                     com=Vector(tuple(inertial.com), "m"),
                     outside=Quantity(outside, "m"),
                     size=Quantity(span, "m"),
                 )
-                yield Found(robot.link_tag, body.name, told, robot.inertial_part("origin"))
+                yield Found(robot.link_tag, body.name, message, robot.inertial_part("origin"))
         if points is None or not body.shapes:
             continue
         points = np.concatenate([points, link_points(robot, body)])
@@ -109,13 +111,13 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
         shapes = [shape for part in group for shape in part.shapes]
         drawn = any(shape.kind == "mesh" or not shape.collides for shape in shapes)
         if outside > COM_OUTSIDE + (DRAWN if drawn else SIMPLIFIED) * size:
-            told = diagnose(
+            message = diagnose(
                 "com-outside-shapes",
                 com=Vector(tuple(inertial.com), "m"),
                 outside=Quantity(outside, "m"),
                 size=Quantity(size, "m"),
             )
-            yield Found(robot.link_tag, body.name, told, robot.inertial_part("origin"))
+            yield Found(robot.link_tag, body.name, message, robot.inertial_part("origin"))
 
 
 def _reach(robot: RobotModel, name: str) -> float:
@@ -132,13 +134,13 @@ def total_mass_unusual(robot: RobotModel) -> Iterator[Found]:
         return
     total = base.mass + sum(body.mass for body in robot.descendants(base.name))
     if not LIGHT <= total <= HEAVY:
-        told = diagnose(
+        message = diagnose(
             "total-mass-unusual",
             mass=Quantity(total, "kg"),
             least=Quantity(LIGHT, "kg"),
             most=Quantity(HEAVY, "kg"),
         )
-        yield Found(robot.link_tag, robot.base, told)
+        yield Found(robot.link_tag, robot.base, message)
 
 
 @rule
@@ -161,7 +163,7 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[Found]:
     lever = max(ways, default=0.0)
     torque = robot.total_mass * standard_gravity * lever
     if torque > sum(efforts):
-        told = diagnose(
+        message = diagnose(
             "mass-beyond-motors",
             mass=Quantity(robot.total_mass, "kg"),
             lever=Quantity(lever, "m"),
@@ -169,7 +171,7 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[Found]:
             joints=known,
             effort=Quantity(sum(efforts), "N m"),
         )
-        yield Found(robot.link_tag, robot.base, told)
+        yield Found(robot.link_tag, robot.base, message)
 
 
 @rule
@@ -180,10 +182,10 @@ def inertial_ignored(robot: MjcfModel) -> Iterator[Found]:
     for body in robot.file.spec.bodies:
         if body.explicitinertial and body.name in robot.links:
             taken = robot.links[body.name].mass
-            told = diagnose(
+            message = diagnose(
                 "inertial-ignored", stated=Quantity(body.mass, "kg"), taken=Quantity(taken, "kg")
             )
-            yield Found("body", body.name, told, "inertial")
+            yield Found("body", body.name, message, "inertial")
 
 
 @rule
@@ -207,14 +209,14 @@ def visual_adds_mass(robot: MjcfModel) -> Iterator[Found]:
         for geom in drawn if solid else by_accident:
             if not solid and geom.type != mujoco.mjtGeom.mjGEOM_MESH:
                 continue
-            told = diagnose(
+            message = diagnose(
                 "visual-adds-mass",
                 density=Quantity(geom.density, "kg/m^3"),
                 mass=Quantity(robot.links[body.name].mass, "kg"),
                 body=body.name,
             )
             place: Place | None = None if geom.name else line_of(robot.file, geom, body.name)
-            yield Found("geom", geom.name, told, place=place)
+            yield Found("geom", geom.name, message, place=place)
 
 
 @rule
@@ -231,8 +233,8 @@ def base_fixed(robot: RobotModel) -> Iterator[Found]:
         return
     mass = sum(body.mass for body in robot.fixed_group(base.name))
     if not any(joint.kind == FREE for joint in base.joints):
-        told = diagnose("base-fixed", mass=Quantity(mass, "kg"), feet=len(feet))
-        yield Found(robot.link_tag, base.name, told)
+        message = diagnose("base-fixed", mass=Quantity(mass, "kg"), feet=len(feet))
+        yield Found(robot.link_tag, base.name, message)
 
 
 # Rules about moments of inertia.
@@ -266,12 +268,12 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[Found]:
         zero = max(1e-9 * scale, TINY * inertial.mass)
         alone = body.moving and len(robot.fixed_group(body.name)) == 1
         if least < -max(zero, inertial.rounding) or (alone and least <= zero):
-            told = diagnose(
+            message = diagnose(
                 "inertia-not-positive-definite",
                 least=Quantity(least, "kg m^2"),
                 greatest=Quantity(greatest, "kg m^2"),
             )
-            yield Found(robot.link_tag, body.name, told, robot.inertial_part("inertia"))
+            yield Found(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
 
 
 @rule
@@ -288,7 +290,7 @@ def triangle_inequality(robot: RobotModel) -> Iterator[Found]:
         # Of six equal values two moments are 0, but for rounding to either side.
         positive = least >= -max(1e-9 * greatest, TINY * inertial.mass)
         if positive and excess > max(tolerance, TINY * inertial.mass):
-            told = diagnose(
+            message = diagnose(
                 "triangle-inequality",
                 least=Quantity(least, "kg m^2"),
                 middle=Quantity(middle, "kg m^2"),
@@ -297,7 +299,7 @@ def triangle_inequality(robot: RobotModel) -> Iterator[Found]:
                 share=Quantity(excess / greatest, "1"),
                 equal=bool(np.allclose(inertial.inertia, inertial.inertia[0, 0], rtol=1e-6)),
             )
-            yield Found(robot.link_tag, body.name, told, robot.inertial_part("inertia"))
+            yield Found(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
 
 
 @rule
@@ -326,7 +328,7 @@ def inertia_implausible(robot: RobotModel) -> Iterator[Found]:
         own, _ = known_points([body], body)
         expected = 0.0 if own is None else _solid_box(own, inertial.mass)
         if greatest > allowed * inertial.mass * reach**2:
-            told = diagnose(
+            message = diagnose(
                 "inertia-too-large",
                 moment=Quantity(greatest, "kg m^2"),
                 mass=Quantity(inertial.mass, "kg"),
@@ -334,7 +336,7 @@ def inertia_implausible(robot: RobotModel) -> Iterator[Found]:
                 reach=Quantity(reach, "m"),
             )
         elif greatest < expected / FACTOR:
-            told = diagnose(
+            message = diagnose(
                 "inertia-too-small",
                 moment=Quantity(greatest, "kg m^2"),
                 mass=Quantity(inertial.mass, "kg"),
@@ -343,7 +345,7 @@ def inertia_implausible(robot: RobotModel) -> Iterator[Found]:
             )
         else:
             continue
-        yield Found(robot.link_tag, body.name, told, robot.inertial_part("inertia"))
+        yield Found(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
 
 
 @rule
@@ -365,15 +367,15 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[Found]:
             balls.setdefault(moment, []).append(body.name)
     for moment, names in balls.items():
         if len(names) >= _SEVERAL:
-            told = diagnose(
+            message = diagnose(
                 "inertia-of-a-ball", moment=Quantity(moment, "kg m^2"), others=tuple(names[1:])
             )
-            yield Found(robot.link_tag, names[0], told, robot.inertial_part("inertia"))
+            yield Found(robot.link_tag, names[0], message, robot.inertial_part("inertia"))
     masses = {inertial.mass for _, inertial in moving}
     one = len(moving) > _SEVERAL and len(masses) == 1 and not robot.is_negligible(moving[0][0])
     if one and _is_round(mass := masses.pop()):
-        told = diagnose("one-mass-of-all", mass=Quantity(mass, "kg"), count=len(moving))
-        yield Found(robot.link_tag, moving[0][0].name, told, robot.inertial_part("mass"))
+        message = diagnose("one-mass-of-all", mass=Quantity(mass, "kg"), count=len(moving))
+        yield Found(robot.link_tag, moving[0][0].name, message, robot.inertial_part("mass"))
 
 
 _SEVERAL = 2

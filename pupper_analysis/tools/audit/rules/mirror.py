@@ -158,7 +158,7 @@ def mirror_position(robot: RobotModel) -> Iterator[Found]:
     for one, other in _displaced(robot, mirror)[1]:
         image, place = mirror.point(_anchor(one)), _anchor(other)
         gap = float(np.linalg.norm(image - place))
-        told = diagnose(
+        message = diagnose(
             "mirror-position",
             place=Vector(tuple(place), "m"),
             gap=Quantity(gap, "m"),
@@ -167,9 +167,9 @@ def mirror_position(robot: RobotModel) -> Iterator[Found]:
             turned=_turned_by(robot, image, other),
         )
         if robot.format == "urdf" and other.joints:
-            yield Found("joint", other.joints[0].name, told, "origin")
+            yield Found("joint", other.joints[0].name, message, "origin")
         else:
-            yield Found(robot.link_tag, other.name, told)
+            yield Found(robot.link_tag, other.name, message)
 
 
 @rule
@@ -177,13 +177,13 @@ def mirror_mass(robot: RobotModel) -> Iterator[Found]:
     """Compares masses, with 1 % of tolerance."""
     for one, other in _body_pairs(robot):
         if not _same_mass(one, other):
-            told = diagnose(
+            message = diagnose(
                 "mirror-mass",
                 mass=Quantity(other.mass, "kg"),
                 other=one.name,
                 its=Quantity(one.mass, "kg"),
             )
-            yield Found(robot.link_tag, other.name, told, robot.inertial_part("mass"))
+            yield Found(robot.link_tag, other.name, message, robot.inertial_part("mass"))
 
 
 @rule
@@ -194,14 +194,14 @@ def mirror_com(robot: RobotModel) -> Iterator[Found]:
         com = other.pose.point(there.com)
         gap = float(np.linalg.norm(image - com))
         if gap > COM + 0.01 * float(np.linalg.norm(com)):
-            told = diagnose(
+            message = diagnose(
                 "mirror-com",
                 com=Vector(tuple(com), "m"),
                 gap=Quantity(gap, "m"),
                 image=Vector(tuple(image), "m"),
                 other=one.name,
             )
-            yield Found(robot.link_tag, other.name, told, robot.inertial_part("origin"))
+            yield Found(robot.link_tag, other.name, message, robot.inertial_part("origin"))
 
 
 @rule
@@ -220,14 +220,14 @@ def mirror_inertia(robot: RobotModel) -> Iterator[Found]:
         gap = np.abs(its - own)
         worst = int(np.argmax(gap))
         if gap[worst] > max(INERTIA * scale, min(rounding, 0.5 * scale)):
-            told = diagnose(
+            message = diagnose(
                 "mirror-inertia",
                 entry=names[worst],
                 value=Quantity(own[worst], "kg m^2"),
                 other=one.name,
                 its=Quantity(its[worst], "kg m^2"),
             )
-            yield Found(robot.link_tag, other.name, told, robot.inertial_part("inertia"))
+            yield Found(robot.link_tag, other.name, message, robot.inertial_part("inertia"))
 
 
 def _joint_pairs(robot: RobotModel) -> Iterator[tuple[Mirror, Joint, Joint]]:
@@ -257,14 +257,14 @@ def mirror_axis(robot: RobotModel) -> Iterator[Found]:
         if one.axis.any() and other.axis.any():
             cosine = abs(_sense(mirror, one, other))
             if cosine < np.cos(np.deg2rad(1.0)):
-                told = diagnose(
+                message = diagnose(
                     "mirror-axis",
                     axis=Vector(tuple(other.axis), "1"),
                     angle=Quantity(np.arccos(cosine), "rad"),
                     other=one.name,
                     image=Vector(tuple(mirror.matrix @ one.axis), "1"),
                 )
-                yield Found("joint", other.name, told, "axis")
+                yield Found("joint", other.name, message, "axis")
 
 
 @rule
@@ -281,7 +281,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[Found]:
             lower, upper, its_lower, its_upper = (
                 Quantity(limit, other.unit) for limit in (*here, *image)
             )
-            told = diagnose(
+            message = diagnose(
                 "mirror-limits",
                 lower=lower,
                 upper=upper,
@@ -294,10 +294,10 @@ def mirror_limits(robot: RobotModel) -> Iterator[Found]:
         elif one.effort != other.effort and not np.isclose(one.effort, other.effort, rtol=0.01):
             unit = "N m" if other.kind == HINGE else "N"
             effort, its = describe_bound(other.effort, unit), describe_bound(one.effort, unit)
-            told = diagnose("mirror-effort", effort=effort, other=one.name, its=its)
+            message = diagnose("mirror-effort", effort=effort, other=one.name, its=its)
         else:
             continue
-        yield Found("joint", other.name, told, "limit")
+        yield Found("joint", other.name, message, "limit")
 
 
 DRIVE = 0.02
@@ -325,14 +325,14 @@ def mirror_drive(robot: RobotModel) -> Iterator[Found]:
             continue
         for one, other, own, its in differing:
             unit = attribute.unit(other.kind != HINGE)
-            told = diagnose(
+            message = diagnose(
                 "mirror-drive",
                 what=Term(kind),
                 own=Quantity(own, unit),
                 other=one.name,
                 its=Quantity(its, unit),
             )
-            yield Found("joint", other.name, told, robot.words(attribute)[1])
+            yield Found("joint", other.name, message, robot.words(attribute)[1])
 
 
 SHAPES = 0.01
@@ -348,8 +348,8 @@ def mirror_shapes(robot: RobotModel) -> Iterator[Found]:
             continue
         if not all(pair):
             bare, whole = (one, other) if not pair[0] else (other, one)
-            told = diagnose("mirror-without-shapes", other=whole.name)
-            yield Found(robot.link_tag, bare.name, told)
+            message = diagnose("mirror-without-shapes", other=whole.name)
+            yield Found(robot.link_tag, bare.name, message)
             continue
         extents = [_extent(link, parts) for link, parts in zip((one, other), pair, strict=True)]
         if extents[0] is None or extents[1] is None:
@@ -361,8 +361,8 @@ def mirror_shapes(robot: RobotModel) -> Iterator[Found]:
         gap = float(np.abs(ends[0] - ends[1]).max())
         size = float(np.ptp(ends[0], axis=0).max())
         if gap > SHAPES + 0.1 * size:
-            told = diagnose("mirror-shapes", gap=Quantity(gap, "m"), other=one.name)
-            yield Found(robot.link_tag, other.name, told)
+            message = diagnose("mirror-shapes", gap=Quantity(gap, "m"), other=one.name)
+            yield Found(robot.link_tag, other.name, message)
 
 
 def _touching(robot: RobotModel, link: Link) -> list[Link]:

@@ -93,7 +93,7 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[Found]:
             reached = -0.2 * way < gap < tolerance or abs(gap + caps) < tolerance
             if not reached and (end, round(length, 6)) not in reported:
                 reported.add((end, round(length, 6)))
-                told = diagnose(
+                message = diagnose(
                     "shape-ends-off-joint",
                     shape=Term(shape.kind),
                     length=Quantity(length, "m"),
@@ -103,7 +103,7 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[Found]:
                     gap=Quantity(abs(gap), "m"),
                     beyond=gap > 0,
                 )
-                yield Found(robot.link_tag, body.name, told, _tag(robot, shape))
+                yield Found(robot.link_tag, body.name, message, _tag(robot, shape))
 
 
 @rule
@@ -135,14 +135,14 @@ def shape_off_link(robot: RobotModel) -> Iterator[Found]:
             ahead = float(middle @ way) / length
             aside = float(np.linalg.norm(middle - ahead * way / length))
             if aside - width > 0.1 * length or abs(ahead) > 0.4 * length:
-                told = diagnose(
+                message = diagnose(
                     "shape-off-link",
                     shape=Term(shape.kind),
                     aside=Quantity(aside, "m"),
                     ahead=Quantity(abs(ahead), "m"),
                     way=Quantity(length, "m"),
                 )
-                yield Found(robot.link_tag, body.name, told, _tag(robot, shape))
+                yield Found(robot.link_tag, body.name, message, _tag(robot, shape))
 
 
 SHORT = 0.03
@@ -204,10 +204,10 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[Found]:
             _, gap, radius = min(spheres)
             if gap > 5 * radius or gap < TOLERANCE or abs(gap - radius) < TOLERANCE:
                 continue
-            told = diagnose(
+            message = diagnose(
                 "foot-sphere-off-frame", radius=Quantity(radius, "m"), gap=Quantity(gap, "m")
             )
-            yield Found(kind, name, told, severity=Severity.NOTE if gap < radius else None)
+            yield Found(kind, name, message, severity=Severity.NOTE if gap < radius else None)
 
 
 # How large they are.
@@ -260,13 +260,13 @@ def density_implausible(robot: RobotModel) -> Iterator[Found]:
         volume = _volume(np.concatenate([points, links]))
         density = mass / volume if volume > 0 else np.inf
         if volume > 0 and not (LIGHTEST if whole else 0.0) <= density <= most:
-            told = diagnose(
+            message = diagnose(
                 "denser-than-metal" if density > most else "lighter-than-foam",
                 mass=Quantity(mass, "kg"),
                 volume=Quantity(volume, "m^3"),
                 density=Quantity(density, "kg/m^3"),
             )
-            yield Found(robot.link_tag, body.name, told, robot.inertial_part("mass"))
+            yield Found(robot.link_tag, body.name, message, robot.inertial_part("mass"))
 
 
 @rule
@@ -277,25 +277,25 @@ def scale_unusual(robot: RobotModel) -> Iterator[Found]:
         return
     size = _extent(places)
     if size > LARGE or 0 < size < TINY:
-        told = diagnose(
+        message = diagnose(
             "joints-out-of-scale",
             size=Quantity(size, "m"),
             least=Quantity(TINY, "m"),
             most=Quantity(LARGE, "m"),
         )
-        yield Found(robot.link_tag, robot.base, told)
+        yield Found(robot.link_tag, robot.base, message)
     if size < SMALL:
         return
     for body in robot.links.values():
         points = extent_points([body], body)
         if points is not None and _extent(points) > OUT_OF_SCALE * size:
-            told = diagnose(
+            message = diagnose(
                 "shapes-out-of-scale",
                 length=Quantity(_extent(points), "m"),
                 times=_extent(points) / size,
                 size=Quantity(size, "m"),
             )
-            yield Found(robot.link_tag, body.name, told)
+            yield Found(robot.link_tag, body.name, message)
 
 
 def _moving(robot: RobotModel) -> Iterator[Link]:

@@ -34,9 +34,9 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[Found]:
     gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:
         place = first_place(robot.file, "option", "gravity")
-        told = diagnose("gravity-unusual", gravity=Vector(tuple(gravity), "m/s^2"))
+        message = diagnose("gravity-unusual", gravity=Vector(tuple(gravity), "m/s^2"))
         severity = None if gravity[2] > 0 else Severity.NOTE
-        yield Found("option", "", told, place=place, severity=severity)
+        yield Found("option", "", message, place=place, severity=severity)
 
 
 @rule
@@ -51,8 +51,8 @@ def armature_zero(robot: MjcfModel) -> Iterator[Found]:
         for drive in driven
     ]
     if driven and not any(armature):
-        told = diagnose("armature-zero", joints=len(driven))
-        yield Found("joint", driven[0].joint_name, told)
+        message = diagnose("armature-zero", joints=len(driven))
+        yield Found("joint", driven[0].joint_name, message)
 
 
 @rule
@@ -76,14 +76,14 @@ def servo_unstable(robot: MjcfModel) -> Iterator[Found]:
     found = servo_stability(model, data, stiffness, damping, implicit)
     if found is not None and found.ratio > 1:
         drive = max(used, key=lambda drive: float(found.shares[model.jnt_dofadr[drive.joint]]))
-        told = diagnose(
+        message = diagnose(
             "servo-unstable",
             kp=Quantity(drive.gain, "N m/rad"),
             kd=Quantity(drive.damping, "N m s/rad"),
             step=Quantity(model.opt.timestep, "s"),
             times=found.ratio,
         )
-        yield Found("actuator", drive.name, told)
+        yield Found("actuator", drive.name, message)
 
 
 @rule
@@ -112,10 +112,10 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
         contact = combine_geoms(model, geom, geom if ground is None else ground)
         friction = contact.friction[0] if ground is None else contact.sliding_friction
         if friction < 1e-3:
-            told = diagnose(
+            message = diagnose(
                 "foot-frictionless", condim=contact.condim, friction=contact.friction[0]
             )
-            yield _of_geom(robot, geom, told)
+            yield _of_geom(robot, geom, message)
 
 
 RUBBER = 5.0
@@ -160,7 +160,7 @@ def contact_out_of_range(robot: MjcfModel) -> Iterator[Found]:
             found.setdefault(("solref[0]", True), []).append(those)
     for (word, short), all_of_it in found.items():
         geom, value, bound = all_of_it[0]
-        told = diagnose(
+        message = diagnose(
             "contact-out-of-range",
             attribute=word,
             value=value,
@@ -170,7 +170,7 @@ def contact_out_of_range(robot: MjcfModel) -> Iterator[Found]:
             unsafe=short and unsafe,
             replaced=short and not unsafe,
         )
-        yield _of_geom(robot, geom, told, Severity.NOTE if short and not unsafe else None)
+        yield _of_geom(robot, geom, message, Severity.NOTE if short and not unsafe else None)
 
 
 @rule
@@ -188,8 +188,8 @@ def ground_not_met(robot: MjcfModel) -> Iterator[Found]:
     ]
     off = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT.value)
     if off or not any(met):
-        told = diagnose("ground-not-met", ground=model.geom(ground).name, off=off)
-        yield Found("body", robot.base, told)
+        message = diagnose("ground-not-met", ground=model.geom(ground).name, off=off)
+        yield Found("body", robot.base, message)
 
 
 FREE = mujoco.mjtJoint.mjJNT_FREE.value
@@ -210,14 +210,16 @@ def _touching(model: mujoco.MjModel) -> Iterator[int]:
 
 
 def _of_geom(
-    robot: MjcfModel, geom: int, told: Diagnostic, severity: Severity | None = None
+    robot: MjcfModel, geom: int, message: Diagnostic, severity: Severity | None = None
 ) -> Found:
     """Returns what was found at a geom, or of its body if it has no name."""
     model = robot.mj_model
     assert model is not None
     if name := model.geom(geom).name:
-        return Found("geom", name, told, severity=severity)
-    return Found("body", robot.body_names[model.geom_bodyid[geom]], told, "geom", severity=severity)
+        return Found("geom", name, message, severity=severity)
+    return Found(
+        "body", robot.body_names[model.geom_bodyid[geom]], message, "geom", severity=severity
+    )
 
 
 # Rules about what each engine makes of what a file does not say.
@@ -234,13 +236,13 @@ def link_without_inertial(robot: UrdfModel) -> Iterator[Found]:
     ]
     if not links:
         return
-    told = diagnose(
+    message = diagnose(
         "link-without-inertial",
         others=[link.name for link in links[1:]],
         weighs=Quantity(robot.total_mass + len(links), "kg"),
         mass=Quantity(robot.total_mass, "kg"),
     )
-    yield Found("link", links[0].name, told)
+    yield Found("link", links[0].name, message)
 
 
 @rule
@@ -257,13 +259,13 @@ def massless_link_collides(robot: UrdfModel) -> Iterator[Found]:
     masses = [_water(shapes) for shapes in links.values()]
     known = [mass for mass in masses if mass is not None]
     first, *others = (link.name for link in links)
-    told = diagnose(
+    message = diagnose(
         "massless-link-collides",
         others=others,
         water=Quantity(sum(known), "kg") if len(known) == len(masses) else None,
         mass=Quantity(robot.total_mass, "kg"),
     )
-    yield Found("link", first, told, "collision")
+    yield Found("link", first, message, "collision")
 
 
 def _water(shapes: Sequence[Shape]) -> float | None:

@@ -48,13 +48,13 @@ class Start:
 
     Attributes:
         element: Tag and name for findings.
-        told: What it is called.
+        message: What it is called.
         qpos: (nq,).
         severity: NOTE for qpos0 where keyframes exist: then nobody starts there.
     """
 
     element: tuple[str, str]
-    told: Diagnostic
+    message: Diagnostic
     qpos: Array
     severity: Severity
 
@@ -67,8 +67,8 @@ def _starts(robot: MjcfModel) -> Iterator[Start]:
     yield Start(("body", robot.base), diagnose("start-qpos0"), np.array(model.qpos0), least)
     for key in range(min(model.nkey, MOST_KEYFRAMES)):
         name = model.key(key).name
-        told = diagnose("start-keyframe", keyframe=name, number=key)
-        yield Start(("key", name), told, np.array(model.key_qpos[key]), Severity.WARNING)
+        message = diagnose("start-keyframe", keyframe=name, number=key)
+        yield Start(("key", name), message, np.array(model.key_qpos[key]), Severity.WARNING)
 
 
 @rule
@@ -89,7 +89,7 @@ def start_outside_limits(robot: RobotModel) -> Iterator[Found]:
         }
         named = start.element[0] == "key"
         severity = Severity.WARNING if named else Severity.NOTE
-        yield from _outside(robot, start.element, start.told, values, severity)
+        yield from _outside(robot, start.element, start.message, values, severity)
 
 
 def _outside(
@@ -107,7 +107,7 @@ def _outside(
     outside = [name for name, by in excess.items() if by > 1e-3]
     if outside:
         worst = robot.joints[max(outside, key=lambda name: excess[name])]
-        told = diagnose(
+        message = diagnose(
             "start-outside-limits",
             start=start,
             joint=worst.name,
@@ -117,7 +117,7 @@ def _outside(
             outside=len(outside),
             joints=len(excess),
         )
-        yield Found(*where, told, severity=severity)
+        yield Found(*where, message, severity=severity)
 
 
 @rule
@@ -144,7 +144,7 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[Found]:
         if ahead:
             worst = max(ahead, key=lambda name: abs(ahead[name]))
             name = model.key(key).name
-            told = diagnose(
+            message = diagnose(
                 "keyframe-ctrl",
                 joint=worst,
                 off=Quantity(ahead[worst], robot.joints[worst].unit),
@@ -152,7 +152,7 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[Found]:
                 commands=model.nu,
             )
             said = len(robot.file.spec.keys[key].ctrl) > 0
-            yield Found("key", name, told, severity=None if said else Severity.NOTE)
+            yield Found("key", name, message, severity=None if said else Severity.NOTE)
 
 
 @rule
@@ -182,9 +182,9 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[Found]:
     floor = float(before.geom_xpos[ground][2])
     motion, _ = own_motion(model, before, base, floor, partial(_run, model))
     if motion.diverged:
-        told = diagnose("keyframe-diverges")
+        message = diagnose("keyframe-diverges")
     elif motion.collapses:
-        told = diagnose(
+        message = diagnose(
             "keyframe-falls",
             time=Quantity(motion.duration, "s"),
             end=_rounded(motion.end_height, "m"),
@@ -194,7 +194,7 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[Found]:
         )
     else:
         return
-    yield Found("key", names[key], told)
+    yield Found("key", names[key], message)
 
 
 def _held(robot: MjcfModel, data: mujoco.MjData) -> bool:
@@ -224,14 +224,14 @@ def start_in_floor(robot: MjcfModel) -> Iterator[Found]:
                 depths[name] = max(depth, depths.get(name, 0.0))
         if depths:
             deepest = max(depths, key=lambda name: depths[name])
-            told = diagnose(
+            message = diagnose(
                 "start-in-floor",
-                start=start.told,
+                start=start.message,
                 body=deepest,
                 depth=_rounded(depths[deepest], "m"),
                 others=len(depths) - 1,
             )
-            yield Found(*start.element, told, severity=start.severity)
+            yield Found(*start.element, message, severity=start.severity)
 
 
 def _is_plane(robot: MjcfModel, geom: int) -> bool:
@@ -252,15 +252,15 @@ def start_self_collision(robot: MjcfModel) -> Iterator[Found]:
                 depths[pair] = max(depth, depths.get(pair, 0.0))
         if depths:
             one, other = worst = max(depths, key=lambda pair: depths[pair])
-            told = diagnose(
+            message = diagnose(
                 "start-self-collision",
-                start=start.told,
+                start=start.message,
                 body=one,
                 other=other,
                 depth=_rounded(depths[worst], "m"),
                 others=len(depths) - 1,
             )
-            yield Found(*start.element, told, severity=start.severity)
+            yield Found(*start.element, message, severity=start.severity)
 
 
 def _rounded(value: float, unit: str) -> Quantity:

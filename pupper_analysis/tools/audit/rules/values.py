@@ -42,8 +42,8 @@ def value_impossible(robot: RobotModel) -> Iterator[Found]:
             value = joint.stated.get(one.kind, 0.0)
             if value < 0 and not one.signed:
                 word, child = robot.words(one)
-                told = diagnose("value-impossible", attribute=word, value=value)
-                yield Found("joint", joint.name, told, child)
+                message = diagnose("value-impossible", attribute=word, value=value)
+                yield Found("joint", joint.name, message, child)
     if isinstance(robot, UrdfModel):
         yield from _impossible_sizes(robot)
         return
@@ -54,13 +54,13 @@ def value_impossible(robot: RobotModel) -> Iterator[Found]:
             value = float(np.atleast_1d(getattr(tendon, word))[0])
             if value < 0:
                 place = None if tendon.name else robot.file.numbered("tendon", at)
-                told = diagnose("value-impossible", attribute=word, value=value)
-                yield Found("tendon", tendon.name, told, place=place)
+                message = diagnose("value-impossible", attribute=word, value=value)
+                yield Found("tendon", tendon.name, message, place=place)
     for geom in robot.file.spec.geoms:
         if min(geom.friction) < 0:
             place = None if geom.name else line_of(robot.file, geom, geom.parent.name)
-            told = diagnose("friction-negative", friction=Vector(tuple(geom.friction), "1"))
-            yield Found("geom", geom.name, told, place=place)
+            message = diagnose("friction-negative", friction=Vector(tuple(geom.friction), "1"))
+            yield Found("geom", geom.name, message, place=place)
 
 
 def _impossible_sizes(robot: UrdfModel) -> Iterator[Found]:
@@ -76,10 +76,10 @@ def _impossible_sizes(robot: UrdfModel) -> Iterator[Found]:
         for name, values in sizes.items():
             bad = values < 0 if name == "length" else values <= 0
             if bad.any():
-                told = diagnose(
+                message = diagnose(
                     "size-impossible", attribute=name, shape=tag, stated=shape.get(name)
                 )
-                yield Found("link", link, told, place=Place(robot.file.path, shape.sourceline))
+                yield Found("link", link, message, place=Place(robot.file.path, shape.sourceline))
 
 
 def _shapes(robot: UrdfModel) -> Iterator[tuple[str, etree._Element, etree._Element]]:
@@ -98,8 +98,8 @@ def geometry_empty(robot: UrdfModel) -> Iterator[Found]:
         for tag, shape, form in link.shapes:
             if form is None:
                 place = Place(robot.file.path, shape.find("geometry").sourceline)
-                told = diagnose("geometry-empty", tag=tag)
-                yield Found("link", name, told, place=place)
+                message = diagnose("geometry-empty", tag=tag)
+                yield Found("link", name, message, place=place)
 
 
 @rule
@@ -116,7 +116,7 @@ def mesh_mirrored(robot: UrdfModel) -> Iterator[Found]:
     for count, found in mirrored.items():
         if found:
             link, shape = found[0]
-            told = diagnose(
+            message = diagnose(
                 "mesh-mirrored",
                 mesh=shape.get("filename"),
                 scale=shape.get("scale"),
@@ -124,7 +124,7 @@ def mesh_mirrored(robot: UrdfModel) -> Iterator[Found]:
             )
             severity = Severity.NOTE if count == 1 else None
             place = Place(robot.file.path, shape.sourceline)
-            yield Found("link", link, told, place=place, severity=severity)
+            yield Found("link", link, message, place=place, severity=severity)
 
 
 _OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
@@ -150,7 +150,7 @@ def option_out_of_range(robot: MjcfModel) -> Iterator[Found]:
     for name, (least, greatest, severity, unit) in _OPTIONS.items():
         value = float(getattr(option, name))
         if not least <= value <= greatest:
-            told = diagnose(
+            message = diagnose(
                 "option-out-of-range",
                 option=name,
                 value=value,
@@ -160,7 +160,7 @@ def option_out_of_range(robot: MjcfModel) -> Iterator[Found]:
                 below=value < least,
             )
             place = first_place(robot.file, "option", name)
-            yield Found("option", "", told, place=place, severity=severity)
+            yield Found("option", "", message, place=place, severity=severity)
 
 
 # Rules about how rotations are written.
@@ -179,16 +179,20 @@ def rpy_in_degrees(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
                 while owner.tag not in ("link", "joint") and owner.getparent() is not None:
                     owner = owner.getparent()
                 line = Place(robot.file.path, element.sourceline)
-                told = diagnose("rpy-in-degrees", attribute="rpy", angles=Vector(tuple(rpy), "rad"))
-                yield Found(str(owner.tag), str(owner.get("name")), told, place=line)
+                message = diagnose(
+                    "rpy-in-degrees", attribute="rpy", angles=Vector(tuple(rpy), "rad")
+                )
+                yield Found(str(owner.tag), str(owner.get("name")), message, place=line)
         return
     if robot.file.spec.compiler.degree:
         return
     for tag, name, element, place in _posed(robot):
         euler = np.array(element.alt.euler)  # type: ignore[attr-defined]
         if np.isfinite(euler).all() and np.abs(euler).max() > FULL_TURN:
-            told = diagnose("rpy-in-degrees", attribute="euler", angles=Vector(tuple(euler), "rad"))
-            yield Found(tag, name, told, place=place)
+            message = diagnose(
+                "rpy-in-degrees", attribute="euler", angles=Vector(tuple(euler), "rad")
+            )
+            yield Found(tag, name, message, place=place)
 
 
 @rule
@@ -200,12 +204,12 @@ def quaternion_not_unit(robot: MjcfModel) -> Iterator[Found]:
         parts = np.abs(quaternion[quaternion != 0])
         on_purpose = length > 0.5 and np.ptp(parts) < 1e-9 * parts.max()
         if abs(length - 1.0) > 1e-3 and not on_purpose:
-            told = diagnose(
+            message = diagnose(
                 "quaternion-not-unit",
                 quaternion=Vector(tuple(quaternion), "1"),
                 length=Quantity(length, "1"),
             )
-            yield Found(tag, name, told, place=place)
+            yield Found(tag, name, message, place=place)
 
 
 @rule
@@ -223,12 +227,12 @@ def keyframe_quaternion(robot: MjcfModel) -> Iterator[Found]:
             quaternion = np.array(key.qpos)[start : start + 4]
             length = float(np.linalg.norm(quaternion))
             if len(quaternion) == 4 and abs(length - 1.0) > 1e-3:
-                told = diagnose(
+                message = diagnose(
                     "keyframe-quaternion",
                     quaternion=Vector(tuple(quaternion), "1"),
                     length=Quantity(length, "1"),
                 )
-                yield Found("key", key.name, told)
+                yield Found("key", key.name, message)
 
 
 def _posed(robot: MjcfModel) -> Iterator[tuple[str, str, object, Place | None]]:

@@ -138,7 +138,7 @@ def match_names(
     except PupperAnalysisError as error:
         return dict(given), [diagnose("contract-unmatched", why=error.diagnostic)]
     names = {old: new for new, old in match.urdf_joint.items() if old != new}
-    told = [diagnose("contract-matched", pairs=[f"{old} = {new}" for old, new in names.items()][:6],
-                     count=len(names))] if names else []  # fmt: skip
-    told += [one for one in match.notes if one.code == "joint-matches-several"]
-    return {**names, **given}, told
+    pairs = [f"{old} = {new}" for old, new in names.items()][:6]
+    messages = [diagnose("contract-matched", pairs=pairs, count=len(names))] if names else []
+    messages += [one for one in match.notes if one.code == "joint-matches-several"]
+    return {**names, **given}, messages

@@ -124,7 +124,7 @@ def fit_motion(
     while motion.step_error(posterior.mean) > _STEP_ERROR:
         motion = motion.with_steps(2 * motion.simulator.steps)
         posterior = motion.fit(posterior.mean)
-    return _told(motion.simulator.robot, logs, qualities, motion, posterior)
+    return _report_motions(motion.simulator.robot, logs, qualities, motion, posterior)
 
 
 def begin_motion(
@@ -218,7 +218,7 @@ def _parameters(
     return ParameterTable(give_widths(wanted, priors))
 
 
-def _told(
+def _report_motions(
     robot: Robot,
     logs: Sequence[Log],
     qualities: tuple[LogQuality, ...],

@@ -45,8 +45,8 @@ from pupper_analysis.tools.fit.result import (
     Fit,
     describe_parameter,
     describe_parameters,
+    determined_by,
     find_together,
-    told_by,
 )
 from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
 from pupper_analysis.tools.fit.stands.wiring import find_wiring
@@ -177,7 +177,7 @@ def _total_mass(robot: Robot, posterior: Posterior) -> Estimate:
     width = math.sqrt(float((line * widths) @ before @ (line * widths)))
     whole = Parameter("mass", robot.name, "", robot.total_mass, width)
     mean = robot.total_mass + float(line @ (posterior.mean - stated))
-    return describe_parameter(whole, mean, std, told_by((std / width) ** 2 if width else 1.0))
+    return describe_parameter(whole, mean, std, determined_by((std / width) ** 2 if width else 1.0))
 
 
 def _whole_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
@@ -219,7 +219,9 @@ def _whole_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
     for number, axis in enumerate(AXES):
         one = Parameter("com", robot.name, axis, float(before[number]), float(width[number]))
         share = (std[number] / width[number]) ** 2 if width[number] else 1.0
-        yield describe_parameter(one, float(whole[number]), float(std[number]), told_by(share))
+        yield describe_parameter(
+            one, float(whole[number]), float(std[number]), determined_by(share)
+        )
 
 
 def _kp_factor(posterior: Posterior) -> Estimate | None:
@@ -238,7 +240,9 @@ def _kp_factor(posterior: Posterior) -> Estimate | None:
     before = np.linalg.inv(posterior.precision)[np.ix_(places, places)]
     wide = math.sqrt(float((line * width) @ before @ (line * width)))
     whole = Parameter("kp", "servos", "", 1.0, wide)
-    return replace(describe_parameter(whole, factor, std, told_by((std / wide) ** 2)), unit="1")
+    return replace(
+        describe_parameter(whole, factor, std, determined_by((std / wide) ** 2)), unit="1"
+    )
 
 
 # What a model does not explain of stands: noise, numbers, and what surrounds the robot.
@@ -298,8 +302,8 @@ def _surprise(posterior: Posterior, lines: Array) -> tuple[float, int, Array]:
     width = np.array([one.width for one in posterior.parameters])
     before = lines @ np.linalg.inv(posterior.precision) @ lines.T
     sizes = np.sqrt(np.diag(before))
-    told = before - lines @ (posterior.covariance / np.outer(width, width)) @ lines.T
-    values, vectors = np.linalg.eigh(told / np.outer(sizes, sizes))
+    message = before - lines @ (posterior.covariance / np.outer(width, width)) @ lines.T
+    values, vectors = np.linalg.eigh(message / np.outer(sizes, sizes))
     kept = values > _LEAST_TOLD
     moved = vectors[:, kept].T @ (lines @ posterior.moved / sizes)
     far = (before / sizes) @ vectors[:, kept] @ (moved / values[kept])
@@ -415,8 +419,8 @@ def doubt_surroundings(
         if not freedom or stats.chi2.sf(signs, freedom) > _CHANCE:
             continue
         free = width * far
-        told = np.maximum(1 - posterior.shares[places], _LEAST_TOLD)
-        each = np.abs(posterior.moved[places]) / np.sqrt(told)
+        message = np.maximum(1 - posterior.shares[places], _LEAST_TOLD)
+        each = np.abs(posterior.moved[places]) / np.sqrt(message)
         if kind == "slope":
             most = chosen[int(np.abs(free).argmax())]
             slope = Quantity(float(math.hypot(*free)), "rad")
@@ -651,8 +655,8 @@ class _Problem:
     def evidence(self) -> float:
         """Returns the logarithm of how likely the stands are, linear about the file's numbers."""
         equations = self.equations(np.zeros(self.stands.position.shape, dtype=bool))
-        told = equations.linearise(self.table.stated, self.table.stated, _SETTLES)
-        return told.evidence(self.table, np.zeros(len(self.table)))
+        message = equations.linearise(self.table.stated, self.table.stated, _SETTLES)
+        return message.evidence(self.table, np.zeros(len(self.table)))
 
     def solve(self) -> StandFit:
         """Returns the fit."""
@@ -973,11 +977,11 @@ class Logarithms:
         found[self._factors] = np.exp(logarithms[self._factors] / stated - 1)
         return found
 
-    def linearise(self, told: Linearised, logarithms: Array) -> Linearised:
+    def linearise(self, linearised: Linearised, logarithms: Array) -> Linearised:
         """Returns measurements about coordinates, of those about the parameters that they are."""
         rates = self.rates(logarithms)
-        information = rates[:, None] * told.information * rates
-        return replace(told, information=information, gradient=rates * told.gradient)
+        information = rates[:, None] * linearised.information * rates
+        return replace(linearised, information=information, gradient=rates * linearised.gradient)
 
     def of_posterior(self, posterior: Posterior) -> Posterior:
         """Returns what is known of parameters, as it is of coordinates, linear about the best.

@@ -36,7 +36,7 @@ from pupper_analysis.tools.fit.parameters import (
     give_widths,
     parse_priors,
 )
-from pupper_analysis.tools.fit.result import Expected, told_by
+from pupper_analysis.tools.fit.result import Expected, determined_by
 from pupper_analysis.tools.fit.stands.equations import StandEquations
 from pupper_analysis.tools.fit.stands.fit import (
     SURE,
@@ -155,7 +155,7 @@ def plan_stands(
                 stated=one.stated,
                 before=NORMAL_95 * one.width,
                 after=NORMAL_95 * one.width * float(after),
-                told=told_by(float(after) ** 2),
+                determined=determined_by(float(after) ** 2),
             )
             for one, after in zip(table.parameters, deviation, strict=True)
         ),
