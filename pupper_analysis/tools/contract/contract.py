@@ -159,7 +159,7 @@ def read_contract(
     return Contract(
         model=str(first.path),
         joints=first.order,
-        sources=tuple(map(_told, placed)),
+        sources=tuple(map(_source_read, placed)),
         facts=tuple(fact for one in placed for fact in _facts(one)),
         findings=findings,
         poses=poses,
@@ -175,10 +175,10 @@ def _check(one: Placed, model: Source) -> list[Diagnostic]:
     # A network without names states how many joints it is for.
     alone = any(not joint for _, joint in one.facts) and not (theirs or one.notes)
     if not (said or any(one.order) or alone):
-        told = diagnose("contract-no-joint", model=model.name,
+        message = diagnose("contract-no-joint", model=model.name,
                         names=tuple(dict.fromkeys(theirs))[:4],
                         joints=model.order[:4])  # fmt: skip
-        raise ModelError(one.source.path, next(iter(one.notes), told))
+        raise ModelError(one.source.path, next(iter(one.notes), message))
     unknown = [diagnose("contract-names-unknown", file=one.source.name,
                         names=one.unknown)] if one.unknown else []  # fmt: skip
     return [*one.source.notes, *one.notes, *unknown]
@@ -248,8 +248,8 @@ def _one_of(request: Request, found: Sequence[Source]) -> list[Source]:
                            for other, each in enumerate(said))]  # fmt: skip
         if len(kept) > 1:
             names = [one.name.rpartition(":")[2] for one in kept]
-            told = diagnose("contract-several", names=names, file=request.path.name)
-            raise ModelError(request.path, told)
+            message = diagnose("contract-several", names=names, file=request.path.name)
+            raise ModelError(request.path, message)
     if not kept and request.name:
         raise ModelError(request.path, diagnose("contract-name-unknown", name=request.name))
     if not kept:

@@ -205,6 +205,6 @@ def contract_cases(contract: Contract) -> list[CheckedItem]:
         found = [one for one in contract.findings if one.kind == kind]
         failed = [one for one in found if one.severity is not Severity.NOTE]
         lines = [f"{one.places[0]}, {one.places[1]}: {one.message}" for one in failed]
-        messages = tuple(one.diagnostic for one in failed)
-        cases.append(CheckedItem(kind, "\n".join(lines) or None, messages))
+        message = tuple(one.diagnostic for one in failed)
+        cases.append(CheckedItem(kind, "\n".join(lines) or None, message))
     return cases

@@ -203,14 +203,14 @@ def _grouped(
         meant = asks and lower * a <= lower * b + 1e-6
         near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b))
         head = members[0]
-        told = diagnose("contract-differs", subject=("joint", head) if head else None,
+        message = diagnose("contract-differs", subject=("joint", head) if head else None,
                         what=_term(quantity), others=tuple(members[1:]),
                         one=Quantity(one[head].value or 0.0, kind.unit),
                         two=Quantity(two[head].value or 0.0, kind.unit), **names,
                         sign=slip == "sign" or None, unit=unit or None)  # fmt: skip
-        yield _finding(quantity, told, sides(head), None if meant or near else kind.severity,
+        yield _finding(quantity, message, sides(head), None if meant or near else kind.severity,
                        joints=[one for one in members if one], slip=slip, unit=kind.unit,
-                       effects=tuple(_effects(kind, _term(quantity), a, b)))  # fmt: skip
+                       effects=_effects(quantity, a, b))  # fmt: skip
 
 
 def _term(quantity: str) -> Term | str:
@@ -263,16 +263,21 @@ def _slip(quantity: str, a: float, b: float) -> tuple[str, str]:
     return "", ""
 
 
-def _effects(kind: Kind, what: Term | str, a: float, b: float) -> Iterator[Diagnostic]:
-    """Yields what a difference does, as far as the numbers alone tell."""
-    apart, ratio = kind.unit == "rad" and kind.mirrored < 0, a and b and math.isfinite(a * b)
-    if kind.effect and (apart or ratio):
-        values = (
-            {"angle": Quantity(abs(b - a), "rad")}
-            if apart
-            else {"share": Quantity(b / a, "1"), "bends": Quantity(a / b, "1"), "what": what}
-        )
-        yield diagnose(kind.effect, **values)
+def _effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ...]:
+    """Returns what a difference does, as far as the numbers alone tell."""
+    if quantity in _ANGLES:
+        return (diagnose("contract-effect-angle", angle=Quantity(abs(b - a), "rad")),)
+    if not (a and b and math.isfinite(a * b)):
+        return ()
+    share = Quantity(b / a, "1")
+    if quantity == "action scale":
+        return (diagnose("contract-effect-scale", share=share),)
+    if quantity == "kp":
+        return (diagnose("contract-effect-kp", share=Quantity(a / b, "1")),)
+    if quantity in ("kd", "effort", "velocity"):
+        what = Term("damping" if quantity == "kd" else quantity)
+        return (diagnose("contract-effect-share", share=share, what=what),)
+    return ()
 
 
 Side = tuple[Placed, Statement]
@@ -336,11 +341,11 @@ def _orders(placed: Sequence[Placed]) -> Iterator[Disagreement]:
         if not moved or mapped or set(first.order) != set(other.order):
             continue
         words = tuple(f"{first.order.index(joint)} → {there} ({joint})" for joint, there in moved)
-        told = diagnose("contract-order", first=first.source.name, second=other.source.name,
+        message = diagnose("contract-order", first=first.source.name, second=other.source.name,
                         count=len(moved), moved=words[:6],
                         more=max(0, len(words) - 6) or None)  # fmt: skip
         places = (one.source.order_place or Place(one.source.path) for one in (first, other))
-        yield _in_order("order", told, (first, other), places, [joint for joint, _ in moved])
+        yield _in_order("order", message, (first, other), places, [joint for joint, _ in moved])
 
 
 def _observations(placed: Sequence[Placed]) -> Iterator[Disagreement]:
@@ -351,22 +356,22 @@ def _observations(placed: Sequence[Placed]) -> Iterator[Disagreement]:
         here = [name for name in mine if name in theirs]
         there = [name for name in theirs if name in mine]
         if here != there:
-            told = diagnose("contract-observed-order", one=tuple(here), two=tuple(there),
+            message = diagnose("contract-observed-order", one=tuple(here), two=tuple(there),
                             first=first.source.name, second=other.source.name)  # fmt: skip
             places = (one.source.observations[0][2] for one in (first, other))
-            yield _in_order("observations", told, (first, other), places)
+            yield _in_order("observations", message, (first, other), places)
 
 
 def _in_order(
     kind: str,
-    told: Diagnostic,
+    message: Diagnostic,
     both: tuple[Placed, Placed],
     places: Iterable[Place],
     joints: Sequence[str] = (),
 ) -> Disagreement:
     """Returns the finding that two sources differ in an order."""
     here, there = (Statement(kind, None, place) for place in places)
-    return _finding(kind, told, ((both[0], here), (both[1], there)), joints=joints, slip="order")
+    return _finding(kind, message, ((both[0], here), (both[1], there)), joints=joints, slip="order")
 
 
 def pose_effects(

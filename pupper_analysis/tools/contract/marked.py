@@ -9,7 +9,7 @@ import yaml
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.places import Place, one_line, source_name
+from pupper_analysis.models.places import Place, one_line, refuse_file
 from pupper_analysis.tools.contract.facts import MOST, Node
 
 _FLOAT = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
@@ -36,24 +36,31 @@ def read_marked(path: Path, text: str) -> list[Node]:
         message = diagnose(
             "contract-no-yaml", problem=one_line(error.problem or error.context or "")
         )
-        raise ModelError(source_name(path, mark.line + 1 if mark else None), message) from error
+        raise refuse_file(Place(path, mark.line + 1 if mark else None), message) from error
     except yaml.YAMLError as error:
         raise ModelError(path, diagnose("contract-no-yaml", problem=one_line(error))) from error
-    except RecursionError as error:
-        raise ModelError(path, diagnose("contract-too-deep")) from error
 
 
 def _node(path: Path, node: yaml.Node, left: list[int]) -> Node:
-    line = node.start_mark.line + 1
+    place = Place(path, node.start_mark.line + 1)
     left[0] -= 1
     if left[0] < 0:
-        raise ModelError(source_name(path, line), diagnose("contract-too-much", most=MOST))
-    place = Place(path, line)
+        raise refuse_file(place, diagnose("contract-too-much", most=MOST))
     if isinstance(node, yaml.MappingNode):
-        found = {}
+        found, merged = dict[str, Node](), dict[str, Node]()
         for key, value in node.value:
-            found[str(key.value)] = _node(path, value, left)
-        return Node(found, place)
+            plain = isinstance(key, yaml.ScalarNode)
+            name = str(key.value) if plain else f"? {key.start_mark.index}"
+            made = _node(path, value, left)
+            if key.tag.endswith(":merge"):
+                for part in reversed(made.items):
+                    merged |= part.value if isinstance(part.value, dict) else {}
+            elif name in found:
+                place = Place(path, key.start_mark.line + 1)
+                raise refuse_file(place, diagnose("contract-twice", key=name))
+            else:
+                found[name] = made
+        return Node(merged | found, place)
     if isinstance(node, yaml.SequenceNode):
         return Node([_node(path, one, left) for one in node.value], place)
     quoted = node.style in ("'", '"', "|", ">")

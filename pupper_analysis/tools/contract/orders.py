@@ -16,6 +16,7 @@ from pupper_analysis.tools.contract.facts import (
     Role,
     Source,
     Statement,
+    is_pattern,
     matches,
 )
 
@@ -90,7 +91,8 @@ def place_source(
         others: All sources: what one leaves open another may say.
         given: {a source's name: joint}, as the user says.
     """
-    plain = [one.joint for one in source.statements if one.joint and _PLAIN.fullmatch(one.joint)]
+    asked = dict.fromkeys(one.joint for one in source.statements if one.joint)
+    plain = [one for one in asked if _PLAIN.fullmatch(one) or not is_pattern(one)]
     names = list(dict.fromkeys((*source.order, *plain)))
     known = name_joints(names, joints, given)
     order, how, assumed = _order(source, model, joints, others, known, given)

@@ -26,10 +26,6 @@ from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.tools.contract.facts import MOST, Node
 from pupper_analysis.tools.contract.marked import decimals_of
 
-MOST_STEPS: Final = 500_000
-"""Expressions that are worked out, and values that these copy: a module of a training library takes
-some 10,000."""
-
 MOST_BITS: Final = 1_000
 """Of a whole number: others grow without bound where they are multiplied in a loop."""
 
@@ -191,8 +187,8 @@ class Evaluator:
         try:
             tree = ast.parse(text)
         except SyntaxError as error:
-            told = diagnose("contract-no-python", problem=error.msg)
-            raise refuse_file(Place(path, error.lineno), told) from error
+            message = diagnose("contract-no-python", problem=error.msg)
+            raise refuse_file(Place(path, error.lineno), message) from error
         except (MemoryError, ValueError) as error:
             raise refuse_file(Place(path), diagnose("contract-too-deep")) from error
         made = self.modules[path] = Module(path, re.split("\r\n?|\n", text))
@@ -213,9 +209,9 @@ class Evaluator:
 
     def _count(self, node: ast.AST, scope: Scope) -> None:
         self.steps += 1
-        if self.steps > MOST_STEPS:
+        if self.steps > MOST:
             place = self._place(node, scope)
-            raise refuse_file(place, diagnose("contract-too-much", most=MOST_STEPS))
+            raise refuse_file(place, diagnose("contract-too-much", most=MOST))
 
     def _lose(self, *_: object) -> None:
         raise Lost
@@ -412,7 +408,7 @@ class Evaluator:
     def _plain(self, node: Node) -> Any:
         """Returns a value with none of its places."""
         self.steps += 1
-        if isinstance(node.value, Unknown) or self.steps > MOST_STEPS:
+        if isinstance(node.value, Unknown) or self.steps > MOST:
             raise Lost
         many = isinstance(node.value, list)
         return [self._plain(one) for one in node.value] if many else node.value
@@ -652,7 +648,7 @@ class Evaluator:
     def _copied(self, value: Any, named: dict[str, Node]) -> Any:
         seen: dict[int, Any] = {}
         fresh = copied(Node(value, Place(Path())), seen).value
-        self.steps += len(seen)
+        self.steps += sum(len(getattr(one, "fields", one)) for one in seen.values())
         if isinstance(fresh, Instance):
             fresh.fields.update(named)
         return fresh

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 import mujoco
-import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.attributes import IN_A_TREE
-from pupper_analysis.models.loading import read_model, reader_of
+from pupper_analysis.models.loading import kind_of, read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import MjcfModel, RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
-from pupper_analysis.models.transmission import actuator_gear
-from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.transmission import drives_by_joint, law_of
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.tools.contract.facts import QUANTITIES, Request, Role, Source, Statement
 from pupper_analysis.tools.contract.orders import depth_first
@@ -32,7 +33,9 @@ def read(request: Request) -> Iterator[Source]:
     if not moving:
         return
     statements = []
-    motors = _motors(model.mj_model) if isinstance(model, MjcfModel) and model.mj_model else {}
+    compiled = model.mj_model if isinstance(model, MjcfModel) else None
+    ids = {} if compiled is None else drives_by_joint(compiled)
+    drives = {compiled.joint(one).name: two for one, two in ids.items()} if compiled else {}
     for joint in moving:
         for attribute in IN_A_TREE:
             value = joint.stated.get(attribute.kind)
@@ -44,14 +47,18 @@ def read(request: Request) -> Iterator[Source]:
             place = model.file.place("joint", joint.name, child)  # type: ignore[attr-defined]
             if isinstance(model, MjcfModel):
                 there = model.file.stated("joint", joint.name, attribute.mjcf)
-                driven = motors.get(joint.name) if attribute.kind == "effort" else None
-                place = there or (driven and _of_actuator(model, *driven, _RANGES)) or place
+                driven = drives.get(joint.name) if attribute.kind == "effort" else None
+                place = there or (driven and _of_actuator(model, driven[-1], _RANGES)) or place
             statements.append(Statement(attribute.kind, float(value), place, joint.name))
-    if isinstance(model, MjcfModel) and model.mj_model is not None:
-        statements += _servos(model, model.mj_model)
-        statements += _keyframe(model, model.mj_model)
+    if isinstance(model, MjcfModel) and compiled is not None:
+        for name, driving in drives.items():
+            statements += [one for drive in driving for one in _servo(model, drive, name)]
+        statements += _keyframe(model, compiled)
     order = depth_first(model)
     yield Source(request.path.name, request.path, Role.MODEL, tuple(statements), order=order)
+
+
+_RANGES = ("ctrlrange", "forcerange")
 
 
 def read_stated(request: Request) -> RobotModel:
@@ -64,41 +71,21 @@ def read_stated(request: Request) -> RobotModel:
         return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
 
 
-def _servos(model: MjcfModel, compiled: mujoco.MjModel) -> Iterator[Statement]:
-    """Yields gains of position servos, as they are at the joint."""
-    for number in range(compiled.nu):
-        servo = compiled.actuator_biastype[number] == mujoco.mjtBias.mjBIAS_AFFINE
-        turns = compiled.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_JOINT
-        kp, kd = -compiled.actuator_biasprm[number, 1:3]
-        if not (servo and turns and kp > 0):
-            continue
-        name = compiled.joint(int(compiled.actuator_trnid[number, 0])).name
-        gear = float(np.ravel(actuator_gear(compiled, number))[0])
-        place = _of_actuator(model, compiled, number, ("kp", "kv", "biasprm", "gainprm"))
-        yield Statement("kp", float(kp) * gear**2, place, name)
-        if kd > 0:
-            yield Statement("kd", float(kd) * gear**2, place, name)
+def _servo(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
+    """Yields gains of a position servo, as they are at the joint."""
+    kp, kd = law_of(model.mj_model, drive).at_joint
+    place = _of_actuator(model, drive, ("kp", "kv", "biasprm", "gainprm"))
+    if kp > 0:
+        yield Statement("kp", kp, place, joint)
+    if kp > 0 and kd > 0:
+        yield Statement("kd", kd, place, joint)
 
 
-_RANGES = ("ctrlrange", "forcerange")
-
-
-def _motors(compiled: mujoco.MjModel) -> dict[str, tuple[mujoco.MjModel, int]]:
-    """Returns {joint: the actuator that drives it alone}."""
-    turned = [number for number in range(compiled.nu)
-              if compiled.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_JOINT]  # fmt: skip
-    return {compiled.joint(int(compiled.actuator_trnid[one, 0])).name: (compiled, one)
-            for one in turned}  # fmt: skip
-
-
-def _of_actuator(
-    model: MjcfModel, compiled: mujoco.MjModel, number: int, words: tuple[str, ...]
-) -> Place:
-    name = compiled.actuator(number).name
+def _of_actuator(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place:
+    name = model.mj_model.actuator(number).name if model.mj_model else ""
     if not name:
         return model.file.numbered("actuator", number)
-    stated = model.file.stated("actuator", name, words)
-    return stated or model.file.place("actuator", name)
+    return model.file.stated("actuator", name, words) or model.file.place("actuator", name)
 
 
 def _keyframe(model: MjcfModel, compiled: mujoco.MjModel) -> Iterator[Statement]:
@@ -116,29 +103,43 @@ def _keyframe(model: MjcfModel, compiled: mujoco.MjModel) -> Iterator[Statement]
 def match_names(
     models: Sequence[Source], given: Mapping[str, str]
 ) -> tuple[dict[str, str], list[Diagnostic]]:
-    """Returns {a URDF's name of a joint: the MJCF's} where these differ, and what was assumed.
+    """Returns {a model's name of a joint: the first one's} where these differ, and notes.
 
     As ``crosscheck`` matches them: by name, by link, and by where they are.
 
     Args:
-        models: The models; only one URDF beside one MJCF is matched so.
-        given: {name: joint of the MJCF}, as the user says; it counts over what is found.
+        models: The models; a USD stands for a URDF or an MJCF.
+        given: {name: joint of the first}, as the user says; it counts over what is found.
     """
-    files = [read_model(one.path) for one in models if reader_of(one.path) is None]
-    urdf = next((one for one in files if isinstance(one, UrdfFile)), None)
-    mjcf = next((one for one in files if not isinstance(one, UrdfFile)), None)
-    orders = {tuple(sorted(one.order)) for one in models}
-    if urdf is None or mjcf is None or len(orders) < 2:
-        return dict(given), []
-    theirs = {name for one in models for name in one.order}
-    known = {old: new for old, new in given.items() if old in theirs and new in theirs}
-    try:
-        with silence_mujoco():
-            match = match_models(urdf, mjcf, names=known)
-    except PupperAnalysisError as error:
-        return dict(given), [diagnose("contract-unmatched", why=error.diagnostic)]
-    names = {old: new for new, old in match.urdf_joint.items() if old != new}
-    pairs = [f"{old} = {new}" for old, new in names.items()][:6]
-    messages = [diagnose("contract-matched", pairs=pairs, count=len(names))] if names else []
-    messages += [one for one in match.notes if one.code == "joint-matches-several"]
-    return {**names, **given}, messages
+    found, notes = dict[str, str](), list[Diagnostic]()
+    for other in models[1:]:
+        # That which can be read as a URDF, then that which can be read as an MJCF.
+        one, two = sorted((models[0].path, other.path), key=_is_mjcf)
+        if set(other.order) == set(models[0].order):
+            continue
+        known = {old: new for old, new in given.items()
+                 if old in other.order and new in models[0].order}  # fmt: skip
+        turned = one == models[0].path
+        try:
+            with silence_mujoco():
+                first, second = reader_of(one), reader_of(two)
+                match = match_models(
+                    read_urdf(one) if first is None else first.read_as_urdf(one),
+                    read_mjcf(two) if second is None else second.read_as_mjcf(two),
+                    names={new: old for old, new in known.items()} if turned else known,
+                )
+        except PupperAnalysisError as error:
+            notes.append(diagnose("contract-unmatched", why=error.diagnostic))
+            continue
+        pairs = [(a, b) if turned else (b, a) for a, b in match.urdf_joint.items() if a != b]
+        found |= pairs
+        notes += [one for one in match.notes if one.code == "joint-matches-several"]
+        if pairs:
+            said = [f"{old} = {new}" for old, new in pairs[:6]]
+            notes.append(diagnose("contract-matched", pairs=said, count=len(pairs)))
+    return {**found, **given}, notes
+
+
+def _is_mjcf(path: Path) -> int:
+    """Returns -1 of a URDF, 1 of an MJCF, and 0 of what stands for either."""
+    return 0 if reader_of(path) is not None else 1 if kind_of(path) == "mjcf" else -1

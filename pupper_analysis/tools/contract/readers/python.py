@@ -22,7 +22,7 @@ from pupper_analysis.tools.contract.readers.tables import (
     observed_in,
     of_table,
     settings_of,
-    told_of,
+    stated_of_all,
 )
 
 SUFFIXES = (".py",)
@@ -137,7 +137,7 @@ def _of_root(name: str, path: Path, root: Node) -> Iterator[Source]:
     actions = [one for one in instances if one.value.kind.removesuffix("Cfg") in _MOTIONS]
     for action in actions:
         statements += _of_action(action, angles)
-    statements += told_of(root)
+    statements += stated_of_all(root)
     group = root.get("observations", "policy") or root.get("observations", "actor")
     if not (robots or actions):
         return

@@ -45,8 +45,8 @@ def read_rtneural(path: Path) -> RtneuralFile:
     except InputError as error:
         raise refuse_input(path, error) from error
     except orjson.JSONDecodeError as error:
-        told = diagnose("contract-no-json", problem=error.msg)
-        raise refuse_file(Place(path, error.lineno), told) from error
+        message = diagnose("contract-no-json", problem=error.msg)
+        raise refuse_file(Place(path, error.lineno), message) from error
     layers = values.get("layers") if isinstance(values, dict) else None
     if not isinstance(layers, list):
         raise ModelError(path, diagnose("contract-no-rtneural"))

@@ -50,7 +50,7 @@ _LISTS = {
 }  # fmt: skip
 """{key of a table: quantity}."""
 
-_TOLD = {
+_WHOLE = {
     "step_dt": "policy step", "control_dt": "policy step", "policy_dt": "policy step",
     "ctrl_dt": "policy step", "simulation_dt": "time step", "sim_dt": "time step",
     "dt": "time step", "control_decimation": "decimation", "decimation": "decimation",
@@ -115,7 +115,7 @@ def of_table(
     statements += trainer
     if not statements and not order:
         return
-    statements += [stated(quantity, node) for word, quantity in _TOLD.items()
+    statements += [stated(quantity, node) for word, quantity in _WHOLE.items()
                    if (node := table.get(word)) and node.number is not None]  # fmt: skip
     rate, often = table.get("update_rate"), table.get("repeat_action")
     if rate is not None and often is not None and rate.number and often.number:
@@ -220,7 +220,7 @@ def _of_limits(request: Request, document: Node) -> Iterator[Source]:
         yield Source(request.path.name, request.path, Role.DRIVER, tuple(found))
 
 
-def told_of(root: Node) -> Iterator[Statement]:
+def stated_of_all(root: Node) -> Iterator[Statement]:
     """Yields what a trainer's settings state of the whole."""
     for path, quantity in _SETTINGS.items():
         node = root.get(*path.split("."))
@@ -251,7 +251,7 @@ def settings_of(root: Node) -> Iterator[Statement]:
     armature = root.get("asset", "armature")
     if armature is not None and armature.number:
         yield from per_joint("armature", armature)
-    yield from told_of(root)
+    yield from stated_of_all(root)
     scales = root.get("normalization", "obs_scales")
     held = {} if scales is None else getattr(scales.value, "fields", scales.value)
     for word, node in held.items() if isinstance(held, dict) else ():
