@@ -64,8 +64,23 @@ class Case(NamedTuple):
     robot: str
     sources: tuple[str, ...]
 
+    def paths(self, folder: Path) -> list[Path]:
+        """Returns where its sources are, in a folder of checkouts."""
+        homes = {"//": folder, "ours/": OURS}
+        return [
+            next((home / one.removeprefix(mark) for mark, home in homes.items()
+                  if one.startswith(mark)), folder / self.repository / one)
+            for one in self.sources
+        ]  # fmt: skip
 
-def _cases() -> Iterator[Case]:
+    @property
+    def repositories(self) -> list[str]:
+        """Which repositories they are of."""
+        others = ["/".join(one[2:].split("/")[:2]) for one in self.sources if one[:2] == "//"]
+        return list(dict.fromkeys([self.repository, *others]))
+
+
+def cases() -> Iterator[Case]:
     isaac = "tasks/manager_based/locomotion/velocity/config"
     for robot in ("g1_23dof", "g1", "h1_2", "go2"):
         home = f"unitree_{robot.removesuffix('_23dof')}"
@@ -184,15 +199,7 @@ def _cases() -> Iterator[Case]:
 
 def _rows(folder: Path, case: Case) -> Iterator[list[str]]:
     """Yields what is found, a line each; one without a quantity where all agrees."""
-    paths = []
-    for one in case.sources:
-        home = folder / case.repository
-        name = one
-        if one.startswith("//"):
-            home, name = folder, one.removeprefix("//")
-        elif one.startswith("ours/"):
-            home, name = OURS, one.removeprefix("ours/")
-        paths.append(home / name)
+    paths = case.paths(folder)
     first = [case.repository, COMMITS[case.repository], case.robot,
              " + ".join(path.name for path in paths if path.suffix)]  # fmt: skip
     try:
@@ -224,7 +231,7 @@ def main(folder: Path, table: Path) -> None:
     """Reads the sources of public repositories, and writes what differs, with what was judged."""
     with TABLE.open(encoding="utf-8", newline="") as file:
         before = {_key(row): row[-1] for row in csv.reader(file) if len(row) == len(HEADER)}
-    rows = [[*row, before.get(_key(row), "")] for case in _cases() for row in _rows(folder, case)]
+    rows = [[*row, before.get(_key(row), "")] for case in cases() for row in _rows(folder, case)]
     write_csv(table, HEADER, rows)
     new = [row for row in rows if row[5] != "none" and not row[-1]]
     click.echo(f"{len(rows)} lines, {len(new)} that nobody has judged")

@@ -155,6 +155,7 @@ _AS_IT_IS: Final = ("array", "asarray", "tensor", "list", "tuple", "dict", "sort
 _TABLES: Final = ("dict", "config_dict.create", "ConfigDict")
 """Calls that give back what they are given by name."""
 _COPIES: Final = ("copy", "deepcopy", "replace")
+_TYPES: Final = {"dict": dict, "list": list, "tuple": list, "str": str, "float": float, "int": int}
 _PROJECT: Final = ("setup.py", "pyproject.toml", ".git")
 
 
@@ -566,6 +567,8 @@ class Evaluator:
             plain: Callable[[Node], Any] = self._plain if name in _PURE else self._listed
             said = {key: self._plain(value) for key, value in named.items()}
             return self._apply({**_PURE, **_ROWS}[name], *map(plain, given), **said)
+        if name == "isinstance" and str(given[-1].value) in _TYPES:
+            return isinstance(self._plain(given[0]), _TYPES[str(given[-1].value)])
         if name in _COPIES and given:
             return self._copied(given[0].value, named)
         if called in _TABLES and not given:
@@ -588,8 +591,8 @@ class Evaluator:
             return self.make(factory.value, [], {})
         if isinstance(factory.value, Function):
             return self.call(factory.value, [], {})
-        plain = {"dict": dict, "list": list, "tuple": list}.get(str(factory.value))
-        return plain() if plain else Instance(str(factory.value))
+        name = str(factory.value)
+        return _TYPES[name]() if name in _TYPES else Instance(name)
 
     def _method(self, value: Any, name: str, given: list[Node], named: dict[str, Node]) -> Any:
         """Returns what a call of a table's or a list's method comes to."""
