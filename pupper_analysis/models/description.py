@@ -18,6 +18,10 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.models.urdf_tree import UrdfTree
 
+ModelTree = UrdfTree | SpecTree
+"""The links and joints of a URDF, or the bodies and joints of an MJCF: who changes both files of a
+robot writes the change once, and does it to each tree in turn."""
+
 
 @dataclass(frozen=True, eq=False)
 class Description:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base import arrays
 from pupper_analysis.base.arrays import inertia_entries, inertia_of, inertia_tensor
-from pupper_analysis.models.model_tree import (
+from pupper_analysis.models.attributes import (
     COUPLING_TIME,
     FLOOR,
     HOME,

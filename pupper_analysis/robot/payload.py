@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.models.model_tree import ModelTree
+from pupper_analysis.models.description import ModelTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
