@@ -37,7 +37,7 @@ from pupper_analysis.tools.study.measures import Design
 from pupper_analysis.tools.study.store import require_library
 
 if TYPE_CHECKING:
-    from pupper_analysis.tools.study.study import DesignStudy
+    from pupper_analysis.tools.study.study import Study
 
 _TOLERANCE = 1e-6
 """Relative: files have all digits, and what is left are the tolerances of iterative solvers."""
@@ -79,7 +79,7 @@ class WrittenDesign(Result):
 
 
 def write_design(
-    study: DesignStudy, number: int, folder: str | Path, *, force: bool = False
+    study: Study, number: int, folder: str | Path, *, force: bool = False
 ) -> WrittenDesign:
     """Writes a measured design of a study to ``design-NUMBER`` in the study's folder.
 
