@@ -32,8 +32,8 @@ from scipy.optimize import linprog
 import pupper_analysis as pa
 from pupper_analysis.present.verdict import verdict_word
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.tools.hold.force import withstood
 from pupper_analysis.tools.hold.hold import Hold, hold_posture
 from pupper_analysis.tools.hold.verify import verify_posture

@@ -14,6 +14,7 @@ import click
 
 import pupper_analysis
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.inputs import forget_input
 from pupper_analysis.base.kinds import GENERATOR
 from pupper_analysis.base.runs import running
 from pupper_analysis.base.tools import HEADINGS, other_tools, own_tools
@@ -29,7 +30,6 @@ from pupper_analysis.cli.shared import (
     INTERNAL,
     VERIFIED,
 )
-from pupper_analysis.models import standard_input
 
 
 def list_tools() -> list[str]:
@@ -149,7 +149,7 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
         _say(f"unforeseen: {what}. This is a bug: please report it to the maintainers{hint}")
         return INTERNAL
     finally:
-        standard_input.forget_input()
+        forget_input()
     return BAD_INPUT
 
 

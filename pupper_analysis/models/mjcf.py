@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.inputs import read_input
-from pupper_analysis.models import standard_input
+from pupper_analysis.base.inputs import read_content, read_input
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER
 
@@ -192,7 +191,7 @@ def spec_of(path: Path, *, lenient: bool = False) -> tuple[mujoco.MjSpec, tuple[
             if not (lenient and is_retired(str(error))):
                 raise
     included: dict[str, bytes] = {}
-    text, passed_over = without_retired(standard_input.read_content(path, MAX_BYTES))
+    text, passed_over = without_retired(read_content(path, MAX_BYTES))
     waiting = [text]
     while waiting:
         for name in _INCLUDED.findall(waiting.pop()):

@@ -21,8 +21,7 @@ from pupper_analysis.models.attributes import (
     IMU_SENSORS,
     Number,
 )
-from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.models.xml_text import add_element, write_numbers
+from pupper_analysis.models.xml import add_element, parse_numbers, write_numbers
 
 _MOVERS: Final = ("joint", "freejoint")
 

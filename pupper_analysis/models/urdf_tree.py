@@ -22,11 +22,12 @@ from pupper_analysis.base.arrays import (
     inertia_tensor,
 )
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
-from pupper_analysis.models.xml import parse_numbers, parse_text
-from pupper_analysis.models.xml_text import (
+from pupper_analysis.models.xml import (
     ANGLE_DIGITS,
     add_element,
     is_zero,
+    parse_numbers,
+    parse_text,
     write_numbers,
 )
 

@@ -13,9 +13,8 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot, lend
-from pupper_analysis.robot.tool import Place
+from pupper_analysis.robot.tool import Place, with_payload
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import (

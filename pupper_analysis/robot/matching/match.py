@@ -25,7 +25,6 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import InputError, ModelError, UnknownNameError
 from pupper_analysis.base.inputs import read_toml
 from pupper_analysis.models.attributes import BY_KIND, PASSIVE
-from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description, ModelTree
 from pupper_analysis.models.free_base import delete_joint, join_free_base
 from pupper_analysis.models.mjcf import compile_spec, name_all
@@ -33,7 +32,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.places import refuse_input
 from pupper_analysis.models.spec_tree import SpecTree, state_number
-from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_file import UrdfFile, for_engines
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.matching.alignment import with_base

@@ -21,10 +21,9 @@ from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.prepare.judge import judge_held
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, servo_gains
-from pupper_analysis.robot.tool import Tool, find_tool
+from pupper_analysis.robot.tool import Tool, find_tool, with_payload
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.stance.first_order import IDLE, borne_by_motors
 from pupper_analysis.stance.posture import Posture, check_held, find_posture, joint_units

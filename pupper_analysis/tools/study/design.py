@@ -49,8 +49,8 @@ from pupper_analysis.pupper.named import split_word
 from pupper_analysis.pupper.variant_files import describe_variant
 from pupper_analysis.pupper.variants import BASES, Scaled, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot, rebuild_robot
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
