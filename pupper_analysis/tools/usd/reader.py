@@ -17,7 +17,6 @@ from lxml import etree
 
 from pupper_analysis.base.diagnostics import Diagnostic, Vector, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
-from pupper_analysis.models.urdf_file import ENDLESS_SLIDE
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refuse_file
@@ -40,7 +39,7 @@ from pupper_analysis.models.stated.model import (
     Link,
     Pose,
 )
-from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
+from pupper_analysis.models.urdf_file import ENDLESS_SLIDE, UrdfFile, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.tools.usd.file import PrimPlaces, UsdFile
