@@ -7,6 +7,7 @@ import gc
 import os
 import sys
 import traceback
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -37,6 +38,20 @@ def list_tools() -> list[str]:
     return sorted([*own_tools(), *other_tools()])
 
 
+@cache
+def _command(name: str) -> click.Command | None:
+    """Returns a command, with the modes that other tools (their ``modes.py``) bring to it."""
+    tools = {**other_tools(), **own_tools()}
+    if name not in tools:
+        return None
+    command: click.Command = import_module(f"{tools[name].package}.command").command
+    for tool in tools.values():
+        if (tool.folder / "modes.py").is_file():
+            bring = import_module(f"{tool.package}.modes").MODES.get(name)
+            command = command if bring is None else bring(command)
+    return command
+
+
 class LazyGroup(click.Group):
     """A group of the tools' commands, which imports one that is asked for."""
 
@@ -50,11 +65,7 @@ class LazyGroup(click.Group):
         cmd_name: str,
     ) -> click.Command | None:
         """Returns a command; None if there is none of that name."""
-        tool = own_tools().get(cmd_name) or other_tools().get(cmd_name)
-        if tool is None:
-            return None
-        command: click.Command = import_module(f"{tool.package}.command").command
-        return command
+        return _command(cmd_name)
 
     def format_commands(
         self,

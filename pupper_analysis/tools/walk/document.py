@@ -230,9 +230,19 @@ def intervals_document(found: TrackedIntervals, robot: Robot | None = None) -> d
         passed=found.passed,
         verdict=text(word),
         failures=tuple(reasons),
-        findings=(text("walk-commanded", command=_command(found.command)),),
+        findings=(text("walk-commanded", command=_command(found.command)), *_absolute(found)),
         notes=robot_notes(robot),
     )
+
+
+def _absolute(found: TrackedIntervals) -> Iterable[doc.Words]:
+    """Yields what payload (kg) and pushes (N s) are that the runs of all starts still track."""
+    for one in found.intervals:
+        if one.quantity == "payload":
+            yield text("walk-carries", mass=f"{one.common[1] * found.mass:.3g}")
+        elif one.quantity.startswith("push"):
+            low, high = (f"{abs(value) * found.mass:.3g}" for value in one.common)
+            yield text(f"walk-{one.quantity}", low=low, high=high)
 
 
 def _command(command: Array) -> doc.Name:

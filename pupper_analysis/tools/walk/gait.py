@@ -329,7 +329,7 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
     return Gait(
         command=run.case.command,
         seed=run.case.seed,
-        fall=_fall(stage, run) if run.fallen else None,
+        fall=fall_of(stage, run, len(run.states) * step) if run.fallen else None,
         duration=len(run.states) * step,
         velocity=followed.velocity,
         turning=followed.turning,
@@ -358,11 +358,10 @@ def _share_at_limit(torques: Array, limits: Array) -> Array:
     return share
 
 
-def _fall(stage: Stage, run: Run) -> Diagnostic:
-    """Says how a run fell."""
-    time = Quantity(len(run.states) * stage.timestep, "s")
-    end = run.states[-1]
-    if not np.isfinite(end).all() or end[0] < (len(run.states) - 0.5) * stage.timestep:
+def fall_of(stage: Stage, run: Run, duration: float) -> Diagnostic:
+    """Says how a run fell that began so long ago (s)."""
+    time, end = Quantity(duration, "s"), run.states[-1]
+    if not np.isfinite(end).all() or end[0] < duration - 0.5 * stage.timestep:
         return diagnose("walk-diverged", time=time)
     lean = Quantity(stage.upright.lean(end), "rad")
     height = Quantity(float(end[1 + stage.robot.mj_convention.qpos_index[2]]), "m")
