@@ -27,7 +27,14 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
     return doc.Document(
         text("walk-title"),
         text("walk-of", robot=doc.Name(walk.name), policy=doc.Name(walk.policy)),
-        (_view(walk, robot), _motors(walk), _runs(walk), _feet(walk), torque_plot(walk)),
+        (
+            _view(walk, robot),
+            _motors(walk),
+            _runs(walk),
+            _feet(walk),
+            _stances(walk),
+            torque_plot(walk),
+        ),
         passed=walk.passed,
         verdict=text(word),
         failures=tuple(doc.tell(gait.fall) for gait in fallen[:1] if gait.fall is not None),
@@ -187,6 +194,42 @@ def _feet(walk: Walk) -> doc.Table:
     )
     columns = (doc.Column(text("walk-foot"), left=True), doc.Column(text("walk-duty"), "%"))
     return doc.Table(text("walk-feet"), columns, rows)
+
+
+_SHORT = 0.02
+"""Share of the time below which a stance is left out: feet come down a moment apart."""
+
+
+def _stances(walk: Walk) -> doc.Table:
+    """Returns what motors give in each stance of the first run, beside its statics."""
+    rows = []
+    for one in walk.gaits[0].stances:
+        if one.share < _SHORT:
+            continue
+        used = one.static / np.where(np.isfinite(walk.limits), walk.limits, 1.0)
+        most = int(np.argmax(used))
+        rows.append(
+            (
+                doc.Name(", ".join(one.feet) or "-"),
+                doc.number_cell(100 * one.share, ".0f"),
+                doc.number_cell(None if np.isnan(one.outside) else 1e3 * one.outside, ".0f"),
+                doc.Name(walk.joints[most]),
+                doc.number_cell(one.static[most], ".2f"),
+                doc.number_cell(one.torque_rms[most], ".2f"),
+                doc.number_cell(one.torque_peak[most], ".2f"),
+            )
+        )
+    columns = (
+        doc.Column(text("walk-feet-down"), left=True),
+        doc.Column(text("walk-duty-of"), "%"),
+        doc.Column(text("walk-com-outside"), "mm"),
+        doc.Column(text("walk-hardest"), left=True),
+        doc.Column(text("walk-statics"), "N m"),
+        doc.Column(text("walk-rms"), "N m"),
+        doc.Column(text("walk-peak"), "N m"),
+    )
+    note = (text("walk-stances-how"),)
+    return doc.Table(text("walk-stances"), columns, tuple(rows), (), note)
 
 
 _DRAWN = 4
