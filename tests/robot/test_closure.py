@@ -320,24 +320,6 @@ def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
         pa.gravity_compensation(pa.Configuration(robot, qpos), ())
 
 
-def test_many_states_at_once_are_those_one_by_one(tmp_path: Path) -> None:
-    robot = load(belts(tmp_path))
-    heights = (robot.stand_height, 0.95 * robot.stand_height)
-    stands = [pa.solve_stand(robot, pa.StandTask(height=height)) for height in heights]
-    rows = pa.statics.gravity_compensations(robot, np.array([stand.qpos for stand in stands]))
-    for stand, torques in zip(stands, rows.joint_torques, strict=True):
-        alone = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))
-        np.testing.assert_allclose(torques, alone.joint_torques, atol=1e-9)
-
-
-def test_many_states_that_are_open_are_refused(tmp_path: Path) -> None:
-    robot = load(belts(tmp_path))
-    qpos = pa.solve_stand(robot).qpos.copy()
-    qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
-    with pytest.raises(pa.ConfigurationError, match="are coupled"):
-        pa.statics.gravity_compensations(robot, qpos[None])
-
-
 def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = pa.solve_stand(robot)
