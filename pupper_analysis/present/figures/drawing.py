@@ -111,7 +111,11 @@ def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
             case "polyline" if kind != "unseen":
                 axes.plot(*np.array(mark["points"]).T, **_line(kind, 1.3))
             case "polygon":
-                look = {"ec": _COLOURS[kind], "fill": False, "ls": _DASHES.get(kind, "-")}
+                look: dict[str, Any] = {
+                    "ec": _COLOURS[kind],
+                    "fill": False,
+                    "ls": _DASHES.get(kind, "-"),
+                }
                 axes.add_patch(Polygon(mark["points"], lw=1.3, **look))
             case "circle":
                 fill = kind != "grid"
