@@ -45,11 +45,11 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
     """States an inertia of a body, in its own frame, in the place of what it states."""
     entries = inertia_entries(np.array(inertia.inertia))
     body.explicitinertial, body.mass = True, float(inertia.mass)
-    body.ipos = np.array(inertia.lever)
-    if entries[3:].any():
-        body.fullinertia = entries
-    else:
-        body.inertia = entries[:3]
+    body.ipos, body.iquat = np.array(inertia.lever), (1.0, 0.0, 0.0, 0.0)
+    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    products = bool(entries[3:].any())
+    body.inertia = np.zeros(3) if products else entries[:3]
+    body.fullinertia = entries if products else np.full(6, np.nan)
 
 
 def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:

@@ -432,7 +432,7 @@ def test_a_rod_called_like_its_ball_joint_keeps_its_connect(tmp_path: Path) -> N
         assert axis in text
         text = text.replace(axis, f'<joint name="{leg}_rod" type="ball" />')
     pair.mjcf.write_text(text)
-    assert any("were opened: connect #0, connect #1" in str(note) for note in load(pair).notes)
+    assert any("were opened: connect #0 (" in str(note) for note in load(pair).notes)
 
 
 @pytest.mark.longest

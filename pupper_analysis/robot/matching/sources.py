@@ -139,7 +139,7 @@ class MjcfSources:
                 return file.place(_SECTION[kind], element)
             if self.renumbered:
                 return Place(file.path)
-            return file.numbered(_SECTION[kind], int(element[1:]))
+            return file.numbered(_SECTION[kind], int(element[1:].split()[0]))
         if kind in _GLOBAL_OPTIONS:
             words = set(_GLOBAL_OPTIONS[kind]) or {element}
             tag = "flag" if kind == "flag" else "option"
