@@ -63,7 +63,9 @@ class WalkSession:
         left.dock_left()
         left.set_width(380)
         self.sliders = [
-            gui.add_slider(say(f"walking-slider-{name}"), -end, end, 0.01 * end, float(at))
+            gui.add_slider(
+                say.words(text(f"walking-slider-{name}")), -end, end, 0.01 * end, float(at)
+            )
             for name, at, end in zip(
                 _AXES,
                 command,
@@ -73,7 +75,7 @@ class WalkSession:
         ]
         self.impulse = gui.add_slider(say("walking-slider-push"), 0.0, _PUSH, 0.01 * _PUSH, 0.5)
         for name, (x, y) in DIRECTIONS.items():
-            button = gui.add_button(say(f"walking-push-to-{name}"))
+            button = gui.add_button(say.words(text(f"walking-push-to-{name}")))
             button.on_click(lambda _, x=x, y=y: self.push(x, y))
         again = gui.add_button(say("walking-again"))
         again.on_click(lambda _: self.begin_again())

@@ -41,6 +41,7 @@ from pupper_analysis.tools.study.design import (
 from pupper_analysis.tools.study.measures import (
     REVISION,
     Function,
+    beside,
     metric_fingerprint,
     metric_of,
     metric_text,
@@ -309,6 +310,8 @@ class Study:
         if isinstance(robot, str):
             given["robot"] = _beside(path, robot)
         metrics = given.get("measure")
+        if isinstance(metrics, list):
+            given["measure"] = metrics = [beside(path.parent, one) for one in metrics]
         folder = str(path.parent.absolute())
         own = modules_in(metrics)
         if own and own_metrics and folder not in sys.path:
