@@ -157,7 +157,7 @@ class Closure:
             columns.append((ends[0] - ends[1]) / (2 * _DIFFERENCE_STEP))
         return np.array(columns).T
 
-    def ways(self, qpos: Array) -> Array:
+    def null_space(self, qpos: Array) -> Array:
         """Returns a basis (nu, n) of the joints' velocities that keep the loops closed."""
         _, _, right = np.linalg.svd(self.rows(qpos))
         basis: Array = right[self._rank :].T

@@ -222,9 +222,9 @@ def test_a_loops_derivative_is_that_of_its_residual(tmp_path: Path) -> None:
             moved[7 + joint] += way
             ends.append(closure.residual(moved))
         np.testing.assert_allclose(rows[:, joint], (ends[0] - ends[1]) / (2 * step), atol=1e-8)
-    ways = closure.ways(qpos)
-    assert ways.shape == (robot.nu, robot.nu - 8)
-    np.testing.assert_allclose(rows @ ways, 0, atol=1e-9)
+    basis = closure.null_space(qpos)
+    assert basis.shape == (robot.nu, robot.nu - 8)
+    np.testing.assert_allclose(rows @ basis, 0, atol=1e-9)
     np.testing.assert_allclose(
         closure.spring_rates(qpos), closure.spring_rates(qpos).T, atol=1e-4 * 1e4
     )

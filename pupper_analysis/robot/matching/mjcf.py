@@ -210,7 +210,7 @@ def _joints_between(
         return {name for name in (equality.name1, equality.name2) if name}
     if equality.type not in _BODIES:
         return set()
-    ways = []
+    directions = []
     for name in (equality.name1, equality.name2):
         site = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
         body = spec.site(name).parent if site and name else spec.body(name) if name else None
@@ -218,5 +218,5 @@ def _joints_between(
         while body is not None and body.name != "world":
             way |= {joint.name for joint in body.joints} | set(balls.get(body.name, ()))
             body = body.parent
-        ways.append(way)
-    return ways[0] ^ ways[1]
+        directions.append(way)
+    return directions[0] ^ directions[1]
