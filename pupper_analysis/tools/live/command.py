@@ -251,7 +251,7 @@ def _open_walk(
 
 def _serve(page: Served, host: str, *, browser: bool) -> None:
     """Says where a page is, and serves it until Ctrl-C."""
-    from pupper_analysis.tools.live.door import is_loopback
+    from pupper_analysis.tools.live.access import is_loopback
     from pupper_analysis.tools.live.server import serve
 
     click.echo(f"{page.address}  (Ctrl-C ends it)")
