@@ -32,12 +32,12 @@ from scipy.optimize import linprog
 import pupper_analysis as pa
 from pupper_analysis.present.verdict import verdict_word
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.tools.hold.force import withstood
 from pupper_analysis.tools.hold.hold import Hold, hold_posture
+from pupper_analysis.tools.hold.motions import JointMotions
 from pupper_analysis.tools.hold.verify import verify_posture
-from pupper_analysis.tools.hold.ways import Ways
 
 Array = NDArray[np.float64]
 
@@ -84,15 +84,15 @@ def by_motors(robot: Robot, qpos: Array, forces: Array) -> Array:
 
 def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> float:
     """Returns the most of random postures' torques in parts of what was found."""
-    ways = Ways(robot, held.posture)
+    motions = JointMotions(robot, held.posture)
     rng = np.random.default_rng(1)
     alone = robot.closure is None
     if alone:
-        postures = rng.uniform(*ways.ranges.T, size=(SAMPLES, robot.nu))
+        postures = rng.uniform(*motions.ranges.T, size=(SAMPLES, robot.nu))
     else:  # each loop that bends is closed anew, by some 15 ms
-        bends = bool(ways.bent.any())
-        postures = np.array(ways.random(BOUND if bends else SAMPLES, between=bends))
-    same = bool(ways.constant.all())  # couplings pass on the same parts everywhere
+        bends = bool(motions.bent.any())
+        postures = np.array(motions.random(BOUND if bends else SAMPLES, between=bends))
+    same = bool(motions.constant.all())  # couplings pass on the same parts everywhere
     parts = np.eye(robot.nu) if alone else by_motors(robot, postures[0], np.eye(robot.nu))
     most = np.zeros(robot.nu)
     for qpos in postures:
@@ -159,7 +159,7 @@ def row(files: str) -> str:
     except pa.PupperAnalysisError as error:
         return f"| {name} | | {type(error).__name__}: {str(error)[:110]} |"
     took, own = time.process_time() - begin, ByMujoco(robot)
-    postures = Ways(robot, held.posture).random(POSTURES)
+    postures = JointMotions(robot, held.posture).random(POSTURES)
     both = [(Configuration(robot, qpos).load(), own.load(qpos)) for qpos in postures]
     gravity = own.gravity(postures)
     apart = max(float(np.abs(one - other).max()) for one, other in both) / max(gravity, 1e-300)

@@ -38,7 +38,6 @@ def jobs(variant: str) -> list[Job]:
         _stands(robot),
         _quantities(robot, stand),
         *(_statics(robot, stand, kind) for kind in ("minimum tangential", "minimum torque")),
-        _statics_of_many(robot),
         _steady_state(robot, stand),
         _gain_sweep(robot, stand),
         _loading(variant),
@@ -264,29 +263,6 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
 
     rival = Rival("PlaCo's dynamics", bare)
     return Job(f"gravity_compensation, {kind}", ours, accuracy, rival, 1.8)
-
-
-def _statics_of_many(robot: pa.Robot) -> Job:
-    states = np.array([one.qpos for one in pa.solve_stands(robot, wave(robot, 1000))])
-    bare = _placos_statics(robot, states, "minimum tangential")
-
-    def accuracy() -> Accuracy:
-        many = pa.statics.gravity_compensations(robot, states).joint_torques
-        singly = [pa.gravity_compensation(pa.Configuration(robot, state)) for state in states]
-        away = np.abs(many - [one.joint_torques for one in singly]).max()
-        placos = np.array(bare())[:, robot.pin_convention.v_index]
-        apart = np.abs(many - placos).max()
-        return Accuracy(
-            float(away), SAME, f"N m off the single calls' (PlaCo's torques {apart:.0e} N m off)"
-        )
-
-    return Job(
-        "gravity_compensations, 1,000 states",
-        lambda: pa.statics.gravity_compensations(robot, states),
-        accuracy,
-        Rival("PlaCo's dynamics, a loop", bare),
-        0.7,
-    )
 
 
 def _steady_state(robot: pa.Robot, stand: pa.Stand) -> Job:

@@ -26,7 +26,6 @@ def growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int,
     """
     robot = pa.load_variant(variant)
     stand = pa.solve_stand(robot)
-    states = np.tile(stand.qpos, (most, 1))
     tasks, new = wave(robot, 1000), itertools.count()  # a variant is derived but once
     jobs: dict[str, tuple[int, Callable[[int], object]]] = {
         "load_variant, each a new one": (
@@ -41,10 +40,6 @@ def growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int,
             lambda count: pa.cross_check(robot, configurations=count),
         ),
         "solve_stands, by stands": (1000, lambda count: pa.solve_stands(robot, tasks[:count])),
-        "gravity_compensations, by states": (
-            1000,
-            lambda count: pa.statics.gravity_compensations(robot, states[:count]),
-        ),
         "sweep_gains, by cells of 2 s": (
             20,
             lambda count: pa.simulation.sweep_gains(

@@ -33,11 +33,11 @@ from pupper_analysis.tools.stand.stance import study_stance
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
+from slip_generator import draw_slip
 from tables import write_csv
 
 from tests.support.bases import BASES, FALLS, by_itself, standing
 from tests.support.legged import Pair
-from tests.support.slip_generator import draw_slip
 
 WHOLE = 60
 """Of so many that stand, one goes through the whole chain, for exceptions."""

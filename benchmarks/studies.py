@@ -215,7 +215,7 @@ def batched(count: int) -> None:
         many.ctrl[:] = commands[:, 0]
         many.step(nstep=commands.shape[1])
 
-    ways = {
+    directions = {
         "one call each": lambda: [run(*job) for job in jobs],
         "one call for all": lambda: mujoco.rollout.rollout(models, data, starts, commands),
         "one call for all, of one model": lambda: mujoco.rollout.rollout(
@@ -223,9 +223,9 @@ def batched(count: int) -> None:
         ),
         "mujoco.batch, of one model": batch,
     }
-    times: dict[str, list[float]] = {name: [] for name in ways}
+    times: dict[str, list[float]] = {name: [] for name in directions}
     for _ in range(5):  # in turn, so that what else the machine does is shared out
-        for name, way in ways.items():
+        for name, way in directions.items():
             begun = time.process_time()
             way()
             times[name].append(1e3 * (time.process_time() - begun) / count)
@@ -385,7 +385,7 @@ def kills(count: int, kinds: tuple[str, ...]) -> None:
     """Each time: kill, go on, and compare with an undisturbed run, to the last bit."""
     with tempfile.TemporaryDirectory() as folder:
         whole = to_kill().run(folder, workers=2)
-    ways: dict[str, Callable[[Path, random.Random], str]] = {
+    directions: dict[str, Callable[[Path, random.Random], str]] = {
         "parent": kill_parent,
         "worker": kill_worker,
     }
@@ -395,7 +395,7 @@ def kills(count: int, kinds: tuple[str, ...]) -> None:
         for _ in range(count):
             with tempfile.TemporaryDirectory() as name:
                 folder = Path(name) / "study"
-                message = ways[kind](folder, chance)
+                message = directions[kind](folder, chance)
                 table = to_kill().run(folder, workers=2)
                 same = table.equals(whole) and rows_of(folder) == len(whole)
                 good += same

@@ -56,7 +56,7 @@ from .tools.fit.measurements.stands import read_stands as read_stands
 from .tools.hold.hold import hold_posture as hold_posture
 from .tools.payload.limit import payload_limit as payload_limit
 from .tools.push.recovery import push_recovery as push_recovery
-from .tools.study.of_variants import Study as Study
+from .tools.study.study import Study as Study
 from .tools.study.study import read_study as read_study
 from .tools.sync.models import sync_models as sync_models
 

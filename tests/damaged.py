@@ -43,8 +43,8 @@ from pupper_analysis.tools.check.config import read_config
 from pupper_analysis.tools.check.remarks import read_baseline
 from pupper_analysis.tools.fit.measurements.log import read_log
 from pupper_analysis.tools.fit.measurements.stands import read_stands
-from pupper_analysis.tools.study.of_variants import Study
 from pupper_analysis.tools.study.store import Store
+from pupper_analysis.tools.study.study import Study
 from tests.support.robots import mjcf_text, quadruped, urdf_text
 
 SECONDS = 20

@@ -7,6 +7,7 @@ import gc
 import os
 import sys
 import traceback
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import click
 
 import pupper_analysis
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.inputs import forget_input
 from pupper_analysis.base.kinds import GENERATOR
 from pupper_analysis.base.runs import running
 from pupper_analysis.base.tools import HEADINGS, other_tools, own_tools
@@ -29,12 +31,25 @@ from pupper_analysis.cli.shared import (
     INTERNAL,
     VERIFIED,
 )
-from pupper_analysis.models import standard_input
 
 
 def list_tools() -> list[str]:
     """Returns the names of all tools, ours and others'."""
     return sorted([*own_tools(), *other_tools()])
+
+
+@cache
+def _command(name: str) -> click.Command | None:
+    """Returns a command, with the modes that other tools (their ``modes.py``) bring to it."""
+    tools = {**other_tools(), **own_tools()}
+    if name not in tools:
+        return None
+    command: click.Command = import_module(f"{tools[name].package}.command").command
+    for tool in tools.values():
+        if (tool.folder / "modes.py").is_file():
+            bring = import_module(f"{tool.package}.modes").MODES.get(name)
+            command = command if bring is None else bring(command)
+    return command
 
 
 class LazyGroup(click.Group):
@@ -50,11 +65,7 @@ class LazyGroup(click.Group):
         cmd_name: str,
     ) -> click.Command | None:
         """Returns a command; None if there is none of that name."""
-        tool = own_tools().get(cmd_name) or other_tools().get(cmd_name)
-        if tool is None:
-            return None
-        command: click.Command = import_module(f"{tool.package}.command").command
-        return command
+        return _command(cmd_name)
 
     def format_commands(
         self,
@@ -149,7 +160,7 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
         _say(f"unforeseen: {what}. This is a bug: please report it to the maintainers{hint}")
         return INTERNAL
     finally:
-        standard_input.forget_input()
+        forget_input()
     return BAD_INPUT
 
 

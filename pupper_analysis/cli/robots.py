@@ -146,10 +146,10 @@ class RobotOptions:
         from pupper_analysis.pupper.named import one_of_words
 
         found = one_of_words(words)
-        ways = [way for way in (found, self._derived, self._named) if way is not None]
-        if len(ways) > 1:
+        robots = [way for way in (found, self._derived, self._named) if way is not None]
+        if len(robots) > 1:
             raise ConfigurationError("ROBOT", diagnose("one-robot-of-three-ways"))
-        given = self._given(ways)
+        given = self._given(robots)
         return given[0] if given else None
 
     def all(self, words: tuple[str, ...]) -> list[str | VariantSpec | RobotFiles]:
@@ -161,16 +161,16 @@ class RobotOptions:
         """
         from pupper_analysis.pupper.named import split_words
 
-        ways = [*split_words(words), self._derived, self._named]
-        return self._given([way for way in ways if way is not None])
+        robots = [*split_words(words), self._derived, self._named]
+        return self._given([way for way in robots if way is not None])
 
     def _given(
-        self, ways: list[str | tuple[str, ...] | VariantSpec]
+        self, robots: list[str | tuple[str, ...] | VariantSpec]
     ) -> list[str | VariantSpec | RobotFiles]:
         """Returns robots with what is said of their files."""
-        if self._said and not any(isinstance(way, tuple) for way in ways):
+        if self._said and not any(isinstance(way, tuple) for way in robots):
             raise ConfigurationError("ROBOT", diagnose("options-of-files-alone"))
-        return [RobotFiles(way, self._said) if isinstance(way, tuple) else way for way in ways]
+        return [RobotFiles(way, self._said) if isinstance(way, tuple) else way for way in robots]
 
     @property
     def _derived(self) -> VariantSpec | None:

@@ -220,9 +220,10 @@ class ModelFile(click.Path):
     ) -> Path:
         """Returns the path, or the name under which standard input is read."""
         if str(value) == "-":
-            from pupper_analysis.models import standard_input, xml
+            from pupper_analysis.base.inputs import hold_input
+            from pupper_analysis.models.xml import MAX_BYTES
 
-            return standard_input.hold_input(xml.MAX_BYTES + 1)
+            return hold_input(MAX_BYTES + 1)
         return Path(str(super().convert(value, param, ctx)))
 
 

@@ -158,8 +158,8 @@ class RobotAndTask:
     def _as_asked(self, robot: Robot) -> Robot:
         """Returns a robot with efforts, payload and options of MuJoCo as they were asked for."""
         from pupper_analysis.robot.build import with_efforts
-        from pupper_analysis.robot.payload import with_payload
         from pupper_analysis.robot.servos import with_options
+        from pupper_analysis.robot.tool import with_payload
 
         place = self.place
         robot = with_efforts(robot, parse_efforts(self.effort, robot))

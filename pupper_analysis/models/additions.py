@@ -8,14 +8,14 @@ is simulated is what is written.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
-
-from numpy.typing import ArrayLike
+from typing import Final
 
 from pupper_analysis.base.diagnostics import Diagnostic
-from pupper_analysis.models.model_tree import Number
+from pupper_analysis.models.attributes import Number
+from pupper_analysis.models.mjcf_xml import MjcfXml
+from pupper_analysis.models.spec_tree import SpecTree
 
 GRIP: Final[Mapping[str, Number]] = {"cone": "elliptic", "impratio": 100.0}
 """How contacts hold: friction a hundred times as stiff as the ground, on a cone that is round. With
@@ -23,33 +23,8 @@ MuJoCo's defaults (a pyramid, 1) feet creep: Go2 by 58 mm/s on a slope of 17 deg
 pyramid with an impratio of 10 shakes. The models of MuJoCo Menagerie have the same."""
 
 
-class Equipped(Protocol):
-    """An MJCF that is given things: `SpecTree` in memory, `MjcfXml` of a new file."""
-
-    def set_options(self, **values: Number) -> None:
-        """States attributes of ``<option>``."""
-
-    def add_floor(self) -> Any:
-        """Adds a plane at z = 0."""
-
-    def add_ball(
-        self, name: str, body: str, radius: float, place: ArrayLike, like: str | None = None
-    ) -> Any:
-        """Adds a sphere that touches, as another geom does, and weighs nothing."""
-
-    def turn_off_contact(self, geoms: Sequence[str]) -> None:
-        """Lets geoms touch nothing."""
-
-    def exclude_contact(self, one: str, two: str) -> None:
-        """Lets two bodies not touch each other."""
-
-    def add_position_servo(
-        self, joint: str, kp: float, kd: float, limits: tuple[Number, Number] | None = None
-    ) -> None:
-        """Gives a joint a position servo."""
-
-    def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
-        """States the keyframe to start from."""
+Equipped = SpecTree | MjcfXml
+"""An MJCF that is given things, in memory, or a new file."""
 
 
 @dataclass(frozen=True)

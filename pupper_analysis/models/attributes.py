@@ -223,3 +223,20 @@ ELEMENT_ATTRIBUTES: Final = (
 
 Gravity and the medium are compared with what acts on the robot; shapes and flags are described by
 `robot_model.elements`."""
+
+# Names and numbers of what an MJCF is given, in memory or in a new file.
+
+Number = float | str
+"""A number, or as it is written in another file."""
+
+FLOOR: Final = "floor"
+"""What a floor that is added, and its material, are called."""
+
+HOME: Final = "home"
+"""What the keyframe to start from is called."""
+
+COUPLING_TIME: Final = 5e-3
+"""Time constant of couplings (s): MuJoCo's own, 20 ms, lets fingers of grammes open far."""
+
+IMU_SENSORS: Final = ("gyro", "accelerometer")
+"""The sensors of an IMU: their elements in an MJCF, and what they are called."""

@@ -18,6 +18,10 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.models.urdf_tree import UrdfTree
 
+ModelTree = UrdfTree | SpecTree
+"""The links and joints of a URDF, or the bodies and joints of an MJCF: who changes both files of a
+robot writes the change once, and does it to each tree in turn."""
+
 
 @dataclass(frozen=True, eq=False)
 class Description:
@@ -38,6 +42,7 @@ class Description:
             that is no sphere around the point: 0 for the corner of a box.
         nominal: {joint: position (rad)} at which the feet are where they stand by default; zero
             where not given.
+        made_frames: The frames of contact points that neither file has.
         added: What ``mjcf`` has for a simulation that the file does not, each with its reason; a
             file that is written is given the same.
         made_servos: The servos in ``mjcf`` that the file does not have.
@@ -57,6 +62,7 @@ class Description:
     feet: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     foot_geoms: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
+    made_frames: frozenset[str] = frozenset()
     added: tuple[Addition, ...] = ()
     made_servos: tuple[MadeServo, ...] = ()
     efforts: Mapping[str, EffortLimit] = field(default_factory=dict)

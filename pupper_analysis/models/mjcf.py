@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.inputs import read_input
-from pupper_analysis.models import standard_input
+from pupper_analysis.base.inputs import read_content, read_input
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER
 
@@ -192,7 +191,7 @@ def spec_of(path: Path, *, lenient: bool = False) -> tuple[mujoco.MjSpec, tuple[
             if not (lenient and is_retired(str(error))):
                 raise
     included: dict[str, bytes] = {}
-    text, passed_over = without_retired(standard_input.read_content(path, MAX_BYTES))
+    text, passed_over = without_retired(read_content(path, MAX_BYTES))
     waiting = [text]
     while waiting:
         for name in _INCLUDED.findall(waiting.pop()):
@@ -287,6 +286,42 @@ def no_number(model: mujoco.MjModel) -> Diagnostic | None:
     if not (np.abs(model.opt.gravity) <= MAX_NUMBER).all():
         return diagnose("gravity-not-usable", gravity=model.opt.gravity, most=MAX_NUMBER)
     return None
+
+
+def equality_ends(model: mujoco.MjModel, index: int) -> list[tuple[mujoco.mjtObj, int]]:
+    """Returns the kinds and ids of the two objects of an equality; -1 where it has one only."""
+    # MuJoCo's eq_objtype is for constraints that take bodies or sites.
+    what = _EQUALITY_OBJECTS.get(int(model.eq_type[index])) or mujoco.mjtObj(
+        int(model.eq_objtype[index])
+    )
+    return [(what, int(model.eq_obj1id[index])), (what, int(model.eq_obj2id[index]))]
+
+
+_EQUALITY_OBJECTS = {
+    mujoco.mjtEq.mjEQ_JOINT.value: mujoco.mjtObj.mjOBJ_JOINT,
+    mujoco.mjtEq.mjEQ_TENDON.value: mujoco.mjtObj.mjOBJ_TENDON,
+    mujoco.mjtEq.mjEQ_FLEX.value: mujoco.mjtObj.mjOBJ_FLEX,
+    mujoco.mjtEq.mjEQ_FLEXVERT.value: mujoco.mjtObj.mjOBJ_FLEX,
+    mujoco.mjtEq.mjEQ_FLEXSTRAIN.value: mujoco.mjtObj.mjOBJ_FLEX,
+}
+
+
+def equality_name(model: mujoco.MjModel, index: int) -> str:
+    """Returns the name of an equality; of one without, its number and what it binds.
+
+    Equalities mostly have no name; what they bind always has one in the file: ``#3 (rod = heel)``.
+    """
+    ends = [
+        str(mujoco.mj_id2name(model, what.value, target) or f"#{target}")
+        for what, target in equality_ends(model, index)
+        if target >= 0
+    ]
+    return str(model.equality(index).name) or numbered(index, *ends)
+
+
+def numbered(index: int, *ends: str) -> str:
+    """Returns what an equality without a name is called, by what it binds."""
+    return f"#{index} ({' = '.join(ends)})"
 
 
 class _Silence:

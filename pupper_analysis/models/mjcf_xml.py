@@ -14,15 +14,14 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base import arrays
 from pupper_analysis.base.arrays import inertia_entries, inertia_of, inertia_tensor
-from pupper_analysis.models.model_tree import (
+from pupper_analysis.models.attributes import (
     COUPLING_TIME,
     FLOOR,
     HOME,
     IMU_SENSORS,
     Number,
 )
-from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.models.xml_text import add_element, write_numbers
+from pupper_analysis.models.xml import add_element, parse_numbers, write_numbers
 
 _MOVERS: Final = ("joint", "freejoint")
 

@@ -14,16 +14,17 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arrays import inertia_entries
-from pupper_analysis.models.attributes import BY_KIND, JointAttribute
-from pupper_analysis.models.free_base import delete_joint
-from pupper_analysis.models.mjcf import CONTACT_OF_GEOM, JointKind, add_plane
-from pupper_analysis.models.model_tree import (
+from pupper_analysis.models.attributes import (
+    BY_KIND,
     COUPLING_TIME,
     FLOOR,
     HOME,
     IMU_SENSORS,
+    JointAttribute,
     Number,
 )
+from pupper_analysis.models.free_base import delete_joint
+from pupper_analysis.models.mjcf import CONTACT_OF_GEOM, JointKind, add_plane
 
 Array = NDArray[np.float64]
 
@@ -44,11 +45,11 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
     """States an inertia of a body, in its own frame, in the place of what it states."""
     entries = inertia_entries(np.array(inertia.inertia))
     body.explicitinertial, body.mass = True, float(inertia.mass)
-    body.ipos = np.array(inertia.lever)
-    if entries[3:].any():
-        body.fullinertia = entries
-    else:
-        body.inertia = entries[:3]
+    body.ipos, body.iquat = np.array(inertia.lever), (1.0, 0.0, 0.0, 0.0)
+    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    products = bool(entries[3:].any())
+    body.inertia = np.zeros(3) if products else entries[:3]
+    body.fullinertia = entries if products else np.full(6, np.nan)
 
 
 def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
@@ -67,7 +68,7 @@ def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float
 
 @dataclass(frozen=True, eq=False)
 class SpecTree:
-    """The bodies and joints of an MJCF: a `ModelTree`, and what else an MJCF is given.
+    """The bodies and joints of an MJCF, as `UrdfTree` of a URDF, and what else it is given.
 
     Attributes:
         spec: MuJoCo's editable model.

@@ -22,11 +22,12 @@ from pupper_analysis.base.arrays import (
     inertia_tensor,
 )
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
-from pupper_analysis.models.xml import parse_numbers, parse_text
-from pupper_analysis.models.xml_text import (
+from pupper_analysis.models.xml import (
     ANGLE_DIGITS,
     add_element,
     is_zero,
+    parse_numbers,
+    parse_text,
     write_numbers,
 )
 
@@ -348,7 +349,15 @@ class UrdfTree:
     def add_link(
         self, name: str, parent: str, joint: str, place: Array, inertia: pin.Inertia | None = None
     ) -> None:
-        """Adds a link that is fixed to another, with its axes; see `ModelTree`."""
+        """Adds a link that is fixed to another, with its axes.
+
+        Args:
+            name: The link's.
+            parent: What it is fixed to.
+            joint: The name of the joint between them, where the format has one.
+            place: (3,) of its frame in the parent's (m).
+            inertia: What it weighs, in its own frame; None: nothing is stated.
+        """
         link = self.new_link(name)
         if inertia is not None:
             link.set_inertia(inertia)

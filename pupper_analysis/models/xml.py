@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import bisect
+import math
 import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError
-from pupper_analysis.base.inputs import MOST_TEXT, decode_input
+from pupper_analysis.base.inputs import MOST_TEXT, decode_input, read_content, read_text
 from pupper_analysis.base.tools import format_begun
-from pupper_analysis.models import standard_input
 from pupper_analysis.models.places import (
     Place,
     one_line,
@@ -101,7 +104,7 @@ def to_text(root: etree._Element) -> str:
 
 def _text(path: Path) -> str:
     try:
-        data = standard_input.read_content(path, MAX_BYTES)
+        data = read_content(path, MAX_BYTES)
         if data.startswith(LFS_POINTER):
             raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
         other = format_begun(data)
@@ -149,3 +152,263 @@ def _parser(recover: bool) -> etree.XMLParser:
         remove_comments=True,
         remove_pis=True,
     )
+
+
+# How a new model file is written, so that people like to read it: numbers, elements, defaults.
+
+Array = NDArray[np.float64]
+
+NOISE = 1e-13
+"""Relative size of what products of rotations make of a zero."""
+
+DIGITS: Final = 12
+"""Significant digits: a thousand times finer than what `crosscheck --strict` tells apart, coarse
+enough for a number that went through rotations to be what it was."""
+
+
+ANGLE_DIGITS = 15
+"""Of angles: half of pi is what it is to a hundredth of a rounding error."""
+
+
+def write_numbers(values: ArrayLike, scale: float = 0.0, digits: int | None = DIGITS) -> str:
+    """Writes numbers, separated by spaces.
+
+    Args:
+        values: The numbers.
+        scale: What their errors are relative to, if it is more than the greatest of them.
+        digits: How many significant ones; None: all.
+    """
+    array = np.atleast_1d(np.asarray(values, dtype=float))
+    noise = NOISE * max(scale, float(np.abs(array).max(initial=0.0)))
+    rounded = repr if digits is None else f"{{:.{digits}g}}".format
+    return " ".join("0" if abs(v) <= noise else rounded(v) for v in array.tolist())
+
+
+def is_zero(text: str) -> bool:
+    """Tells whether all numbers of a text are zero."""
+    return all(float(word) == 0 for word in text.split())
+
+
+def write_halves(text: str) -> str:
+    """Writes the halves of numbers: a URDF gives lengths, an MJCF half of them."""
+    return write_numbers([float(word) / 2 for word in text.split()])
+
+
+def add_element(parent: etree._Element, tag: str, **attributes: str | None) -> etree._Element:
+    """Adds an element; attributes that are None are left out, ``class_`` is ``class``."""
+    given = {name.rstrip("_"): text for name, text in attributes.items() if text is not None}
+    return etree.SubElement(parent, tag, given)
+
+
+def free_name(wanted: str, taken: set[str]) -> str:
+    """Returns a name that is not taken, and takes it: the wanted one, or one with a number."""
+    name, number = wanted, 1
+    while name in taken:
+        number += 1
+        name = f"{wanted}_{number}"
+    taken.add(name)
+    return name
+
+
+SAME: Final = 1e-12
+"""Relative to the greatest number of a vector: a hundredth of a thousandth of what may be left."""
+
+_ROUNDING: Final = ((10, 1e-13), (16, 4e-16))
+"""Numbers of so many digits are taken for the one that is meant, if they are so near: few digits
+are no accident, and may be further off."""
+
+
+class Digits:
+    """Writes numbers with the digits of a file.
+
+    A number that went through a product of rotations is known to some 1e-15; where the other file
+    has the number that it came from, that is written.
+    """
+
+    def __init__(self, *sources: Iterable[str]) -> None:
+        """Knows the numbers of some texts; those of the first sources go before the others'."""
+        self._known = [
+            sorted({abs(float(found)) for text in texts for found in NUMBER.findall(text)})
+            for texts in sources
+        ]
+
+    @staticmethod
+    def of(*sources: Iterable[Path]) -> Digits:
+        """Knows the numbers of some files."""
+        return Digits(*([read_text(f) for f in files] for files in sources))
+
+    def word(self, value: float, scale: float) -> str:
+        """Writes a number.
+
+        Args:
+            value: The number.
+            scale: What its error is relative to.
+        """
+        size = abs(value)
+        if size <= SAME * scale:
+            return "0"
+        best = _shortest(size, scale)
+        for numbers in self._known:
+            at = bisect.bisect_left(numbers, size)
+            near = [known for known in numbers[max(at - 1, 0) : at + 1] if known]
+            known = min(near, key=lambda number: abs(number - size), default=np.inf)
+            if abs(known - size) <= SAME * scale:
+                best = known
+                break
+        return repr(float(np.copysign(best, value))).removesuffix(".0")
+
+    def words(self, old: Sequence[str], new: Array, floor: float = 0.0) -> str | None:
+        """Writes a vector, with the old words where they still are right.
+
+        Args:
+            old: The words that state it now; may be fewer, or none.
+            new: The vector.
+            floor: The least scale.
+
+        Returns:
+            The text; None if all the old words are right.
+        """
+        scale = max(floor, float(np.abs(new).max(initial=0.0)))
+        kept = [
+            word if word is not None and abs(_read(word) - value) <= SAME * scale else None
+            for word, value in zip([*old, *[None] * len(new)], new, strict=False)
+        ]
+        if len(old) >= len(new) and all(word is not None for word in kept):
+            return None
+        return " ".join(
+            word if word is not None else self.word(float(value), scale)
+            for word, value in zip(kept, new, strict=True)
+        )
+
+
+def _read(word: str) -> float:
+    """Returns a number as it is written; not a number if it is no decimal, as MuJoCo's 0x10."""
+    return float(word) if NUMBER.fullmatch(word) else math.nan
+
+
+def _shortest(value: float, scale: float) -> float:
+    for most, error in _ROUNDING:
+        for count in range(1, most + 1):
+            rounded = float(f"{value:.{count}g}")
+            if abs(rounded - value) <= error * scale:
+                return rounded
+    return value
+
+
+_SHARED = {
+    "joint": ("type", "axis", "range", "damping", "frictionloss", "armature"),
+    "position": ("kp", "kv", "forcerange"),
+}
+"""Attributes that several elements of a kind may share."""
+
+
+_COMPACT_SECTIONS = {"transmission"}
+"""Sections of a URDF that stand without a blank line between them."""
+
+
+def put_defaults(root: etree._Element) -> None:
+    """Moves what elements share into default classes, and takes it off the elements.
+
+    What more than half of a kind have goes into the top class, if all have some of it. Joints that
+    have the rest in common get a class, named after what their names have in common.
+    """
+    top = root.find("default")
+    assert top is not None
+    taken = {str(default.get("class")) for default in root.iter("default")} | {
+        "main"
+    }  # MuJoCo's own
+    for tag, attributes in _SHARED.items():
+        elements = [found for found in root.iter(tag) if found.getparent().tag != "default"]
+        if len(elements) < 2:
+            continue
+        common = _common(elements, attributes)
+        if common:
+            place = etree.Element(tag, common)
+            top.insert(len(top.findall("joint")), place)
+            for element in elements:
+                for name in common:
+                    if element.get(name) == common[name]:
+                        del element.attrib[name]
+        _put_classes(top, elements, attributes, taken)
+
+
+def _common(elements: Sequence[etree._Element], attributes: Sequence[str]) -> dict[str, str]:
+    """Returns {attribute: its value in most elements}, of attributes that all of them have."""
+    common = {}
+    for name in attributes:
+        values = Counter(element.get(name) for element in elements)
+        if None in values:
+            continue
+        value, count = values.most_common(1)[0]
+        if 2 * count > len(elements):
+            common[name] = str(value)
+    return common
+
+
+def _put_classes(
+    top: etree._Element,
+    elements: Sequence[etree._Element],
+    attributes: Sequence[str],
+    taken: set[str],
+) -> None:
+    groups: dict[tuple[tuple[str, str], ...], list[etree._Element]] = {}
+    for element in elements:
+        rest = tuple((name, element.get(name)) for name in attributes if element.get(name))
+        groups.setdefault(rest, []).append(element)
+    for rest, members in groups.items():
+        if len(members) < 2 or not rest:
+            continue
+        names = [str(member.get("joint") or member.get("name")) for member in members]
+        # A class of joints and one of their servos may share a name, and are one class then.
+        name = _shared_part(names)
+        twin = next(
+            (d for d in top if d.get("class") == name and not d.findall(members[0].tag)), None
+        )
+        if twin is None:
+            twin = etree.SubElement(top, "default", {"class": free_name(name, taken)})
+        etree.SubElement(twin, members[0].tag, dict(rest))
+        for member in members:
+            for attribute, _ in rest:
+                del member.attrib[attribute]
+            member.set("class", str(twin.get("class")))
+
+
+def _shared_part(names: Sequence[str]) -> str:
+    """Returns what names have in common: ``hip`` of ``FL_hip_joint`` and ``FR_hip_joint``."""
+    parts = [[part for part in re.split(r"[^A-Za-z0-9]+", name) if part] for name in names]
+    shared = [part for part in parts[0] if all(part in other for other in parts[1:])]
+    kept = [part for part in shared if part.lower() not in ("joint", "servo")] or shared
+    if kept:
+        return "_".join(kept)
+    return _shared_ending(names) or "shared"
+
+
+def _shared_ending(names: Sequence[str]) -> str:
+    """Returns the letters that all names end in, if there are two or more."""
+    ending = ""
+    for letters in zip(*(reversed(name) for name in names), strict=False):
+        if len(set(letters)) > 1:
+            break
+        ending = letters[0] + ending
+    ending = ending.strip("_- ")
+    return ending if len(ending) > 1 else ""
+
+
+_NO_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\udc80-\udcff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""What no XML can have; the bytes of names that are no UTF-8 are escaped when they are encoded."""
+
+
+def new_file_text(root: etree._Element, header: str) -> str:
+    """Writes a new model file: two spaces a level, a blank line between sections.
+
+    Args:
+        root: Its root element.
+        header: What a comment at its top says; nothing in it can end the comment.
+    """
+    etree.indent(root, space="  ")
+    text = etree.tostring(root, encoding="unicode")
+    tags = "|".join(sorted({str(section.tag) for section in root} - _COMPACT_SECTIONS))
+    text = re.sub(rf"\n  <({tags})(?=[ >/])", r"\n\n  <\1", text)
+    legal = _NO_XML.sub(lambda found: f"\\x{ord(found[0]):02x}", header)
+    quiet = re.sub("-(?=-)", "- ", legal)
+    return f"<!-- {quiet} -->\n{text}\n"

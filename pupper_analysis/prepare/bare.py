@@ -232,8 +232,8 @@ def _base_placed(bare: Bare, robot: Robot, there: mujoco.MjData, data: mujoco.Mj
         if not count:
             return False
         mujoco.mj_jacBody(model, data, moved, turned, anchor)
-        ways = np.vstack([moved, turned])[:, first : first + count]
-        step[first : first + count] = np.linalg.lstsq(ways, error, rcond=None)[0]
+        directions = np.vstack([moved, turned])[:, first : first + count]
+        step[first : first + count] = np.linalg.lstsq(directions, error, rcond=None)[0]
         mujoco.mj_integratePos(model, data.qpos, step, 1.0)
     return False
 

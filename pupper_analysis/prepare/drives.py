@@ -133,13 +133,13 @@ def add_position_servos(
             seen[number, fed] = comes_to_rest(trial, stand, feedforward=fed, kp=kp, kd=kd)
         return seen[number, fed]
 
-    def first(*ways: bool) -> Iterator[tuple[int, Array, Array]]:
+    def first(*directions: bool) -> Iterator[tuple[int, Array, Array]]:
         """Yields the candidates with which it comes to rest, fed forward or not.
 
         Most that fall do so without feed-forward, within a second or two: that comes first.
         """
         for number, candidate in enumerate(candidates):
-            if all(rests(number, fed=way) for way in sorted(ways)):
+            if all(rests(number, fed=way) for way in sorted(directions)):
                 yield candidate
 
     resting = good = None

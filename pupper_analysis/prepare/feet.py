@@ -222,11 +222,6 @@ def _by_link(robot: Robot, name: str, frames: tuple[str, str], joints: Array) ->
     return int(robot.mj_model.body_weldid[body]), place
 
 
-def made_frame(point: str) -> str:
-    """Returns what the frame of a contact point is called that neither file has."""
-    return f"{point} (contact)"
-
-
 def with_feet(
     robot: Robot, feet: Sequence[Foot], replaced: Mapping[str, Diagnostic] | None = None
 ) -> Description:
@@ -249,17 +244,22 @@ def with_feet(
     geoms: dict[str, tuple[str, float]] = {}
     shapes: dict[Diagnostic, list[str]] = {}
     added: list[Addition] = []
+    taken, made = {site.name for site in spec.sites} | set(tree.links), set[str]()
     for foot in feet:
         link = _link_of(robot, foot.body)
         placed = still.frame_position(link), still.frame_rotation(link)
         points = []
         for number, point in enumerate(foot.points, start=1):
             name = foot.name if len(foot.points) == 1 else f"{foot.name}/{number}"
-            frame = made_frame(name)
+            frame = f"{name} (contact)"
+            while frame in taken:
+                frame += "_"
             own = int(model.geom_bodyid[point.geom])  # its weight is what MuJoCo's contact knows
             bodies[model.body(own).name].add_site(name=frame, pos=point.center)
             world = data.xpos[own] + data.xmat[own].reshape(3, 3) @ point.center
             world = _in_urdf(robot, still, data, foot.body, world)
+            taken.add(frame)
+            made.add(frame)
             tree.add_link(frame, link, f"to {frame}", placed[1].T @ (world - placed[0]))
             names[name] = (frame, frame)
             touching = str(compiled.geom(point.geom).name)
@@ -282,6 +282,7 @@ def with_feet(
         contact_points=names,
         feet=several,
         foot_geoms=geoms,
+        made_frames=frozenset(made),
     )
     return described.given(*added)
 

@@ -270,8 +270,8 @@ def _put_feet(draft: Draft) -> Made:
     try:
         feet = _feet(bare, given, poses)
     except ModelError as error:
-        gone = [note for note in draft.mjcf.notes if note.code == "files-missing"]
-        gone = [note for note in gone if note.values["kind"] == "mesh"]
+        gone = [note for note in draft.mjcf.notes if note.code in ("files-missing", "meshes-left")]
+        gone = [note for note in gone if note.values.get("kind", "mesh") == "mesh"]
         if not gone:
             raise
         pointers = [note for note in draft.mjcf.notes if note.code == "files-are-lfs-pointers"]

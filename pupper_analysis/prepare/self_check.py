@@ -384,7 +384,7 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
                 return None
         return 0.0
 
-    causes = _both_ways(bare, known, physics, tried)
+    causes = _tested_causes(bare, known, physics, tried)
     return replace(run, causes=with_lines(causes, robot))
 
 
@@ -403,10 +403,10 @@ def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) ->
     if any(drive.bad for drive in bare.drives):
         return ()  # that is told, and what makes it fall later is none
     known, physics = candidate_causes(bare, robot), physical_causes(bare, robot)
-    return _both_ways(bare, known, physics, tried)
+    return _tested_causes(bare, known, physics, tried)
 
 
-def _both_ways(
+def _tested_causes(
     bare: Bare,
     known: list[Candidate],
     physics: list[Candidate],

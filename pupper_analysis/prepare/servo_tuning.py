@@ -254,8 +254,8 @@ def felt_inertia(robot: Robot, qpos: Array) -> Array:
     if robot.closure is None:
         inverse = np.linalg.inv(mass)
     else:
-        ways = linalg.block_diag(np.eye(first), robot.closure.ways(qpos))
-        inverse = ways @ np.linalg.solve(ways.T @ mass @ ways, ways.T)
+        basis = linalg.block_diag(np.eye(first), robot.closure.null_space(qpos))
+        inverse = basis @ np.linalg.solve(basis.T @ mass @ basis, basis.T)
     with np.errstate(divide="ignore"):
         felt: Array = 1 / np.diag(inverse)[first:]
     return felt

@@ -96,11 +96,11 @@ def stays_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
         normal = data.xmat[body].reshape(3, 3) @ out
         tilting = turned[:, dofs] - np.outer(normal, normal @ turned[:, dofs])
         free = linalg.null_space(tilting, rcond=_RANK)
-        ways = moved[:, dofs] @ free
-        if not ways.size:
+        directions = moved[:, dofs] @ free
+        if not directions.size:
             return False
-        found = np.linalg.lstsq(ways, normal, rcond=_RANK)[0]
-        if float(np.linalg.norm(ways @ found - normal)) > _RANK:
+        found = np.linalg.lstsq(directions, normal, rcond=_RANK)[0]
+        if float(np.linalg.norm(directions @ found - normal)) > _RANK:
             return False
     return True
 

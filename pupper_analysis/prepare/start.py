@@ -35,7 +35,7 @@ _UNEVEN = 0.1
 """Feet of a start pose that stands differ in height by no more than this part of the base's height
 above the lowest."""
 
-_WAYS = 3  # to bend the legs that are tried at each height: the first are nearest to the pose
+_BRANCHES = 3  # to bend the legs that are tried at each height: the first are nearest to the pose
 
 _HEIGHTS = 12  # tried between a leg that is folded and one that is stretched
 
@@ -334,7 +334,7 @@ def _bent(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
     qpos = robot.posed(pose)
     qpos[:3] = (*goal.place, goal.height)
     found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)
-    yield from itertools.islice(combine_branches(found, pose), _WAYS)
+    yield from itertools.islice(combine_branches(found, pose), _BRANCHES)
 
 
 def _first_solved(context: Context, goal: Goal, seeds: Iterable[Array]) -> Stand | None:

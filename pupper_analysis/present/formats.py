@@ -220,14 +220,14 @@ def group_remarks(annotations: Iterable[Annotation], most: int = SHOWN) -> list[
             groups: dict[tuple[str, str], list[Annotation]] = {}
             for one in here:
                 groups.setdefault((one.rule or one.title, one.file_and_line[0]), []).append(one)
-            here = [_together(group, "and-more-of-this-kind") for group in groups.values()]
+            here = [_combine(group, "and-more-of-this-kind") for group in groups.values()]
         if len(here) > most:
-            here = [*here[: most - 1], _together(here[most - 1 :], "and-more-of-other-kinds")]
+            here = [*here[: most - 1], _combine(here[most - 1 :], "and-more-of-other-kinds")]
         result += here
     return result
 
 
-def _together(group: Sequence[Annotation], how: str) -> Annotation:
+def _combine(group: Sequence[Annotation], how: str) -> Annotation:
     first, *others = group
     if not others:
         return first

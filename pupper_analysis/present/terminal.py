@@ -373,8 +373,8 @@ def _column(column: Column, cells: Sequence[Cell]) -> _Column:
     head = _wrapped(escape_control(in_english(column.name)), max(wide, _HEADER))
     if column.unit not in ("", "1"):
         unit = f"({escape_control(column.unit)})"
-        together = f"{head[-1]} {unit}" if head else unit
-        head = [*head[:-1], together] if cell_len(together) <= wide else [*head, unit]
+        joined = f"{head[-1]} {unit}" if head else unit
+        head = [*head[:-1], joined] if cell_len(joined) <= wide else [*head, unit]
     shares = [cell.share if isinstance(cell, Number) else None for cell in cells]
     return _Column(
         head,

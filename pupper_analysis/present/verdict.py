@@ -293,86 +293,55 @@ def published_clauses(published: Published | None) -> Iterator[Clause]:
         yield Clause(False, told_cause(cause))
 
 
-def told_cause(cause: Cause) -> Diagnostic:  # noqa: C901 - one case for each cause
+def told_cause(cause: Cause) -> Diagnostic:
     """Tells what makes a file differ from what is computed.
 
     Raises:
         KeyError: If its code is unknown.
     """
-    values: dict[str, Any] = {"names": cause.elements, "line": cause.line}
-    match cause.code:
-        case "exclude":
-            return diagnose("excluded-from-touching", **values)
-        case "override":
-            return diagnose("contacts-overridden", **values)
-        case "actuatorgroupdisable":
-            return diagnose("actuators-disabled", **values)
-        case "solver":
-            return diagnose("solver-leaves-forces-out", **values)
-        case "weld":
-            return diagnose("weld-holds-it", **values)
-        case "connect":
-            return diagnose("connect-holds-it", **values)
-        case "ctrlrange":
-            return diagnose("ctrlrange-cuts-off", **values)
-        case "forcerange":
-            return diagnose("forcerange-cuts-off", **values)
-        case "actuatorfrcrange":
-            return diagnose("actuatorfrcrange-cuts-off", **values)
-        case "motors-elsewhere":
-            return diagnose("motors-elsewhere-push", **values)
-        case "pair-friction":
-            return diagnose("pair-friction-uneven", **values)
-        case "timeconst":
-            return diagnose("timeconst-too-long", **values)
-        case "loose-joints":
-            return diagnose("loose-joints-move", **values)
-        case "flex":
-            return diagnose("flexible-bodies-touch", **values)
-        case "shapes-beside-feet":
-            return diagnose("shapes-kept-from-ground", **values)
-        case "obstacles":
-            return diagnose("obstacles-touch", **values)
-        case "balls":
-            return diagnose("balls-for-meshes", **values)
-        case "other-drive":
-            return diagnose("servos-for-actuators", **values)
-        case "pair":
-            return diagnose("files-differ", difference=cause.difference)
-        case "timestep":
-            return diagnose("timestep-too-long", **values)
-        case "iterations":
-            return diagnose("solver-too-rough", **values)
-        case "bias":
-            return diagnose("servos-are-biased", **values)
-        case "gain":
-            return diagnose("gain-is-no-stiffness", **values)
-        case "gaintype":
-            return diagnose("gain-is-not-fixed", **values)
-        case "delay":
-            return diagnose("servos-are-late", **values)
-        case "gear":
-            return diagnose("gear-is-negative", **values)
-        case "damping":
-            return diagnose("joints-damped-negatively", joints=cause.elements)
-        case "spring":
-            return diagnose("springs-pull", **values)
-        case "range":
-            return diagnose("range-stops", **values)
-        case "fluid":
-            return diagnose("fluid-drags", **values)
-        case "gravity":
-            return diagnose("gravity-aside", **values)
-        case "slippery":
-            return diagnose("contacts-slip", **values)
-        case "soft":
-            return diagnose("contacts-give-way", **values)
-        case "base-held":
-            return diagnose("base-held-as-published", **values)
-        case "ground":
-            return diagnose("ground-not-level-as-published", **values)
-        case _:
-            raise KeyError(cause.code)
+    if cause.code == "pair":
+        return diagnose("files-differ", difference=cause.difference)
+    if cause.code == "damping":
+        return diagnose("joints-damped-negatively", joints=cause.elements)
+    return diagnose(_CAUSES[cause.code], names=cause.elements, line=cause.line)
+
+
+_CAUSES = {
+    "exclude": "excluded-from-touching",
+    "override": "contacts-overridden",
+    "actuatorgroupdisable": "actuators-disabled",
+    "solver": "solver-leaves-forces-out",
+    "weld": "weld-holds-it",
+    "connect": "connect-holds-it",
+    "ctrlrange": "ctrlrange-cuts-off",
+    "forcerange": "forcerange-cuts-off",
+    "actuatorfrcrange": "actuatorfrcrange-cuts-off",
+    "motors-elsewhere": "motors-elsewhere-push",
+    "pair-friction": "pair-friction-uneven",
+    "timeconst": "timeconst-too-long",
+    "loose-joints": "loose-joints-move",
+    "flex": "flexible-bodies-touch",
+    "shapes-beside-feet": "shapes-kept-from-ground",
+    "obstacles": "obstacles-touch",
+    "balls": "balls-for-meshes",
+    "other-drive": "servos-for-actuators",
+    "timestep": "timestep-too-long",
+    "iterations": "solver-too-rough",
+    "bias": "servos-are-biased",
+    "gain": "gain-is-no-stiffness",
+    "gaintype": "gain-is-not-fixed",
+    "delay": "servos-are-late",
+    "gear": "gear-is-negative",
+    "spring": "springs-pull",
+    "range": "range-stops",
+    "fluid": "fluid-drags",
+    "gravity": "gravity-aside",
+    "slippery": "contacts-slip",
+    "soft": "contacts-give-way",
+    "base-held": "base-held-as-published",
+    "ground": "ground-not-level-as-published",
+}
+"""{code of a cause: what is said of it}, where its elements and its line say all."""
 
 
 def _beyond(verdict: Verdict) -> Iterator[Clause]:

@@ -8,9 +8,8 @@ from typing import Final
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, VariantError
-from pupper_analysis.base.inputs import is_input
+from pupper_analysis.base.inputs import STANDARD_INPUT, is_input
 from pupper_analysis.models.published import SCHEME
-from pupper_analysis.models.standard_input import NAME as STANDARD_INPUT
 from pupper_analysis.pupper.variants import VARIANTS
 
 _ENDINGS: Final = (".urdf", ".xml", ".mjcf", ".xacro")

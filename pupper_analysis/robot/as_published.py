@@ -104,7 +104,7 @@ class Cause:
     """An element of the MJCF, or a change of it on loading, that makes it do other than predicted.
 
     Attributes:
-        code: What it is; see ``report.verdict.told_cause``.
+        code: What it is; see ``present.verdict.told_cause``.
         elements: Its name, or the names of all that are alike.
         line: Where the first stands in the file; None where that is not known.
         remaining: The largest deviation of a torque / the largest predicted torque that is left

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.models.mjcf import equality_name
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.impedance import Softness
 
@@ -156,7 +157,7 @@ class Closure:
             columns.append((ends[0] - ends[1]) / (2 * _DIFFERENCE_STEP))
         return np.array(columns).T
 
-    def ways(self, qpos: Array) -> Array:
+    def null_space(self, qpos: Array) -> Array:
         """Returns a basis (nu, n) of the joints' velocities that keep the loops closed."""
         _, _, right = np.linalg.svd(self.rows(qpos))
         basis: Array = right[self._rank :].T
@@ -369,7 +370,7 @@ def _bonds(model: mujoco.MjModel) -> tuple[str, ...]:
     messages = []
     for index in np.flatnonzero(model.eq_active0):
         kind = mujoco.mjtEq(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
-        messages.append(f"{kind} {model.equality(int(index)).name or f'#{index}'}")
+        messages.append(f"{kind} {equality_name(model, int(index))}")
     return tuple(messages)
 
 

@@ -102,11 +102,13 @@ def measure_response(
     whole = not monitor.has_diverged(states, timestep)
     joints = scalar_joints(model)
     hinges = model.jnt_qposadr[joints]
-    ways = np.abs(states[:, 1 + hinges] - before[1 + hinges])
+    distances = np.abs(states[:, 1 + hinges] - before[1 + hinges])
     if creep is not None:
         rates = np.abs(creep[-1] - creep[0])[1 + hinges] / (creep[-1, 0] - creep[0, 0])
-        ways = np.maximum(ways - np.outer(states[:, 0] - before[0], rates), 0.0)
-    when, joint = np.unravel_index(np.argmax(ways), ways.shape) if ways.size else (0, None)
+        distances = np.maximum(distances - np.outer(states[:, 0] - before[0], rates), 0.0)
+    when, joint = (
+        np.unravel_index(np.argmax(distances), distances.shape) if distances.size else (0, None)
+    )
     gone = left <= max(_DECAYING * motion, _GONE * NUDGE)
     return Nudge(
         speed=NUDGE,
@@ -114,8 +116,8 @@ def measure_response(
         duration=len(states) * timestep,
         motion=motion,
         left=left,
-        moved=float(ways[-third:].max(initial=0.0)),
-        farthest=float(ways.max(initial=0.0)),
+        moved=float(distances[-third:].max(initial=0.0)),
+        farthest=float(distances.max(initial=0.0)),
         farthest_joint="" if joint is None else model.joint(joints[joint]).name,
         farthest_time=timestep * (int(when) + 1),
         decayed=bool(whole and gone),
@@ -125,5 +127,5 @@ def measure_response(
 def _swinging(rates: Array) -> float:
     """Returns the greatest deviation of rates (n, nv) from straight lines in time."""
     time = np.linspace(-1.0, 1.0, len(rates))
-    slopes = (time @ rates) / (time @ time)
-    return float(np.abs(rates - rates.mean(axis=0) - np.outer(time, slopes)).max(initial=0.0))
+    rates_found = (time @ rates) / (time @ time)
+    return float(np.abs(rates - rates.mean(axis=0) - np.outer(time, rates_found)).max(initial=0.0))

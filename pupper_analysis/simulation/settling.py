@@ -170,8 +170,8 @@ def _settled(held: Standing, upright: monitor.Upright) -> _Span | None:
 
 def _looked_at(held: Standing, data: mujoco.MjData, states: Array) -> _Span:
     robot, stand, model = held.robot, held.stand, held.drive.model
-    looks, seen = states[:: -max(1, round(_SAMPLE_TIME / model.opt.timestep))], []
-    for state in looks:
+    evaluations, seen = states[:: -max(1, round(_SAMPLE_TIME / model.opt.timestep))], []
+    for state in evaluations:
         mujoco.mj_setState(model, data, state, STATE)
         mujoco.mj_kinematics(model, data)
         centres = monitor.foot_centres(robot, data)

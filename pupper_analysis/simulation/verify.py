@@ -16,6 +16,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
+from pupper_analysis.models.mjcf import equality_name
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
@@ -112,7 +113,7 @@ def closed_loops(robot: Robot, stand: Stand, least: float) -> Diagnostic | None:
         return None
     strongest = int(data.efc_id[int(np.argmax(np.abs(forces)))])
     kind = mujoco.mjtEq(int(model.eq_type[strongest])).name.removeprefix("mjEQ_").lower()
-    name = model.equality(strongest).name or f"#{strongest}"
+    name = equality_name(model, strongest)
     joint = model.joint(int(model.dof_jntid[most])).name
     return diagnose(
         "constraints-not-predicted",

@@ -139,11 +139,11 @@ def find_branches(
         limb: _kept(positions[:, limb.joints], missed, turning[limb.joints])
         for limb, missed in misses.items()
     }
-    return {limb: _in_order(robot, qpos, limb, ways) for limb, ways in kept.items()}
+    return {limb: _in_order(robot, qpos, limb, branches) for limb, branches in kept.items()}
 
 
 def _in_order(
-    robot: Robot, qpos: Array, limb: Limb, ways: tuple[Branch, ...]
+    robot: Robot, qpos: Array, limb: Limb, branches: tuple[Branch, ...]
 ) -> tuple[Branch, ...]:
     """Returns branches that miss alike with the joints that are furthest back first.
 
@@ -160,7 +160,7 @@ def _in_order(
         places = [float(forward @ data.oMi[number].translation) for number in numbers]
         return round(branch.miss / _MISSED_ALIKE), sum(places)
 
-    return tuple(sorted(ways, key=key))
+    return tuple(sorted(branches, key=key))
 
 
 def follow_branches(
@@ -188,9 +188,9 @@ def follow_branches(
     """
     count = max(map(len, found.values()))
     starts = np.tile(qpos[robot.nq - robot.nu :], (count, 1))
-    for limb, ways in found.items():
+    for limb, branches in found.items():
         for row in range(count):
-            starts[row, limb.joints] = ways[row % len(ways)].positions
+            starts[row, limb.joints] = branches[row % len(branches)].positions
     descent = _Descent(robot, qpos, targets, lower, upper)
     shifts = np.repeat(moves, count, axis=0)
     positions, misses = descent.run(np.tile(starts, (len(moves), 1)), shifts, _FEW_ITERATIONS)

@@ -17,9 +17,8 @@ from scipy import linalg
 
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import Tool
+from pupper_analysis.robot.tool import Tool, with_payload
 from pupper_analysis.stance.sag.contact_kinematics import Anchor, ContactKinematics
 from pupper_analysis.stance.stand import Stand, stand_contacts
 from pupper_analysis.statics.equilibrium import hold_loads

@@ -161,22 +161,22 @@ def _within(robot: Robot, qpos: Array, ranges: Array, placed: NDArray[np.int64])
     from scipy import optimize  # slow to import
 
     tendons = tendon_ranges(robot)
-    ways = np.eye(robot.nu) if robot.closure is None else robot.closure.ways(qpos)
-    ways = ways @ linalg.null_space(ways[placed]) if len(placed) else ways
-    rows, here = tendons.coefficients @ ways, tendons.coefficients @ qpos
+    basis = np.eye(robot.nu) if robot.closure is None else robot.closure.null_space(qpos)
+    basis = basis @ linalg.null_space(basis[placed]) if len(placed) else basis
+    rows, here = tendons.coefficients @ basis, tendons.coefficients @ qpos
     off = _OFF_ENDS * (tendons.upper - tendons.lower)
     limits = (
         optimize.LinearConstraint(rows, tendons.lower + off - here, tendons.upper - off - here),
-        optimize.LinearConstraint(ways, *(ranges.T - qpos)),
+        optimize.LinearConstraint(basis, *(ranges.T - qpos)),
     )
     found = optimize.minimize(
-        lambda along: along @ ways.T @ ways @ along / 2,
-        np.zeros(ways.shape[1]),
-        jac=lambda along: ways.T @ ways @ along,
+        lambda along: along @ basis.T @ basis @ along / 2,
+        np.zeros(basis.shape[1]),
+        jac=lambda along: basis.T @ basis @ along,
         method="SLSQP",
         constraints=limits,
     )
-    return qpos + ways @ found.x if found.success else qpos
+    return qpos + basis @ found.x if found.success else qpos
 
 
 def with_give(robot: Robot, qpos: Array) -> Array:

@@ -67,13 +67,17 @@ def _moves_com(robot: Robot) -> bool:
         return True
     if len(robot.feet) < len(robot.contact_points):
         # Soles and wheels lie on the ground: in other poses other motions are free.
-        return any(_ways(robot, pose) == 2 for pose in (robot.nominal, robot.home[-robot.nu :]))
+        return any(
+            _com_freedom(robot, pose) == 2 for pose in (robot.nominal, robot.home[-robot.nu :])
+        )
     random = np.random.default_rng(0)
     low, high = np.maximum(robot.lower_limits, -np.pi), np.minimum(robot.upper_limits, np.pi)
-    return any(_ways(robot, random.uniform(low, np.maximum(low, high))) == 2 for _ in range(_POSES))
+    return any(
+        _com_freedom(robot, random.uniform(low, np.maximum(low, high))) == 2 for _ in range(_POSES)
+    )
 
 
-def _ways(robot: Robot, joints: Array) -> int:
+def _com_freedom(robot: Robot, joints: Array) -> int:
     """Returns in how many directions the com can move, seen from above, at positions (nu,)."""
     config = Configuration(robot, robot.posed(joints))
     held = np.eye(4, robot.nv, k=2)  # the base's height and its three turns

@@ -171,7 +171,7 @@ class Programme:
         self._moving = [0, 1, *range(robot.nv - robot.nu, robot.nv)]
         self._last: _Point | None = None
         self._at: tuple[_Point, Configuration] | None = None
-        self._slopes: tuple[Array, Array] | None = None
+        self._jacobian_there: tuple[Array, Array] | None = None
 
     def solve(self, qpos: Array, task: StandTask | None = None) -> Relaxation:
         """Finds how the demands give least, from one start.
@@ -319,13 +319,13 @@ class Programme:
         return self._at[1]
 
     def _residuals(self, x: Array) -> Array:
-        together: Array = np.concatenate(self._point(x).residuals)[self._rows[0]]
-        return together
+        joined: Array = np.concatenate(self._point(x).residuals)[self._rows[0]]
+        return joined
 
     def _jacobian(self, x: Array) -> Array:
-        if self._slopes is None or not (x == self._slopes[0]).all():
-            self._slopes = x.copy(), self._derivative(x)[self._rows[0]]
-        return self._slopes[1]
+        if self._jacobian_there is None or not (x == self._jacobian_there[0]).all():
+            self._jacobian_there = x.copy(), self._derivative(x)[self._rows[0]]
+        return self._jacobian_there[1]
 
     def _derivative(self, x: Array) -> Array:
         """Returns the derivative of all residuals (m, n).

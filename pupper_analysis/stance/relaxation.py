@@ -88,9 +88,9 @@ def explain_refusal(
     if not at_limit and _is_dead_point(robot, nearest):
         blocked = (diagnose("motors-at-dead-point"),)
         missed = {foot: gap for foot, gap in missed.items() if gap >= _LEAST_MISS}
-    ways = _Ways(context, goal, nearest).found() if explain else []
-    named = {" and ".join(way.demands): way for way in ways}
-    least = min(ways, key=lambda way: way.slack, default=None)
+    basis = _Ways(context, goal, nearest).found() if explain else []
+    named = {" and ".join(way.demands): way for way in basis}
+    least = min(basis, key=lambda way: way.slack, default=None)
     return StanceUnreachableError(
         goal.task.phrase(),
         missed,
@@ -117,10 +117,10 @@ def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
     if robot.closure is None:
         return False
     rates = Configuration(robot, nearest.qpos).foot_jacobians()
-    ways = robot.closure.ways(nearest.qpos)
+    basis = robot.closure.null_space(nearest.qpos)
     for foot in nearest.stance_feet:
         joints = rates[foot][:3, robot.nv - robot.nu :]
-        free, bound = (np.linalg.svd(one, compute_uv=False) for one in (joints, joints @ ways))
+        free, bound = (np.linalg.svd(one, compute_uv=False) for one in (joints, joints @ basis))
         if ((bound < _DEAD_POINT_RATIO * free) & (free > _DEAD_POINT_RATIO * free[0])).any():
             return True
     return False
@@ -168,12 +168,12 @@ class _Ways:
         as they go. Where several demands must give, that led to the best in 27 of 28 refusals.
         """
         elastic = Programme(self.context.shapes, self.goal, demands)
-        ways = [elastic.solve(start) for start in starts]
+        basis = [elastic.solve(start) for start in starts]
         without = give_up(self.context.robot, self.goal.task, demands)
         stand = search_stand(self.context, self._goal(without), plainly=True)
         if stand.solved:
-            ways.append(elastic.solve(stand.qpos, without))
-        return min((way for way in ways if way.met), key=lambda way: way.slack, default=None)
+            basis.append(elastic.solve(stand.qpos, without))
+        return min((way for way in basis if way.met), key=lambda way: way.slack, default=None)
 
     def _alone(self, demand: str) -> Relaxation | None:
         """Returns how a demand alone gives least; None if it does not help.

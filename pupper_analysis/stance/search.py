@@ -174,7 +174,7 @@ class _Search:
             return best
         if self.goal.com_is_free:
             reach = support_radius(self.goal) + bound_com_shift(self.robot, best.qpos, self.found)
-            if any(ways[0].miss > reach for ways in self.found.values()):
+            if any(branches[0].miss > reach for branches in self.found.values()):
                 return best  # too far for the com to make up
         without = CLEARANCES if self._in_vain else ()
         programme = Programme(self.shapes, self.goal, without=without)
@@ -420,8 +420,8 @@ def branch_seeds(
     """
     near = robot.home[7:] if goal.task.ik_seed is None else np.array(goal.task.ik_seed)
     likely = {
-        limb: tuple(branch for branch in ways if branch.miss <= reach + NEAR_MISS)
-        for limb, ways in found.items()
+        limb: tuple(branch for branch in branches if branch.miss <= reach + NEAR_MISS)
+        for limb, branches in found.items()
     }
     yield from islice(combine_branches(likely, near), most)
 
@@ -429,9 +429,9 @@ def branch_seeds(
 def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) -> float:
     """Returns how far the choice of branches may move the base under a com that stays (m)."""
     total = 0.0
-    for limb, ways in found.items():
+    for limb, branches in found.items():
         coms = []
-        for branch in ways:
+        for branch in branches:
             bent = qpos.copy()
             bent[robot.nq - robot.nu + limb.joints] = branch.positions
             coms.append(Configuration(robot, bent).center_of_mass()[:2])
@@ -472,8 +472,8 @@ def shifted_seeds(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[
     starts: list[tuple[float, Array]] = []
     for number, move in enumerate(moves):
         near = {
-            limb: tuple(branch for branch in ways[number] if branch.miss < _IN_REACH)
-            for limb, ways in followed.items()
+            limb: tuple(branch for branch in branches[number] if branch.miss < _IN_REACH)
+            for limb, branches in followed.items()
         }
         here = []
         for joints in islice(combine_branches(near, qpos[-robot.nu :]), _TRIED):

@@ -13,9 +13,8 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot, lend
-from pupper_analysis.robot.tool import Place
+from pupper_analysis.robot.tool import Place, with_payload
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import (
@@ -224,16 +223,16 @@ def _plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> A
 
     from scipy import linalg, optimize  # slow to import
 
-    ways = linalg.orth(table)  # points in a line have fewer than the table
-    wanted, start = ways.T @ forces(np.array(given)), ways.T @ np.array(given)
+    basis = linalg.orth(table)  # points in a line have fewer than the table
+    wanted, start = basis.T @ forces(np.array(given)), basis.T @ np.array(given)
 
     def left(place: Array) -> Array:
-        return np.asarray(ways.T @ forces(ways @ place) - wanted)
+        return np.asarray(basis.T @ forces(basis @ place) - wanted)
 
     def rates(place: Array) -> Array:
-        depths = (ways @ place).tolist()
+        depths = (basis @ place).tolist()
         stiff = np.array([law.rate(d) for law, d in zip(laws, depths, strict=True)])
-        return np.asarray(ways.T @ (stiff[:, None] * ways))
+        return np.asarray(basis.T @ (stiff[:, None] * basis))
 
-    depths: Array = ways @ optimize.root(left, start, jac=rates, options={"xtol": 1e-14}).x
+    depths: Array = basis @ optimize.root(left, start, jac=rates, options={"xtol": 1e-14}).x
     return depths

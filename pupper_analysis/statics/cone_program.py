@@ -241,43 +241,6 @@ class Balance:
         return coordinates if excess <= 1e-9 * scale else None
 
 
-def minimum_tangential_forces(
-    bases: Array, weights: Array, normals: Array, friction: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Finds ``Balance.minimum_tangential`` for many states at once, where no friction cone binds.
-
-    Args:
-        bases: (k, 6, 3 n) see ``Balance``.
-        weights: (k, 6) likewise.
-        normals: (n, 3) the same in all states.
-        friction: (n,) coefficients.
-
-    Returns:
-        f (k, 3 n), and where it is the answer (k,); elsewhere ask one by one.
-    """
-    count, _, size = bases.shape
-    if size < 6:
-        return np.zeros((count, size)), np.zeros(count, dtype=bool)
-    inverse = TangentialMetric(normals).inverse()
-    turn, triangle = np.linalg.qr((bases @ inverse).transpose(0, 2, 1))
-    apart = (np.diagonal(triangle, axis1=1, axis2=2) != 0).all(axis=1)
-    triangle[~apart] = np.eye(6)
-    back = np.linalg.inv(triangle)
-    condition = np.abs(triangle).sum(axis=1).max(axis=1) * np.abs(back).sum(axis=1).max(axis=1)
-    solve = inverse @ turn @ back.transpose(0, 2, 1)  # R^T u = b, f = W^-1 Q u
-    forces = (solve @ weights[:, :, None])[..., 0]
-    left = weights - (bases @ forces[:, :, None])[..., 0]
-    forces += (solve @ left[:, :, None])[..., 0]
-    error = np.abs((bases @ forces[:, :, None])[..., 0] - weights).max(axis=1)
-    balanced = error < BALANCE_TOLERANCE * np.abs(weights).max(axis=1)
-    per_foot = forces.reshape(count, -1, 3)
-    pressing = (per_foot * normals).sum(axis=2)
-    aside = per_foot - pressing[:, :, None] * normals
-    held = np.sqrt((aside * aside).sum(axis=2)) <= friction * pressing
-    found = apart & (condition * _INDEPENDENT < 1) & balanced & held.all(axis=1)
-    return forces, found
-
-
 class TangentialMetric:
     """The (3 n, 3 n) matrix whose product with f shall be short: tangential forces weigh more.
 
@@ -313,10 +276,6 @@ class TangentialMetric:
         along = normals * (normals * columns).sum(axis=1, keepdims=True)
         product: Array = along + weights[:, :, None] * (columns - along)
         return product.reshape(forces.shape)
-
-    def inverse(self) -> Array:
-        """Returns this matrix's inverse (3 n, 3 n)."""
-        return self._undone(np.eye(3 * len(self._normals)))
 
     def shortest(self, rows: Array, right: Array) -> Array | None:
         """Returns the f (3 n,) of rows f = right with the shortest product with this matrix W.

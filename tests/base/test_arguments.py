@@ -32,7 +32,6 @@ APART = {  # below, each with an argument that is wrong
     "fit_motion",
     "fit_stands",
     "pareto_front",
-    "sobol_indices",
     "study_outcome",
     "plan_stands",
     "tool_payload",
@@ -259,8 +258,7 @@ def test_what_studies_and_reports_are_given_wrong(junk: Any, tmp_path: Path) -> 
     calls: dict[str, Callable[[], object]] = {
         "table": lambda: pa.study.certainty(junk),
         "table:": lambda: pa.study.pareto_front(junk, {"mass": "min"}),
-        "study": lambda: pa.study.sobol_indices(junk, tmp_path / "x", ["mass"]),
-        "study:  ": lambda: pa.study.study_outcome(junk, tmp_path / "x"),
+        "study": lambda: pa.study.study_outcome(junk, tmp_path / "x"),
         "spreads": lambda: pa.study.write_randomisation(junk, tmp_path / "x.yaml"),
         "results": lambda: pa.report.write_report(junk, tmp_path / "x.html"),
     }

@@ -204,13 +204,14 @@ IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
 OUTPUT = {"json_path", "report_path", "figure", "output", "folder", "csv", "npz", "write_folder"}
 LOOK = {"style", "everything", "force"}
 SERVOS = {"kp", "kd", "integrator", "cone", "impratio"}
+POLICY = {"policy", "contract", "asked", "seeds", "seconds"}
 ALWAYS = {
     "stand": {"minimum_stiffness", "explain", "effort", "payload", *SERVOS},
     "workspace": {"effort", "payload"},
-    "payload": {"payload_at", "continuous", "effort", "payload", *SERVOS},
+    "payload": {*POLICY, "payload_at", "continuous", "effort", "payload", *SERVOS},
     "best": {"effort", "payload", *SERVOS},
     "path": {"seconds", "effort", "payload", *SERVOS},
-    "push": {"directions", "resolution", "effort", "payload", *SERVOS},
+    "push": {*POLICY, "directions", "resolution", "effort", "payload", *SERVOS},
     "hold": {"positions", "tool", "effort", "payload", *SERVOS},
     "crosscheck": {"map_file", "changes", "strict", "any_coordinates", "same_mount"},
     "diff": {"changes"},
@@ -218,7 +219,17 @@ ALWAYS = {
     "contract": {"pairs", "unstood", "fail_on"},
     "study": {"dry_run", "workers", "list_metrics"},
     "walk": {"policy", "contract", "asked", "seeds", "seconds", "vary", "orders"},
-    "live": {"language", "host", "port", "no_browser", "viewer", "dropped"},
+    "live": {
+        "policy",
+        "contract",
+        "asked",
+        "language",
+        "host",
+        "port",
+        "no_browser",
+        "viewer",
+        "dropped",
+    },
 }
 """{command: options besides those of the robot, the stance and outputs that always matter}."""
 

@@ -56,6 +56,7 @@ OPTIONS = {
 
 MORE: dict[str, list[list[str]]] = {
     "path": [["--seconds", "1"]],
+    **{name: [[], ["--policy", "policy.json"]] for name in ("push", "payload")},
     "walk": [["--seconds", "3", "--vary", "delay"]],
     "live": [["--headless", "--drop"]],
     "fit": [["--plan", "4"], ["--stands", "stands.csv"], ["--log", "log.csv"]],
@@ -170,25 +171,28 @@ def lines_of(command: click.Command) -> Iterator[list[str]]:
         if isinstance(parameter, click.Argument)
         for word in ("study.toml",) * (command.name == "study") or ARGUMENTS[str(parameter.name)]
     ]
-    hidden = {"stance": ["--stance", "stance.toml"]}
-    inputs = [
-        word
-        for parameter in command.params
-        if isinstance(parameter, click.Option)
-        and isinstance(parameter.type, click.Path)
-        and not isinstance(parameter.type, OutputPath)
-        and parameter.name not in ("urdf", "mjcf", "stands", "logs")
-        for word in hidden.get(
-            str(parameter.name), [parameter.opts[0], OPTIONS[str(parameter.name)]]
-        )
-    ]
+    of_policy = ("policy", "contract")
     for more in MORE.get(str(command.name), [[]]):
+        # A stance or a policy, where there may be either.
+        either = "stance" in [one.name for one in command.params]
+        left = ("policy", "stance") if "--policy" in more else of_policy if either else ()
+        inputs = [
+            word
+            for parameter in command.params
+            if isinstance(parameter, click.Option)
+            and isinstance(parameter.type, click.Path)
+            and not isinstance(parameter.type, OutputPath)
+            and parameter.name not in ("urdf", "mjcf", "stands", "logs", *left)
+            for word in (max(parameter.opts, key=len), OPTIONS[str(parameter.name)])
+        ]
         yield [str(command.name), *given, *inputs, *more]
 
 
 def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parameter, Path | None]]:
     """Yields the outputs of a command line; of folders with a file that is written into them."""
     for option in command.outputs:
+        if option.name == "figure" and "--policy" in line:
+            continue  # refused
         given = {"count": 4 if "--plan" in line else None, "no_figures": False, "list_only": False}
         assert isinstance(option.type, OutputPath)
         holds = option.type.held(given)

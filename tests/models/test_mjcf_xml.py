@@ -9,7 +9,7 @@ import pytest
 
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.models.xml_text import add_element
+from pupper_analysis.models.xml import add_element
 
 ARRAYS = (
     *("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),

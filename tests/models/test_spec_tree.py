@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.spec_tree import SpecTree, set_inertia
 
 MJCF = """<mujoco><worldbody><body name="base"><freejoint/>
   <inertial pos="0.1 0.2 0.3" mass="2" fullinertia="0.02 0.03 0.04 0.001 0.002 0.003"/>
@@ -77,6 +77,30 @@ def test_a_link_is_added_as_pinocchio_has_it() -> None:
     np.testing.assert_allclose(axes @ np.diag(body.inertia) @ axes.T, inertia.inertia, atol=1e-9)
     np.testing.assert_allclose(body.ipos, inertia.lever)
     assert (body.mass[0], model.body("arm").id) == (0.5, int(body.parentid[0]))
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        'diaginertia="1 1.2 1.3" euler="30 40 50"',
+        'fullinertia="1 1.2 1.3 0.1 0.05 0.02"',
+        'diaginertia="1 1 1"',
+    ],
+)
+@pytest.mark.parametrize("products", [0.0, 0.001])
+def test_an_inertia_is_stated_in_the_place_of_another(stated: str, products: float) -> None:
+    """What was stated, along whichever axes, is left nowhere: MuJoCo turned a new tensor by it."""
+    tensor = np.array([[0.02, products, 0.0], [products, 0.03, 0.0], [0.0, 0.0, 0.04]])
+    inertial = f'<inertial pos="1 1 1" mass="1" {stated}/>'
+    body = f'<body name="a"><freejoint/>{inertial}</body>'
+    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    set_inertia(spec.body("a"), pin.Inertia(2.0, np.array([0.1, 0.0, 0.2]), tensor))
+    model, turn = spec.compile(), np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[1])
+    axes = turn.reshape(3, 3)
+    made = axes @ np.diag(model.body_inertia[1]) @ axes.T
+    np.testing.assert_allclose(made, tensor, atol=1e-15)
+    np.testing.assert_allclose(model.body_ipos[1], [0.1, 0.0, 0.2])
 
 
 def test_a_part_goes_with_its_joints() -> None:

@@ -159,10 +159,3 @@ def test_inverse_dynamics_at_rest_is_the_balance(tmp_path: Path) -> None:
     qpos = pa.solve_stand(robot).qpos
     found = pa.statics.inverse_dynamics(pa.Configuration(robot, qpos), np.zeros(robot.nv))
     np.testing.assert_allclose(found.joint_torques, torques_at(robot, qpos), atol=1e-8)
-
-
-def test_many_states_at_once_are_the_same(tmp_path: Path) -> None:
-    robot = load(with_springs(quadruped(tmp_path), "_knee"))
-    qpos = pa.solve_stand(robot).qpos
-    found = pa.statics.gravity_compensations(robot, np.array([qpos, qpos]))
-    np.testing.assert_allclose(found.joint_torques[1], torques_at(robot, qpos), atol=1e-9)

@@ -10,8 +10,8 @@ from pupper_analysis.prepare.soles import fit_sphere
 
 def test_a_sphere_far_from_the_origin_is_found() -> None:
     centre, radius, down = np.array([0.4, -0.3, 0.2]), 0.021, np.array([0.0, 0.0, -1.0])
-    ways = np.random.default_rng(0).normal(size=(4000, 3))
-    points = centre + radius * ways / np.linalg.norm(ways, axis=1)[:, None]
+    directions = np.random.default_rng(0).normal(size=(4000, 3))
+    points = centre + radius * directions / np.linalg.norm(directions, axis=1)[:, None]
     found, size = fit_sphere(points, centre + radius * down, down)
     np.testing.assert_allclose(found, centre, atol=1e-9)
     assert size == pytest.approx(radius, abs=1e-9)

@@ -70,7 +70,7 @@ def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule
         return
     verdict = verdict_of(pa.load_robot(urdf))
     said = in_words(verdict)
-    assert "on files with errors (audit lists them): " in said
+    assert "on files with defects (audit lists them): " in said
     assert message in said
 
 

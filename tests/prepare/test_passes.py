@@ -178,3 +178,19 @@ def test_files_that_are_ready_need_no_pass() -> None:
     feet = pa.load_variant("original").description.contact_points
     explained, _ = explain_loading(*files, Request(feet=feet))
     assert explained.passes == ()
+
+
+def test_a_site_of_the_name_that_a_foot_would_be_given_stays_what_it_is(tmp_path: Path) -> None:
+    """A file that was saved from memory has such sites, and may have been moved since."""
+    pair = quadruped(tmp_path)
+    plain = pa.load_robot(pair.urdf, pair.mjcf)
+    point, (link, frame) = next(iter(plain.description.contact_points.items()))
+    assert link == frame == f"{point} (contact)"
+    text = pair.mjcf.read_text()
+    site = f'<site name="{frame}" pos="0.3 0.2 0.1"/>'
+    pair.mjcf.write_text(text.replace("<freejoint", f"{site}<freejoint", 1))
+    other = pa.load_robot(pair.urdf, pair.mjcf)
+    assert other.description.contact_points[point] == (f"{frame}_", f"{frame}_")
+    np.testing.assert_allclose(other.mj_model.site(frame).pos, (0.3, 0.2, 0.1))
+    one, two = pa.solve_stand(plain), pa.solve_stand(other)
+    np.testing.assert_allclose(one.qpos, two.qpos, atol=1e-9)

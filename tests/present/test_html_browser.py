@@ -306,12 +306,6 @@ def test_a_study_tells_its_cells_and_designs(browser: Any, tmp_path: Path) -> No
     point(cells, ".unseen", 4, (70, 40))  # far from its middle, but in the cell
     chosen = table[(table["leg_scale"] == 1.0) & (table["height"] == 0.15)]["peak_utilisation"]
     assert f"leg_scale 1, height 0.15: {chosen.iloc[0]:.4g}" in tip.inner_text()
-    lines = page.locator("figure.plot", has_text="Designs as lines").locator("svg").first
-    point(lines, "polyline", 0, (1, 1))
-    assert lines.locator(".lit").count() == 1
-    assert "leg_scale" in tip.inner_text()
-    page.mouse.move(2, 2)
-    assert lines.locator(".lit").count() == 0
     designs = page.locator("figure.table", has_text="no.").last
     designs.locator("th", has_text="servo_sag").locator("button").click()
     texts = designs.locator("tbody tr td:nth-child(6)").all_inner_texts()

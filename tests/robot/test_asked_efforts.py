@@ -13,8 +13,8 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.efforts import Motor, placeholder_efforts
 from pupper_analysis.robot.build import with_efforts
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.robot.tool import with_payload
 from tests.support import arm
 from tests.support.variants import load
 

@@ -222,9 +222,9 @@ def test_a_loops_derivative_is_that_of_its_residual(tmp_path: Path) -> None:
             moved[7 + joint] += way
             ends.append(closure.residual(moved))
         np.testing.assert_allclose(rows[:, joint], (ends[0] - ends[1]) / (2 * step), atol=1e-8)
-    ways = closure.ways(qpos)
-    assert ways.shape == (robot.nu, robot.nu - 8)
-    np.testing.assert_allclose(rows @ ways, 0, atol=1e-9)
+    basis = closure.null_space(qpos)
+    assert basis.shape == (robot.nu, robot.nu - 8)
+    np.testing.assert_allclose(rows @ basis, 0, atol=1e-9)
     np.testing.assert_allclose(
         closure.spring_rates(qpos), closure.spring_rates(qpos).T, atol=1e-4 * 1e4
     )
@@ -318,24 +318,6 @@ def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
         pa.gravity_compensation(pa.Configuration(robot, qpos))
     with pytest.raises(pa.ConfigurationError, match="are coupled"):
         pa.gravity_compensation(pa.Configuration(robot, qpos), ())
-
-
-def test_many_states_at_once_are_those_one_by_one(tmp_path: Path) -> None:
-    robot = load(belts(tmp_path))
-    heights = (robot.stand_height, 0.95 * robot.stand_height)
-    stands = [pa.solve_stand(robot, pa.StandTask(height=height)) for height in heights]
-    rows = pa.statics.gravity_compensations(robot, np.array([stand.qpos for stand in stands]))
-    for stand, torques in zip(stands, rows.joint_torques, strict=True):
-        alone = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))
-        np.testing.assert_allclose(torques, alone.joint_torques, atol=1e-9)
-
-
-def test_many_states_that_are_open_are_refused(tmp_path: Path) -> None:
-    robot = load(belts(tmp_path))
-    qpos = pa.solve_stand(robot).qpos.copy()
-    qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
-    with pytest.raises(pa.ConfigurationError, match="are coupled"):
-        pa.statics.gravity_compensations(robot, qpos[None])
 
 
 def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
@@ -450,7 +432,7 @@ def test_a_rod_called_like_its_ball_joint_keeps_its_connect(tmp_path: Path) -> N
         assert axis in text
         text = text.replace(axis, f'<joint name="{leg}_rod" type="ball" />')
     pair.mjcf.write_text(text)
-    assert any("were opened: connect #0, connect #1" in str(note) for note in load(pair).notes)
+    assert any("were opened: connect #0 (" in str(note) for note in load(pair).notes)
 
 
 @pytest.mark.longest

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.sag.contact_kinematics import integrate_step
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.engines import mujoco_at

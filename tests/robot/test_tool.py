@@ -9,8 +9,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.payload import with_payload
-from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.robot.tool import find_tool, with_payload
 from pupper_analysis.simulation.verify import load_by_mujoco
 from tests.support.variants import load
 

@@ -64,11 +64,11 @@ def test_branches_reach_by_mujocos_kinematics_and_are_as_many_as_others_find(
     robot, qpos, targets = goals(name, seed)
     found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
     others = 0
-    for limb, ways in found.items():
+    for limb, branches in found.items():
         (foot,) = limb.feet
-        reached = [way for way in ways if way.miss < 1e-5]
+        reached = [way for way in branches if way.miss < 1e-5]
         assert reached, "it is in reach"
-        for way in ways:
+        for way in branches:
             bent = qpos.copy()
             bent[7 + limb.joints] = way.positions
             miss = np.linalg.norm(places_by_mujoco(robot, bent)[foot] - targets[foot])
@@ -101,8 +101,8 @@ def test_a_whole_turn_is_no_other_branch() -> None:
     bent[7:] = np.tile([0.2, 0.7, -1.4], 4)
     targets = pa.Configuration(robot, bent).foot_positions()
     found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
-    for limb, ways in found.items():
-        reached = [way.positions for way in ways if way.miss < 1e-5]
+    for limb, branches in found.items():
+        reached = [way.positions for way in branches if way.miss < 1e-5]
         assert len(reached) == 4
         assert all((np.abs(positions) <= np.pi).all() for positions in reached)
         assert min(np.abs(positions - bent[7 + limb.joints]).max() for positions in reached) < 1e-3

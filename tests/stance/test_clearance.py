@@ -291,8 +291,8 @@ def test_heights_change_by_their_derivatives(name: str, ground: pa.Ground) -> No
                 moved = qpos.copy()
                 moved[index] += step
                 ends.append(np.array(shapes.heights(shapes.at(moved), ground, places, {})))
-            slopes = (ends[0] - ends[1]) / 2e-4
-            np.testing.assert_allclose(rates[:, column], slopes, atol=2e-3)
+            rates_found = (ends[0] - ends[1]) / 2e-4
+            np.testing.assert_allclose(rates[:, column], rates_found, atol=2e-3)
 
 
 def test_a_stand_that_leaves_the_base_millimetres_is_found() -> None:

@@ -10,7 +10,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.build import rebuild_robot
-from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.posture import find_posture
 from tests.support import arm
 from tests.support.random_legged import drawn, written

@@ -110,7 +110,7 @@ def nearest(
         gaps = [feet[foot] - target for foot, target in targets.items()]
         return np.concatenate([*gaps, config.center_of_mass()[:2] - centre])
 
-    def slopes(x: np.ndarray) -> np.ndarray:
+    def jacobian(x: np.ndarray) -> np.ndarray:
         config = pa.Configuration(robot, [*x[:2], task.height, *quat, *x[2:]])
         columns = [0, 1, *range(6, 18)]
         rows = [*config.foot_jacobians().values(), config.com_jacobian()[:2]]
@@ -120,7 +120,7 @@ def nearest(
     for _ in range(tries):
         start = np.concatenate([centre, random.uniform(lower, upper)])
         bounds = (np.r_[centre - 0.5, lower], np.r_[centre + 0.5, upper])
-        found = least_squares(misses, start, slopes, bounds=bounds, xtol=1e-12, max_nfev=150)
+        found = least_squares(misses, start, jacobian, bounds=bounds, xtol=1e-12, max_nfev=150)
         best = min(best, float(np.abs(found.fun).max()))
         if best < 1e-7:
             break

@@ -211,7 +211,7 @@ def answers(source: Path, count: int, first: int, scratch: Path) -> list[Answer]
             continue
         diff = pa.diff_models(original, edited)
         messages = [change for change in diff.changes if change.effects]
-        felt = bool(messages) or any(each.code == "simulation-changes" for each in diff.together)
+        felt = bool(messages) or any(each.code == "simulation-changes" for each in diff.combined)
         places = [change.new_place.rpartition(":")[2] for change in diff.changes]
         placed = made.element is None or str(_line(tree, made.element, edited)) in places
         found.append(Answer(f"{made.what}, seed {seed}", truth, felt, diff.same, placed))

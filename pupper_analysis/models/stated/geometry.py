@@ -33,8 +33,8 @@ _CIRCLE = np.array([(np.cos(a), np.sin(a), 0.0) for a in np.linspace(0, 2 * np.p
 _Z = np.array([0.0, 0.0, 1.0])
 
 
-_WAYS = np.concatenate([np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(60, 3))])
-DIRECTIONS = _WAYS / np.linalg.norm(_WAYS, axis=1, keepdims=True)
+_SAMPLES = np.concatenate([np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(60, 3))])
+DIRECTIONS = _SAMPLES / np.linalg.norm(_SAMPLES, axis=1, keepdims=True)
 """(66, 3) in which the extents of two shapes are compared: axes, and enough others that no turn of
 a box or a cylinder hides between them."""
 

@@ -6,7 +6,7 @@ import mujoco
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf_xml import MjcfXml
-from pupper_analysis.models.xml_text import write_numbers
+from pupper_analysis.models.xml import write_numbers
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.prepare.convert.from_urdf import UrdfBodies
 

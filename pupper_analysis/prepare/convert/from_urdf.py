@@ -16,14 +16,12 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.models.attributes import PASSIVE
-from pupper_analysis.models.capsules import states_no_limits
+from pupper_analysis.models.attributes import FLOOR, PASSIVE
 from pupper_analysis.models.mjcf_xml import MjcfXml
-from pupper_analysis.models.model_tree import FLOOR
 from pupper_analysis.models.places import refusal_at
-from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_file import UrdfFile, states_no_limits
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink
-from pupper_analysis.models.xml_text import (
+from pupper_analysis.models.xml import (
     add_element,
     free_name,
     is_zero,

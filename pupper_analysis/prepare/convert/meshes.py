@@ -14,7 +14,7 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import flat_mesh
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.xml_text import add_element, free_name
+from pupper_analysis.models.xml import add_element, free_name
 from pupper_analysis.prepare.convert.mesh_files import (
     READABLE,
     UnreadableError,

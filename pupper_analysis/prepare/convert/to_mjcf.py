@@ -18,8 +18,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import origin_of, set_origin
-from pupper_analysis.models.xml import to_text as urdf_text
-from pupper_analysis.models.xml_text import add_element, put_defaults, to_text
+from pupper_analysis.models.xml import add_element, new_file_text, put_defaults, to_text
 from pupper_analysis.prepare import drives
 from pupper_analysis.prepare.convert import equip
 from pupper_analysis.prepare.convert.conversion import ConversionDraft
@@ -196,7 +195,7 @@ class _Bare:
             for shape in link.element.findall("collision"):
                 set_origin(shape, joint.origin * origin_of(shape))
                 tree.links[joint.parent].element.append(shape)
-        return UrdfImport(self.urdf.path, urdf_text(tree.root), assets)
+        return UrdfImport(self.urdf.path, to_text(tree.root), assets)
 
 
 def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
@@ -246,7 +245,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft
     put_defaults(mjcf.root)
     header = f"Converted from {urdf.path.name} by pupper-analysis."
     return ConversionDraft(
-        text=to_text(mjcf.root, header),
+        text=new_file_text(mjcf.root, header),
         meshes=meshes.made,
         notes=tuple(notes),
         not_converted=tuple(left),

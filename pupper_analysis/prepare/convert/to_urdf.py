@@ -23,7 +23,6 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.attributes import PASSIVE
-from pupper_analysis.models.capsules import ENDLESS_SLIDE
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.free_base import join_free_base
@@ -31,12 +30,13 @@ from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, ha
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.stated.elements import stated_numbers, touching_geoms
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+from pupper_analysis.models.urdf_file import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
-from pupper_analysis.models.xml_text import (
+from pupper_analysis.models.xml import (
     DIGITS,
     add_element,
     free_name,
-    to_text,
+    new_file_text,
     write_numbers,
 )
 from pupper_analysis.prepare.convert.conversion import ConversionDraft
@@ -257,7 +257,7 @@ def urdf_draft(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> Conv
     if floating:
         notes.append(diagnose("free-base-not-in-urdf"))
     header = f"Converted from {file.path.name} by pupper-analysis."
-    return ConversionDraft(to_text(tree.root, header), {}, tuple(notes), tuple(left))
+    return ConversionDraft(new_file_text(tree.root, header), {}, tuple(notes), tuple(left))
 
 
 def _weigh_nothing(link: UrdfLink) -> None:

@@ -15,7 +15,7 @@ from pupper_analysis.base.arrays import placement_of
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_tree import set_origin
-from pupper_analysis.models.xml_text import (
+from pupper_analysis.models.xml import (
     DIGITS,
     add_element,
     free_name,

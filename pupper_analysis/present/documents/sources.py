@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from pupper_analysis.base.errors import InputError, ModelError
+from pupper_analysis.base.inputs import read_content
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.standard_input import read_content
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.xml import MAX_BYTES
 from pupper_analysis.present.document import Name, Text, text

@@ -109,10 +109,13 @@ def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
             case "line":
                 axes.plot([mark["x1"], mark["x2"]], [mark["y1"], mark["y2"]], **_line(kind, 0.7))
             case "polyline" if kind != "unseen":
-                look = {"color": mark["stroke"]} if "stroke" in mark else {}
-                axes.plot(*np.array(mark["points"]).T, **(_line(kind, 1.3) | look))
+                axes.plot(*np.array(mark["points"]).T, **_line(kind, 1.3))
             case "polygon":
-                look = {"ec": _COLOURS[kind], "fill": False, "ls": _DASHES.get(kind, "-")}
+                look: dict[str, Any] = {
+                    "ec": _COLOURS[kind],
+                    "fill": False,
+                    "ls": _DASHES.get(kind, "-"),
+                }
                 axes.add_patch(Polygon(mark["points"], lw=1.3, **look))
             case "circle":
                 fill = kind != "grid"

@@ -18,13 +18,13 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.attributes import IN_A_TREE
-from pupper_analysis.models.capsules import ENDLESS_SLIDE
 from pupper_analysis.models.multibody import (
     MultibodyTree,
     TreeBody,
     TreeJoint,
     with_value_of,
 )
+from pupper_analysis.models.urdf_file import ENDLESS_SLIDE
 from pupper_analysis.robot.compare.differences import (
     FORMATS,
     Difference,

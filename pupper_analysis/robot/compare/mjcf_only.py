@@ -27,7 +27,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.models.mjcf import JointKind
+from pupper_analysis.models.mjcf import JointKind, equality_ends, equality_name
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.robot.matching.trees import Reference
 from pupper_analysis.robot.matching.urdf import Mimics
@@ -427,11 +427,11 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     for index in range(model.neq):
         if not model.eq_active0[index]:
             continue
-        ends = _ends(scene, index)
+        ends = equality_ends(model, index)
         bodies = [_end_bodies(scene, what, target) for what, target in ends]
         if not any(end is None or end & scene.bodies for end in bodies):
             continue  # of other objects of the scene
-        name = scene.name("equality", index)
+        name = equality_name(scene.names, index)
         kind = EQUALITY(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
         one, two = (_end_name(scene, *end) for end in ends)
         subject = ("equality", name)
@@ -445,15 +445,6 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             ),
             (("eq_active0", index),),
         )
-
-
-def _ends(scene: NamedModel, index: int) -> list[tuple[mujoco.mjtObj, int]]:
-    """The kinds and ids of the two objects of an equality; -1 where it has one only."""
-    model = scene.model
-    what = _EQUALITY_OBJECTS.get(int(model.eq_type[index])) or mujoco.mjtObj(
-        int(model.eq_objtype[index])
-    )
-    return [(what, int(model.eq_obj1id[index])), (what, int(model.eq_obj2id[index]))]
 
 
 def _end_bodies(scene: NamedModel, what: mujoco.mjtObj, target: int) -> set[int] | None:
@@ -524,15 +515,6 @@ def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             message = diagnose("flag-of-the-mjcf-alone", subject=("flag", word), what=Term(what))
             yield MjcfOnlyEffect("flag", word, "disable", "", message)
 
-
-# MuJoCo's eq_objtype is for constraints that take bodies or sites.
-_EQUALITY_OBJECTS = {
-    EQUALITY.mjEQ_JOINT.value: mujoco.mjtObj.mjOBJ_JOINT,
-    EQUALITY.mjEQ_TENDON.value: mujoco.mjtObj.mjOBJ_TENDON,
-    EQUALITY.mjEQ_FLEX.value: mujoco.mjtObj.mjOBJ_FLEX,
-    EQUALITY.mjEQ_FLEXVERT.value: mujoco.mjtObj.mjOBJ_FLEX,
-    EQUALITY.mjEQ_FLEXSTRAIN.value: mujoco.mjtObj.mjOBJ_FLEX,
-}
 
 _FLAGS = (
     (DISABLE.mjDSBL_LIMIT, "limit", "no joint limit acts"),

@@ -25,16 +25,14 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import InputError, ModelError, UnknownNameError
 from pupper_analysis.base.inputs import read_toml
 from pupper_analysis.models.attributes import BY_KIND, PASSIVE
-from pupper_analysis.models.capsules import for_engines
-from pupper_analysis.models.description import Description
+from pupper_analysis.models.description import Description, ModelTree
 from pupper_analysis.models.free_base import delete_joint, join_free_base
 from pupper_analysis.models.mjcf import compile_spec, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.model_tree import ModelTree
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.places import refuse_input
 from pupper_analysis.models.spec_tree import SpecTree, state_number
-from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_file import UrdfFile, for_engines
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.matching.alignment import with_base
@@ -152,10 +150,10 @@ def parts_of(tree: ModelTree, extra: Collection[str]) -> dict[str, list[list[Rem
         return up if up is not None and not tree.movers(up) and tree.parent(up) else None
 
     tops = [part(link) for link in tree.names if set(tree.movers(link)) & set(extra)]
-    return _ways([top for top in tops if top is not None], part, holder)
+    return _removals([top for top in tops if top is not None], part, holder)
 
 
-def _ways(
+def _removals(
     tops: list[RemovablePart],
     part: Callable[[str], RemovablePart | None],
     parent: Callable[[str], str | None],
@@ -164,10 +162,10 @@ def _ways(
     largest = [
         top for top in tops if not any(set(top.joints) < set(other.joints) for other in tops)
     ]
-    ways: dict[str, list[list[RemovablePart]]] = {}
+    removals: dict[str, list[list[RemovablePart]]] = {}
     for carrier in dict.fromkeys(top.carrier for top in largest):
         level = [top for top in largest if top.carrier == carrier]
-        ways[carrier] = [level]
+        removals[carrier] = [level]
         while True:
             higher: dict[str, RemovablePart] = {}
             for each in level:
@@ -181,16 +179,16 @@ def _ways(
                 for each in higher.values()
                 if not any(set(each.joints) < set(other.joints) for other in higher.values())
             ]
-            ways[carrier].append(level)
-    return ways
+            removals[carrier].append(level)
+    return removals
 
 
-Ways = Mapping[str, list[list[RemovablePart]]]
+Removals = Mapping[str, list[list[RemovablePart]]]
 
 
 def removable_subtrees(
     trees: tuple[UrdfTree, SpecTree], only_urdf: Collection[str], only_mjcf: Collection[str]
-) -> tuple[Ways, Ways]:
+) -> tuple[Removals, Removals]:
     """Returns the ways to take off the joints that one file lacks, of the URDF and of the MJCF."""
     return parts_of(trees[0], only_urdf), parts_of(trees[1], only_mjcf)
 
@@ -198,17 +196,17 @@ def removable_subtrees(
 def take_off(
     trees: tuple[UrdfTree, SpecTree],
     files: tuple[Path, Path],
-    ways: tuple[Ways, Ways],
+    removals: tuple[Removals, Removals],
     pairs: Mapping[str, str],
 ) -> list[Diagnostic]:
     """Takes off what one file has and the other lacks, where masses say so; returns what it is."""
-    if not any(ways):
+    if not any(removals):
         return []
     one, two = urdf_tree(trees[0].root, files[0]), mjcf_tree(trees[1].spec, files[1])
     said = []
     for tree, candidates, here, there, words in (
-        (trees[0], ways[0], one, two, ("URDF", "MJCF")),
-        (trees[1], ways[1], two, one, ("MJCF", "URDF")),
+        (trees[0], removals[0], one, two, ("URDF", "MJCF")),
+        (trees[1], removals[1], two, one, ("MJCF", "URDF")),
     ):
         for carrier, way in candidates.items():
             name = pairs.get(carrier, carrier) if words[0] == "URDF" else carrier
@@ -360,10 +358,10 @@ def match_models(
         spec.delete(key)  # its size may no longer fit
     opened, freed = open_loops(spec, at_bodies, only_mjcf) if complete else ((), [])
     sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
-    ways = removable_subtrees(sides, only_urdf, only_mjcf)
+    removals = removable_subtrees(sides, only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
-    parts = [] if complete else take_off(sides, paths, ways, pairs)
+    parts = [] if complete else take_off(sides, paths, removals, pairs)
     own = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # as long as compiling
     models = whole, whole if joined else own
     notes += take_unknown(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)

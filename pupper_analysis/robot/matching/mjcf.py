@@ -15,7 +15,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.free_base import delete_joint
-from pupper_analysis.models.mjcf import JointKind, compile_spec
+from pupper_analysis.models.mjcf import JointKind, compile_spec, numbered
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.matching.alignment import with_base
 from pupper_analysis.robot.matching.pairs import without_affixes
@@ -193,7 +193,8 @@ def open_loops(
         joints = _joints_between(spec, equality, balls)
         if equality.active and not joints.isdisjoint(gone):
             kind = mujoco.mjtEq(equality.type).name.removeprefix("mjEQ_").lower()
-            opened.append(f"{kind} {equality.name or f'#{index}'}")
+            ends = [equality.name1, equality.name2 or "world"]
+            opened.append(f"{kind} {equality.name or numbered(index, *ends)}")
             through |= dict.fromkeys(name for name in gone if name in joints)
             freed |= dict.fromkeys(sorted(joints - set(gone) - driven))
             spec.delete(equality)
@@ -209,7 +210,7 @@ def _joints_between(
         return {name for name in (equality.name1, equality.name2) if name}
     if equality.type not in _BODIES:
         return set()
-    ways = []
+    directions = []
     for name in (equality.name1, equality.name2):
         site = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
         body = spec.site(name).parent if site and name else spec.body(name) if name else None
@@ -217,5 +218,5 @@ def _joints_between(
         while body is not None and body.name != "world":
             way |= {joint.name for joint in body.joints} | set(balls.get(body.name, ()))
             body = body.parent
-        ways.append(way)
-    return ways[0] ^ ways[1]
+        directions.append(way)
+    return directions[0] ^ directions[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -49,28 +49,6 @@ _GLOBAL_OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
 """Kinds that concern the whole of a URDF, and the options of the MJCF that state them."""
 
 
-class Sources(Protocol):
-    """Where the numbers of a tree of joints stand in its file."""
-
-    def place(self, kind: str, element: str) -> Place:
-        """Returns where a number stands; the file alone where it has none.
-
-        Args:
-            kind: Of the number, as of a `Difference`.
-            element: The joint, the body (by the joint that moves it, or the base), the frame or
-                another element, as it is called in the comparison.
-        """
-
-    def members(self, mover: str) -> list[tuple[str, float]]:
-        """Returns (link, kg) of what moves with a joint, or is the base, and has mass.
-
-        What the joint moves comes first, though it may have none.
-        """
-
-    def weight(self, kind: str, name: str) -> Place:
-        """Returns where a link's mass, com or inertia stands."""
-
-
 @dataclass(frozen=True, eq=False)
 class UrdfSources:
     """Where the numbers stand in a URDF.
@@ -94,7 +72,13 @@ class UrdfSources:
     base: tuple[str, ...]
 
     def place(self, kind: str, element: str) -> Place:
-        """Returns where a number stands: see `Sources`."""
+        """Returns where a number stands; the file alone where it has none.
+
+        Args:
+            kind: Of the number, as of a `Difference`.
+            element: The joint, the body (by the joint that moves it, or the base), the frame or
+                another element, as it is called in the comparison.
+        """
         child, file = _URDF_CHILD.get(kind), self.file
         if kind == "gravity compensation":
             mover = self.movers.get(element)
@@ -114,7 +98,10 @@ class UrdfSources:
         return file.place("joint", self.joints.get(element, element), child)
 
     def members(self, mover: str) -> list[tuple[str, float]]:
-        """Returns the links that move with a joint: see `Sources`."""
+        """Returns (link, kg) of what moves with a joint, or is the base, and has mass.
+
+        What the joint moves comes first, though it may have none.
+        """
         top = self.links[mover]
         masses = [(name, self.tree.links[name].mass or 0.0) for name in self.tree.fixed_group(top)]
         return [masses[0], *((name, mass) for name, mass in masses[1:] if mass)]
@@ -145,14 +132,14 @@ class MjcfSources:
     renumbered: bool = False
 
     def place(self, kind: str, element: str) -> Place:
-        """Returns where a number stands: see `Sources`."""
+        """Returns where a number stands: see `UrdfSources`."""
         file, body = self.file, self.bodies.get(element, "")
         if kind in _SECTION:
             if not element.startswith("#"):
                 return file.place(_SECTION[kind], element)
             if self.renumbered:
                 return Place(file.path)
-            return file.numbered(_SECTION[kind], int(element[1:]))
+            return file.numbered(_SECTION[kind], int(element[1:].split()[0]))
         if kind in _GLOBAL_OPTIONS:
             words = set(_GLOBAL_OPTIONS[kind]) or {element}
             tag = "flag" if kind == "flag" else "option"
@@ -177,7 +164,7 @@ class MjcfSources:
         return _first(file, kind, tries)
 
     def members(self, mover: str) -> list[tuple[str, float]]:
-        """Returns the bodies that move with a joint: see `Sources`."""
+        """Returns the bodies that move with a joint: see `UrdfSources`."""
         model = self.model
         top = model.body(self.bodies[mover]).id
         welded = np.flatnonzero(model.body_weldid == model.body_weldid[top]).tolist()
@@ -189,6 +176,10 @@ class MjcfSources:
         """Returns where a body's mass, com or inertia stands: all three in its <inertial>."""
         del kind
         return self.file.weighing(name)
+
+
+Sources = UrdfSources | MjcfSources
+"""Where the numbers of a tree of joints stand in its file."""
 
 
 def _heaviest(members: Sequence[tuple[str, float]]) -> str:

@@ -18,8 +18,8 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models import multibody
-from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.places import one_line
+from pupper_analysis.models.urdf_file import for_engines
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.matching.trees import at_zero
 from pupper_analysis.robot.robot import Robot

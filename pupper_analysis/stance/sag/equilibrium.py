@@ -481,10 +481,10 @@ def rigid_slips(
     places = np.array([anchor.place for anchor in anchors.values()]) @ frame.T
     for own in shared:
         x, y = (places[own, :2] - places[own, :2].mean(axis=0)).T
-        ways = np.zeros((len(own), 2, 3))
-        ways[:, 0, 0] = ways[:, 1, 1] = 1.0
-        ways[:, 0, 2], ways[:, 1, 2] = -y, x
-        flat = ways.reshape(-1, 3)
+        directions = np.zeros((len(own), 2, 3))
+        directions[:, 0, 0] = directions[:, 1, 1] = 1.0
+        directions[:, 0, 2], directions[:, 1, 2] = -y, x
+        flat = directions.reshape(-1, 3)
         part = (flat @ np.linalg.pinv(flat)).reshape(len(own), 2, len(own), 2)
         whole[np.ix_(own, range(2), own, range(2))] = part
     return whole

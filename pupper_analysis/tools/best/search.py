@@ -202,21 +202,21 @@ class StanceSearch:
         space = self.space
         if not (space.high > space.low).any():
             return
-        together = Subspace(space, space.start, space.directions())
-        samples = _samples(together.size)
-        tried = [self.evaluate(together.at(sample)) for sample in samples]
+        joined = Subspace(space, space.start, space.directions())
+        samples = _samples(joined.size)
+        tried = [self.evaluate(joined.at(sample)) for sample in samples]
         order = np.argsort([self.merit(stance) for stance in tried], kind="stable")
-        starts = (together.start, *samples[order[:_STARTS]])
-        ends = [self._descend(together, start, _FIRST) for start in starts]
+        starts = (joined.start, *samples[order[:_STARTS]])
+        ends = [self._descend(joined, start, _FIRST) for start in starts]
         order = np.argsort([level for level, _ in ends], kind="stable")
         for number in order[:_FINALISTS]:
             level, share = ends[number]
             before = np.inf
             while before - level > _WORTHWHILE * abs(level):  # a kink may stop a descent short
                 before = level
-                level, share = self._descend(together, share, _DESCENT)
+                level, share = self._descend(joined, share, _DESCENT)
             if np.isfinite(level):
-                self._descend_apart(together.at(share), _APART)
+                self._descend_apart(joined.at(share), _APART)
         before = np.inf
         while before - self.best.level > _WORTHWHILE * abs(self.best.level):
             before = self.best.level

@@ -45,7 +45,7 @@ from pupper_analysis.tools.check.remarks import (
 from pupper_analysis.tools.diff.compare import diff_models
 from pupper_analysis.tools.diff.version import open_revision
 
-TOGETHER = "simulation"
+SIMULATION = "simulation"
 """The kind of a remark on what all changes of a file do together."""
 
 
@@ -77,9 +77,9 @@ def of_history(
             "diff", pair.name, change.kind, change.element, named, change.diagnostic, bad,
             change.new_place or str(file), consequences=change.consequences,
         )  # fmt: skip
-    for message in diff.together:
+    for message in diff.combined:
         yield remark_of(
-            "diff", pair.name, TOGETHER, "", named, message, _severity((message,)), str(file)
+            "diff", pair.name, SIMULATION, "", named, message, _severity((message,)), str(file)
         )
 
 

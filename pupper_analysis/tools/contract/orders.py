@@ -223,9 +223,9 @@ def _whole_limbs(order: tuple[str, ...], motors: tuple[int, ...], model: RobotMo
     if len(motors) > len(order):
         return False
     by_motor = [joint for _, joint in sorted(zip(motors, order, strict=False))]
-    ways = limbs(model)
+    directions = limbs(model)
     for before, after in pairwise(by_motor):
-        if len(ways.get(after, ())) > 1 and before not in ways[after]:
+        if len(directions.get(after, ())) > 1 and before not in directions[after]:
             return False
     return True
 

@@ -90,7 +90,7 @@ class ModelDiff(Result):
         deviations: {quantity: relative deviation between the two}.
         residual: {quantity: relative deviation that no change explains}.
         complete: Whether nothing is left.
-        together: Of two MJCFs: what all changes do when both files are simulated as they are; none
+        combined: Of two MJCFs: what all changes do when both files are simulated as they are; none
             if it is reported of the only one.
         notes: What was assumed or left out.
     """
@@ -104,7 +104,7 @@ class ModelDiff(Result):
     deviations: dict[str, float]
     residual: dict[str, float]
     complete: bool
-    together: tuple[Diagnostic, ...]
+    combined: tuple[Diagnostic, ...]
     notes: tuple[Diagnostic, ...]
 
 
@@ -240,10 +240,10 @@ class _Comparison:
         if isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
             models = one.model, two.model
         self.differences += changed_elements(self.one.elements, self.two.elements, models)
-        together: tuple[Diagnostic, ...] = ()
+        combined: tuple[Diagnostic, ...] = ()
         alone = [isinstance(each, ElementDifference) for each in self.differences] == [True]
         if models is not None and not alone:  # what one does alone is told of it
-            together = effect_of_all(*models, explained=bool(self.differences))
+            combined = effect_of_all(*models, explained=bool(self.differences))
         patched = trial.behaviour(apply_changes(first, second, VERSIONS))
         left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
         holding = trial.holding_torques(first), trial.holding_torques(second)
@@ -251,14 +251,14 @@ class _Comparison:
         return ModelDiff(
             old=self.sources[0].name,
             new=self.sources[1].name,
-            same=not (self.differences or together),
+            same=not (self.differences or combined),
             changes=tuple(map(self._change, self.differences)),
             mass=(_mass(first), _mass(second)),
             torques={name: (holding[0][name], holding[1][name]) for name in first.joints},
             deviations={name: judge.relative(name, before[name], after[name]) for name in before},
             residual=left,
             complete=all(value <= EXPLAINED for value in left.values()),
-            together=together,
+            combined=combined,
             notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes, *_undefined(trial)))),
         )
 

@@ -52,9 +52,9 @@ def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
             ),
             tuple(map(doc.tell, change.consequences)) or (_effects(change),),
         )
-    if diff.together:
+    if diff.combined:
         title = text("all-changes-together") if diff.changes else text("no-change-explains")
-        yield doc.Lines(tuple(map(doc.tell, diff.together)), "" if diff.changes else "bad", title)
+        yield doc.Lines(tuple(map(doc.tell, diff.combined)), "" if diff.changes else "bad", title)
     if not diff.same:
         yield from _torques(diff)
     if not diff.complete:

@@ -267,10 +267,10 @@ def effect_of_all(
         return ()
     before, after = _simulate(old, 0), _simulate(new, 0)
     start = old.key(0).name if old.nkey else ""
-    effects, messages = _weigh(before, after, start, together=False)
+    effects, messages = _weigh(before, after, start, joined=False)
     if explained or not effects:
         return messages if explained else ()
-    nudged, _ = _weigh(before, _simulate(old, 0, ROUNDING), start, together=False)
+    nudged, _ = _weigh(before, _simulate(old, 0, ROUNDING), start, joined=False)
     # A tenth: where both have left their course, they are apart by any part of the way.
     return () if nudged and nudged[MOTION].deviation > 0.1 * effects[MOTION].deviation else messages
 
@@ -299,12 +299,12 @@ class _Trial:
         self, word: str, elements: Iterable[tuple[Key, Element | None, Element | None]]
     ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
         """Returns what a change does alone, or, where it cannot be made alone, with all others."""
-        model, key, together = copy.copy(self.old), 0, False
+        model, key, joined = copy.copy(self.old), 0, False
         for (kind, name), one, two in elements:
             if kind == "flag":
                 _switch(model, self.new, name)
             elif one is None or two is None or not _apply(model, self.new, kind, word, one, two):
-                model, together = self.new, True
+                model, joined = self.new, True
                 break
             elif kind == "key":
                 key = one.row
@@ -312,7 +312,7 @@ class _Trial:
             self._unchanged[key] = _simulate(self.old, key)
         before, after = self._unchanged[key], _simulate(model, key)
         start = self.old.key(key).name if self.old.nkey else ""
-        return _weigh(before, after, start, together=together)
+        return _weigh(before, after, start, joined=joined)
 
 
 _OF_BODIES = {"contype": np.bitwise_or, "conaffinity": np.bitwise_or, "margin": np.maximum}
@@ -407,13 +407,13 @@ def _least_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | None:
 
 
 def _weigh(
-    before: _Run, after: _Run, start: str, *, together: bool
+    before: _Run, after: _Run, start: str, *, joined: bool
 ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
     """Returns by how much two simulations differ, and what of it a user would see."""
     seconds = Quantity(min(before.seconds, after.seconds), "s")
     if before.qpos.shape != after.qpos.shape:
         return {}, ()
-    where: dict[str, Any] = {"seconds": seconds, "start": start, "together": together}
+    where: dict[str, Any] = {"seconds": seconds, "start": start, "joined": joined}
     same_end = np.isnan(before.qpos) & np.isnan(after.qpos)
     off = np.where(same_end, 0.0, np.abs(after.qpos - before.qpos))
     worst = float(np.nan_to_num(off, nan=math.inf).max(initial=0.0))

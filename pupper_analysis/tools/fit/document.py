@@ -11,12 +11,12 @@ from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS
 from pupper_analysis.tools.fit.result import (
+    Combination,
     Correlation,
     Determined,
     Estimate,
     Fit,
     MotionFit,
-    Together,
 )
 from pupper_analysis.tools.fit.stands.fit import JointResidual, StandFit
 from pupper_analysis.tools.fit.stands.plan import StandPlan
@@ -65,7 +65,7 @@ def describe_fit(
         passed=fit.explained,
         verdict=text("model-explains") if fit.explained else text("model-does-not-explain"),
         failures=tuple(doc.tell(one) for one in fit.failures),
-        findings=(*messages, *open_lines(fit.estimates, fit.together)),
+        findings=(*messages, *open_lines(fit.estimates, fit.combinations)),
         notes=tuple(doc.tell(one) for one in fit.diagnostics),
     )
 
@@ -89,25 +89,27 @@ def parameter_tables(estimates: Iterable[Estimate]) -> list[doc.Block]:
     return blocks
 
 
-def open_lines(estimates: Iterable[Estimate], together: Iterable[Together]) -> list[doc.Words]:
+def open_lines(
+    estimates: Iterable[Estimate], combinations: Iterable[Combination]
+) -> list[doc.Words]:
     """Returns what measurements leave open: combinations, and what the prior holds."""
     own = [one for one in estimates if one.kind not in OF_SURROUNDINGS]
     partly = [one for one in own if one.determined is Determined.PARTLY]
     untold = [one for one in own if one.determined is Determined.PRIOR]
-    return [*_open(together), *_held(partly, untold)]
+    return [*_open(combinations), *_held(partly, untold)]
 
 
-def _open(together: Iterable[Together]) -> Iterable[doc.Words]:
+def _open(combinations: Iterable[Combination]) -> Iterable[doc.Words]:
     """Yields what cannot be told apart, and what else to measure."""
-    for one in together:
+    for one in combinations:
         names = doc.Name(", ".join(one.names[:_MOST]) + (", ..." if one.names[_MOST:] else ""))
         yield text("only-ratio-told" if one.ratio else "only-together-told", names=names)
-        if one.remedies:
+        if one.measurements:
             named = [
                 text("remedy-and-factor", remedy=text(code), factor=f"{factor:.1f}")
-                for code, factor in one.remedies.items()
+                for code, factor in one.measurements.items()
             ]
-            yield text("what-would-tell", ways=join_words(named))
+            yield text("what-would-tell", measurements=join_words(named))
 
 
 _MOST = 6

@@ -183,7 +183,7 @@ def estimate_parameters(
     *,
     least: Array | None = None,
     enough: float = _SETTLED,
-    slopes: Slopes | None = None,
+    jacobian: JacobianReuse | None = None,
 ) -> Posterior:
     """Returns the parameters that measurements and priors make most probable.
 
@@ -204,7 +204,7 @@ def estimate_parameters(
         start: (n,) to begin with; the stated values by default.
         least: (n,) below which parameters mean nothing; 0 of kinds that are positive, by default.
         enough: A step that promises no more is not taken.
-        slopes: The derivatives that ``linearise`` uses. By default it makes its own each time.
+        jacobian: The derivatives that ``linearise`` uses. By default it makes its own each time.
 
     Raises:
         FitError: If it does not converge.
@@ -212,38 +212,38 @@ def estimate_parameters(
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
     if least is None:
         least = np.array([0.0 if KINDS[one.kind].positive else -np.inf for one in table])
-    costly, damping = slopes is not None, 0.0
-    slopes = slopes or Slopes()
-    made = slopes.made
+    costly, damping = jacobian is not None, 0.0
+    jacobian = jacobian or JacobianReuse()
+    made = jacobian.made
     for steps in range(1, _MOST_STEPS + 1):
-        slopes.prepare(x)
+        jacobian.prepare(x)
         here = _Quadratic(table, linearise(x, x), x, least)
         if not here.has_minimum:
             break
         whole_step = here.step(0.0)
         promised = here.promise(whole_step)
         if promised < enough:
-            if slopes.are_near(x, here.curvature, _NEAR * enough):
+            if jacobian.are_near(x, here.curvature, _NEAR * enough):
                 return here.posterior(steps)
-            slopes.outdated = True
+            jacobian.outdated = True
             continue
-        spent = slopes.spent(made) and promised < _STALLED * here.cost
+        spent = jacobian.spent(made) and promised < _STALLED * here.cost
         if spent or (steps == _MOST_STEPS and promised < _OPEN):
             return here.posterior(steps, whole_step)
-        moved, damping = _move(here, linearise, damping, plain=not slopes.are_at(x))
-        at_x = slopes.are_at(x)
+        moved, damping = _move(here, linearise, damping, plain=not jacobian.are_at(x))
+        at_x = jacobian.are_at(x)
         if (moved is not None and moved.gain > enough) and (
             not (at_x and costly)
             or moved.gain > _KEPT * promised
             or moved.gain > max(_LEAST_KEPT * promised, _MUDDY)
         ):
-            x, slopes.outdated = moved.x, not _KEPT <= moved.kept <= 1 / _KEPT
+            x, jacobian.outdated = moved.x, not _KEPT <= moved.kept <= 1 / _KEPT
         elif not at_x:
-            slopes.outdated, damping = True, 0.0
+            jacobian.outdated, damping = True, 0.0
         elif promised < (_STALLED * here.cost if costly and moved is None else _OPEN):
             return here.posterior(steps, whole_step)
         elif moved is not None:
-            x, slopes.outdated = moved.x, True
+            x, jacobian.outdated = moved.x, True
         else:
             break
     raise FitError(diagnose("fit-does-not-converge", steps=steps))
@@ -408,7 +408,7 @@ _MOST = 6
 """Times: fits that end make them one to four times with the same noise."""
 
 
-class Slopes:
+class JacobianReuse:
     """Derivatives that are made when they are needed, and how good they are.
 
     Args:

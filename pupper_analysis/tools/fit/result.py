@@ -50,26 +50,26 @@ def determined_by(share: float) -> Determined:
 
 
 @dataclass(frozen=True)
-class Together(Result):
+class Combination(Result):
     """Parameters that measurements cannot tell apart.
 
     Attributes:
         names: Of the parameters.
         ratio: Whether it is their ratio that is determined, and not how large they are.
         std: Standard deviation of the combination that is determined, in parts of its prior's.
-        remedies: {what else to measure: by which factor that would narrow the widest of them},
+        measurements: {what else to measure: by which factor that would narrow the widest of them},
             the best first.
     """
 
     names: tuple[str, ...]
     ratio: bool
     std: float
-    remedies: Mapping[str, float]
+    measurements: Mapping[str, float]
 
 
-def find_together(
+def find_combinations(
     posterior: Posterior, more: Mapping[str, Array] | None = None
-) -> tuple[Together, ...]:
+) -> tuple[Combination, ...]:
     """Finds parameters that are told only in combinations.
 
     Two belong together if their correlation after the measurements is over 0.9 and each alone is
@@ -96,13 +96,13 @@ def find_together(
             waiting |= set(np.flatnonzero(bound[one]).tolist()) - group
         left -= group
         if len(group) > 1:
-            found.append(_together(posterior, sorted(group), spread, more or {}))
+            found.append(_combine(posterior, sorted(group), spread, more or {}))
     return tuple(found)
 
 
-def _together(
+def _combine(
     posterior: Posterior, group: list[int], spread: Array, more: Mapping[str, Array]
-) -> Together:
+) -> Combination:
     own = spread[np.ix_(group, group)]
     values, vectors = np.linalg.eigh(own)
     chosen = [posterior.parameters[place] for place in group]
@@ -114,11 +114,11 @@ def _together(
         factor = math.sqrt(float(values[-1]) / float(narrowed))
         if factor > _HELPS:
             after[what] = factor
-    return Together(
+    return Combination(
         names=tuple(one.name for one in chosen),
         ratio=_are_in_ratio(chosen, posterior.mean[group], widest),
         std=math.sqrt(float(values[0])),
-        remedies=dict(sorted(after.items(), key=lambda one: -one[1])),
+        measurements=dict(sorted(after.items(), key=lambda one: -one[1])),
     )
 
 
@@ -197,7 +197,7 @@ class Fit(Result):
         name: The robot's name.
         source: Where the measurements are from.
         estimates: Of all parameters, those of the surroundings last.
-        together: What cannot be distinguished.
+        combinations: What cannot be distinguished.
         failures: What the model does not explain.
         diagnostics: What else there is to say.
         posterior: What is known of all parameters together.
@@ -206,7 +206,7 @@ class Fit(Result):
     name: str
     source: str
     estimates: tuple[Estimate, ...]
-    together: tuple[Together, ...]
+    combinations: tuple[Combination, ...]
     failures: tuple[Diagnostic, ...]
     diagnostics: tuple[Diagnostic, ...]
     posterior: Posterior

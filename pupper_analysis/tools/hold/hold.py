@@ -21,18 +21,17 @@ from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.prepare.judge import judge_held
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, servo_gains
-from pupper_analysis.robot.tool import Tool, find_tool
+from pupper_analysis.robot.tool import Tool, find_tool, with_payload
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.stance.first_order import IDLE, borne_by_motors
 from pupper_analysis.stance.posture import Posture, check_held, find_posture, joint_units
 from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
+from pupper_analysis.tools.hold.motions import JointMotions, bound_in_common
 from pupper_analysis.tools.hold.sag import SaggedPosture, sag_posture
 from pupper_analysis.tools.hold.verify import PostureVerification, verify_posture
-from pupper_analysis.tools.hold.ways import Ways, bound_together
 from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
 
 Array = NDArray[np.float64]
@@ -78,7 +77,7 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
     check_held(robot)
     found, limits = [], robot.effort_limits
     limited = np.isfinite(limits) & (limits > 0)
-    for qpos in Ways(robot, posture).random(_POSTURES):
+    for qpos in JointMotions(robot, posture).random(_POSTURES):
         config = Configuration(robot, qpos)
         place = tool.position(config)
         middle = config.joint_position(tool.chain[0]) if tool.chain else np.zeros(3)
@@ -209,15 +208,15 @@ def servo_payload(
         The mass, and the joint whose command is at the end of its range; "" if it is the stiffness.
     """
     config, closure = Configuration(robot, posture.qpos), robot.closure
-    ways = np.eye(robot.nu) if closure is None else closure.ways(posture.qpos)
+    basis = np.eye(robot.nu) if closure is None else closure.null_space(posture.qpos)
     gains = servo_gains(robot, kp, None if kp is None else 0.0).kp
-    held = ways.T @ (config.static_rates({}) + np.diag(gains)) @ ways
+    held = basis.T @ (config.static_rates({}) + np.diag(gains)) @ basis
     columns = []
     for step in _STEP * np.eye(robot.nu):
         ends = [Configuration(robot, posture.qpos + way * step) for way in (1, -1)]
         ahead, behind = (tool.load_per_mass(end) for end in ends)
         columns.append((ahead - behind) / (2 * _STEP))
-    added = ways.T @ np.array(columns).T @ ways
+    added = basis.T @ np.array(columns).T @ basis
     held, added = (held + held.T) / 2, (added + added.T) / 2
     if linalg.eigvalsh(held)[0] <= 0:
         return 0.0, ""
@@ -245,7 +244,7 @@ def _bearing(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
     """Tells which motors (nu,) may bear a payload: those that move it, or what moves with them."""
     bears = np.isin(robot.joint_names, tool.chain)
     closure = robot.closure
-    for joints in [] if closure is None else bound_together(closure, posture.qpos):
+    for joints in [] if closure is None else bound_in_common(closure, posture.qpos):
         bears[joints] |= bears[joints].any()
     return bears
 

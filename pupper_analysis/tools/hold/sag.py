@@ -90,8 +90,8 @@ def sag_posture(
     qpos = commanded.copy()
     config = Configuration(robot, qpos)
     for _ in range(_MOST_STEPS):
-        left, rates, ways = _balance(config, commanded, gains)
-        step = ways @ np.linalg.lstsq(rates, -left, rcond=None)[0]
+        left, rates, basis = _balance(config, commanded, gains)
+        step = basis @ np.linalg.lstsq(rates, -left, rcond=None)[0]
         longest = float(np.abs(step).max(initial=0.0))
         if longest < _MOVED or np.abs(left).max() <= _BALANCED * np.abs(config.load()).max():
             break
@@ -120,10 +120,10 @@ def sag_posture(
 def _balance(config: Configuration, commanded: Array, kp: Array) -> tuple[Array, Array, Array]:
     """Returns what is left of the balance (n,), its derivative (n, n), and the ways (nu, n)."""
     closure = config.robot.closure
-    ways = np.eye(len(kp)) if closure is None else closure.ways(config.qpos)
+    basis = np.eye(len(kp)) if closure is None else closure.null_space(config.qpos)
     left = config.load() + kp * (config.qpos - commanded)
     rates = config.static_rates({}) + np.diag(kp)
-    return ways.T @ left, ways.T @ rates @ ways, ways
+    return basis.T @ left, basis.T @ rates @ basis, basis
 
 
 def _beyond(robot: Robot, qpos: Array, torques: Array) -> Diagnostic | None:

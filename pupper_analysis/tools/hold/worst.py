@@ -22,7 +22,7 @@ from pupper_analysis.robot.configuration import AtRest, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool, carrying_link
 from pupper_analysis.stance.posture import Posture, check_held, joint_ranges
-from pupper_analysis.tools.hold.ways import Ways
+from pupper_analysis.tools.hold.motions import JointMotions
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ ROUNDING = 1e-8
 """N m per N of weight: by which two ways to compute a torque may differ."""
 
 
-class Looks:
+class JointLoads:
     """Looks at what motors and couplings of joints hold in postures (5 us each).
 
     Gravity, by Pinocchio; springs of joints and gravity compensation, which are gravity on lighter
@@ -64,9 +64,9 @@ class Looks:
                 self._others = AtRest(robot)
         self.springs_alone = self._others is None
 
-    def with_mass(self, tool: Tool, mass: float) -> Looks:
+    def with_mass(self, tool: Tool, mass: float) -> JointLoads:
         """Returns the same of the robot with a point mass at a tool (kg)."""
-        loaded = object.__new__(Looks)
+        loaded = object.__new__(JointLoads)
         vars(loaded).update(vars(self))
         model = self._model.copy()
         frame = model.frames[self._structure.links[tool.link]]
@@ -131,7 +131,7 @@ _FINE = 1e-4
 """How closely a joint of a loop is placed at the end (rad, m): the torque is 1e-8 of it off."""
 
 _SAMPLES = 24
-"""Looks along a joint that others follow, where torques are no single wave."""
+"""JointLoads along a joint that others follow, where torques are no single wave."""
 
 _PEAK = 1e-6
 """How closely their greatest is then sought (rad, m): the torque at it is 1e-12 of it off."""
@@ -148,15 +148,15 @@ class Search:
     Args:
         robot: A robot whose base is held.
         ways: How its joints move.
-        looks: What it holds.
+        loads: What it holds.
     """
 
-    def __init__(self, robot: Robot, ways: Ways, looks: Looks) -> None:
-        self._robot, self._ways, self._looks = robot, ways, looks
+    def __init__(self, robot: Robot, motions: JointMotions, loads: JointLoads) -> None:
+        self._robot, self._motions, self._loads = robot, motions, loads
         model = robot.structure.model
         numbers = [robot.structure.joints[name] for name in robot.joint_names]
         carried = np.array([[other in model.supports[one] for other in numbers] for one in numbers])
-        self._matters = carried | carried.T | (not looks.springs_alone)
+        self._matters = carried | carried.T | (not loads.springs_alone)
 
     def highest(self, joint: int, sign: float, starts: list[Array]) -> tuple[float, Array]:
         """Returns the most that a motor holds with a sign (N m, N), and where, from some postures.
@@ -170,20 +170,20 @@ class Search:
             alike = sum(end[0] >= best[0] - _SAME * abs(best[0]) for end in ends)
             if alike >= _AGREED:
                 break
-        if self._ways.bent.any():
+        if self._motions.bent.any():
             return self.refine(joint, sign, *best)
         return best
 
     def refine(self, joint: int, sign: float, best: float, qpos: Array) -> tuple[float, Array]:
         """Climbs on, with all joints of a loop at once, and between its places."""
-        ways = self._ways
+        motions = self._motions
         for _ in range(_SWEEPS):
             before = best
             for way in self._chosen(joint):
-                if not ways.bent[way]:
-                    there = [ways.along(qpos, way, self._peak(joint, sign, qpos, way, best))]
+                if not motions.bent[way]:
+                    there = [motions.along(qpos, way, self._peak(joint, sign, qpos, way, best))]
                 else:
-                    there = ways.closed_before(qpos, way)
+                    there = motions.closed_before(qpos, way)
                     nearest = max(
                         [qpos, *there], key=lambda place: self._torque(joint, sign, place)
                     )
@@ -198,15 +198,15 @@ class Search:
 
     def climb(self, joint: int, sign: float, qpos: Array) -> tuple[float, Array]:
         """Returns the most that a motor holds with a sign (N m, N), and where, near a posture."""
-        ways, best = self._ways, self._torque(joint, sign, qpos)
+        motions, best = self._motions, self._torque(joint, sign, qpos)
         chosen = self._chosen(joint)
         for _ in range(_SWEEPS):
             before = best
             for way in chosen:
-                if ways.bent[way]:
-                    there = ways.places(qpos, way)
+                if motions.bent[way]:
+                    there = motions.places(qpos, way)
                 else:
-                    there = [ways.along(qpos, way, self._peak(joint, sign, qpos, way, best))]
+                    there = [motions.along(qpos, way, self._peak(joint, sign, qpos, way, best))]
                 for place in there:
                     found = self._torque(joint, sign, place)
                     if found > best:
@@ -222,40 +222,40 @@ class Search:
 
     def _chosen(self, joint: int) -> list[int]:
         """Returns the ways that matter to what a motor holds."""
-        loads = np.abs(self._ways.shares[joint]) > _NO_SHARE
+        loads = np.abs(self._motions.shares[joint]) > _NO_SHARE
         matter = self._matters[loads].any(axis=0)
-        return [way for way, moved in enumerate(self._ways.moved) if matter[moved].any()]
+        return [way for way, moved in enumerate(self._motions.moved) if matter[moved].any()]
 
     def _between(self, joint: int, sign: float, qpos: Array, way: int) -> Array:
         """Returns where along a way that bends, near a posture, a torque is greatest."""
         from scipy import optimize  # slow to import
 
         def lacking(position: float) -> float:
-            there = self._ways.bend(qpos, way, position)
+            there = self._motions.bend(qpos, way, position)
             return _OUT if there is None else -self._torque(joint, sign, there)
 
-        low, high = self._ways.around(qpos, way)
+        low, high = self._motions.around(qpos, way)
         found = optimize.minimize_scalar(
             lacking, bounds=(low, high), method="bounded", options={"xatol": _FINE}
         )
-        ends = (self._ways.bend(qpos, way, at) for at in (low, float(found.x), high))
+        ends = (self._motions.bend(qpos, way, at) for at in (low, float(found.x), high))
         closed = [end for end in ends if end is not None]
         return max(closed, key=lambda there: self._torque(joint, sign, there), default=qpos)
 
     def _peak(self, joint: int, sign: float, qpos: Array, way: int, here: float) -> float:
         """Returns where along a way, which does not bend, a torque is greatest (rad, m)."""
-        ways = self._ways
-        low, high = ways.span(qpos, way)
+        motions = self._motions
+        low, high = motions.span(qpos, way)
 
         def at(length: float) -> float:
-            return self._torque(joint, sign, ways.along(qpos, way, length))
+            return self._torque(joint, sign, motions.along(qpos, way, length))
 
-        moved = ways.moved[way]
-        if len(moved) > 1 or not self._looks.springs_alone:
+        moved = motions.moved[way]
+        if len(moved) > 1 or not self._loads.springs_alone:
             return _sampled(at, low, high)
-        if ways.slides[moved[0]]:
+        if motions.slides[moved[0]]:
             return max((low, high), key=at)
-        spring = sign * float(ways.shares[joint, moved[0]] * self._looks.stiffness[moved[0]])
+        spring = sign * float(motions.shares[joint, moved[0]] * self._loads.stiffness[moved[0]])
         third = 2 * math.pi / 3
         ahead, behind = at(third) - spring * third, at(-third) + spring * third
         mean = (here + ahead + behind) / 3
@@ -263,9 +263,9 @@ class Search:
         return _crest(cosine, sine, spring, low, high)
 
     def _torque(self, joint: int, sign: float, qpos: Array) -> float:
-        load = self._looks.load(qpos)
-        if self._ways.constant[joint]:
-            return sign * float(self._ways.shares[joint] @ load)
+        load = self._loads.load(qpos)
+        if self._motions.constant[joint]:
+            return sign * float(self._motions.shares[joint] @ load)
         closure = self._robot.closure
         assert closure is not None
         try:
@@ -294,15 +294,15 @@ def _sampled(at: Callable[[float], float], low: float, high: float) -> float:
     """Returns where in [low, high] a function is greatest that is no single wave."""
     from scipy import optimize  # slow to import
 
-    looks = np.linspace(low, high, _SAMPLES)
-    top = int(np.argmax([at(look) for look in looks]))
-    ends = looks[max(top - 1, 0)], looks[min(top + 1, _SAMPLES - 1)]
+    samples = np.linspace(low, high, _SAMPLES)
+    top = int(np.argmax([at(look) for look in samples]))
+    ends = samples[max(top - 1, 0)], samples[min(top + 1, _SAMPLES - 1)]
     if ends[1] - ends[0] < 1e-12:
-        return float(looks[top])
+        return float(samples[top])
     found = optimize.minimize_scalar(
         lambda length: -at(length), bounds=ends, method="bounded", options={"xatol": _PEAK}
     )
-    return float(max((found.x, looks[top]), key=at))
+    return float(max((found.x, samples[top]), key=at))
 
 
 _STARTS = 12
@@ -380,15 +380,15 @@ def worst_postures(
         ConfigurationError: If the base is free.
     """
     check_held(robot)
-    ways = Ways(robot, posture)
-    starts = ways.random(max(_STARTS, _CHECKED))
-    looks = Looks(robot, starts[:_CHECKED])
+    motions = JointMotions(robot, posture)
+    starts = motions.random(max(_STARTS, _CHECKED))
+    loads = JointLoads(robot, starts[:_CHECKED])
     asked = np.ones(robot.nu, dtype=bool) if near is None or bearing is None else bearing
-    search = Search(robot, ways, looks.with_mass(tool, payload) if payload else looks)
+    search = Search(robot, motions, loads.with_mass(tool, payload) if payload else loads)
     torques, postures = np.zeros(robot.nu), np.tile(posture.qpos, (robot.nu, 1))
     if near is not None:
         torques[~asked], postures[~asked] = near.joint_torques[~asked], near.postures[~asked]
-    pool = ways.random(_POOL) if ways.bent.any() and near is None else []
+    pool = motions.random(_POOL) if motions.bent.any() and near is None else []
     sampled = np.array([search.torques(qpos) for qpos in pool])
     for joint in np.flatnonzero(asked).tolist():
         begin = [posture.qpos, *starts[:_STARTS]]
@@ -411,13 +411,13 @@ def worst_postures(
         postures=postures,
         limits=limits,
         utilisation=used,
-        endless=_endless(robot, ways, looks),
+        endless=_endless(robot, motions, loads),
     )
 
 
-def _endless(robot: Robot, ways: Ways, looks: Looks) -> Diagnostic | None:
+def _endless(robot: Robot, motions: JointMotions, loads: JointLoads) -> Diagnostic | None:
     """Returns why a torque may have no greatest: a slide, or a spring, goes on without end."""
-    if ways.endless:
+    if motions.endless:
         return diagnose("slide-not-limited")
     free = ~np.isfinite(joint_ranges(robot)).all(axis=1)
-    return diagnose("springs-turn-freely") if (free & (looks.stiffness != 0)).any() else None
+    return diagnose("springs-turn-freely") if (free & (loads.stiffness != 0)).any() else None

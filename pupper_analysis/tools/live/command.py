@@ -24,16 +24,19 @@ from pupper_analysis.cli.robots import (
 from pupper_analysis.cli.stance_fields import TYPED, options_of, stance_option, task_of
 from pupper_analysis.cli.stance_options import GAINS, LOAD
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
+from pupper_analysis.tools.walk.modes import COMMAND, CONTRACT, walked_robot
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.tools.live.server import Served
     from pupper_analysis.tools.live.state import LiveSource, State
 
 _ROBOT = frozenset(("words", *(one.name for one in fields(RobotOptions))))
 _USES = {
     "--mujoco": {*_ROBOT, "viewer", "headless", "fixed_base"},
     "--drop": {*_ROBOT, "dropped", "headless", "seconds"},
+    "--policy": {*_ROBOT, "policy", "contract", "asked", "language", "host", "port", "no_browser"},
     "the page": {*_ROBOT, "stance", "language", "host", "port", "no_browser"},
 }
 """What each mode uses."""
@@ -76,10 +79,16 @@ _USES = {
     "--fixed-base", is_flag=True, help="With --mujoco: fix the base in the air, without gravity."
 )
 @click.option("--seconds", type=float, help="With --drop: simulated time (s). [default: 6]")
+@shared.file_option("--policy", help="Let this policy walk it: command it, and push it.")
+@CONTRACT
+@COMMAND
 @with_robot
 def command(
     which: RobotOptions,
     words: tuple[str, ...],
+    policy: Path | None,
+    contract: Path | None,
+    asked: str,
     stance: str,
     language: str,
     host: str,
@@ -109,16 +118,20 @@ def command(
       pupper-analysis live v3 --language zh
       pupper-analysis live v3 --stance 'height:120;roll:5;lift:FL,20'
       pupper-analysis live go1.urdf
+      pupper-analysis live v3 --policy policy_latest.json --command 0.5,0,0
       pupper-analysis live long-leg --mujoco --fixed-base
       pupper-analysis live go2.urdf --drop --headless
 
     \b
     Exit status: 0 it stands, 1 it does not, 130 ended by Ctrl-C, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    modes = {"--mujoco": viewer, "--drop": dropped}
+    modes = {"--mujoco": viewer, "--drop": dropped, "--policy": policy is not None}
     mode = next((name for name, chosen in modes.items() if chosen), "the page")
     refuse_unused(mode, _USES)
     meant = which.one(words) or "v3"
+    if policy is not None:
+        _open_walk(meant, policy, contract, asked, language, host, port, browser=not no_browser)
+        return
     if mode != "the page":
         robot = shown_robot(meant, **({"fixed_base": True} if fixed_base else {}))
         if not _show_in_mujoco(robot, dropped, headless, fixed_base, seconds):
@@ -180,10 +193,9 @@ def _open_page(
     browser: bool,
 ) -> None:
     """Serves the page until Ctrl-C."""
-    from pupper_analysis.tools.live.door import is_loopback
     from pupper_analysis.tools.live.held import HeldPage
     from pupper_analysis.tools.live.render import import_viser
-    from pupper_analysis.tools.live.server import Page, serve
+    from pupper_analysis.tools.live.server import Page
     from pupper_analysis.tools.live.state import load_source
 
     import_viser()  # before anything is loaded
@@ -206,6 +218,42 @@ def _open_page(
             page = HeldPage(source, language=language, host=host, port=port)
         else:
             page = Page(source, begin, language=language, host=host, port=port)
+    _serve(page, host, browser=browser)
+
+
+def _open_walk(
+    meant: str | VariantSpec | RobotFiles,
+    policy: Path,
+    contract: Path | None,
+    asked: str,
+    language: str,
+    host: str,
+    port: int | None,
+    *,
+    browser: bool,
+) -> None:
+    """Serves the page of a policy until Ctrl-C."""
+    from pupper_analysis.tools.live.render import import_viser
+    from pupper_analysis.tools.live.walking import WalkPage
+    from pupper_analysis.tools.walk.gait import command_of
+    from pupper_analysis.tools.walk.policy import Policy
+
+    import_viser()  # before anything is loaded
+    wanted, brain = (
+        command_of(shared.parse_point("command", asked, 3)),
+        Policy.load(policy, contract),
+    )
+    robot = walked_robot(meant, "text", everything=False)
+    with shared.show_progress("making the page"):
+        page = WalkPage(robot, brain, wanted, language=language, host=host, port=port)
+    _serve(page, host, browser=browser)
+
+
+def _serve(page: Served, host: str, *, browser: bool) -> None:
+    """Says where a page is, and serves it until Ctrl-C."""
+    from pupper_analysis.tools.live.access import is_loopback
+    from pupper_analysis.tools.live.server import serve
+
     click.echo(f"{page.address}  (Ctrl-C ends it)")
     if not is_loopback(host):
         click.echo(

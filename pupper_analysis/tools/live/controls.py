@@ -432,7 +432,7 @@ def led_joints(robot: Robot) -> tuple[str, ...]:
 
 # The sliders of a page: what each is about, and how far it goes for one robot.
 
-_WAYS = {"x": Term("forward"), "y": Term("to the left"), "z": Term("up")}
+_AXIS_WORDS = {"x": Term("forward"), "y": Term("to the left"), "z": Term("up")}
 
 
 @dataclass(frozen=True)
@@ -457,7 +457,7 @@ class Control:
 
     def hint(self, language: str) -> str:
         """Returns what it is about."""
-        way = {} if self.axis is None else {"axis": _WAYS[self.field.axes[self.axis]]}
+        way = {} if self.axis is None else {"axis": _AXIS_WORDS[self.field.axes[self.axis]]}
         return fill_template(self.field.words(language).hint, way, language)
 
     def of(self, value: float | tuple[str | float, ...]) -> float:

@@ -21,8 +21,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.document import hardest_motor
+from pupper_analysis.tools.live.access import without_folders
 from pupper_analysis.tools.live.controls import CONTROLS, slider_values
-from pupper_analysis.tools.live.door import without_folders
 from pupper_analysis.tools.live.model import Answer, PredictedSag
 from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.push.document import trial_document

@@ -20,9 +20,9 @@ from pupper_analysis.base.errors import (
     StanceUnreachableError,
     StaticsInfeasibleError,
 )
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.verdict import Verdict, predict_verdict
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state

@@ -30,10 +30,10 @@ from pupper_analysis.present.document import (
     text,
 )
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.tools.live.door import (
+from pupper_analysis.tools.live.access import (
     HEADERS,
     MOST_BYTES,
-    Door,
+    Access,
     problem_of,
     without_folders,
 )
@@ -91,21 +91,21 @@ def silence_viser() -> Iterator[None]:
         yield
 
 
-def start_server(host: str, port: int, label: str, door: Door | None = None) -> Any:
+def start_server(host: str, port: int, label: str, access: Access | None = None) -> Any:
     """Returns a server of viser's, that nobody can open to the internet from the page.
 
     Args:
         host: Where it can be reached.
         port: A free one.
         label: What the page is called.
-        door: Who may come in; by default who may be at this host.
+        access: Who may come in; by default who may be at this host.
     """
     # What knocks at the port and says nothing, or nonsense, is no error of this program.
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     # Nor is a browser that leaves while its page is made.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
-    with silence_viser(), _behind(door or Door(host)):
+    with silence_viser(), _behind(access or Access(host)):
         server = import_viser().ViserServer(host=host, port=port, label=label, verbose=False)
     server.request_share_url = lambda *_, **__: None
     server._websock_server.on_client_connect(partial(_heed, server))
@@ -113,22 +113,22 @@ def start_server(host: str, port: int, label: str, door: Door | None = None) -> 
     return server
 
 
-def address_of(server: Any, host: str, door: Door) -> str:
+def address_of(server: Any, host: str, access: Access) -> str:
     """Returns what a browser opens.
 
     Args:
         server: viser's.
         host: Where it can be reached.
-        door: Who may come in.
+        access: Who may come in.
     """
     shown = "localhost" if host in ("0.0.0.0", "::") else host
     shown = f"[{shown}]" if ":" in shown else shown
     address = f"http://{shown}:{server.get_port()}/"
-    return address + (f"?token={door.token}" if door.token else "")
+    return address + (f"?token={access.token}" if access.token else "")
 
 
 @contextlib.contextmanager
-def _behind(door: Door) -> Iterator[None]:
+def _behind(access: Access) -> Iterator[None]:
     """Lets a server that viser starts meanwhile answer only whom a door lets in."""
     websockets: Any = import_module("websockets.asyncio.server")
     serve = websockets.serve
@@ -138,12 +138,12 @@ def _behind(door: Door) -> Iterator[None]:
 
         def answered(connection: Any, request: Any) -> Any:
             headers = {name: ", ".join(request.headers.get_all(name)) for name in HEADERS}
-            if refusal := door.refusal(request.path, headers):
+            if refusal := access.refusal(request.path, headers):
                 message = "".join(f"{refusal.text(language)}\n" for language in LANGUAGES)
                 return connection.respond(HTTPStatus.FORBIDDEN, message)
             response = answer(connection, request)
-            if door.token and response is not None and urlsplit(request.path).path == "/":
-                response.headers["Set-Cookie"] = door.cookie
+            if access.token and response is not None and urlsplit(request.path).path == "/":
+                response.headers["Set-Cookie"] = access.cookie
             return response
 
         own = {"process_request": answered, "max_size": MOST_BYTES, "close_timeout": FAREWELL}

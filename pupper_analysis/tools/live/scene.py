@@ -289,12 +289,12 @@ class Scene:
         """Returns a figure of the robot; it is made when it is first shown."""
         assert self._robot is not None
         if name not in self._figures:
-            looks: dict[str, dict[str, Any]] = {
+            evaluations: dict[str, dict[str, Any]] = {
                 "stand": {},
                 "ghost": {"colour": GHOST, "opacity": 0.35},
                 "twin": {"colour": TWIN},
             }
-            made = Figure(self._scene, f"/{name}", self._robot, self._parts, **looks[name])
+            made = Figure(self._scene, f"/{name}", self._robot, self._parts, **evaluations[name])
             self._figures[name] = made
         return self._figures[name]
 

@@ -15,7 +15,7 @@ from typing import Any
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.joints import placed_joints
 from pupper_analysis.tools.live import render
-from pupper_analysis.tools.live.door import Door
+from pupper_analysis.tools.live.access import Access
 from pupper_analysis.tools.live.model import Model
 from pupper_analysis.tools.live.render import NAMES, Language
 from pupper_analysis.tools.live.session import Session
@@ -56,9 +56,9 @@ class Served:
         self._language = Language(language)
         self.sessions: dict[int, Any] = {}
         self._lock, self._closed = threading.Lock(), False
-        door, free = Door(host), render.free_port(host, port)
-        self._server = render.start_server(host, free, f"{robot}, live", door)
-        self.address = render.address_of(self._server, host, door)
+        access, free = Access(host), render.free_port(host, port)
+        self._server = render.start_server(host, free, f"{robot}, live", access)
+        self.address = render.address_of(self._server, host, access)
         self._size = size
         camera = self._server.initial_camera
         camera.position = tuple(size * number for number in _FROM)

@@ -218,12 +218,12 @@ def track_path(
     timestep = float(model.opt.timestep)
     apart = min(max(float(path.time[-1]) / _LOOKS, 1e-3), 0.02)
     step = max(1, round(apart / timestep))
-    looks = np.arange(step - 1, len(states), step)
+    evaluations = np.arange(step - 1, len(states), step)
     tilt, torque_error, slip = math.inf, math.inf, dict.fromkeys(path.feet, math.inf)
     if monitor.has_diverged(states, timestep):
         failures = [monitor.tell_divergence(plan.drive.integrator, timestep)]
     else:
-        failures, tilt, slip = _watch(plan, states, looks)
+        failures, tilt, slip = _watch(plan, states, evaluations)
         saturated, torque_error = _torques(plan, states)
         failures += saturated
     if path.infeasible.any():
@@ -251,9 +251,9 @@ def track_path(
         orientation_error=tilt,
         torque_error=torque_error,
         foot_slip=slip,
-        time=plan.time[looks],
-        joints=simulated[looks, joints],
-        height=simulated[looks, 2],
+        time=plan.time[evaluations],
+        joints=simulated[evaluations, joints],
+        height=simulated[evaluations, 2],
     )
 
 
@@ -287,7 +287,7 @@ def _torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic], float
 
 
 def _watch(
-    plan: PathCommands, states: Array, looks: NDArray[np.int64]
+    plan: PathCommands, states: Array, evaluations: NDArray[np.int64]
 ) -> tuple[list[Diagnostic], float, dict[str, float]]:
     """Looks at states; returns failures, tilt (rad) and the feet's slip (m)."""
     path, robot = plan.path, plan.robot
@@ -296,7 +296,7 @@ def _watch(
     slip = dict.fromkeys(path.feet, 0.0)
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     tilt = 0.0
-    for index in looks:
+    for index in evaluations:
         sight = watcher.look(states[index], plan.ctrl[min(index + 1, len(plan.ctrl) - 1)])
         seen = [
             diagnose("body-touches-ground", subject=("body", body), time=None)

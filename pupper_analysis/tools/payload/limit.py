@@ -19,10 +19,9 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos
-from pupper_analysis.robot.tool import Place, Tool, find_place
+from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
 from pupper_analysis.simulation.rollout import begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.verdict import Asked, Verdict, beyond_limits

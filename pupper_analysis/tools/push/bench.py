@@ -132,7 +132,7 @@ class Bench:
                 tails[index] = np.concatenate([tails[index], states])[-self._resting :]
                 sure = self._broken(states)
                 if sure is None and last:
-                    sure = _together(self._unsettled(tails[index]))
+                    sure = _combine(self._unsettled(tails[index]))
                     ended.append(index)
                 elif sure is not None or self._rests(states):
                     ended.append(index)
@@ -178,7 +178,7 @@ class Bench:
         if broken is not None and monitor.has_diverged(states, self.timestep):
             return broken
         failures = [] if broken is None else [broken]
-        return _together(failures + self._unsettled(states))
+        return _combine(failures + self._unsettled(states))
 
     def _broken(self, states: Array) -> Diagnostic | None:
         """Says so if some states cannot be part of a recovery, whatever comes next."""
@@ -243,7 +243,7 @@ class Bench:
         }
 
 
-def _together(failures: list[Diagnostic]) -> Diagnostic | None:
+def _combine(failures: list[Diagnostic]) -> Diagnostic | None:
     """Returns failures of one push as one; None if there are none."""
     if len(failures) < 2:
         return failures[0] if failures else None

@@ -15,7 +15,7 @@ from pupper_analysis.cli.modes import refuse_idle
 if TYPE_CHECKING:
     from pupper_analysis.present.document import Document
     from pupper_analysis.tools.study.running import Progress
-    from pupper_analysis.tools.study.study import DesignStudy
+    from pupper_analysis.tools.study.study import Study
 
 
 def _list_metrics(context: click.Context, _: click.Parameter, asked: bool) -> None:
@@ -119,9 +119,8 @@ def command(
     2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.study import document as report
-    from pupper_analysis.tools.study.of_variants import Study
     from pupper_analysis.tools.study.outcome import check_objectives, rests_on, study_outcome
-    from pupper_analysis.tools.study.study import estimate_study
+    from pupper_analysis.tools.study.study import Study, estimate_study
 
     if dry_run:
         refuse_idle("--dry-run", "figures", "report_path", "minimise", "maximise", "numbers")
@@ -147,7 +146,7 @@ def command(
     if figures or report_path or style == "markdown":
         outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
         if figures:
-            from pupper_analysis.tools.study.figures import draw_study
+            from pupper_analysis.tools.study.plots import draw_study
 
             for path in draw_study(table, tuple(study.variables), folder, outcome.objectives):
                 shared.confirm_written(path)
@@ -159,7 +158,7 @@ def command(
 
 
 def _write_designs(
-    study: DesignStudy, numbers: tuple[int, ...], folder: Path, style: str, everything: bool
+    study: Study, numbers: tuple[int, ...], folder: Path, style: str, everything: bool
 ) -> bool:
     """Writes designs as robots; returns whether their files give the study's numbers."""
     from pupper_analysis.tools.study.document import written_document
@@ -182,7 +181,7 @@ def _show(document: Document, style: str, everything: bool) -> None:
 
 
 def _run(
-    study: DesignStudy,
+    study: Study,
     folder: Path,
     workers: int | None,
     show: Callable[[Progress], None],

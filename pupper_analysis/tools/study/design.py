@@ -11,7 +11,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -45,9 +45,12 @@ from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.spec_state import state_of
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
-from pupper_analysis.robot.build import rebuild_robot
-from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.pupper.named import split_word
+from pupper_analysis.pupper.variant_files import describe_variant
+from pupper_analysis.pupper.variants import BASES, Scaled, VariantSpec, variant_spec
+from pupper_analysis.robot.build import build_robot, rebuild_robot
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
@@ -174,6 +177,67 @@ def load_source(given: Mapping[str, Any]) -> FileSource:
         raise ConfigurationError("robot", diagnose("no-feet-to-stand-on", robot=robot.name))
     bare = rebuild_robot(robot, mjcf=without_visuals(robot.description).mjcf)
     return FileSource(files, bare)
+
+
+@dataclass(frozen=True)
+class Variants(Scaled):
+    """The robots that scales make of a variant.
+
+    Attributes:
+        whole: Whether with all that is only looked at.
+    """
+
+    whole: bool = False
+
+    def robot(self, scales: Mapping[str, float]) -> Robot:
+        """Makes the variant of some scales.
+
+        Raises:
+            VariantError: If a scale is not a finite positive number, or nothing can be made so.
+        """
+        spec = self.scaled(scales)
+        described = describe_variant(spec)
+        depth = BASES[spec.base].foot_depth(spec.leg_scale)
+        return build_robot(
+            described if self.whole else without_visuals(described), foot_depth=depth
+        )
+
+    def asked(self) -> dict[str, Any]:
+        """Returns the spec."""
+        return {"base": self.spec.base, **self.scales}
+
+
+def source_of(robot: Any) -> RobotSource:
+    """Returns the source of a robot that is given in one of the ways of ``Study``.
+
+    Raises:
+        ConfigurationError: If it is given in another.
+        VariantError: If there is no such variant.
+    """
+    if isinstance(robot, str):
+        meant = split_word(robot)
+        if isinstance(meant, tuple):
+            return load_source({"models": meant})
+        return Variants(variant_spec(meant))
+    if isinstance(robot, VariantSpec):
+        return Variants(robot)
+    if isinstance(robot, Mapping) and "base" in robot:
+        base, others = robot["base"], {n: one for n, one in robot.items() if n != "base"}
+        meant = split_word(base) if isinstance(base, str) else base
+        if isinstance(meant, tuple):
+            return load_source({"models": meant, **others})
+        known = [field.name for field in fields(VariantSpec)]
+        unknown = [name for name in robot if name not in known]
+        if unknown:
+            problem = diagnose("variant-has-no-field", known=known, unknown=unknown[0])
+            raise ConfigurationError("robot", problem)
+        return Variants(VariantSpec(**robot))
+    if isinstance(robot, Mapping):
+        return load_source(robot)
+    if hasattr(robot, "robot") and hasattr(robot, "scales"):
+        source: RobotSource = robot
+        return source
+    raise ConfigurationError("robot", diagnose("no-source-of-robots", given=repr(robot)))
 
 
 def digest_of(description: Description) -> str:

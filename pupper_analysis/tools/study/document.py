@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -19,9 +19,17 @@ from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of
 from pupper_analysis.present.terminal import make_console
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.study.cells import column_label, metrics_in, standing_designs, unit_of
 from pupper_analysis.tools.study.measures import METRICS, text_key
-from pupper_analysis.tools.study.outcome import Chance, MetricSummary, StudyOutcome, pareto_front
+from pupper_analysis.tools.study.outcome import (
+    Chance,
+    MetricSummary,
+    StudyOutcome,
+    column_label,
+    metrics_in,
+    pareto_front,
+    standing_designs,
+    unit_of,
+)
 from pupper_analysis.tools.study.plots import LINES, MeansPlot, front_plot, study_plots
 from pupper_analysis.tools.study.study import Estimate
 from pupper_analysis.tools.study.write import WrittenDesign
@@ -201,59 +209,31 @@ def _front_table(
 
 
 def _shares(outcome: StudyOutcome) -> list[doc.Block]:
-    sobol = {one.metric: one for one in outcome.sobol}
     rows: list[tuple[doc.Cell, ...]] = []
     for one in outcome.measured:
         measured = text("measured-of", count=one.designs, whole=outcome.designs)
-        shares: list[tuple[doc.Text | doc.Name, float | None, str]] = [
-            (doc.Name(name), alone, name) for name, alone in one.alone.items()
+        shares: list[tuple[doc.Text | doc.Name, float]] = [
+            (doc.Name(name), alone) for name, alone in one.alone.items()
         ]
         if one.interaction is not None:
-            shares.append((text("interaction"), one.interaction, ""))
-        for named, share, name in shares:
-            sampled = sobol.get(one.metric)
-            rows.append(
-                (
-                    doc.Name(one.metric),
-                    named,
-                    _share(share),
-                    measured,
-                    *(_indices(sampled if name else None, name) if sobol else []),
-                )
-            )
+            shares.append((text("interaction"), one.interaction))
+        rows += [(doc.Name(one.metric), name, _share(share), measured) for name, share in shares]
     if not rows:
         return []
-    notes: list[doc.Words] = [text(_ALONE)]
-    columns = [
+    columns = (
         doc.Column(text("metric"), left=True),
         doc.Column(text("number"), left=True),
         doc.Column(text("alone"), "1"),
         doc.Column(text("designs"), left=True),
-    ]
-    if sobol:
-        columns += [
-            doc.Column(text("sobol-alone"), "1"),
-            doc.Column(text("sobol-in"), "1"),
-            doc.Column(text("confidence"), "1"),
-        ]
+    )
     title = text("which-number-matters-shares")
-    return [doc.Table(title, tuple(columns), tuple(rows), tuple(notes), _source())]
+    return [doc.Table(title, columns, tuple(rows), (text(_ALONE),), _source())]
 
 
-def _share(value: float | None) -> doc.Number:
-    if value is None or not math.isfinite(value):
+def _share(value: float) -> doc.Number:
+    if not math.isfinite(value):
         return doc.Number("-", math.nan)
     return doc.Number(f"{value:.1%}", 100 * value, share=min(max(value, 0.0), 1.0))
-
-
-def _indices(sampled: Any, name: str) -> list[doc.Cell]:
-    if sampled is None:
-        return [_share(None)] * 3
-    return [
-        _share(sampled.first.get(name)),
-        _share(sampled.total.get(name)),
-        _share(sampled.uncertainty.get(name)),
-    ]
 
 
 def _sure(outcome: StudyOutcome) -> list[doc.Block]:

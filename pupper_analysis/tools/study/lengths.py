@@ -26,8 +26,7 @@ from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfLink, UrdfTree, origin_of, set_origin
-from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.models.xml_text import write_numbers
+from pupper_analysis.models.xml import parse_numbers, write_numbers
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import foot_site, stand_height
 from pupper_analysis.robot.robot import Robot

@@ -8,8 +8,9 @@ import inspect
 import pickle
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -135,12 +136,16 @@ class Metric:
 
     Attributes:
         name: The column that it fills; with several values, ``NAME.KEY`` for each.
-        function: Of a design.
+        function: Of a design; of one of a file, ``of_file`` makes it.
         unit: Its unit; ``1`` of a ratio, empty of one's own functions.
         simulates: Whether it takes a simulation, or some seconds.
         better: ``min`` or ``max``, where one is better whatever the robot is for.
         fallen: Its value of a design that cannot stand so; None where it has none.
         own: What its docstring says, of one's own function; the catalogue has the others' words.
+        of_file: Of what is written after a colon, such as a policy's file: returns the function,
+            and what tells that the file has changed; None where a metric is of a design alone.
+        file: What is written there.
+        content: What told so.
     """
 
     name: str
@@ -150,6 +155,9 @@ class Metric:
     better: str = ""
     fallen: float | None = None
     own: str = ""
+    of_file: Callable[[str], tuple[Callable[[Design], Value], str]] | None = None
+    file: str = ""
+    content: str = ""
 
     @property
     def meaning(self) -> str:
@@ -301,14 +309,14 @@ def metric_of(given: str | Function) -> Metric:
     """Returns a named metric, or makes one of a function of (robot, stand).
 
     Args:
-        given: A name of ``METRICS``, ``module:function``, or a function that other processes can
-            import: it stands at the top of a module.
+        given: A name of ``METRICS``, with ``:FILE`` where it is of one, ``module:function``, or a
+            function that other processes can import: it stands at the top of a module.
 
     Raises:
         ConfigurationError: If there is no such metric, or the function does not fit.
     """
-    if isinstance(given, str) and given in METRICS:
-        return METRICS[given]
+    if isinstance(given, str) and (named := METRICS.get(given.partition(":")[0])) is not None:
+        return _of_file(named, given)
     function = _imported(given) if isinstance(given, str) else given
     if not callable(function):
         raise ConfigurationError("measure", diagnose("metric-no-function", given=repr(given)))
@@ -329,10 +337,30 @@ def metric_of(given: str | Function) -> Metric:
     return Metric(name, OfRobotAndStand(function), "", own=inspect.getdoc(function) or "")
 
 
+def _of_file(metric: Metric, given: str) -> Metric:
+    """Returns a named metric, of the file after its colon if it is of one."""
+    _, colon, file = given.partition(":")
+    if metric.of_file is None and not colon:
+        return metric
+    if metric.of_file is None or not file:
+        key = "metric-of-no-file" if metric.of_file is None else "metric-of-a-file"
+        raise ConfigurationError("measure", diagnose(key, name=metric.name))
+    function, content = metric.of_file(file)
+    return replace(metric, function=function, file=file, content=content)
+
+
+def beside(folder: Path, given: object) -> object:
+    """Returns a metric of a study's file, with the file that it is of sought beside that."""
+    name, _, file = given.partition(":") if isinstance(given, str) else ("", "", "")
+    named = METRICS.get(name)
+    return f"{name}:{folder / file}" if file and named and named.of_file else given
+
+
 def modules_in(metrics: object) -> tuple[str, ...]:
     """Returns those of a file's metrics that are ``module:function``."""
     listed = metrics if isinstance(metrics, list) else []
-    return tuple(name for name in listed if isinstance(name, str) and ":" in name)
+    found = (name for name in listed if isinstance(name, str) and ":" in name)
+    return tuple(name for name in found if name.partition(":")[0] not in METRICS)
 
 
 def _imported(name: str) -> Function:
@@ -376,10 +404,12 @@ class OfRobotAndStand:
 def metric_text(metric: Metric) -> str:
     """Returns how a study's file says a metric."""
     own = metric.function
-    return own.place if isinstance(own, OfRobotAndStand) else metric.name
+    named = f"{metric.name}:{metric.file}" if metric.file else metric.name
+    return own.place if isinstance(own, OfRobotAndStand) else named
 
 
 def metric_fingerprint(metric: Metric) -> str:
     """Returns what tells that a metric is another one."""
     own = metric.function
-    return own.fingerprint() if isinstance(own, OfRobotAndStand) else metric.name
+    named = f"{metric.name} {metric.content}".rstrip()
+    return own.fingerprint() if isinstance(own, OfRobotAndStand) else named

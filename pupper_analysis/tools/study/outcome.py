@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import reprlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,36 +15,24 @@ import orjson
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_type, real_array
-from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import on_servos, own_clauses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
-from pupper_analysis.tools.study.cells import (
-    Cells,
-    metrics_in,
-    spread_in,
-    standing_designs,
-    value_span,
-)
-from pupper_analysis.tools.study.design import from_record
+from pupper_analysis.stance.fields import FIELDS
+from pupper_analysis.tools.study.design import ENDS, NUMBERS, UNBOUNDED, from_record
 from pupper_analysis.tools.study.measures import METRICS
-from pupper_analysis.tools.study.running import Progress
+from pupper_analysis.tools.study.parameters import AXES, OF_JOINTS
 from pupper_analysis.tools.study.store import Store, require_library
-from pupper_analysis.tools.study.study import DesignStudy
-from pupper_analysis.tools.study.variables import at_shares
+from pupper_analysis.tools.study.study import Study
 
 if TYPE_CHECKING:
     import pandas as pd
-import math
-from typing import TYPE_CHECKING
 
 Array = NDArray[np.float64]
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 _Z = 1.959963984540054
@@ -206,7 +194,6 @@ class StudyOutcome(Result):
         objectives: {column: ``min`` or ``max``} of the front; empty if there is none.
         front: The designs that no other beats in these, of those that stay up where that was
             measured.
-        sobol: Sobol's indices, if they were given.
         certainty: How sure the stand is, if the numbers are samples of distributions and the study
             measures it.
     """
@@ -222,17 +209,15 @@ class StudyOutcome(Result):
     axes: tuple[str, ...]
     objectives: dict[str, str]
     front: pd.DataFrame
-    sobol: tuple[SobolIndices, ...]
     certainty: Certainty | None
 
 
 def study_outcome(
-    study: DesignStudy,
+    study: Study,
     folder: str | Path,
     *,
     minimise: Sequence[str] = (),
     maximise: Sequence[str] = (),
-    sobol: Mapping[str, SobolIndices] | None = None,
 ) -> StudyOutcome:
     """Collects the results of a study; nothing is run.
 
@@ -242,16 +227,14 @@ def study_outcome(
         minimise: Columns in which the designs of the front are least.
         maximise: Columns in which they are greatest. If neither is given, they are the first two
             metrics of which it is known which way is better.
-        sobol: What ``sobol_indices`` has found.
 
     Raises:
         ConfigurationError: If a column is not there, or no design is.
         StudyError: If the folder is no study's, or damaged.
     """
-    check_type("study", study, DesignStudy)
+    check_type("study", study, Study)
     check_type("minimise", minimise, Sequence[str])
     check_type("maximise", maximise, Sequence[str])
-    check_type("sobol", sobol, Mapping[str, SobolIndices] | None)
     require_library("pandas")
     Store(Path(folder)).asked()  # that it is a study's folder
     table = study.table(folder)
@@ -274,7 +257,6 @@ def study_outcome(
         axes=tuple(spread[:2]) if len(spread) > 1 else (),
         objectives=objectives,
         front=pareto_front(standing_designs(table), objectives) if objectives else table.iloc[:0],
-        sobol=tuple((sobol or {}).values()),
         certainty=_certainty(study, table),
     )
 
@@ -289,7 +271,7 @@ def rests_on(robot: Robot) -> tuple[Diagnostic, ...]:
 
 
 def check_objectives(
-    study: DesignStudy, minimise: Sequence[str], maximise: Sequence[str]
+    study: Study, minimise: Sequence[str], maximise: Sequence[str]
 ) -> dict[str, str]:
     """Returns {column: ``min`` or ``max``} of a front; none if none are asked for.
 
@@ -347,9 +329,7 @@ def main_effects(
     return found
 
 
-def _measured(
-    table: pd.DataFrame, name: str, spread: Sequence[str], study: DesignStudy
-) -> MetricSummary:
+def _measured(table: pd.DataFrame, name: str, spread: Sequence[str], study: Study) -> MetricSummary:
     column, sampled = table[name].dropna(), study.sampling.samples is not None
     alone = {} if "." in name else main_effects(table, spread, name, sampled=sampled)
     whole = not sampled and len(column) == len(study) and len(alone) > 1
@@ -392,7 +372,7 @@ def _better(metrics: Sequence[str]) -> dict[str, str]:
     return dict(list(known.items())[:2]) if len(known) > 1 else {}
 
 
-def _certainty(study: DesignStudy, table: pd.DataFrame) -> Certainty | None:
+def _certainty(study: Study, table: pd.DataFrame) -> Certainty | None:
     """Returns how sure the stand is, where designs are samples of distributions."""
     if study.sampling.samples is None or "stands" not in table:
         return None
@@ -465,100 +445,209 @@ def _unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
     return found
 
 
-@dataclass(frozen=True)
-class SobolIndices(Result):
-    """Whose variance is whose, of one metric.
+# A study's designs in cells over two of its numbers: what a map of them shows.
+
+BINS, FEWEST = 24, 4
+"""Cells along one side of a map, of a variable that has more than ``BINS`` values."""
+
+PANELS = 6
+"""Maps beside each other, one for each combination of the other variables: more are no picture."""
+
+EACH = 3
+"""Designs that a cell then has, on average: fewer cells of more designs, than a map of holes."""
+
+SAME = 1e-9
+"""Relative: what differs by less differs by rounding."""
+
+
+class Cells:
+    """Values in cells: one per value where they are few, evenly wide ones where they are many.
 
     Attributes:
-        metric: Its column.
-        first: {variable: share of the variance that it makes alone}.
-        total: {variable: the same with all that it makes together with others}.
-        uncertainty: {variable: half of the 95 % confidence interval of ``total``}.
-        designs: How many were measured.
+        levels: Whether each cell has one value.
+        edges: (n + 1,) between which the cells are.
+        centres: (n,) their values, or their middles.
+        index: (designs,) in which cell each design is.
     """
 
-    metric: str
-    first: dict[str, float]
-    total: dict[str, float]
-    uncertainty: dict[str, float]
-    designs: int
+    def __init__(self, values: Array) -> None:
+        levels = np.unique(values)
+        self.levels = len(levels) <= BINS
+        if self.levels:
+            middle = (levels[1:] + levels[:-1]) / 2
+            first, last = levels[0], levels[-1]
+            half = (middle[0] - first, last - middle[-1]) if len(middle) else (0.5, 0.5)
+            self.edges = np.concatenate([[first - half[0]], middle, [last + half[1]]])
+            self.index = np.searchsorted(levels, values)
+            self.centres = levels
+            return
+        count = int(np.clip(np.sqrt(len(values) / EACH), FEWEST, BINS))
+        self.edges = np.linspace(levels[0], levels[-1], count + 1)
+        self.index = np.clip(np.searchsorted(self.edges, values, "right") - 1, 0, count - 1)
+        self.centres = (self.edges[1:] + self.edges[:-1]) / 2
 
 
-def sobol_indices(
-    study: DesignStudy,
-    folder: str | Path,
-    metrics: Sequence[str],
-    *,
-    samples: int = 128,
-    executor: Executor | None = None,
-    workers: int | None = None,
-    progress: Callable[[Progress], None] | None = None,
-) -> dict[str, SobolIndices]:
-    """Measures designs by Saltelli's scheme, and takes the variance of metrics apart.
+@dataclass(frozen=True, eq=False)
+class MeanMap:
+    """Means of a metric over two variables.
 
-    Designs are kept in the study's folder, as those of ``Study.run``, and go on there.
+    Attributes:
+        x: The cells along.
+        y: The cells upwards.
+        means: (ny, nx); not a number where nothing was measured.
+        counts: (ny, nx) how many designs each is the mean of.
+        designs: (ny, nx) how many are there: where they are more, those of which there is nothing
+            to measure, as they do not stand, are missing in the mean.
+    """
 
-    Source: Saltelli et al., "Variance based sensitivity analysis of model output", 2010; SALib.
+    x: Cells
+    y: Cells
+    means: Array
+    counts: Array
+    designs: Array
 
-    Args:
-        study: Its variables' distributions count, not its samples.
-        folder: Where results are kept.
-        metrics: Columns of its table.
-        samples: A power of 2; designs are this times the number of variables and two.
-        executor: As in ``Study.run``.
-        workers: Likewise.
-        progress: Likewise.
+    @property
+    def partial(self) -> NDArray[np.bool_]:
+        """(ny, nx) whether some designs of a cell are missing in its mean."""
+        found: NDArray[np.bool_] = (self.counts > 0) & (self.counts < self.designs)
+        return found
 
-    Returns:
-        {metric: its indices}.
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Designs of one map.
+
+    Attributes:
+        fixed: {variable: the value that all of them have}.
+        averaged: The other variables, over which a cell's mean goes.
+        table: Their rows.
+    """
+
+    fixed: dict[str, float]
+    averaged: tuple[str, ...]
+    table: pd.DataFrame
+
+    def values(self) -> str:
+        """Returns the fixed values with their units."""
+        finding = [f"{name} = {value:g} {unit_of(name)}" for name, value in self.fixed.items()]
+        return ", ".join(one.rstrip() for one in finding)
+
+
+@dataclass(frozen=True, eq=False)
+class EndMap:
+    """What becomes of designs over two variables.
+
+    Attributes:
+        x: The cells along.
+        y: The cells upwards.
+        kinds: ``""`` for those of which all was measured, then kinds of failure, the most frequent
+            first.
+        counts: (kinds, ny, nx) designs.
+    """
+
+    x: Cells
+    y: Cells
+    kinds: tuple[str, ...]
+    counts: Array
+
+
+def mean_map(table: pd.DataFrame, x: str, y: str, metric: str) -> MeanMap:
+    """Returns the mean of a metric over two variables.
 
     Raises:
-        ConfigurationError: If a column is not there, a design failed (indices need them all), or
-            an argument makes no sense.
-        StudyError: As ``Study.run``.
+        ConfigurationError: If a column is not there, or the table is empty.
     """
-    check_type("study", study, DesignStudy)
-    check_type("metrics", metrics, Sequence[str])
-    check_type("samples", samples, int)
-    if samples < 2 or samples & (samples - 1):
-        raise ConfigurationError("samples", diagnose("no-power-of-2", count=samples))
-    if not study.variables:
-        raise ConfigurationError("vary", diagnose("nothing-varies"))
-    require_library("SALib")
-    from SALib.analyze import sobol as analysis
-    from SALib.sample import sobol as scheme
+    check_columns(table, x, y, metric)
+    columns, rows = (Cells(table[name].to_numpy(float)) for name in (x, y))
+    values = table[metric].to_numpy(float)
+    sums, counts, there = (np.zeros((len(rows.centres), len(columns.centres))) for _ in range(3))
+    known = np.isfinite(values)
+    np.add.at(there, (rows.index, columns.index), 1.0)
+    at = (rows.index[known], columns.index[known])
+    np.add.at(sums, at, values[known])
+    np.add.at(counts, at, 1.0)
+    with np.errstate(invalid="ignore"):
+        return MeanMap(columns, rows, sums / counts, counts, there)
 
-    names = list(study.variables)
-    problem = {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
-    seed = study.sampling.seed % 2**31 + 1  # SALib takes 0 for none
-    shares = scheme.sample(problem, samples, calc_second_order=False, seed=seed)
-    points = at_shares(study.variables, np.asarray(shares, dtype=float))
-    chosen = study.at(points)
-    table = chosen.run(folder, executor=executor, workers=workers, progress=progress)
-    place = {name: index for index, name in enumerate(table["design"])}
-    order = [place[name] for block, _ in chosen.designs() for name in block]
-    found = {}
-    for metric in metrics:
-        if metric not in table:
-            finding = diagnose("none-of", value=metric, known=table.columns)
-            raise ConfigurationError("metrics", finding)
-        values = table[metric].to_numpy(float)[order]
-        lost = int((~np.isfinite(values)).sum())
-        if lost:
-            finding = diagnose(
-                "designs-without-metric",
-                lost=lost,
-                designs=len(values),
-                metric=metric,
-                reasons=[Term(str(kind)) for kind in table["failure"].dropna().unique()],
-            )
-            raise ConfigurationError("vary", finding)
-        index = analysis.analyze(problem, values, calc_second_order=False, seed=seed)
-        found[metric] = SobolIndices(
-            metric,
-            dict(zip(names, index["S1"].tolist(), strict=True)),
-            dict(zip(names, index["ST"].tolist(), strict=True)),
-            dict(zip(names, index["ST_conf"].tolist(), strict=True)),
-            len(values),
-        )
-    return found
+
+def split_panels(table: pd.DataFrame, variables: Sequence[str], x: str, y: str) -> list[Panel]:
+    """Returns the designs of a map for each, so that no more is averaged than must be.
+
+    Each combination of the other variables' values has a map of its own where these are few, and
+    each cell of it one design; else a cell is a mean over them.
+    """
+    others = [name for name in spread_in(table, variables) if name not in (x, y)]
+    several = math.prod(table[name].nunique() for name in others)
+    if not others or several > PANELS:
+        return [Panel({}, tuple(others), table)]
+    parts = [part for _, part in table.groupby(others, sort=True)]
+    return [Panel({n: float(part[n].iloc[0]) for n in others}, (), part) for part in parts]
+
+
+def unit_of(column: str) -> str:
+    """Returns the unit of a metric or of a number that varies; empty of ratios and factors."""
+    if column.partition(":")[0] in AXES:
+        return UNBOUNDED.unit
+    if column.partition(":")[0] in OF_JOINTS:
+        return FIELDS[column.partition(":")[0]].unit
+    metric = METRICS.get(column.partition(".")[0])
+    unit = metric.unit if metric else NUMBERS[column].unit if column in NUMBERS else ""
+    return "" if unit in ("1", "-") else unit
+
+
+def column_label(column: str) -> str:
+    """Returns the name of a metric or of a number that varies, with its unit."""
+    unit = unit_of(column)
+    return f"{column} ({unit})" if unit else column
+
+
+def end_map(table: pd.DataFrame, x: str, y: str) -> EndMap:
+    """Returns what becomes of designs over two variables.
+
+    Raises:
+        ConfigurationError: If a column is not there, or the table is empty.
+    """
+    check_columns(table, x, y, "failure")
+    columns, rows = (Cells(table[name].to_numpy(float)) for name in (x, y))
+    reasons = table["failure"].fillna("").astype(str).to_numpy()
+    kinds = ("", *(str(kind) for kind in table["failure"].dropna().value_counts().index))
+    counts = np.zeros((len(kinds), len(rows.centres), len(columns.centres)))
+    kind_at = np.array([kinds.index(reason) for reason in reasons])
+    np.add.at(counts, (kind_at, rows.index, columns.index), 1.0)
+    return EndMap(columns, rows, kinds, counts)
+
+
+def value_span(low: float, high: float) -> float:
+    """Returns how far apart two values are; 0 if they are the same but for rounding."""
+    return high - low if high - low > SAME * max(abs(low), abs(high)) else 0.0
+
+
+def metrics_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
+    """Returns the columns of a study's table with metrics, of which something was measured."""
+    given = (*variables, "design", *ENDS)
+    return [str(name) for name in table.columns if name not in given and table[name].notna().any()]
+
+
+def spread_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
+    """Returns the variables with several values in a table, those of most values first."""
+    several = [name for name in variables if name in table and table[name].nunique() > 1]
+    return sorted(several, key=lambda name: -table[name].nunique())
+
+
+def standing_designs(table: pd.DataFrame) -> pd.DataFrame:
+    """Returns the designs that stay up, or all where that was not measured."""
+    return table[table["stands"] == 1] if "stands" in table else table
+
+
+def check_columns(table: pd.DataFrame, *columns: str) -> None:
+    """Checks that a table has columns, and rows.
+
+    Raises:
+        ConfigurationError: If not; says which columns there are.
+    """
+    for name in columns:
+        if name not in table:
+            finding = diagnose("column-unknown", column=name, known=map(str, table.columns))
+            raise ConfigurationError("column", finding)
+    if table.empty:
+        raise ConfigurationError("table", diagnose("nothing-to-draw"))

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.models.attributes import BY_KIND, BY_MJCF
-from pupper_analysis.models.description import Description
-from pupper_analysis.models.model_tree import ModelTree
+from pupper_analysis.models.description import Description, ModelTree
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text

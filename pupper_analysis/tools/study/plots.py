@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from pupper_analysis.present.html.plots import (
     round_ticks,
     word_at,
 )
-from pupper_analysis.tools.study.cells import (
+from pupper_analysis.tools.study.outcome import (
     Cells,
     EndMap,
     MeanMap,
@@ -35,15 +36,17 @@ from pupper_analysis.tools.study.cells import (
     end_map,
     mean_map,
     metrics_in,
+    pareto_front,
     split_panels,
     spread_in,
+    standing_designs,
     value_span,
 )
 
-Array = NDArray[np.float64]
-
 if TYPE_CHECKING:
     import pandas as pd
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,21 +90,6 @@ class EndsPlot(Plot):
 
 
 @dataclass(frozen=True, eq=False)
-class ParallelPlot(Plot):
-    """Each design as a line over several columns, coloured by one of them.
-
-    Attributes:
-        table: Of a study.
-        columns: From left to right.
-        shade: The column that colours the lines; grey are designs that have none.
-    """
-
-    table: pd.DataFrame
-    columns: Sequence[str]
-    shade: str
-
-
-@dataclass(frozen=True, eq=False)
 class FrontPlot(Plot):
     """Designs over two metrics, and the front of those that no other beats.
 
@@ -124,7 +112,7 @@ MAPS = 3
 """Measures that have a map each."""
 
 LINES = 4
-"""Measures beside the variables in parallel coordinates."""
+"""Measures beside the objectives in a table of the front."""
 
 
 def study_plots(
@@ -137,16 +125,13 @@ def study_plots(
         variables: What varies in it.
         axes: The two variables that span the maps; empty if there are no two.
     """
-    metrics, spread = metrics_in(table, variables), spread_in(table, variables)
+    metrics = metrics_in(table, variables)
     shown: dict[str, list[Plot]] = {}
     if axes:
         x, y = axes
         shown["failures"] = [*end_plots(table, x, y, variables)]
         for metric in metrics[:MAPS]:
             shown[f"map_{metric}"] = [*mean_plots(table, x, y, metric, variables)]
-    if spread and metrics:
-        columns = [*(name for name in variables if name in spread), *metrics[:LINES]]
-        shown["parallel"] = [parallel_plot(table, columns, metrics[0])]
     return shown
 
 
@@ -197,17 +182,6 @@ def _part(panel: Panel) -> Text | Name | None:
     return Name(panel.values()) if panel.fixed else None
 
 
-def parallel_plot(table: pd.DataFrame, columns: Sequence[str], shade: str) -> ParallelPlot:
-    """Returns designs as lines over columns, coloured by one.
-
-    Raises:
-        ConfigurationError: If a column is not there, or the table is empty.
-    """
-    check_columns(table, *columns, shade)
-    title = text("designs-as-lines-coloured", metric=Name(shade))
-    return ParallelPlot(title, table, columns, shade)
-
-
 def front_plot(
     table: pd.DataFrame, front: pd.DataFrame, objectives: Mapping[str, str]
 ) -> FrontPlot:
@@ -231,9 +205,6 @@ MAP_HEIGHT = 380.0
 
 BAR_ROOM = 92.0
 """At the right of a map (CSS pixels): a bar of its colours, with words."""
-
-MOST_LINES = 300
-"""Designs that are drawn as lines: more are one blot, and a page of megabytes."""
 
 MOST_DOTS = 1500
 """Designs of a cloud, evenly drawn of more."""
@@ -324,44 +295,6 @@ def _ends(plot: EndsPlot) -> Drawing:
 def _titled(plot: MeansPlot | EndsPlot) -> Words:
     """Returns a map's title, and of which designs it is."""
     return plot.title if plot.part is None else text("name-note", name=plot.title, note=plot.part)
-
-
-@draw_svg.register
-def _parallel(plot: ParallelPlot) -> Drawing:
-    table, columns, shade = plot.table, plot.columns, plot.shade
-    shown = _evenly(table, MOST_LINES)
-    places, numbers = shown.index.to_numpy(), shown[list(columns)].to_numpy(float)
-    low, high = (table[list(columns)].agg(end).to_numpy(float) for end in ("min", "max"))
-    wide = np.array([value_span(*ends) for ends in zip(low.tolist(), high.tolist(), strict=True)])
-    values = shown[shade].to_numpy(float)
-    least, most = float(table[shade].min()), float(table[shade].max())
-    foot, top = MAP_HEIGHT - 62.0, TOP + 18.0
-    across = np.linspace(70.0, WIDTH - BAR_ROOM - 10.0, len(columns))
-    marks: list[Mark] = []
-    for row in np.argsort(np.where(np.isfinite(values), values, -np.inf), kind="stable"):
-        known = np.flatnonzero(np.isfinite(numbers[row]))
-        share = (numbers[row, known] - low[known]) / np.where(wide > 0, wide, 1.0)[known]
-        up = foot - (foot - top) * np.where((wide > 0)[known], share, 0.5)
-        tone = (values[row] - least) / value_span(least, most) if value_span(least, most) else 0.5
-        mark: dict[str, Any] = {
-            "tag": "polyline",
-            "class": "series pc",
-            "points": np.round(np.column_stack([across[known], up]), 1).tolist(),
-            "labels": [_plain(f"{columns[i]} {numbers[row, i]:.4g}") for i in known],
-            "name": text("design-number", number=int(places[row]) + 1),
-            "stroke": colour_of_share(tone) if math.isfinite(values[row]) else "#8a8a8a",
-        }
-        marks.append(mark)
-    for index, (at, name) in enumerate(zip(across, columns, strict=True)):
-        marks.append(draw_line(at, top, at, foot, "axis"))
-        marks.append(word_at(at, top - 6, Name(f"{high[index]:.4g}"), "middle"))
-        marks.append(word_at(at, foot + 14, Name(f"{low[index]:.4g}"), "middle"))
-        # Names below one another in turn, so that long ones do not run into their neighbours.
-        marks.append(
-            word_at(at, foot + 32 + 16 * (index % 2), Name(_cut(column_label(name))), "middle")
-        )
-    marks += _bar(least, most)
-    return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks))
 
 
 @draw_svg.register
@@ -515,5 +448,38 @@ def _plain(label: str) -> str:
     return label.replace("|", "¦")
 
 
-def _cut(name: str) -> str:
-    return name if len(name) <= 20 else f"{name[:9]}…{name[-10:]}"
+# The figures of a study: what its page draws, as PNGs.
+
+
+def draw_study(
+    table: pd.DataFrame,
+    variables: Sequence[str],
+    folder: Path,
+    objectives: Mapping[str, str] | None = None,
+) -> list[Path]:
+    """Draws what a study can show without being asked, as its page does: returns the files.
+
+    Two variables of most values span the maps; the first metrics fill them. Two objectives, if
+    there are two, have their front.
+
+    Raises:
+        OutputError: If a file cannot be written.
+    """
+    from matplotlib.patches import Patch
+
+    from pupper_analysis.present.figures.drawing import write_plots
+
+    crossed = "crossed: some do not stand; the mean is of the others"
+    note = Patch(facecolor="none", edgecolor="black", hatch="///", label=crossed)
+    spread = spread_in(table, variables)
+    shown = study_plots(table, variables, spread[:2] if len(spread) > 1 else ())
+    if objectives is not None and len(objectives) == 2:
+        up = standing_designs(table)
+        if not up.dropna(subset=list(objectives)).empty:
+            shown["front"] = [front_plot(up, pareto_front(up, objectives), objectives)]
+    paths = []
+    for name, plots in shown.items():
+        paths.append(folder / f"{name}.png")
+        partial = any(isinstance(one, MeansPlot) and one.found.partial.any() for one in plots)
+        write_plots(plots, paths[-1], notes=[note] if partial else [])
+    return paths

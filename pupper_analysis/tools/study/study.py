@@ -32,14 +32,16 @@ from pupper_analysis.tools.study.design import (
     ENDS,
     STANCE,
     RobotSource,
+    Variants,
     check_name,
     check_range,
     digest_of,
-    load_source,
+    source_of,
 )
 from pupper_analysis.tools.study.measures import (
     REVISION,
     Function,
+    beside,
     metric_fingerprint,
     metric_of,
     metric_text,
@@ -73,7 +75,7 @@ KEYS = ("robot", "vary", "samples", "seed", "measure", "stand", "payload_point",
 """What a study's file may say."""
 
 
-class DesignStudy:
+class Study:
     """Designs of a robot that are measured alike.
 
     Attributes:
@@ -103,8 +105,10 @@ class DesignStudy:
         """Checks all that can be checked before anything runs.
 
         Args:
-            robot: {``urdf``: path, ``mjcf``: path, and other arguments of ``load_robot``}, or a
-                ``Source``.
+            robot: A file, two files with a plus between them, a variant's name, a ``VariantSpec``,
+                {``base``, ``leg_scale``, ``torso_mass_scale``}, where ``base`` may be files as
+                well, with other arguments of ``load_robot``, or {``urdf``: path, ``mjcf``: path,
+                and these}. Of variants ``leg_scale`` and ``torso_mass_scale`` can be varied, too.
             vary: {name of a number: a list, a ``linspace``, a distribution, a number}.
             measure: Names of ``METRICS``, or functions of (robot, stand).
             samples: How many designs, where there is a distribution; otherwise they are the product
@@ -126,7 +130,7 @@ class DesignStudy:
         check_type("samples", samples, int | None)
         check_type("seed", seed, int)
         check_type("stand", stand, StandTask | None)
-        self.source = self._source(robot)
+        self.source = source_of(robot)
         given = {str(name): make_variable(str(name), one) for name, one in vary.items()}
         for name in given:
             check_name(name, self.source)
@@ -153,19 +157,12 @@ class DesignStudy:
         if twice is not None:
             raise ConfigurationError("measure", diagnose("there-twice", name=twice))
 
-    def _source(self, robot: Any) -> RobotSource:
-        """Returns the source of a robot that is given in one of several ways."""
-        if isinstance(robot, Mapping):
-            return load_source(robot)
-        if hasattr(robot, "robot") and hasattr(robot, "scales"):
-            source: RobotSource = robot
-            return source
-        raise ConfigurationError("robot", diagnose("no-source-of-robots", given=repr(robot)))
-
     def whole_source(self) -> RobotSource:
         """Returns the source of the same robots with all that is only looked at."""
         if isinstance(self.source, FileSource):
             return FileSource(self.source.files, self.source.files.load())
+        if isinstance(self.source, Variants):
+            return Variants(self.source.spec, whole=True)
         return self.source
 
     @property
@@ -217,7 +214,7 @@ class DesignStudy:
     def __len__(self) -> int:
         return len(self.sampling) if self._points is None else len(self._points)
 
-    def at(self, points: Array) -> DesignStudy:
+    def at(self, points: Array) -> Study:
         """Returns the same study with other designs: points (n, variables)."""
         other = copy.copy(self)
         other._points = points
@@ -266,7 +263,7 @@ class DesignStudy:
         return given
 
     @classmethod
-    def of(cls, given: Mapping[str, Any]) -> DesignStudy:
+    def of(cls, given: Mapping[str, Any]) -> Study:
         """Makes a study of plain data, as a TOML file has it.
 
         Raises:
@@ -287,7 +284,7 @@ class DesignStudy:
         )
 
     @classmethod
-    def read(cls, path: str | Path, *, own_metrics: bool = True) -> DesignStudy:
+    def read(cls, path: str | Path, *, own_metrics: bool = True) -> Study:
         """Reads a study from a TOML file; paths and modules in it are looked for beside it.
 
         Args:
@@ -313,6 +310,8 @@ class DesignStudy:
         if isinstance(robot, str):
             given["robot"] = _beside(path, robot)
         metrics = given.get("measure")
+        if isinstance(metrics, list):
+            given["measure"] = metrics = [beside(path.parent, one) for one in metrics]
         folder = str(path.parent.absolute())
         own = modules_in(metrics)
         if own and own_metrics and folder not in sys.path:
@@ -497,7 +496,7 @@ class Estimate(Result):
         return (self.designs - self.there) * self.seconds_each / workers
 
 
-def estimate_study(study: DesignStudy, folder: Path) -> Estimate:
+def estimate_study(study: Study, folder: Path) -> Estimate:
     """Times some designs of a study's first block, in this process; nothing is written."""
     # Without some of its measures it is another study, of which nothing is there.
     begun = (folder / "shards").is_dir() and not study.left_out

@@ -271,7 +271,7 @@ def _ordered(name: str, low: float, high: float) -> tuple[float, float]:
     return first, last
 
 
-# Which designs a study has: the product of lists, Sobol's sequence, or Saltelli's scheme.
+# Which designs a study has: the product of lists, or Sobol's sequence.
 
 
 BLOCK = 4096

@@ -27,7 +27,6 @@ from pupper_analysis.models.urdf_file import urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.convert.load import load_robot
-from pupper_analysis.prepare.feet import made_frame
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.stand import solve_stand
@@ -37,7 +36,7 @@ from pupper_analysis.tools.study.measures import Design
 from pupper_analysis.tools.study.store import require_library
 
 if TYPE_CHECKING:
-    from pupper_analysis.tools.study.study import DesignStudy
+    from pupper_analysis.tools.study.study import Study
 
 _TOLERANCE = 1e-6
 """Relative: files have all digits, and what is left are the tolerances of iterative solvers."""
@@ -79,7 +78,7 @@ class WrittenDesign(Result):
 
 
 def write_design(
-    study: DesignStudy, number: int, folder: str | Path, *, force: bool = False
+    study: Study, number: int, folder: str | Path, *, force: bool = False
 ) -> WrittenDesign:
     """Writes a measured design of a study to ``design-NUMBER`` in the study's folder.
 
@@ -162,7 +161,7 @@ def _read_again(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str]]
     """Loads the written files; returns also the options that name the design's feet."""
     loaded = load_robot(urdf, mjcf)
     feet = robot.description.contact_points
-    own = {point: frames for point, frames in feet.items() if frames[0] != made_frame(point)}
+    own = any(link not in robot.description.made_frames for link, _ in feet.values())
     if not own or loaded.description.contact_points == feet:
         return loaded, []
     words = [f"--foot={name}={link}:{frame}" for name, (link, frame) in feet.items()]
@@ -216,10 +215,9 @@ def _contents(
 def _without_made_frames(description: Description) -> Description:
     """Returns it without the frames that feet were given in memory, which reading gives again."""
     tree, spec = UrdfTree.of(description.urdf), description.mjcf.copy()
-    for point, (link, frame) in description.contact_points.items():
-        if link == frame == made_frame(point):
-            tree.remove_subtree(link)
-            spec.delete(spec.site(frame))
+    for frame in description.made_frames:
+        tree.remove_subtree(frame)
+        spec.delete(spec.site(frame))
     return replace(description, urdf=to_text(tree.root), mjcf=spec)
 
 

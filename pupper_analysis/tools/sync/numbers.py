@@ -26,17 +26,15 @@ from pupper_analysis.base.inputs import MOST_FILE, read_input
 from pupper_analysis.base.kinds import hash_of, made_model
 from pupper_analysis.base.runs import note_input, running
 from pupper_analysis.models.attributes import BY_KIND
-from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.conversion import inertia_of_body, joint_armature, joint_damping
 from pupper_analysis.models.mjcf import silence_mujoco, to_xml
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text, read_mjcf
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.transmission import drives_of, law_of
-from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
+from pupper_analysis.models.urdf_file import UrdfFile, for_engines, read_urdf, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import parse_text
-from pupper_analysis.models.xml_text import Digits
+from pupper_analysis.models.xml import Digits, parse_text
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances

@@ -14,7 +14,7 @@ from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml_text import Digits
+from pupper_analysis.models.xml import Digits
 from pupper_analysis.robot.build import placeholders_among
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.compare.differences import LIMITS, OF_BODIES_AND_PLACES, OF_INERTIALS

@@ -14,12 +14,10 @@ from pupper_analysis.cli.robots import (
     VARIANT,
     RobotOptions,
     add_options,
-    print_notes,
     robot_argument,
-    robot_from,
     with_robot,
 )
-from pupper_analysis.prepare.convert.files import RobotFiles
+from pupper_analysis.tools.walk.modes import COMMAND, CONTRACT, walked_robot
 
 if TYPE_CHECKING:
     from pupper_analysis.tools.walk.gait import Walk
@@ -31,20 +29,12 @@ if TYPE_CHECKING:
 @robot_argument
 @add_options(FILES, VARIANT)
 @shared.file_option(
-    "--policy", help="The policy: ONNX, or RTNeural's JSON; e.g. policy.json.", required=True
+    "--policy",
+    help="The policy: ONNX, RTNeural's JSON, or TorchScript; e.g. policy.json.",
+    required=True,
 )
-@shared.file_option(
-    "--contract",
-    help="TOML of what the policy observes and commands; by default the one beside the policy.",
-)
-@click.option(
-    "--command",
-    "asked",
-    default="0.5,0,0",
-    show_default=True,
-    metavar="VX,VY,W",
-    help="Speed forward and to the left (m/s), and turning to the left (rad/s).",
-)
+@CONTRACT
+@COMMAND
 @click.option(
     "--seeds", type=int, help="Runs, whose starts differ; by default 1, with --vary 3; e.g. 20."
 )
@@ -116,9 +106,7 @@ def command(
     wanted = shared.parse_point("command", asked, 3)
     brain = Policy.load(policy, contract)
     meant = which.one(words) or "v3"
-    robot = robot_from(meant)
-    if isinstance(meant, RobotFiles) and style == "text":  # Markdown has them in its page
-        print_notes(robot, everything=everything)
+    robot = walked_robot(meant, style, everything=everything)
     given: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:
         given["seeds"] = seeds

@@ -27,7 +27,14 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
     return doc.Document(
         text("walk-title"),
         text("walk-of", robot=doc.Name(walk.name), policy=doc.Name(walk.policy)),
-        (_view(walk, robot), _motors(walk), _runs(walk), _feet(walk), torque_plot(walk)),
+        (
+            _view(walk, robot),
+            _motors(walk),
+            _runs(walk),
+            _feet(walk),
+            _stances(walk),
+            torque_plot(walk),
+        ),
         passed=walk.passed,
         verdict=text(word),
         failures=tuple(doc.tell(gait.fall) for gait in fallen[:1] if gait.fall is not None),
@@ -189,6 +196,42 @@ def _feet(walk: Walk) -> doc.Table:
     return doc.Table(text("walk-feet"), columns, rows)
 
 
+_SHORT = 0.02
+"""Share of the time below which a stance is left out: feet come down a moment apart."""
+
+
+def _stances(walk: Walk) -> doc.Table:
+    """Returns what motors give in each stance of the first run, beside its statics."""
+    rows = []
+    for one in walk.gaits[0].stances:
+        if one.share < _SHORT:
+            continue
+        used = one.static / np.where(np.isfinite(walk.limits), walk.limits, 1.0)
+        most = int(np.argmax(used))
+        rows.append(
+            (
+                doc.Name(", ".join(one.feet) or "-"),
+                doc.number_cell(100 * one.share, ".0f"),
+                doc.number_cell(None if np.isnan(one.outside) else 1e3 * one.outside, ".0f"),
+                doc.Name(walk.joints[most]),
+                doc.number_cell(one.static[most], ".2f"),
+                doc.number_cell(one.torque_rms[most], ".2f"),
+                doc.number_cell(one.torque_peak[most], ".2f"),
+            )
+        )
+    columns = (
+        doc.Column(text("walk-feet-down"), left=True),
+        doc.Column(text("walk-duty-of"), "%"),
+        doc.Column(text("walk-com-outside"), "mm"),
+        doc.Column(text("walk-hardest"), left=True),
+        doc.Column(text("walk-statics"), "N m"),
+        doc.Column(text("walk-rms"), "N m"),
+        doc.Column(text("walk-peak"), "N m"),
+    )
+    note = (text("walk-stances-how"),)
+    return doc.Table(text("walk-stances"), columns, tuple(rows), (), note)
+
+
 _DRAWN = 4
 """Motors whose torques are drawn: those with the largest rms."""
 
@@ -230,9 +273,19 @@ def intervals_document(found: TrackedIntervals, robot: Robot | None = None) -> d
         passed=found.passed,
         verdict=text(word),
         failures=tuple(reasons),
-        findings=(text("walk-commanded", command=_command(found.command)),),
+        findings=(text("walk-commanded", command=_command(found.command)), *_absolute(found)),
         notes=robot_notes(robot),
     )
+
+
+def _absolute(found: TrackedIntervals) -> Iterable[doc.Words]:
+    """Yields what payload (kg) and pushes (N s) are that the runs of all starts still track."""
+    for one in found.intervals:
+        if one.quantity == "payload":
+            yield text("walk-carries", mass=f"{one.common[1] * found.mass:.3g}")
+        elif one.quantity.startswith("push"):
+            low, high = (f"{abs(value) * found.mass:.3g}" for value in one.common)
+            yield text(f"walk-{one.quantity}", low=low, high=high)
 
 
 def _command(command: Array) -> doc.Name:

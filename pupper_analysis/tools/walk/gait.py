@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -45,6 +46,32 @@ _FRAME = 1 / 25
 
 
 @dataclass(frozen=True, eq=False)
+class GaitStance(Result):
+    """What motors give while certain feet touch the ground, beside what statics ask of them there.
+
+    Statics: the same joints, nothing moving, vertical forces at the points that touch, which carry
+    the weight as close beneath the centre of mass as they can. Where that is outside, a robot
+    standing so would tip; it does not while it walks.
+
+    Attributes:
+        feet: Which touch.
+        share: Of the time.
+        outside: How far the centre of mass is from above the points that touch, mean (m); not a
+            number without any.
+        static: (nu,) root of the mean square of each motor's torque by statics (N m).
+        torque_rms: (nu,) of what it gives at the same moments (N m).
+        torque_peak: (nu,) the greatest of these (N m).
+    """
+
+    feet: tuple[str, ...]
+    share: float
+    outside: float
+    static: Array
+    torque_rms: Array
+    torque_peak: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Gait(Result):
     """One run of a policy on a robot: means are over what follows the warm-up.
 
@@ -65,6 +92,7 @@ class Gait(Result):
             does not move.
         duty: {foot: share of the time in which it touches the ground}.
         touching: Bodies besides the feet that touched the ground.
+        stances: By which feet touch, the longest first; of the first run (seed 0) alone.
         roll: Standard deviation of the base's roll (rad).
         pitch: Of its pitch (rad).
         bounce: Of its height (m).
@@ -90,6 +118,7 @@ class Gait(Result):
     transport: float | None
     duty: Mapping[str, float]
     touching: tuple[str, ...]
+    stances: tuple[GaitStance, ...]
     roll: float
     pitch: float
     bounce: float
@@ -318,7 +347,8 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     ticks = run.states[first :: stage.substeps]
     ticks = ticks[np.isfinite(ticks).all(axis=1)]
-    duty, touching = _contacts(stage, run.case.model, ticks)
+    seen, touching = _contacts(stage, run.case.model, ticks, statics=not run.case.seed)
+    duty = {foot: sum(foot in one.feet for one in seen) / max(1, len(seen)) for foot in robot.feet}
     turned = rotations(ticks[:, 1 + convention.qpos_index[3:7]])
     allowed = (FALLEN_TILT, (1 - FALLEN_HEIGHT) * stage.upright.size)
     used = 1.0 if run.fallen else max(run.lean / allowed[0], run.lost / allowed[1], 0.0)
@@ -329,12 +359,12 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
     return Gait(
         command=run.case.command,
         seed=run.case.seed,
-        fall=_fall(stage, run) if run.fallen else None,
+        fall=fall_of(stage, run, len(run.states) * step) if run.fallen else None,
         duration=len(run.states) * step,
         velocity=followed.velocity,
         turning=followed.turning,
         tracks=followed.tracks,
-        torque_rms=np.sqrt((torques**2).mean(axis=0)),
+        torque_rms=_rms(torques),
         torque_peak=np.abs(torques).max(axis=0),
         at_limit=_share_at_limit(torques, limits),
         speed_peak=np.abs(rates).max(axis=0),
@@ -342,6 +372,7 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
         transport=power / (weight * speed) if speed > SPEED_SLACK else None,
         duty=duty,
         touching=touching,
+        stances=() if run.case.seed else _stances(seen, torques[:: stage.substeps]),
         roll=float(np.std(np.arctan2(turned[:, 2, 1], turned[:, 2, 2]))),
         pitch=float(np.std(np.arcsin(np.clip(-turned[:, 2, 0], -1, 1)))),
         bounce=float(np.std(ticks[:, 1 + convention.qpos_index[2]])),
@@ -358,32 +389,105 @@ def _share_at_limit(torques: Array, limits: Array) -> Array:
     return share
 
 
-def _fall(stage: Stage, run: Run) -> Diagnostic:
-    """Says how a run fell."""
-    time = Quantity(len(run.states) * stage.timestep, "s")
-    end = run.states[-1]
-    if not np.isfinite(end).all() or end[0] < (len(run.states) - 0.5) * stage.timestep:
+def fall_of(stage: Stage, run: Run, duration: float) -> Diagnostic:
+    """Says how a run fell that began so long ago (s)."""
+    time, end = Quantity(duration, "s"), run.states[-1]
+    if not np.isfinite(end).all() or end[0] < duration - 0.5 * stage.timestep:
         return diagnose("walk-diverged", time=time)
     lean = Quantity(stage.upright.lean(end), "rad")
     height = Quantity(float(end[1 + stage.robot.mj_convention.qpos_index[2]]), "m")
     return diagnose("fell-over", tilt=lean, height=height, time=time)
 
 
+class _Seen(NamedTuple):
+    """A moment: which feet touch, what statics ask, how far outside the centre of mass is."""
+
+    feet: tuple[str, ...]
+    static: Array
+    outside: float
+
+
 def _contacts(
-    stage: Stage, model: mujoco.MjModel, states: Array
-) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Returns in which share of some states each foot touches the ground, and what else does."""
+    stage: Stage, model: mujoco.MjModel, states: Array, *, statics: bool
+) -> tuple[list[_Seen], tuple[str, ...]]:
+    """Returns which feet touch the ground in some states, and what else touches it in any."""
     robot, data = stage.robot, mujoco.MjData(model)
-    counts, others = dict.fromkeys(robot.feet, 0), set()
+    found, others = [], set()
     for state in states:
         mujoco.mj_setState(model, data, state, STATE)
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
-        pairs = data.contact.geom[data.contact.dist <= 0]
-        ground = model.geom_bodyid[pairs] == 0
-        touching = {robot.foot_geoms.get(int(geom)) for geom in pairs[ground[:, ::-1]]}
-        for foot in counts:
-            counts[foot] += foot in touching
+        if statics:
+            data.qvel[:] = 0.0
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+        else:
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+        near = np.flatnonzero(data.contact.dist <= 0)
+        pairs = data.contact.geom[near]
+        bodies = model.geom_bodyid[pairs]
+        geoms = np.where(bodies[:, 0] == 0, pairs[:, 1], pairs[:, 0])
+        feet = [robot.foot_geoms.get(int(geom)) for geom in geoms]
+        ground = (bodies == 0).any(axis=1) & np.array([foot is not None for foot in feet], bool)
+        named = {str(feet[index]) for index in np.flatnonzero(ground)}
+        touching = tuple(foot for foot in robot.feet if foot in named)
+        asked = np.zeros(robot.nu), math.nan
+        if statics:
+            points, bearing = data.contact.pos[near[ground]], model.geom_bodyid[geoms[ground]]
+            asked = _statics(stage, model, data, points, bearing)
+        found.append(_Seen(touching, *asked))
         others |= bodies_on_ground(model, data, robot.foot_geoms)
-    total = max(1, len(states))
-    return {foot: count / total for foot, count in counts.items()}, tuple(sorted(others))
+    return found, tuple(sorted(others))
+
+
+_UPRIGHT, _EVEN = 1e3, 1e-5
+"""How much the forces' sum counts beside their place, and that they be even where that is free."""
+
+
+def _statics(
+    stage: Stage, model: mujoco.MjModel, data: mujoco.MjData, points: Array, bodies: NDArray[Any]
+) -> tuple[Array, float]:
+    """Returns the motors' torques (nu,) of statics on some points, and how far the com is off.
+
+    Vertical forces n >= 0 at the points p: least |sum n p / W - c|, with sum n = W.
+    """
+    from scipy.optimize import nnls  # takes a quarter of a second
+
+    free = data.qfrc_bias - data.qfrc_passive
+    weight = float(np.linalg.norm(model.opt.gravity)) * float(model.body_subtreemass[1:].max())
+    outside = math.nan
+    if len(points):
+        com = data.subtree_com[stage.model.body(stage.robot.mj_base).id, :2]
+        apart = (points[:, :2] - com).T
+        rows = np.vstack([apart, np.full(len(points), _UPRIGHT), _EVEN * np.eye(len(points))])
+        shares, _ = nnls(rows, np.r_[0.0, 0.0, _UPRIGHT, np.zeros(len(points))])
+        outside = float(np.linalg.norm(apart @ shares))
+        jacobian = np.empty((3, model.nv))
+        for point, body, share in zip(points, bodies, shares, strict=True):
+            mujoco.mj_jac(model, data, jacobian, None, point, int(body))
+            free = free - weight * share * jacobian[2]
+    torques: Array = free[stage.robot.mj_convention.qvel_index[6:]]
+    return torques, outside
+
+
+def _stances(seen: Sequence[_Seen], torques: Array) -> tuple[GaitStance, ...]:
+    """Returns moments by the feet that touch, with the torques (n, nu) at these."""
+    grouped: dict[tuple[str, ...], list[int]] = {}
+    for place, one in enumerate(seen[: len(torques)]):
+        grouped.setdefault(one.feet, []).append(place)
+    found = [
+        GaitStance(
+            feet=feet,
+            share=len(places) / len(seen),
+            outside=float(np.mean([seen[place].outside for place in places])),
+            static=_rms(np.array([seen[place].static for place in places])),
+            torque_rms=_rms(torques[places]),
+            torque_peak=np.abs(torques[places]).max(axis=0),
+        )
+        for feet, places in grouped.items()
+    ]
+    return tuple(sorted(found, key=lambda one: -one.share))
+
+
+def _rms(values: Array) -> Array:
+    root: Array = np.sqrt((values**2).mean(axis=0))
+    return root

@@ -176,6 +176,7 @@ class TrackedIntervals(Result):
 
     Attributes:
         name: The robot's name.
+        mass: kg.
         policy: The name of the policy's file.
         command: (3,) speed forward and to the left (m/s), and turning to the left (rad/s).
         asked: How many starts were asked for.
@@ -186,6 +187,7 @@ class TrackedIntervals(Result):
     """
 
     name: str
+    mass: float
     policy: str
     command: Array
     asked: int
@@ -306,5 +308,13 @@ def tracked_intervals(
             known = (measured or {}).get(name)
             found.append(TrackedInterval(name, quantity.unit, quantity.nominal, *values, known))
     return TrackedIntervals(
-        robot.name, policy.name, wanted, seeds, kept, tuple(found), count, float(seconds)
+        name=robot.name,
+        mass=robot.total_mass,
+        policy=policy.name,
+        command=wanted,
+        asked=seeds,
+        seeds=kept,
+        intervals=tuple(found),
+        rollouts=count,
+        seconds=float(seconds),
     )

@@ -11,7 +11,7 @@ from pupper_analysis.base.inputs import is_input, read_toml
 from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import onnx, read_onnx, read_rtneural
 from pupper_analysis.tools.contract.readers import rtneural as rtneural_reader
-from pupper_analysis.tools.walk import onnx_file, rtneural
+from pupper_analysis.tools.walk import onnx_file, rtneural, torchscript
 from pupper_analysis.tools.walk.contract import Contract, contract_of, of_rtneural, of_source
 from pupper_analysis.tools.walk.network import Network
 
@@ -32,14 +32,15 @@ class Policy:
 
     @classmethod
     def load(cls, path: str | Path, contract: str | Path | None = None) -> Policy:
-        """Reads a policy; nothing in it is executed.
+        """Reads a policy; nothing in it is executed, but for TorchScript by torch's interpreter.
 
         Args:
-            path: An ONNX file, or RTNeural's JSON.
+            path: An ONNX file, RTNeural's JSON, or (with torch installed) TorchScript, as .pt.
             contract: A TOML that states what the file does not, and counts where both do; by
                 default the one beside it, of its name with ``.toml``, if there is one.
 
         Raises:
+            MissingPackageError: If it is TorchScript, and torch is not installed.
             ModelError: If it cannot be used; the message names the layer, or the key.
         """
         path = Path(path)
@@ -53,10 +54,11 @@ class Policy:
             values = read_rtneural(path).values
             network, read = rtneural.network_of(path, values), rtneural_reader.read
             own = of_rtneural(values, network.inputs, network.outputs)
+        elif path.suffix in torchscript.SUFFIXES:  # states nothing but its weights
+            network, read, own = torchscript.network_of(path), None, {}
         else:
-            network, read = onnx_file.network_of(path, read_onnx(path)), onnx.read
-            own = {}
-        for source in read(Request(path)):
+            network, read, own = onnx_file.network_of(path, read_onnx(path)), onnx.read, {}
+        for source in () if read is None else read(Request(path)):
             own = of_source(source) | own
         stated = [(str(path), own), *([(str(beside), toml)] if there else [])]
         agreed = contract_of(path, stated, network.inputs, network.outputs)

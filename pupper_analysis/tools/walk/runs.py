@@ -6,6 +6,7 @@ MuJoCo steps each by itself, and the network multiplies each run's row by itself
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 from collections.abc import Iterator, Sequence
@@ -156,7 +157,8 @@ def stage_of(robot: Robot, policy: Policy) -> Stage:
         raise ModelError(policy.name, diagnose("policy-without-gains"))
     else:
         servos = model_with_servos(robot)
-    model = servos.model
+    model = copy.copy(servos.model)  # nobody reads its sensors, which are 7 % of v3's steps
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
     substeps = round(1.0 / (contract.rate * model.opt.timestep))
     if substeps < 1:
         problem = diagnose("rate-above-steps", rate=contract.rate, timestep=model.opt.timestep)
@@ -245,61 +247,105 @@ def simulate_cases(
             yield from one.result()
 
 
+class Lockstep:
+    """Some runs side by side, action by action: what `walk` measures, and `live` plays.
+
+    Args:
+        stage: The policy on its robot.
+        cases: The runs; their pushes are not made here.
+
+    Attributes:
+        commands: (runs, 3) what they are commanded; may be changed between two actions.
+        going: (n,) which go on.
+        current: (n, size) the states of these.
+        tick: How many actions they have had.
+    """
+
+    def __init__(self, stage: Stage, cases: Sequence[Case]) -> None:
+        self._stage, self._models = stage, [case.model for case in cases]
+        self.commands = np.array([case.command for case in cases])
+        self.going = np.arange(len(cases))
+        self.current = np.array([_start(stage, case) for case in cases])
+        self.tick = 0
+        self._data, self._runner = mujoco.MjData(stage.model), mujoco.rollout.Rollout(nthread=0)
+        self._observer = Observer(stage, self.commands, self._models)
+        self._memory = stage.policy.network.start(len(cases))
+        delays = np.array([[round(case.delay / stage.timestep)] for case in cases])
+        # Which command before the newest one is due at each step of an action.
+        self._late = -((np.arange(stage.substeps) - delays) // stage.substeps)
+        self._asked = np.tile(stage.ctrl, (len(cases), int(self._late.max()) + 1, 1))
+
+    def advance(self, forces: Array | None = None) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Lets those that go on act once.
+
+        Args:
+            forces: (n, 6 nbody) on their bodies meanwhile; see ``FORCED``.
+
+        Returns:
+            Their states (n, substeps, size), what their motors are commanded (n, substeps, nu), and
+            which of them broke down.
+        """
+        stage, going = self._stage, self.going
+        seen = self._observer.observe(self.current, going, self.tick)
+        actions, self._memory = stage.policy.network.forward(seen, self._memory)
+        self._observer.last[going] = actions
+        self._asked[going, 1:] = self._asked[going, :-1]
+        self._asked[going, 0] = _commands(stage, actions)
+        control = self._asked[going[:, None], self._late[going]]
+        models = [self._models[index] for index in going.tolist()]
+        if forces is None:
+            states, _ = self._runner.rollout(models, self._data, self.current, control)
+        else:
+            held = np.repeat(forces[:, None], stage.substeps, axis=1)
+            forced = np.concatenate([control, held], axis=2)
+            states, _ = self._runner.rollout(
+                models, self._data, self.current, forced, control_spec=FORCED
+            )
+            # What a state does not hold, the next rollout leaves as it is.
+            self._data.xfrc_applied[:] = 0.0
+        self.tick += 1
+        self.current = states[:, -1]
+        # MuJoCo begins anew, at time 0, where a number is none or too large.
+        broken = ~np.isfinite(self.current).all(axis=1)
+        broken |= self.current[:, 0] < (self.tick * stage.substeps - 0.5) * stage.timestep
+        return states, control, broken
+
+    def keep(self, kept: NDArray[np.bool_]) -> None:
+        """Goes on with some of those that go on."""
+        self.going, self.current = self.going[kept], self.current[kept]
+        self._memory = tuple(one[kept] for one in self._memory)
+
+
 def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float) -> list[Run]:
     """Simulates some cases in lockstep."""
     count = len(cases)
     ticks = max(1, round(duration / (stage.substeps * stage.timestep)))
-    data, runner = mujoco.MjData(stage.model), mujoco.rollout.Rollout(nthread=0)
-    current = np.array([_start(stage, case) for case in cases])
-    kept = np.empty((count, ticks * stage.substeps, current.shape[1]))
-    control_kept = np.empty((count, ticks * stage.substeps, stage.model.nu))
-    ends, fallen = np.full(count, ticks * stage.substeps), np.zeros(count, dtype=bool)
+    runs, steps = Lockstep(stage, cases), stage.substeps
+    kept = np.empty((count, ticks * steps, runs.current.shape[1]))
+    control_kept = np.empty((count, ticks * steps, stage.model.nu))
+    ends, fallen = np.full(count, ticks * steps), np.zeros(count, dtype=bool)
     worst = np.zeros((count, 2))
-    delays = np.array([round(case.delay / stage.timestep) for case in cases])
-    commands = np.array([case.command for case in cases])
     lifts = np.array([case.lift for case in cases])
     uprights = [lifted(stage.upright, case.lift) for case in cases]
-    pushes, pushed = _pushes(stage, cases)
-    observer = Observer(stage, commands, [case.model for case in cases])
-    memory = stage.policy.network.start(count)
-    asked = np.tile(stage.ctrl, (count, ticks + 1, 1))  # [:, k]: from tick k - 1 on
-    going, steps = np.arange(count), np.arange(stage.substeps)
+    pushes = push_forces(stage, [case.push for case in cases])
+    pushed = round(PUSHED / (steps * stage.timestep)) if pushes.any() else -1
     for tick in range(ticks):
-        seen = observer.observe(current, going, tick)
-        actions, memory = stage.policy.network.forward(seen, memory)
-        observer.last[going] = actions
-        asked[going, tick + 1] = _commands(stage, actions)
-        first = tick * stage.substeps
-        due = np.clip((first + steps - delays[going, None]) // stage.substeps + 1, 0, tick + 1)
-        control = asked[going[:, None], due]
-        models = [cases[index].model for index in going.tolist()]
-        if tick == pushed:
-            forces = np.repeat(pushes[going, None], stage.substeps, axis=1)
-            forced = np.concatenate([control, forces], axis=2)
-            states, _ = runner.rollout(models, data, current, forced, control_spec=FORCED)
-            # What a state does not hold, the next rollout leaves as it is.
-            data.xfrc_applied[:] = 0.0
-        else:
-            states, _ = runner.rollout(models, data, current, control)
-        kept[going, first : first + stage.substeps] = states
-        control_kept[going, first : first + stage.substeps] = control
-        current = states[:, -1]
-        broken = ~np.isfinite(states).all(axis=(1, 2))
-        broken |= states[:, -1, 0] < (first + stage.substeps - 0.5) * stage.timestep
-        lean, lost = lean_and_loss(stage, current)
+        going, first, last = runs.going, tick * steps, (tick + 1) * steps
+        states, control, broken = runs.advance(pushes[going] if tick == pushed else None)
+        kept[going, first:last], control_kept[going, first:last] = states, control
+        lean, lost = lean_and_loss(stage, runs.current)
         lost += lifts[going]
-        if (first + stage.substeps) * stage.timestep > warm_up:
+        if last * stage.timestep > warm_up:
             worst[going] = np.fmax(worst[going], np.column_stack([lean, lost]))
         near = (lean > _NEAR * FALLEN_TILT) | (
             lost > _NEAR * (1 - FALLEN_HEIGHT) * (stage.upright.size + lifts[going])
         )
         for place in np.flatnonzero(near & ~broken):
-            broken[place] = uprights[going[place]].has_fallen(current[place])
+            broken[place] = uprights[going[place]].has_fallen(runs.current[place])
         if broken.any():
-            fallen[going[broken]], ends[going[broken]] = True, first + stage.substeps
-            going, current = going[~broken], current[~broken]
-            memory = tuple(one[~broken] for one in memory)
-            if not going.size:
+            fallen[going[broken]], ends[going[broken]] = True, last
+            runs.keep(~broken)
+            if not runs.going.size:
                 break
     return [
         Run(
@@ -314,13 +360,11 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
     ]
 
 
-def _pushes(stage: Stage, cases: Sequence[Case]) -> tuple[Array, int]:
-    """Returns the forces on bodies (runs, 6 nbody) of pushes, and in which action; -1: in none."""
-    step = stage.substeps * stage.timestep
-    forces = np.zeros((len(cases), stage.model.nbody, 6))
-    forces[:, stage.model.body(stage.robot.mj_base).id, :2] = [case.push for case in cases]
-    any_pushed = bool(forces.any())
-    return (forces / step).reshape(len(cases), -1), round(PUSHED / step) if any_pushed else -1
+def push_forces(stage: Stage, impulses: Sequence[tuple[float, float]]) -> Array:
+    """Returns the forces (runs, 6 nbody) on bodies of pushes (N s) that last one action."""
+    forces = np.zeros((len(impulses), stage.model.nbody, 6))
+    forces[:, stage.model.body(stage.robot.mj_base).id, :2] = impulses
+    return (forces / (stage.substeps * stage.timestep)).reshape(len(impulses), -1)
 
 
 def lifted(upright: Upright, lift: float) -> Upright:
@@ -364,6 +408,16 @@ def rotations(quaternions: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def verticals(quaternions: Array) -> Array:
+    """Returns the vertical (..., 3) in frames of unit quaternions (..., 4), w first."""
+    w, x, y, z = np.moveaxis(quaternions, -1, 0)
+    up: Array = np.empty((*w.shape, 3))
+    up[..., 0] = 2 * (x * z - w * y)
+    up[..., 1] = 2 * (y * z + w * x)
+    up[..., 2] = 1 - 2 * (x * x + y * y)
+    return up
+
+
 def lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     """Returns how far bases lean (rad), and how much lower they are than they stood (m).
 
@@ -372,10 +426,10 @@ def lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
         states: (..., size).
     """
     upright, index = stage.upright, stage.robot.mj_convention.qpos_index
-    turned = rotations(states[..., 1 + index[3:7]])
+    up = verticals(states[..., 1 + index[3:7]])
     with np.errstate(invalid="ignore"):
-        lean = np.arccos(np.clip(turned[..., 2, :] @ upright.rotation[2], -1.0, 1.0))
-    height = states[..., 1 + index[2]] + turned[..., 2, :] @ upright.lever
+        lean = np.arccos(np.clip(up @ upright.rotation[2], -1.0, 1.0))
+    height = states[..., 1 + index[2]] + up @ upright.lever
     return lean, upright.place[2] - height
 
 
@@ -455,9 +509,10 @@ class Observer:
     ) -> tuple[Array, Array, Array]:
         """Returns linear and angular velocities, and where gravity points, in the IMU's frame."""
         if self._data is None:
-            turned = rotations(qpos[:, 3:7])
-            linear = np.einsum("rji,rj->ri", turned, qvel[:, :3])
-            return linear, qvel[:, 3:6], -turned[:, 2, :]
+            linear = np.zeros((len(qpos), 3))
+            if any(term.name == "linear-velocity" for term in self._contract.terms):
+                linear = np.einsum("rji,rj->ri", rotations(qpos[:, 3:7]), qvel[:, :3])
+            return linear, qvel[:, 3:6], -verticals(qpos[:, 3:7])
         data, site = self._data, self._stage.imu
         found, velocity = np.empty((len(going), 9)), np.empty(6)
         for row, (run, state) in enumerate(zip(going.tolist(), states, strict=True)):

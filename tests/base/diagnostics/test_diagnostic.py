@@ -97,14 +97,22 @@ def calls() -> Iterator[tuple[str, str, set[str] | None]]:
         if "subject" in named:
             named.add("name")
         given = None if any(word.arg is None for word in node.keywords) else named
-        for code in literals(node.args[0], f"{module}:{node.lineno}"):
+        for code in literals(node.args[0], f"{module}:{node.lineno}", trees()[module]):
             yield f"{module}:{node.lineno}", code, given
 
 
-def literals(node: ast.expr, where: str) -> Iterator[str]:
+def literals(node: ast.expr, where: str, tree: ast.Module) -> Iterator[str]:
     if isinstance(node, ast.IfExp):
-        yield from literals(node.body, where)
-        yield from literals(node.orelse, where)
+        yield from literals(node.body, where, tree)
+        yield from literals(node.orelse, where, tree)
+    elif isinstance(node, ast.Subscript):  # of a table in the same module
+        (table,) = (
+            one.value
+            for one in tree.body
+            if isinstance(one, ast.Assign)
+            and ast.unparse(one.targets[0]) == ast.unparse(node.value)
+        )
+        yield from ast.literal_eval(table).values()
     else:
         assert isinstance(node, ast.Constant), f"{where}: a code is a literal"
         yield str(node.value)

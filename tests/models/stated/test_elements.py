@@ -101,12 +101,12 @@ def test_a_support_function_bounds_the_shape_and_is_reached(
     """Along its axes MuJoCo's own sizes say how far a shape reaches; no point of it is beyond."""
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     shape = Shape("", kind, Pose(np.array([1.0, 2.0, 3.0]), turn), size, collides=True)
-    ways = np.random.default_rng(5).normal(size=(200, 3))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    directions = np.random.default_rng(5).normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     points = shape_points(shape)
     assert points is not None
-    far = (ways @ points.T).max(axis=1)
-    reach = support_of(shape, ways)
+    far = (directions @ points.T).max(axis=1)
+    reach = support_of(shape, directions)
     assert reach is not None
     assert (far <= reach + 1e-12).all()
     half = {"sphere": size[0], "capsule": sum(size)}.get(kind, size[-1])

@@ -79,10 +79,10 @@ def test_of_several_robots_one_is_to_be_named(tmp_path: Path) -> None:
 
 
 def test_a_robot_on_a_free_base_goes_before_doors(tmp_path: Path) -> None:
-    door = '<body name="door"><joint name="hinge"/><geom size="0.4"/></body>'
+    box = '<body name="door"><joint name="hinge"/><geom size="0.4"/></body>'
     walker = LEFT.replace('<joint name="left_1"', '<freejoint name="root"/><joint name="left_1"', 1)
     walker = walker.replace('<joint name="left_1" axis="0 1 0"/>', "")
-    model = with_one_robot(read_mjcf(scene(tmp_path, door, walker))).model
+    model = with_one_robot(read_mjcf(scene(tmp_path, box, walker))).model
     assert [model.joint(index).name for index in range(model.njnt)] == ["root", "left_2"]
     assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
 

@@ -685,7 +685,7 @@ def loop_closed(files: Files) -> Expected:
 def base_welded_to_the_world(files: Files) -> Expected:
     section = ElementTree.SubElement(files.mjcf, "equality")
     ElementTree.SubElement(section, "weld", body1="base_link")
-    return {"equality"}, {"#0"}
+    return {"equality"}, {"#0 (base_link = world)"}
 
 
 def _coupled_joints(files: Files) -> tuple[Element, Element]:

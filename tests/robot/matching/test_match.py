@@ -347,7 +347,7 @@ def test_a_mimic_joint_that_the_mjcf_leaves_free_is_a_difference(tmp_path: Path)
 def test_joints_that_the_mjcf_alone_couples_are_a_difference(tmp_path: Path) -> None:
     extra = '<equality><joint joint1="hip0" joint2="hip1"/></equality>'
     comparison = compare_texts(tmp_path, URDF, mjcf_text(quadruped(), extra=extra))
-    assert found(comparison) == [("equality", "#0")]
+    assert found(comparison) == [("equality", "#0 (hip0 = hip1)")]
     assert "it is a joint of joint hip0 and joint hip1" in comparison.differences[0].message
 
 

@@ -40,12 +40,12 @@ def test_one_edit_is_told_at_its_line_with_what_mujoco_makes_of_it(
     diff = pa.diff_models(before, after)
     assert not diff.same
     assert any(change.new_place.endswith(f"{edit.file}:{edit.line}") for change in diff.changes)
-    messages = [one for change in diff.changes for one in change.consequences] + [*diff.together]
+    messages = [one for change in diff.changes for one in change.consequences] + [*diff.combined]
     codes = {one.code for one in messages}
     assert ("simulation-changes" in codes) is (name in FELT)
     assert (codes == {"simulation-unchanged"}) is (name in HARMLESS)
     # The height that all of it tells together is the one that bare MuJoCo has.
-    whole = [one for one in diff.together or messages if one.code == "simulation-changes"]
+    whole = [one for one in diff.combined or messages if one.code == "simulation-changes"]
     for one in whole:
         stated = [one.values["higher"], one.values["lower"], one.values["falls"]]
         (height,) = [value.value for value in stated if value is not None] or [0.0]
@@ -71,7 +71,7 @@ def test_several_changes_are_also_told_together(tmp_path: Path) -> None:
     assert {str(change.diagnostic.values["what"]) for change in diff.changes} == {
         "friction", "priority",
     }  # fmt: skip
-    (slope,) = [message for message in diff.together if message.code == "slides-from"]
+    (slope,) = [message for message in diff.combined if message.code == "slides-from"]
     assert slope.values["two"].value == pytest.approx(0.01, rel=1e-3)
     assert slope.values["one"].value == pytest.approx(0.7854, rel=1e-3)
 
@@ -85,7 +85,7 @@ def test_what_no_change_explains_is_no_same_model(
     diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", edited(tmp_path, FELT["impratio"]))
     assert not diff.changes
     assert not diff.same
-    assert [message.code for message in diff.together] == ["simulation-changes"]
+    assert [message.code for message in diff.combined] == ["simulation-changes"]
 
 
 def test_shapes_of_a_urdf_that_touch_are_compared(tmp_path: Path) -> None:

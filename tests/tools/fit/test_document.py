@@ -14,11 +14,11 @@ from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import Parameter
 from pupper_analysis.tools.fit.result import (
+    Combination,
     Determined,
     Estimate,
     Expected,
     MotionFit,
-    Together,
     describe_parameters,
 )
 from pupper_analysis.tools.fit.stands.fit import JointResidual, StandFit
@@ -53,7 +53,7 @@ def posterior() -> Posterior:
     )
 
 
-TOGETHER = (Together(("kp knee", "mass calf"), True, 0.1, {"weigh-the-robot": 12.34}),)
+COMBINATIONS = (Combination(("kp knee", "mass calf"), True, 0.1, {"weigh-the-robot": 12.34}),)
 
 
 def stand_fit() -> StandFit:
@@ -62,7 +62,7 @@ def stand_fit() -> StandFit:
         name="dog",
         source="stands.csv",
         estimates=tuple(describe_parameters(known)),
-        together=TOGETHER,
+        combinations=COMBINATIONS,
         failures=(),
         diagnostics=(),
         posterior=known,
@@ -97,7 +97,7 @@ def motion_fit() -> MotionFit:
         name="dog",
         source="hang.csv",
         estimates=tuple(describe_parameters(known)),
-        together=(),
+        combinations=(),
         failures=(),
         diagnostics=(),
         posterior=known,

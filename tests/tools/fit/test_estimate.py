@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import FitError
-from pupper_analysis.tools.fit.estimate import Linearised, Posterior, Slopes, estimate_parameters
+from pupper_analysis.tools.fit.estimate import (
+    JacobianReuse,
+    Linearised,
+    Posterior,
+    estimate_parameters,
+)
 from pupper_analysis.tools.fit.motions.rollouts import Moments
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
 
@@ -97,8 +102,8 @@ def search(enough: float = 1e-8) -> tuple[Posterior, int]:
     def linearise(x: Array, _: Array) -> Linearised:
         return Linearised.of(bent(x)[0], kept["slopes"])
 
-    slopes = Slopes(renew)
-    return estimate_parameters(WIDE, linearise, enough=enough, slopes=slopes), slopes.made
+    jacobian = JacobianReuse(renew)
+    return estimate_parameters(WIDE, linearise, enough=enough, jacobian=jacobian), jacobian.made
 
 
 def test_derivatives_that_are_dear_are_made_less_often_and_the_answer_is_the_same() -> None:
@@ -106,8 +111,8 @@ def test_derivatives_that_are_dear_are_made_less_often_and_the_answer_is_the_sam
     assert found.mean == pytest.approx([1, 1], abs=1e-4)
     assert made < found.steps
     # They were made near the end, not where it began: the covariance there is known.
-    slopes = bent(np.array([1.0, 1.0]))[1]
-    assert found.covariance == pytest.approx(np.linalg.inv(slopes.T @ slopes), rel=1e-2)
+    jacobian = bent(np.array([1.0, 1.0]))[1]
+    assert found.covariance == pytest.approx(np.linalg.inv(jacobian.T @ jacobian), rel=1e-2)
 
 
 def test_where_no_step_keeps_its_promise_intervals_are_as_wide_as_what_was_promised() -> None:
@@ -118,7 +123,7 @@ def test_where_no_step_keeps_its_promise_intervals_are_as_wide_as_what_was_promi
         left = np.array([3.0 + 0.1 * np.abs(x[0]), 100.0])
         return Linearised.of(left, np.array([[0.5], [0.0]]))
 
-    found = estimate_parameters(given, linearise, slopes=Slopes(lambda _: None))
+    found = estimate_parameters(given, linearise, jacobian=JacobianReuse(lambda _: None))
     assert found.open_step == pytest.approx([-1.5 / 1.25])
     assert found.covariance[0, 0] == pytest.approx(1 / 1.25 + (1.5 / 1.25) ** 2)
 
@@ -150,7 +155,7 @@ def test_moments_are_linear_in_what_gravity_feels_and_lead_back() -> None:
     # Of a lamp whose mass is known there is nothing to turn.
     assert y[3:] == pytest.approx(x[3:])
     step = 1e-6
-    slopes = np.column_stack(
+    jacobian = np.column_stack(
         [(moments.to_parameters(y + step * one) - x) / step for one in np.eye(5)]
     )
-    assert moments.derivative(y) == pytest.approx(slopes, abs=1e-5)
+    assert moments.derivative(y) == pytest.approx(jacobian, abs=1e-5)

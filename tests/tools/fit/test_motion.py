@@ -52,10 +52,10 @@ def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
 @pytest.mark.longest
 def test_with_the_mass_not_known_either_all_is_told_in_ratio_only() -> None:
     found = fit_motion(bar(), [log()], priors=["com=0", "offset=0", "delay=0"])
-    (together,) = found.together
-    assert together.ratio
-    assert "mass bar" in together.names
-    assert len(together.names) > 1
+    (combination,) = found.combinations
+    assert combination.ratio
+    assert "mass bar" in combination.names
+    assert len(combination.names) > 1
 
 
 @pytest.mark.longest

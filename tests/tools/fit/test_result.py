@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
-from pupper_analysis.tools.fit.result import Determined, determined_by, find_together
+from pupper_analysis.tools.fit.result import Determined, determined_by, find_combinations
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def test_a_difference_is_told_and_the_sum_is_not() -> None:
     left = 1 / (1 + 8 / noise**2)
     np.testing.assert_allclose(found.shares, (1 + left) / 2, rtol=1e-9)
     np.testing.assert_allclose(found.mean, [2.0, 4.0], atol=1e-12)
-    (both,) = find_together(found)
+    (both,) = find_combinations(found)
     assert both.names == ("mass base", "kp knee")
     assert both.ratio  # both change by the same share: 1 of 2 as 2 of 4
     assert both.std == pytest.approx(math.sqrt(left))
@@ -63,20 +63,20 @@ def test_a_remedy_narrows_what_is_open_by_what_it_would_tell() -> None:
     """A scale of the mass, to s: the open direction's variance 1 becomes v' = u^T (P + I)^-1 u."""
     noise, scale = 0.2, 0.1
     found = fitted((MASS, KP), np.array([[2.0, -1.0]]), np.array([0.0]), noise)
-    (both,) = find_together(
+    (both,) = find_combinations(
         found,
         {"weigh-the-robot": np.diag([1 / scale**2, 0.0]), "measure-torques": np.zeros((2, 2))},
     )
     whole = np.eye(2) + 4 / noise**2 * np.array([[1, -1], [-1, 1]]) + np.diag([100.0, 0.0])
     after = np.linalg.inv(whole).sum() / 2
-    assert both.remedies == pytest.approx({"weigh-the-robot": 1 / math.sqrt(after)})
+    assert both.measurements == pytest.approx({"weigh-the-robot": 1 / math.sqrt(after)})
 
 
 def test_what_is_told_alone_or_not_at_all_is_in_no_group() -> None:
     alone = fitted((MASS, KP), np.eye(2), np.array([2.0, 4.0]), 0.01)
-    assert find_together(alone) == ()
+    assert find_combinations(alone) == ()
     nothing = fitted((MASS, KP), np.array([[0.0, 0.0]]), np.array([0.0]), 1.0)
-    assert find_together(nothing) == ()
+    assert find_combinations(nothing) == ()
     np.testing.assert_allclose(nothing.shares, 1.0)
 
 
@@ -84,7 +84,7 @@ def test_a_first_moment_is_no_ratio() -> None:
     """Of m c only the product is told, linearly: a com has a component, and is no factor."""
     rows = np.array([[0.03, 1.0]])  # by mass times its width of 1, by com times 0.03: alike
     found = fitted((MASS, COM), rows, np.array([0.06]), 1e-4)
-    (both,) = find_together(found)
+    (both,) = find_combinations(found)
     assert not both.ratio
 
 

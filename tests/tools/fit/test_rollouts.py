@@ -132,8 +132,8 @@ def test_derivatives_are_differences_though_joints_of_other_limbs_change_with_th
     simulator, moments = Simulator(robot, drive, given, 0.005), Moments(given)
     here, y = simulator.predict(run, [x])[0], moments.of_parameters(x)
     whole = np.zeros((*here.shape, len(given)))
-    for number, (places, slopes) in differentiate(simulator, moments, run, y).items():
-        whole[:, np.array(simulator.groups[number][0])[:, None], places] = slopes
+    for number, (places, rates) in differentiate(simulator, moments, run, y).items():
+        whole[:, np.array(simulator.groups[number][0])[:, None], places] = rates
     for place in range(0, len(given), 2):  # of every other: they are many
         one = given.parameters[place]
         change = 1e-2 * one.width * np.eye(len(given))[place]
@@ -172,8 +172,8 @@ def test_a_factor_of_all_forces_moves_nothing_though_each_alone_moves_much() -> 
     for _ in range(2):
         found = differentiate(simulator, moments, run, given.stated, known)
         information = np.zeros((len(given), len(given)))
-        for places, slopes in found.values():
-            for by_joint in np.moveaxis(slopes, 1, 0):
+        for places, rates in found.values():
+            for by_joint in np.moveaxis(rates, 1, 0):
                 moved = by_joint * given.width[places] / 5e-4
                 information[places[:, None], places] += moved.T @ moved
         known = information + np.eye(len(given))

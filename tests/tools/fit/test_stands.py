@@ -345,12 +345,12 @@ def test_without_a_trusted_kp_only_the_ratio_is_told(
     """And a scale tells the rest."""
     fit = fit_stands(robot, stands)
     assert fit.total_mass.determined != "data"
-    (ratio,) = (one for one in fit.together if one.ratio)
+    (ratio,) = (one for one in fit.combinations if one.ratio)
     assert {name.split()[0] for name in ratio.names} <= {"kp", "mass"}
-    assert "weigh-the-robot" in ratio.remedies
+    assert "weigh-the-robot" in ratio.measurements
     weighed = fit_stands(robot, stands, weight=planted.total_mass)
     assert weighed.total_mass.determined == "data"
-    assert not any(one.ratio for one in weighed.together)
+    assert not any(one.ratio for one in weighed.combinations)
 
 
 def test_what_is_no_stand_of_the_robot_is_refused(robot: Robot, stands: MeasuredStands) -> None:
@@ -493,8 +493,8 @@ def test_they_lead_back_and_have_the_slopes_of_finite_differences() -> None:
     y = logarithms.of_parameters(x)
     assert logarithms.to_parameters(y) == pytest.approx(x)
     step = 1e-6
-    slopes = (logarithms.to_parameters(y + step) - logarithms.to_parameters(y - step)) / (2 * step)
-    assert logarithms.rates(y) == pytest.approx(slopes, rel=1e-6)
+    rates = (logarithms.to_parameters(y + step) - logarithms.to_parameters(y - step)) / (2 * step)
+    assert logarithms.rates(y) == pytest.approx(rates, rel=1e-6)
     assert y[1:] == pytest.approx(x[1:])  # what is off by an amount stays as it is
 
 

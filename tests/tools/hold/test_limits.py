@@ -13,8 +13,7 @@ from scipy import optimize, spatial
 
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.payload import with_payload
-from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.robot.tool import find_tool, with_payload
 from pupper_analysis.simulation.verify import load_by_mujoco
 from pupper_analysis.stance.first_order import borne_by_motors
 from pupper_analysis.stance.posture import find_posture, joint_ranges

@@ -13,8 +13,8 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.stance.posture import find_posture, joint_ranges
 from pupper_analysis.tools.hold.hold import reach_load
+from pupper_analysis.tools.hold.motions import JointMotions
 from pupper_analysis.tools.hold.sag import sag_posture
-from pupper_analysis.tools.hold.ways import Ways
 from pupper_analysis.tools.hold.worst import worst_postures
 
 FINGER = """<mujoco><compiler angle="radian"/><worldbody><body name="palm">
@@ -100,7 +100,7 @@ def test_worst_postures_are_in_it_and_no_sample_in_it_is_worse(
 def test_the_reach_and_random_postures_are_in_it(tmp_path: Path) -> None:
     robot = finger(tmp_path)
     posture = find_posture(robot)
-    lengths = [cord(robot, qpos) for qpos in Ways(robot, posture).random(200)]
+    lengths = [cord(robot, qpos) for qpos in JointMotions(robot, posture).random(200)]
     assert 0.8 - 1e-9 < min(lengths) < 0.9
     assert 1.9 < max(lengths) < 2.0 + 1e-9
     reached = reach_load(robot, posture, find_tool(robot))

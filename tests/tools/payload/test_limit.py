@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.stability import free_of_friction
-from pupper_analysis.robot.tool import Place, find_tool
+from pupper_analysis.robot.tool import Place, find_tool, with_payload
 from pupper_analysis.simulation.rollout import STATE, begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability, stand_stability
 from pupper_analysis.stance import soft_ground

@@ -14,8 +14,8 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.pupper.variants import variant_spec
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.study.design import Variants
 from pupper_analysis.tools.study.lengths import stretch_of, stretched_inertia
-from pupper_analysis.tools.study.of_variants import Variants
 from pupper_analysis.tools.study.parameters import scale_robot
 from tests.support.legged import quadruped
 from tests.support.random_legged import irregular_biped, written

@@ -20,18 +20,17 @@ from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.fit.write import write_randomisation
-from pupper_analysis.tools.study import figures
-from pupper_analysis.tools.study.cells import Cells, mean_map, split_panels
 from pupper_analysis.tools.study.outcome import (
+    Cells,
     certainty,
     main_effects,
+    mean_map,
     pareto_front,
     probability_interval,
-    sobol_indices,
+    split_panels,
     study_outcome,
 )
-from pupper_analysis.tools.study.plots import end_plots, mean_plots
-from tests.support import study_metrics
+from pupper_analysis.tools.study.plots import draw_study, end_plots, mean_plots
 
 
 @pytest.fixture(scope="module")
@@ -119,8 +118,8 @@ def test_cells_lie_about_their_middles() -> None:
 
 def test_maps_have_their_cells_where_they_are(table: pd.DataFrame, tmp_path: Path) -> None:
     """Viridis: dark blue is little, yellow is much; grey is not known; ends are green and red."""
-    drawn = figures.draw_study(table, ("x", "y"), tmp_path, {"x": "max", "m": "min"})
-    names = ["failures.png", "map_m.png", "parallel.png", "front.png"]
+    drawn = draw_study(table, ("x", "y"), tmp_path, {"x": "max", "m": "min"})
+    names = ["failures.png", "map_m.png", "front.png"]
     assert [path.name for path in drawn] == names
     for path in drawn:
         assert np.ptp(imread(path)[..., :3], axis=(0, 1)).min() > 0.5
@@ -173,37 +172,6 @@ def test_the_outcome_of_one_file_says_so(tmp_path: Path, thread: Executor) -> No
     outcome = study_outcome(study, tmp_path)
     assert (outcome.robot, outcome.converted) == ("pupper_v3.xml", "urdf")
     assert "from one file" in write_markdown(build_report([("", outcome)], (), ()))
-
-
-# ----------------------------------------------------------------------------- Sobol's indices
-
-
-def test_sobols_indices_of_a_known_function(tmp_path: Path, thread: Executor) -> None:
-    """Of a product of independent factors, in closed form; together they make a share of it."""
-    vary = {"kp": pa.study.uniform(2.0, 8.0), "kd": pa.study.uniform(0.1, 0.9)}
-    study = pa.Study("v3", vary, [study_metrics.product_of_gains], samples=4)
-    (found,) = sobol_indices(
-        study, tmp_path, ["product_of_gains"], samples=256, executor=thread
-    ).values()
-    mean, var = {"kp": 5.0, "kd": 0.5}, {"kp": 6.0**2 / 12, "kd": 0.8**2 / 12}
-    alone = {"kp": var["kp"] * mean["kd"] ** 2, "kd": var["kd"] * mean["kp"] ** 2}
-    both = var["kp"] * var["kd"]
-    whole = sum(alone.values()) + both
-    for name in vary:
-        assert found.first[name] == pytest.approx(alone[name] / whole, abs=0.02)
-        assert found.total[name] == pytest.approx((alone[name] + both) / whole, abs=0.02)
-    assert both / whole > 0.06
-    assert found.designs == 256 * 4
-    again = sobol_indices(study, tmp_path, ["product_of_gains"], samples=256, executor=thread)
-    assert again == {"product_of_gains": found}
-
-
-def test_indices_need_all_designs(tmp_path: Path, thread: Executor) -> None:
-    study = pa.Study("v3", {"height": pa.study.uniform(0.1, 0.4)}, ["peak_torque"], samples=4)
-    with pytest.raises(pa.ConfigurationError, match=r"designs have no peak_torque \(unreachable\)"):
-        sobol_indices(study, tmp_path, ["peak_torque"], samples=4, executor=thread)
-    with pytest.raises(pa.ConfigurationError, match="no power of 2"):
-        sobol_indices(study, tmp_path, ["peak_torque"], samples=5)
 
 
 # ----------------------------------------------------------------------------- certainty

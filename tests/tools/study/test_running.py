@@ -574,7 +574,7 @@ def test_the_study_command_writes_its_results(
     written_files = [line for line in out.splitlines() if line.startswith("written: ")]
     drawn = {line.rpartition("/")[2] for line in written_files if line.endswith(".png")}
     assert drawn == {path.name for path in folder.glob("*.png")}
-    assert {"failures.png", "parallel.png", "map_servo_sag.png"} <= drawn
+    assert {"failures.png", "map_servo_sag.png"} <= drawn
     columns = json.loads(written.read_text())
     assert columns["kp"] == [0.2, 10.0, 0.2, 10.0]
     assert columns["servo_sag"][0] is None

@@ -112,3 +112,48 @@ def test_a_robot_without_servos_or_joints_of_the_policy_is_a_line(
     ends = [made.value("obs", 1, 2)], [made.value("y", 1, 3)]
     large.write_bytes(made.onnx([made.node("MatMul", ("obs", "W"), ("y",))], [tensor], *ends))
     check_refusal(capfd, folder, ("walk", "v3", "--policy", str(large)), "1000000000 weights")
+
+
+@pytest.mark.slow
+def test_push_and_payload_answer_as_walk_does(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """One question, one answer: the intervals are equal, and their ends in N s and kg."""
+    policy = str(made.still(tmp_path / "still.json"))
+    more = ("--command", "0,0,0", "--seconds", "3", "--seeds", "1", "--policy", policy, "--json")
+    found = {}
+    for name, words in {
+        "walk": ("walk", "v3", "--vary", "push-forward,push-left,payload"),
+        "push": ("push", "v3"),
+        "payload": ("payload", "v3"),
+    }.items():
+        path = tmp_path / f"{name}.json"
+        status, out, err = run_command(capfd, *words, *more, str(path))
+        assert status == 0, err
+        found[name] = json.loads(path.read_text()), out
+    walk, push, payload = (found[name][0] for name in ("walk", "push", "payload"))
+    assert push["v3"]["intervals"] == walk["intervals"][:2]
+    assert payload["intervals"] == walk["intervals"][2:]
+    assert f"{payload['intervals'][0]['common'][1] * payload['mass']:.3g} kg" in found["payload"][1]
+    forward = push["v3"]["intervals"][0]["common"][1] * push["v3"]["mass"]
+    assert f"{forward:.3g} N s forward" in found["push"][1]
+
+
+def test_what_does_nothing_with_a_policy_is_refused(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy = str(made.still(tmp_path / "still.json"))
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    for words in (
+        ("push", "v3", "--policy", policy, "--height", "14cm"),
+        ("push", "v3", "--policy", policy, "--directions", "4"),
+        ("payload", "v3", "--policy", policy, "--payload-at", "0,0,1cm"),
+        ("live", "v3", "--policy", policy, "--stance", "height:120"),
+    ):
+        check_refusal(capfd, folder, words, f"{words[4]}: it does nothing with --policy")
+    for command in ("push", "payload", "live"):
+        idle = "--command: it does nothing"
+        check_refusal(capfd, folder, (command, "v3", "--command", "0,0,0"), idle)
+    check_refusal(capfd, folder, ("push", "v3", "--policy", "none.json"), "none.json")

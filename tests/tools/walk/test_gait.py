@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,9 +13,10 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.walk.contract import Term
-from pupper_analysis.tools.walk.gait import simulate_walk
+from pupper_analysis.tools.walk.gait import measure, simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Observer, simulate_cases, stage_of
 from tests.support.variants import load
@@ -169,3 +172,49 @@ def test_joints_that_do_not_fit(still: Policy) -> None:
     fewer = still.with_contract(default=np.zeros(11))
     with pytest.raises(PupperAnalysisError, match="commands 11"):
         stage_of(load("v3"), fewer)
+
+
+def test_statics_of_a_stance_are_those_of_its_energy(tmp_path: Path) -> None:
+    """On two feet, by Pinocchio: the joints' share in lifting the weight, less what feet carry.
+
+    tau = d(m g z - sum n_i z_i)/dq, with the weight n shared as a lever on the line of the feet.
+    """
+    robot = load("v3")
+    stage = stage_of(robot, Policy.load(made.trot(tmp_path / "trot.json")))
+    [run] = simulate_cases(stage, [stage.case(np.array(made.TROT[0]))], 3.0, 1.0, 1)
+    gait = measure(stage, run, 1.0)
+    pair = next(one for one in gait.stances if len(one.feet) == 2)
+    assert pair.share > 0.1
+    weight = robot.total_mass * 9.81
+    squares, outside, data = [], [], mujoco.MjData(stage.model)
+    for state in run.states[round(1.0 / stage.timestep) :: stage.substeps]:
+        mujoco.mj_setState(stage.model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco.mj_forward(stage.model, data)
+        floor = data.contact.geom[data.contact.dist <= 0]
+        down = {robot.foot_geoms.get(int(geom)) for geom in floor.ravel()} - {None}
+        if down != set(pair.feet):
+            continue
+        qpos = state[1 + robot.mj_convention.qpos_index]
+
+        def lifted(angles: Any, qpos: Any = qpos) -> Any:
+            config = Configuration(robot, np.r_[qpos[:7], angles])
+            feet = config.foot_positions()
+            return config.center_of_mass(), *(feet[foot] for foot in pair.feet)
+
+        com, one, other = lifted(qpos[7:])
+        line = (other - one)[:2]
+        part = float(np.clip((com - one)[:2] @ line / (line @ line), 0.0, 1.0))
+        outside.append(np.linalg.norm((one + part * (other - one) - com)[:2]))
+        torque = []
+        for joint in range(12):
+            rise = []
+            for step in (1e-6, -1e-6):
+                angles = qpos[7:].copy()
+                angles[joint] += step
+                c, a, b = lifted(angles)
+                rise.append(weight * (c[2] - (1 - part) * a[2] - part * b[2]))
+            torque.append((rise[0] - rise[1]) / 2e-6)
+        squares.append(np.square(torque))
+    assert pair.outside == pytest.approx(np.mean(outside), abs=1e-4)
+    assert pair.static == pytest.approx(np.sqrt(np.mean(squares, axis=0)), abs=2e-3)
+    assert sum(one.share for one in gait.stances) == pytest.approx(1.0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,10 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import MissingPackageError, ModelError
 from pupper_analysis.tools.contract.readers import read_onnx
-from pupper_analysis.tools.walk import onnx_file, rtneural
+from pupper_analysis.tools.walk import onnx_file, rtneural, torchscript
 from pupper_analysis.tools.walk.network import ACTIVATIONS, Network, gru
+from pupper_analysis.tools.walk.policy import Policy
 from tests.tools.walk import made
 
 ALIKE = 1e-6
@@ -230,3 +233,68 @@ def test_onnx_that_is_none_or_too_large(tmp_path: Path) -> None:
     spoilt[1, 1] = np.inf
     nodes = [made.node("MatMul", ("obs", "W"), ("y",))]
     assert "W: 1 of its weights" in refusal(made.onnx(nodes, [made.tensor("W", spoilt)], *ends))
+
+
+def test_torchscript_needs_torch_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)  # importing it fails, installed or not
+    path = tmp_path / "policy.pt"
+    path.write_bytes(b"PK")
+    with pytest.raises(MissingPackageError, match="torch"):
+        Policy.load(path)
+
+
+@pytest.fixture
+def torch() -> Any:
+    return pytest.importorskip("torch", reason="torch is not installed")
+
+
+def _saved(torch: Any, module: Any, path: Path) -> Path:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.jit.save(torch.jit.script(module), str(path))
+    return path
+
+
+def test_torchscript_as_by_loops(torch: Any, tmp_path: Path) -> None:
+    layers = torch.nn.Linear(7, 9), torch.nn.ELU(), torch.nn.Linear(9, 4)
+    path = _saved(torch, torch.nn.Sequential(*layers), tmp_path / "plain.pt")
+    network, given = torchscript.network_of(path), rows(5, 7)
+    found, _ = network.forward(given)
+    assert (network.inputs, network.outputs) == (7, 4)
+    for row, out in zip(given, found, strict=True):
+        for layer in (layers[0], layers[2]):
+            matrix, bias = layer.weight.detach().double().numpy().T, layer.bias.detach().numpy()
+            row = product(row, matrix, bias)
+            row = [BY_LOOPS["elu"](x) for x in row] if layer is layers[0] else row
+        assert out == pytest.approx(row, abs=ALIKE)
+    alone = network.forward(given[2:3])[0]
+    assert np.array_equal(alone[0], found[2])
+
+
+def test_torchscript_that_cannot_be_run_in_lockstep_is_refused(torch: Any, tmp_path: Path) -> None:
+    class Counting(torch.nn.Module):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__()
+            self.out = torch.nn.Linear(3, 2)
+            self.register_buffer("h", torch.zeros(1))
+
+        def forward(self, x: Any) -> Any:
+            self.h.add_(1.0)
+            return self.out(x) + self.h
+
+    path = tmp_path / "counts.pt"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.jit.save(torch.jit.trace(Counting(), torch.zeros(1, 3), check_trace=False), str(path))
+    with pytest.raises(ModelError, match="keeps a state"):
+        torchscript.network_of(path)
+    pickled = tmp_path / "pickled.pt"
+    torch.save(torch.nn.Linear(3, 2).state_dict(), str(pickled))
+    with pytest.raises(ModelError, match="no network"):
+        torchscript.network_of(pickled)
+    bad = torch.nn.Linear(3, 2)
+    bad.weight.data[0, 0] = math.nan
+    with pytest.raises(ModelError, match="weight"):
+        torchscript.network_of(_saved(torch, bad, tmp_path / "nan.pt"))

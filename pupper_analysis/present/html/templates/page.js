@@ -100,12 +100,6 @@
     const ring = document.createElementNS("http://www.w3.org/2000/svg", "circle");
     ring.setAttribute("class", "ring");
     ring.setAttribute("r", "6");
-    let lit = null;
-    const light = (line) => {
-      lit?.classList.remove("lit");
-      lit = line;
-      lit?.classList.add("lit");
-    };
     drawing.addEventListener("pointermove", (event) => {
       const matrix = drawing.getScreenCTM();
       const here = new DOMPoint(event.clientX, event.clientY).matrixTransform(matrix.inverse());
@@ -115,8 +109,7 @@
           const distance = Math.hypot(point.x - here.x, point.y - here.y);
           if (!best || distance < best.distance) best = { one, point, index, distance };
         });
-      if (!best || best.distance > best.one.reach) { hide(); ring.remove(); light(null); return; }
-      light(best.one.line);
+      if (!best || best.distance > best.one.reach) { hide(); ring.remove(); return; }
       const data = best.one.line.dataset;
       tip.textContent = `${chinese() ? data.zh : data.en}: ${best.one.labels[best.index]}`;
       tip.hidden = false;
@@ -127,7 +120,7 @@
       ring.setAttribute("cy", best.point.y);
       drawing.append(ring);
     });
-    drawing.addEventListener("pointerleave", () => { hide(); ring.remove(); light(null); });
+    drawing.addEventListener("pointerleave", () => { hide(); ring.remove(); });
   }
   addEventListener("scroll", hide, { passive: true });
 

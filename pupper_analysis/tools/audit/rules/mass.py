@@ -154,13 +154,13 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[Found]:
     known = sum(1 for effort in efforts if 0 < effort < np.inf)
     if known < len(efforts) or known < 2:
         return
-    ways = [
+    distances = [
         float(np.linalg.norm(joint.position - before.position))
         for joint in hinges
         for before in hinges
         if robot.carrier(joint.parent) == robot.carrier(before.child)
     ]
-    lever = max(ways, default=0.0)
+    lever = max(distances, default=0.0)
     torque = robot.total_mass * standard_gravity * lever
     if torque > sum(efforts):
         message = diagnose(

@@ -270,10 +270,10 @@ def find_degrees(
 def _units(robot: Robot, log: Log, named: list[int]) -> Iterator[Diagnostic]:
     """Finds columns in another unit than they are said to be in."""
     yield from find_degrees(robot, named, log.position, log.command)
-    together = _ratio(log.command[:, named], log.position[:, named])
-    if together is not None and not _SAME_UNIT[0] < together < _SAME_UNIT[1]:
+    combination = _ratio(log.command[:, named], log.position[:, named])
+    if combination is not None and not _SAME_UNIT[0] < combination < _SAME_UNIT[1]:
         header = f"position.{log.joints[named[0]]} [deg]"
-        yield diagnose("columns-of-two-units", ratio=together, header=header)
+        yield diagnose("columns-of-two-units", ratio=combination, header=header)
     if log.velocity is not None:
         rate = np.gradient(log.position[:, named], log.time, axis=0)
         ratio = _ratio(log.velocity[:, named], rate)

@@ -18,7 +18,12 @@ from pupper_analysis.base.errors import ConfigurationError, MeasurementError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
-from pupper_analysis.tools.fit.estimate import Linearised, Posterior, Slopes, estimate_parameters
+from pupper_analysis.tools.fit.estimate import (
+    JacobianReuse,
+    Linearised,
+    Posterior,
+    estimate_parameters,
+)
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.measurements.log_quality import LogQuality, find_quantum, inspect_log
 from pupper_analysis.tools.fit.motions.rollouts import (
@@ -35,7 +40,7 @@ from pupper_analysis.tools.fit.parameters import (
     give_widths,
     parse_priors,
 )
-from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, find_together
+from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, find_combinations
 
 Array = NDArray[np.float64]
 
@@ -249,7 +254,7 @@ def _report_motions(
         name=robot.name,
         source=", ".join(log.source for log in logs),
         estimates=tuple(describe_parameters(posterior)),
-        together=find_together(posterior),
+        combinations=find_combinations(posterior),
         failures=tuple(_unexplained(robot, by_joint, noise, root_mean_square(shown))),
         diagnostics=(
             *(one for quality in qualities for one in quality.diagnostics),
@@ -392,8 +397,8 @@ class Motion:
         self.positive = np.array([KINDS[one.kind].positive for one in self.table], dtype=bool)
         self._noise: tuple[SeriesNoise, ...] = ()
         self._last: tuple[Array, list[Array]] | None = None
-        self._slopes: list[Mapping[int, tuple[IntArray, Array]]] = []
-        self._dear, self._known = Slopes(self.renew), known
+        self._jacobians: list[Mapping[int, tuple[IntArray, Array]]] = []
+        self._dear, self._known = JacobianReuse(self.renew), known
         self.finer = simulator.with_steps(_FINER * simulator.steps)
 
     def residuals(self, x: Array) -> list[Array]:
@@ -409,16 +414,16 @@ class Motion:
     def renew(self, moments: Array) -> None:
         """Makes derivatives of predicted positions by moments (n,), as they are there."""
         known = self.known
-        self._slopes = [
+        self._jacobians = [
             differentiate(self.simulator, self.moments, run, moments, known) for run in self.fitted
         ]
 
     @property
     def known(self) -> Array | None:
         """(n, n) what is known of moments by now, in the priors' widths; None before all."""
-        if self._last is None or not self._slopes:
+        if self._last is None or not self._jacobians:
             return self._known
-        finding = _Lazy(self._last[1], self._slopes, self._noise, self.simulator.groups)
+        finding = _Lazy(self._last[1], self._jacobians, self._noise, self.simulator.groups)
         width = self.table.width
         found: Array = width[:, None] * finding.information * width + self.table.precision
         return found
@@ -426,7 +431,7 @@ class Motion:
     def linearise(self, moments: Array, _about: Array) -> Linearised:
         """Returns whitened residuals as sums; these are made when they are asked for."""
         left = self.residuals(self.moments.to_parameters(moments))
-        return _Lazy(left, self._slopes, self._noise, self.simulator.groups)  # type: ignore[return-value]
+        return _Lazy(left, self._jacobians, self._noise, self.simulator.groups)  # type: ignore[return-value]
 
     def with_steps(self, steps: int) -> Motion:
         """Returns the same with other steps of the simulation between two samples."""
@@ -488,7 +493,7 @@ class Motion:
                 self.linearise,
                 y,
                 enough=_ENOUGH if last else rough,
-                slopes=self._dear,
+                jacobian=self._dear,
             )
             y = posterior.mean
             # What led nowhere leads nowhere with a noise that is hardly another.
@@ -501,8 +506,8 @@ class Motion:
         size, width = len(self.table), self.table.width
         spread = np.zeros((size, size))
         groups = self.simulator.groups
-        for run, slopes in zip(self.fitted, self._slopes, strict=True):
-            for number, (places, by_places) in slopes.items():
+        for run, jacobians in zip(self.fitted, self._jacobians, strict=True):
+            for number, (places, by_places) in jacobians.items():
                 for at, joint in enumerate(groups[number][0]):
                     noise = self._noise[joint]
                     counted = np.where(run.counts[:, joint, None], by_places[:, at], 0.0)
@@ -538,12 +543,12 @@ class Motion:
         drawn = np.maximum(drawn, least)
         begin = posterior.mean + width * drawn
         gradients = np.zeros((len(drawn), size))
-        for run, slopes in zip(self.fitted, self._slopes, strict=True):
+        for run, jacobians in zip(self.fitted, self._jacobians, strict=True):
             vectors = [posterior.mean, *begin]
             found = self.simulator.predict_all(
                 run, np.array([self.moments.to_parameters(one) for one in vectors])
             )
-            for number, (places, by_places) in slopes.items():
+            for number, (places, by_places) in jacobians.items():
                 for at, joint in enumerate(self.simulator.groups[number][0]):
                     counted = run.counts[:, joint]
                     rows = by_places[counted, at] * width[places]
@@ -587,23 +592,23 @@ class _Lazy:
     def __init__(
         self,
         left: Sequence[Array],
-        slopes: Sequence[Mapping[int, tuple[IntArray, Array]]],
+        jacobians: Sequence[Mapping[int, tuple[IntArray, Array]]],
         noise: tuple[SeriesNoise, ...],
         groups: Sequence[tuple[list[int], list[int]]],
     ) -> None:
-        self._slopes, self._noise, self._groups = slopes, noise, groups
+        self._jacobians, self._noise, self._groups = jacobians, noise, groups
         self._white = [one / np.array([own.long_run for own in noise]) for one in left]
         finding = [np.isfinite(white) for white in self._white]
         self.rows = int(sum(one.sum() for one in finding))
         self.chi2 = float(sum((white[one] ** 2).sum() for white, one in zip(self._white, finding)))  # noqa: B905
-        self._size = 1 + max(int(places.max()) for one in slopes for places, _ in one.values())
+        self._size = 1 + max(int(places.max()) for one in jacobians for places, _ in one.values())
 
     @cached_property
     def _sums(self) -> tuple[Array, Array]:
         size = self._size
         information, gradient = np.zeros((size, size)), np.zeros(size)
-        for white, slopes in zip(self._white, self._slopes, strict=True):
-            for number, (places, by_places) in slopes.items():
+        for white, jacobians in zip(self._white, self._jacobians, strict=True):
+            for number, (places, by_places) in jacobians.items():
                 for at, joint in enumerate(self._groups[number][0]):
                     finding = np.isfinite(white[:, joint])
                     rows = by_places[finding, at] / self._noise[joint].long_run
@@ -773,14 +778,14 @@ def differentiate(
     for number, (joints, columns) in enumerate(groups):
         places = np.array([*columns, *shared], dtype=np.int64)
         by_step = np.moveaxis(moved[:, :, joints], 0, 2)
-        slopes = np.concatenate(
+        jacobians = np.concatenate(
             [
                 by_step[..., : len(columns)] @ np.linalg.inv(steps[number]).T,
                 by_step[..., turns:] @ np.linalg.inv(steps[-1]).T,
             ],
             axis=2,
         )
-        found[number] = places, slopes / width[places]
+        found[number] = places, jacobians / width[places]
     return found
 
 

@@ -229,8 +229,8 @@ class StandRows:
         self.jacobians = linear - cross_matrices(self._arms) @ turning
         known = np.isfinite(reading.command)
         lead = np.where(known, reading.command - reading.position, 0.0)
-        self._ways = lead / np.hypot(lead, _TURNS_ROUND)
-        self._lead = lead - numbers.deadband * self._ways
+        self._sides = lead / np.hypot(lead, _TURNS_ROUND)
+        self._lead = lead - numbers.deadband * self._sides
         self._stiff = np.where(known, numbers.stiff, 0.0)
         self._known = known
         self._measured = np.isfinite(reading.torque)
@@ -298,7 +298,7 @@ class StandRows:
             for at in self._at("friction", name):
                 by_x[row, at] += sides[joint]
             for at in self._at("deadband", "servos"):
-                by_x[row, at] -= numbers.kp[joint] * self._ways[joint]
+                by_x[row, at] -= numbers.kp[joint] * self._sides[joint]
         for body, (link, *_) in enumerate(numbers.bodies):
             for at in self._at("mass", link):
                 by_x[:, at] -= by_mass[body]
@@ -376,7 +376,7 @@ class StandRows:
             for at in self._at("kp", self._names[joint]):
                 by_x[row, at] = self._lead[joint]
             for at in self._at("deadband", "servos"):
-                by_x[row, at] = -self._numbers.kp[joint] * self._ways[joint]
+                by_x[row, at] = -self._numbers.kp[joint] * self._sides[joint]
 
     def _weighed(self) -> None:
         """Sum of f_z of a foot's points = what the scale under it shows."""
@@ -567,7 +567,7 @@ class StandEquations:
             )
         ]
 
-    def linearise(self, x: Array, about: Array, looks: int = _LOOKS) -> Linearised:
+    def linearise(self, x: Array, about: Array, evaluations: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of all stands; see ``estimate_parameters``.
 
         Where they are only tried (x is not ``about``), stands' own unknowns stay as they are. Where
@@ -576,7 +576,7 @@ class StandEquations:
         numbers, total, had = self._numbers(x), Linearised.nothing(len(x)), list(self._own)
         try:
             for stand in range(len(self._readings)):
-                total += self.stand(stand, numbers, looks)
+                total += self.stand(stand, numbers, evaluations)
         except np.linalg.LinAlgError:  # far from anything that stands
             total = replace(total, chi2=math.inf)
         if x is not about:
@@ -590,10 +590,10 @@ class StandEquations:
         """
         self._stiff, self._heaviness = self._per_joint(x, "kp", self._kp), self._mass(x)
 
-    def stand(self, stand: int, numbers: Numbers, looks: int = _LOOKS) -> Linearised:
+    def stand(self, stand: int, numbers: Numbers, evaluations: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of one stand, its own unknowns eliminated."""
         least = _SHOWS / (self.robot.total_mass * float(np.linalg.norm(self.robot.gravity)))
-        for _ in range(looks):
+        for _ in range(evaluations):
             residual, by_x, by_own, log_noise = self._look(stand, numbers).rows.whiten()
             left, lengths, right = np.linalg.svd(by_own, full_matrices=True)
             rank = int(np.count_nonzero(lengths > least))

@@ -46,7 +46,7 @@ from pupper_analysis.tools.fit.result import (
     describe_parameter,
     describe_parameters,
     determined_by,
-    find_together,
+    find_combinations,
 )
 from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
 from pupper_analysis.tools.fit.stands.wiring import find_wiring
@@ -133,7 +133,7 @@ def describe_stands(
         com=tuple(_whole_com(robot, posterior)),
         kp_factor=_kp_factor(posterior),
         weight=weight,
-        together=find_together(posterior, more),
+        combinations=find_combinations(posterior, more),
         residuals=dict(zip(stands.names, equations.residuals(posterior.mean), strict=True)),
         joint_residuals=_joint_residuals(stands, equations, posterior.mean),
         chi2=posterior.chi2,

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-from pupper_analysis.models.xml_text import to_text
+from pupper_analysis.models.xml import new_file_text
 from tests.support.commands import answer
 from tests.support.legged import quadruped
 
 
 @pytest.mark.parametrize("header", ["a\x1b[31mb", "a--b", "--->", "a\0b", "\ufffe", "b-"])
 def test_a_header_of_any_characters_is_a_comment_that_parses(header: str) -> None:
-    root = etree.fromstring(to_text(etree.Element("robot"), header).encode())
+    root = etree.fromstring(new_file_text(etree.Element("robot"), header).encode())
     [comment] = root.itersiblings(preceding=True)
     assert comment.tag is etree.Comment
     assert "a" not in header or comment.text.strip().startswith("a")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.models import standard_input
+from pupper_analysis.base.inputs import STANDARD_INPUT, is_held
 from tests.support.commands import run_command
 from tests.support.robots import arm, mjcf_text, quadruped, urdf_text
 
@@ -57,7 +57,7 @@ def test_audit_reads_standard_input(capfd, given, format: str) -> None:
     given(text)
     of_input = results(capfd, "audit", "-")
     assert json.loads(of_input[1])["findings"]
-    assert of_input == (of_file[0], of_file[1].replace(str(path), str(standard_input.NAME)))
+    assert of_input == (of_file[0], of_file[1].replace(str(path), str(STANDARD_INPUT)))
 
 
 @pytest.mark.parametrize("format", ["urdf", "xml"])
@@ -72,7 +72,7 @@ def test_crosscheck_reads_standard_input(capfd, given, format: str) -> None:
     messages = ["-" if name.endswith(format) else name for name in names]
     status, of_input = results(capfd, "crosscheck", *messages, "--report", "report.html")
     assert status == of_files[0]
-    expected = of_files[1].replace(f"robot.{format}", str(standard_input.NAME))
+    expected = of_files[1].replace(f"robot.{format}", str(STANDARD_INPUT))
     assert of_input == expected
     assert Path("report.html").is_file()
 
@@ -124,7 +124,7 @@ def test_one_model_alone(capfd, given) -> None:
     status, _, err = run_command(capfd, "crosscheck", "-", "-")
     assert status == 2
     assert "one model alone can come from standard input" in err
-    assert not standard_input.is_held(standard_input.NAME)
+    assert not is_held(STANDARD_INPUT)
 
 
 def test_missing_standard_input_is_refused(capfd, monkeypatch) -> None:
@@ -147,5 +147,5 @@ def test_convert_reads_standard_input(capfd, given) -> None:
     given(text)
     status, _, err = run_command(capfd, "convert", "-", "-o", "two.xml")
     assert status in (0, 1), err
-    expected = Path("one.xml").read_text().replace("robot.urdf", str(standard_input.NAME))
+    expected = Path("one.xml").read_text().replace("robot.urdf", str(STANDARD_INPUT))
     assert Path("two.xml").read_text() == expected

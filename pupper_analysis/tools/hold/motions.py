@@ -38,7 +38,7 @@ _BEYOND = 1e-6
 """How far joints of a closed loop may be beyond their limits, by rounding (rad, m)."""
 
 
-class Ways:
+class JointMotions:
     """The ways in which a robot's joints move: those that follow others, with them.
 
     Args:
@@ -230,7 +230,7 @@ class Ways:
         self.moved = [np.flatnonzero(np.abs(step) > _UNMOVED) for step in self.steps.T]
         self.shares = np.eye(count) - closure.push(self.origin)
         self.bent = np.zeros(len(self.free), dtype=bool)
-        loops = bound_together(closure, self.origin)
+        loops = bound_in_common(closure, self.origin)
         self._loop = [
             next((one for one in loops if lead in one), np.array([lead])) for lead in self.free
         ]
@@ -251,7 +251,7 @@ class Ways:
         )
 
 
-def bound_together(closure: Closure, qpos: Array) -> list[IntArray]:
+def bound_in_common(closure: Closure, qpos: Array) -> list[IntArray]:
     """Returns the joints that loops and couplings bind to each other near a posture, by sets."""
     random, count = np.random.default_rng(0), len(qpos)
     near = [qpos, *(qpos + random.uniform(-0.1, 0.1, count) for _ in range(2))]

@@ -44,7 +44,7 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-class Door:
+class Access:
     """Decides who may come in.
 
     Args:

@@ -1,4 +1,4 @@
-"""The live page's door: who may come in, and what a browser may send."""
+"""The live page's access: who may come in, and what a browser may send."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Diagnostic
-from pupper_analysis.tools.live.door import (
+from pupper_analysis.tools.live.access import (
     COOKIE,
     MOST_BYTES,
-    Door,
+    Access,
     problem_of,
     without_folders,
 )
@@ -51,10 +51,10 @@ SOCKET = {"Upgrade": "websocket"}
     ],
 )
 def test_who_may_come_in(host: str, headers: dict[str, str], may: bool) -> None:
-    door = Door(host)
-    assert not door.token
+    access = Access(host)
+    assert not access.token
     for more in ({}, SOCKET):
-        assert (door.refusal("/", headers | more) is None) == may
+        assert (access.refusal("/", headers | more) is None) == may
 
 
 def code(message: Diagnostic | None) -> str:
@@ -62,21 +62,23 @@ def code(message: Diagnostic | None) -> str:
 
 
 def test_others_must_know_the_token() -> None:
-    door, headers = Door("0.0.0.0"), {"Host": "robot.example:8080"}
-    assert len(door.token) >= 16
-    assert Door("0.0.0.0").token != door.token
+    access, headers = Access("0.0.0.0"), {"Host": "robot.example:8080"}
+    assert len(access.token) >= 16
+    assert Access("0.0.0.0").token != access.token
     for more in ({}, SOCKET):
-        assert code(door.refusal("/", headers | more)) == "token-missing"
-        assert code(door.refusal("/?token=", headers | more)) == "token-missing"
-        assert code(door.refusal(f"/?token={door.token[:-1]}", headers | more)) == "token-missing"
-        assert door.refusal(f"/?state=roll:1&token={door.token}", headers | more) is None
-        assert door.refusal("/", headers | more | {"Cookie": f"a=b; {door.cookie}"}) is None
+        assert code(access.refusal("/", headers | more)) == "token-missing"
+        assert code(access.refusal("/?token=", headers | more)) == "token-missing"
         assert (
-            code(door.refusal("/", headers | more | {"Cookie": f"{COOKIE}=x"})) == "token-missing"
+            code(access.refusal(f"/?token={access.token[:-1]}", headers | more)) == "token-missing"
         )
-    assert door.refusal("/assets/index.js", headers) is None  # viser's, and nobody's secret
+        assert access.refusal(f"/?state=roll:1&token={access.token}", headers | more) is None
+        assert access.refusal("/", headers | more | {"Cookie": f"a=b; {access.cookie}"}) is None
+        assert (
+            code(access.refusal("/", headers | more | {"Cookie": f"{COOKIE}=x"})) == "token-missing"
+        )
+    assert access.refusal("/assets/index.js", headers) is None  # viser's, and nobody's secret
     evil = headers | SOCKET | {"Origin": "http://evil.example"}
-    assert code(door.refusal(f"/?token={door.token}", evil)) == "another-page-asks"
+    assert code(access.refusal(f"/?token={access.token}", evil)) == "another-page-asks"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,54 @@
+"""What a study may measure of a policy: {name: the arguments of a metric of it}."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+
+
+def _of_policy(measure: Callable[[Any], float], text: str) -> tuple[Callable[[Any], float], str]:
+    """Returns a metric of ``POLICY[@VX,VY,W]``, 0.5 m/s forward by default, and a hash of it."""
+    from pupper_analysis.base.runs import note_input
+    from pupper_analysis.tools.walk.gait import command_of, simulate_walk
+    from pupper_analysis.tools.walk.policy import Policy
+
+    file, at, asked = text.partition("@")
+    try:
+        command = command_of([float(one) for one in asked.split(",")] if at else (0.5, 0.0, 0.0))
+    except ValueError as error:
+        raise ConfigurationError("measure", diagnose("no-numbers", count=3)) from error
+    policy, digest = Policy.load(file), hashlib.sha256(repr(command.tolist()).encode())
+    for path in (Path(file), Path(file).with_suffix(".toml")):
+        if path.is_file():
+            note_input(path)
+            digest.update(path.read_bytes())
+
+    def walked(design: Any) -> float:
+        return measure(simulate_walk(design.robot, policy, command, workers=1).gaits[0])
+
+    return walked, digest.hexdigest()[:16]
+
+
+_SHARED = {"function": None, "simulates": True}  # made of the policy's file
+
+METRICS: dict[str, dict[str, Any]] = {
+    "walk_margin": {
+        **_SHARED,
+        "of_file": partial(_of_policy, lambda gait: gait.margin if gait.tracks else 0.0),
+        "unit": "1",
+        "better": "max",
+        "fallen": 0.0,
+    },
+    "walk_torque": {
+        **_SHARED,
+        "of_file": partial(_of_policy, lambda gait: float(gait.torque_rms.max())),
+        "unit": "N m",
+        "better": "min",
+    },
+}

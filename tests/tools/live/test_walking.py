@@ -1,0 +1,87 @@
+"""The page of a policy, with viser's server in the place of a browser."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pupper_analysis.tools.live import render
+from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.walking import WalkPage, WalkSession
+from pupper_analysis.tools.walk.policy import Policy
+from pupper_analysis.tools.walk.runs import Lockstep, push_forces, simulate_cases, stage_of
+from tests.support.variants import load
+from tests.tools.live.test_session import PATIENCE, Browser, wait_for
+from tests.tools.walk import made
+
+pytest.importorskip("viser", reason="viser is not installed")
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[WalkSession]:
+    stage = stage_of(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
+    host = "127.0.0.1"
+    server = render.start_server(host, render.free_port(host, None), "test")
+    one = WalkSession(Browser(server), stage, np.zeros(3), Language("en"))
+    yield one
+    one.close()
+    [thread] = one.threads
+    thread.join(PATIENCE)
+    assert not thread.is_alive()
+    render.stop_server(server)
+
+
+def test_it_stands_until_it_is_pushed_over_and_begins_again(session: WalkSession) -> None:
+    def shown(words: str) -> bool:
+        return words in session._numbers.content
+
+    wait_for(lambda: shown("on its feet for"), "it does not walk")
+    assert shown("leg_front_l_3")
+    session.impulse.value = 3.0
+    session.push(0.0, 1.0)
+    wait_for(lambda: session.fall is not None, "it stands a push of 3 m/s")
+    wait_for(lambda: shown("it fell over"), "the fall is not said")
+    session.begin_again()
+    wait_for(lambda: session.fall is None and shown("on its feet for"), "it does not begin again")
+
+
+def test_what_is_commanded_is_what_the_sliders_say(session: WalkSession) -> None:
+    session.sliders[0].value = 0.3
+    wait_for(lambda: "of 0.30" in session._numbers.content, "the command is not shown")
+
+
+def test_it_plays_what_walk_simulates(tmp_path: Path) -> None:
+    """The same start, command and push: equal to the last bit."""
+    stage = stage_of(load("v3"), Policy.load(made.trot(tmp_path / "trot.json")))
+    case = stage.case(np.array(made.TROT[0]), 3)
+    played = Lockstep(stage, [case])
+    states = np.concatenate([played.advance()[0][0] for _ in range(60)])
+    [run] = simulate_cases(stage, [case], 3.0, 1.0, 1)
+    assert np.array_equal(states, run.states[: len(states)])
+
+
+def test_a_push_gives_the_whole_robot_its_impulse(tmp_path: Path) -> None:
+    """In the air, where nothing else acts along the ground."""
+    stage = stage_of(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
+    run = Lockstep(stage, [replace(stage.case(np.zeros(3)), lift=1.0)])
+    run.advance(push_forces(stage, [(0.6, -0.2)]))
+    data = mujoco.MjData(stage.model)
+    mujoco.mj_setState(stage.model, data, run.current[0], mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    mujoco.mj_forward(stage.model, data)
+    mujoco.mj_subtreeVel(stage.model, data)
+    momentum = stage.robot.total_mass * data.subtree_linvel[0]
+    # Legs swing meanwhile: the integrator keeps momentum to the first order of its step.
+    assert momentum[:2] == pytest.approx([0.6, -0.2], rel=1e-3)
+
+
+def test_a_page_is_served_and_ends(tmp_path: Path) -> None:
+    policy = Policy.load(made.still(tmp_path / "still.json"))
+    page = WalkPage(load("v3"), policy, np.zeros(3))
+    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", page.address)
+    page.close()

@@ -1,0 +1,74 @@
+"""What studies measure of a policy is what `walk` says of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.tools.study.measures import metric_fingerprint, metric_of, metric_text
+from pupper_analysis.tools.walk.gait import simulate_walk
+from pupper_analysis.tools.walk.policy import Policy
+from tests.support.variants import load
+from tests.tools.walk import made
+
+
+def test_metrics_are_those_of_walk(tmp_path: Path) -> None:
+    path, design = made.still(tmp_path / "still.json"), SimpleNamespace(robot=load("v3"))
+    [gait] = simulate_walk(load("v3"), Policy.load(path), (0, 0, 0)).gaits
+    margin = metric_of(f"walk_margin:{path}@0,0,0")
+    assert margin.function(design) == gait.margin  # type: ignore[arg-type]
+    assert gait.margin > 0.5
+    torque = metric_of(f"walk_torque:{path}@0,0,0")
+    assert torque.function(design) == max(gait.torque_rms)  # type: ignore[arg-type]
+    forward = metric_of(f"walk_margin:{path}")  # 0.5 m/s: a stand does not track it
+    assert forward.function(design) == 0.0  # type: ignore[arg-type]
+    assert metric_text(margin) == f"walk_margin:{path}@0,0,0"
+
+
+def test_what_a_policy_holds_is_part_of_a_study(tmp_path: Path) -> None:
+    """Results of another policy, contract or command of the same name are not taken for its."""
+    path = made.still(tmp_path / "still.json")
+    prints = [metric_fingerprint(metric_of(f"walk_margin:{path}"))]
+    prints.append(metric_fingerprint(metric_of(f"walk_margin:{path}@0.3,0,0")))
+    path.with_suffix(".toml").write_text("latency = 0.01")
+    prints.append(metric_fingerprint(metric_of(f"walk_margin:{path}")))
+    made.still(path, kp=6.0)
+    prints.append(metric_fingerprint(metric_of(f"walk_margin:{path}")))
+    assert len(set(prints)) == 4
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("walk_margin", "after a colon"),
+        ("walk_margin:none.json", "none.json"),
+        ("servo_sag:still.json", "is of no file"),
+        ("walk_margin:still.json@fast", "number"),
+        ("walk_margin:still.json@0,0", "nor 3 of them"),
+    ],
+)
+def test_bad_metrics(
+    given: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made.still(tmp_path / "still.json")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PupperAnalysisError, match=told):
+        metric_of(given)
+
+
+@pytest.mark.slow
+def test_a_study_seeks_a_policy_beside_its_file(tmp_path: Path) -> None:
+    """Which designs are walked: one on motors too weak to stand is not."""
+    made.still(tmp_path / "still.json")
+    (tmp_path / "study.toml").write_text(
+        'robot = "v3"\nmeasure = ["walk_margin:still.json@0,0,0"]\n'
+        "[vary]\ntorso_mass_scale = { values = [1.0, 12.0] }\n"
+    )
+    table = pa.Study.read(tmp_path / "study.toml").run(tmp_path / "out", workers=1)
+    light, heavy = table["walk_margin"]
+    assert light > 0.5
+    assert heavy == 0.0
