@@ -152,8 +152,13 @@ def read_contract(
     for one in placed:
         notes += _check(one, first)
     placed.sort(key=lambda one: list(Role).index(one.source.role))
-    paths = list(dict.fromkeys(one.path for one in models))
-    poses, unstood = _stood(paths, placed, first.order) if stand else ((), [])
+    poses = tuple[Pose, ...]()
+    if stand:
+        from pupper_analysis.tools.contract.poses import stand_poses  # PlaCo, which a guard lacks
+
+        paths = list(dict.fromkeys(one.path for one in models))
+        poses, unstood = stand_poses(paths, placed, first.order)
+        notes += unstood
     findings = pose_effects(find_all(placed, model, first.order), poses)
     worst = Severity(fail_on).rank
     return Contract(
@@ -163,7 +168,7 @@ def read_contract(
         facts=tuple(fact for one in placed for fact in _facts(one)),
         findings=findings,
         poses=poses,
-        notes=(*notes, *unstood),
+        notes=tuple(notes),
         passed=all(one.severity.rank > worst for one in findings),
     )
 
@@ -182,14 +187,6 @@ def _check(one: Placed, model: Source) -> list[Diagnostic]:
     unknown = [diagnose("contract-names-unknown", file=one.source.name,
                         names=one.unknown)] if one.unknown else []  # fmt: skip
     return [*one.source.notes, *one.notes, *unknown]
-
-
-def _stood(
-    paths: Sequence[Path], placed: Sequence[Placed], joints: tuple[str, ...]
-) -> tuple[tuple[Pose, ...], list[Diagnostic]]:
-    from pupper_analysis.tools.contract.poses import stand_poses  # PlaCo, which a guard lacks
-
-    return stand_poses(paths, placed, joints)
 
 
 def _named_apart(read: Sequence[Source]) -> list[Source]:

@@ -11,13 +11,13 @@ from typing import Any
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.sides import mirror_pairs
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.contract.facts import QUANTITIES, Kind, Role, Statement, kind_of
 from pupper_analysis.tools.contract.orders import (
     Placed,
     like_mirror,
-    mirror_of,
     mirrored_sign,
     observed,
 )
@@ -272,7 +272,7 @@ def _effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ...]:
     share = Quantity(b / a, "1")
     if quantity == "action scale":
         return (diagnose("contract-effect-scale", share=share),)
-    if quantity == "kp":
+    if quantity == "kp" and b > 0:
         return (diagnose("contract-effect-kp", share=Quantity(a / b, "1")),)
     if quantity in ("kd", "effort", "velocity"):
         what = Term("damping" if quantity == "kd" else quantity)
@@ -308,10 +308,7 @@ def _mirrored(
 ) -> Iterator[Disagreement]:
     """Yields where a source has another number left than right: it contradicts itself."""
     for source in placed:
-        for joint in joints:
-            other = mirror_of(joint, joints)
-            if not other or joints.index(other) < joints.index(joint):
-                continue
+        for joint, other in mirror_pairs(joints):
             one, two = (source.facts.get((quantity, each)) for each in (joint, other))
             if one is None or two is None or one.value is None or two.value is None:
                 continue

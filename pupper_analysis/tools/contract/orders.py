@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.models.sides import mirror_name
+from pupper_analysis.models.sides import mirror_pairs
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.robot.matching.pairs import without_affixes
 from pupper_analysis.tools.contract.facts import (
@@ -55,15 +54,6 @@ def depth_first(model: RobotModel) -> tuple[str, ...]:
     roots = [link for link in model.links.values() if link.parent is None]
     links = [link for root in roots for link in (root, *model.descendants(root.name))]
     return tuple(joint.name for link in links for joint in link.joints if joint.moves)
-
-
-def limbs(model: RobotModel) -> dict[str, tuple[str, ...]]:
-    """Returns {joint: the joints from the base to it}."""
-    above: dict[str, tuple[str, ...]] = {}
-    for link in model.links.values():
-        way = above.get(link.parent or "", ())
-        above[link.name] = (*way, *(joint.name for joint in link.joints if joint.moves))
-    return {way[-1]: way for way in above.values() if way}
 
 
 def name_joints(
@@ -175,9 +165,8 @@ def _order(
     kept = [joints, breadth_first(model)]
     if not (trainers and all(one.breadth_first for one in trainers)):
         kept.reverse()
-    fits = [one for one in kept if source.motors and _whole_limbs(one, source.motors, model)]
     # That in which left and right are least unlike: a list in another order is like no mirror.
-    wrong = {one: _unlike(one, source, model) for one in dict.fromkeys((fits or kept)[::-1])}
+    wrong = {one: _unlike(one, source, model) for one in dict.fromkeys(kept[::-1])}
     order = min(wrong, key=wrong.__getitem__)
     if wrong[order] > MOST_UNLIKE:
         return (), "", []
@@ -196,7 +185,7 @@ def _unlike(order: tuple[str, ...], source: Source, model: RobotModel) -> float:
     """Returns the share of pairs of left and right that a source's lists contradict in an order."""
     said = {(one.quantity, order[one.index]): one.value for one in source.statements
             if one.index is not None and one.count == len(order)}  # fmt: skip
-    pairs = [(joint, other) for joint in order if (other := mirror_of(joint, order))]
+    pairs = mirror_pairs(order)
     signs = {pair: (1, mirrored_sign(model, *pair)) for pair in pairs}
     alike = [like_mirror(said[what, one], said[what, two], signs[one, two][kind.mirrored < 0])
              for what, kind in QUANTITIES.items() if kind.mirrored
@@ -216,24 +205,6 @@ def _motor_names(source: Source) -> dict[int, str]:
     if source.order and source.motors:
         return dict(zip(source.motors, source.order, strict=False))
     return dict(enumerate(source.motor_names))
-
-
-def _whole_limbs(order: tuple[str, ...], motors: tuple[int, ...], model: RobotModel) -> bool:
-    """Whether motors that are numbered so have each limb's joints after each other."""
-    if len(motors) > len(order):
-        return False
-    by_motor = [joint for _, joint in sorted(zip(motors, order, strict=False))]
-    directions = limbs(model)
-    for before, after in pairwise(by_motor):
-        if len(directions.get(after, ())) > 1 and before not in directions[after]:
-            return False
-    return True
-
-
-def mirror_of(joint: str, joints: Sequence[str]) -> str:
-    """Returns the joint of the other side, by its name; "" if there is none."""
-    other = mirror_name(joint)
-    return other if other != joint and other in joints else ""
 
 
 def mirrored_sign(model: RobotModel, one: str, two: str) -> int:

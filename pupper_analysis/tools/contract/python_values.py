@@ -319,7 +319,8 @@ class Evaluator:
         for said, node in ((each, node) for each in within for node in ast.walk(each)):
             stored = isinstance(node, ast.Name | ast.Attribute | ast.Subscript)
             if stored and isinstance(node.ctx, ast.Store | ast.Del):  # type: ignore[attr-defined]
-                lost = self._node(Unknown(ast.unparse(said)[:80]), node, scope)
+                shown = ast.unparse(said).partition("\n")[0][:80]
+                lost = self._node(Unknown(shown), node, scope)
                 with suppress(Lost):
                     self._put(cast(ast.expr, node), lost, scope)
 

@@ -459,3 +459,98 @@ def test_a_list_of_another_length_is_of_no_joints(
 def test_a_model_is_asked_for(sources: dict[str, Path]) -> None:
     with pytest.raises(ConfigurationError, match="none of the sources is a model"):
         read_contract(sources["policy.json"])
+
+
+def test_a_tables_twofold_key_is_refused_and_merged_keys_are_read(
+    sources: dict[str, Path],
+) -> None:
+    path = sources["deploy.yaml"]
+    text = path.read_text()
+    path.write_text(text + f"damping: {listed([0.5] * 12)}\n")
+    line = text.count("\n") + 1
+    with pytest.raises(ModelError, match=rf"deploy\.yaml:{line}: 'damping' stands twice"):
+        contract(path)
+    kd = f"damping: {listed([0.25] * 12)}"
+    assert kd in text
+    path.write_text("<<: *gains\n" + text.replace(kd, f"gains: &gains {{{kd}}}"))
+    with pytest.raises(ModelError, match="undefined alias"):
+        contract(path)
+    path.write_text(f"gains: &gains {{{kd}}}\n<<: *gains\n{text.replace(kd, '')}")
+    found = contract(sources["gym_cfg.py"], path)
+    assert found.findings == ()
+    said = {one.joint: one.value for one in found.facts
+            if one.source == path.name and one.quantity == "kd"}  # fmt: skip
+    assert said == dict.fromkeys(JOINTS, 0.25)
+
+
+@pytest.mark.parametrize(
+    "pattern", ["(.|.)*!", "(a*)*b", "((l|le|leg))+x", "(.*)" * 9 + "x", "(", "a**"]
+)
+def test_patterns_that_could_take_ages_are_named_and_left_out(
+    sources: dict[str, Path], pattern: str
+) -> None:
+    text = sources["isaac_cfg.py"].read_text()
+    sources["isaac_cfg.py"].write_text(
+        text.replace('{"leg_.*": 5.0}', f'{{"leg_.*": 5.0, "{pattern}": 9.0}}')
+    )
+    found = contract(sources["isaac_cfg.py"], sources["policy.json"])
+    assert found.findings == ()
+    (note,) = [one for one in found.notes if one.code == "contract-names-unknown"]
+    assert note.values["names"] == (pattern,)
+
+
+PLAYGROUND = """
+from ml_collections import config_dict
+
+
+def default_config() -> config_dict.ConfigDict:
+    return config_dict.create(
+        ctrl_dt=0.02,
+        sim_dt=0.004,
+        Kp=5.0,
+        Kd=0.25,
+        action_scale=0.75,
+        noise_config=config_dict.create(level=1.0, scales=config_dict.create(joint_pos=0.03)),
+    )
+"""
+
+
+def test_a_flat_table_that_a_function_makes_is_a_trainer(sources: dict[str, Path]) -> None:
+    """As MuJoCo Playground has it: no class, no joint's name."""
+    path = sources["gym_cfg.py"].with_name("joystick.py")
+    path.write_text(PLAYGROUND)
+    found = contract(path, sources["deploy.yaml"])
+    assert found.findings == ()
+    (read,) = [one for one in found.sources if one.name == "joystick.py:default_config"]
+    assert read.role == "trainer"
+    path.write_text(PLAYGROUND.replace("Kp=5.0", "Kp=35.0").replace("ctrl_dt=0.02", "ctrl_dt=0.01"))
+    kp, step = sorted(contract(path, sources["deploy.yaml"]).findings, key=lambda one: one.kind)
+    assert (kp.kind, kp.values, len(kp.joints)) == ("kp", (35.0, 5.0), 12)
+    assert (step.kind, step.values) == ("policy step", (0.01, 0.02))
+    line = PLAYGROUND.splitlines().index("        Kp=5.0,") + 1
+    assert kp.places[0] == f"{path}:{line}"
+
+
+def test_a_usd_of_other_names_is_matched_by_structure(tmp_path: Path) -> None:
+    from lxml import etree
+
+    from pupper_analysis.models.loading import reader_of
+    from tests.tools.usd import written
+
+    path, other = written.write(tmp_path), tmp_path / "other.urdf"
+    reader = reader_of(path)
+    assert reader is not None
+    root = reader.read_as_urdf(path).root
+    text = etree.tostring(root).decode()
+    for name, new in {"hip": "m1", "knee": "m2", "spring": "m3"}.items():
+        text = text.replace(f'<joint name="{name}"', f'<joint name="{new}"')
+    for number, link in enumerate(re.findall(r'<link name="([^"]*)"', text)):
+        text = text.replace(f'"{link}"', f'"body{number}"')
+    other.write_text(text)
+    found = read_contract(path, other, stand=False)
+    assert any(one.code == "contract-matched" for one in found.notes)
+    lower = {(one.source, one.joint) for one in found.facts if one.quantity == "lower limit"}
+    assert lower == {
+        (name, joint) for name in (path.name, "other.urdf") for joint in ("hip", "knee", "spring")
+    }
+    assert [one.message for one in found.findings] == []

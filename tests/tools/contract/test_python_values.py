@@ -1,0 +1,83 @@
+"""What a Python file states by its syntax: what changes a value counts, and what is not known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.tools.contract.facts import Node
+from pupper_analysis.tools.contract.python_values import Evaluator
+
+
+def worked_out(tmp_path: Path, text: str) -> Node:
+    """Returns the name ``x`` of a module."""
+    path = tmp_path / "settings.py"
+    path.write_text(text)
+    return Evaluator().module(path)["x"]
+
+
+def plain(node: Node) -> object:
+    """Returns a value without its places; of what is not known, its text in brackets."""
+    value = node.value
+    if isinstance(value, list):
+        return [plain(one) for one in value]
+    if isinstance(value, dict):
+        return {key: plain(one) for key, one in value.items()}
+    return value if value is None or isinstance(value, bool | int | float | str) else f"<{value}>"
+
+
+KNOWN = {
+    "continue": ("x = {}\nfor n in 'a', 'b':\n    if n == 'a':\n        continue\n    x[n] = 1\n",
+                 {"b": 1}),
+    "break": ("x = []\nfor n in range(5):\n    if n:\n        break\n    x.append(n)\n", [0]),
+    "pop": ("x = {'a': 1, 'b': 2}\nx.pop('a')\n", {"b": 2}),
+    "insert and extend": ("x = [2]\nx.insert(0, 1)\nx.extend([3, 4])\n", [1, 2, 3, 4]),
+    "setdefault": ("x = {}\nx.setdefault('a', 3)\nx.setdefault('a', 4)\n", {"a": 3}),
+    "enumerate from": ("x = [n for n, _ in enumerate('ab', start=2)]\nx = [[n, v] for n, v in "
+                       "enumerate([7, 8], start=2)]\n", [[2, 7], [3, 8]]),
+    "a type": ("e = 3.0\nif not isinstance(e, dict):\n    e = {'a': e}\nx = e\n", {"a": 3.0}),
+    "a method's own names": ("scale = 2\nclass A:\n    scale = 3\n    def f(self):\n"
+                             "        return scale * self.scale\nx = A().f()\n", 6),
+    "a base's method": ("class A:\n    def __post_init__(self):\n        self.kp = 5\n"
+                        "class B(A):\n    def __post_init__(self):\n"
+                        "        super().__post_init__()\n        self.kd = self.kp / 10\n"
+                        "x = B().kd\n", 0.5),
+    "each instance's own": ("from dataclasses import dataclass, field\n@dataclass\nclass A:\n"
+                            "    of: list = field(default_factory=lambda: [1])\n"
+                            "a = A()\na.of.append(2)\nx = A().of\n", [1]),
+    "the module's name": ("x = 1\nif __name__ == '__main__':\n    x = 2\n", 1),
+    "digits": ("x = 2.50\n", 2.5),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", KNOWN)
+def test_what_python_would_make_of_it(tmp_path: Path, case: str) -> None:
+    text, wanted = KNOWN[case]
+    assert plain(worked_out(tmp_path, text)) == wanted
+
+
+LOST = {
+    "deleted": ("x = {'a': 1, 'b': 2}\ndel x['a']\n", {"a": "<del x['a']>", "b": 2}),
+    "a loop without end": ("x = 0\nwhile True:\n    x = x + 1\n", "<x = x + 1>"),
+    "what may not happen": ("x = 1\nif unknown():\n    x = 2\n", "<x = 2>"),
+    "over what is not known": ("x = 1\nfor x in unknown:\n    pass\n", "<for x in unknown:>"),
+    "what may match": ("x = 1\nmatch unknown:\n    case 1:\n        x = 2\n", "<x = 2>"),
+    "too large": ("x = 10\nfor n in range(99):\n    x = x * x\n", "<x * x>"),
+    "too many": ("x = [0] * 10**12\n", "<[0] * 10 ** 12>"),
+    "that raises": ("def f():\n    raise ValueError\nx = f()\n", "<f()>"),
+    "a text's pattern": ("x = '%1000000000d' % 1\n", "<'%1000000000d' % 1>"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", LOST)
+def test_what_is_not_known_is_shown_as_it_stands(tmp_path: Path, case: str) -> None:
+    text, wanted = LOST[case]
+    assert plain(worked_out(tmp_path, text)) == wanted
+
+
+def test_decimals_are_those_that_are_written(tmp_path: Path) -> None:
+    """A form feed is no end of a line, as Python counts them."""
+    assert worked_out(tmp_path, "y = 1\n\x0c\nx = 2.50\n").decimals == 2
+    assert worked_out(tmp_path, "x = 0xef\n").decimals == 0
+    assert worked_out(tmp_path, "x = 1_0.25e1\n").decimals == 1
