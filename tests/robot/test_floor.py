@@ -162,7 +162,8 @@ def test_a_robot_moves_on_converted_pairs_as_on_its_files(tmp_path: Path) -> Non
     files = scene(tmp_path, PLANE + "/>", pairs)
     robot = loaded(files)
     models = (mujoco.MjModel.from_xml_path(str(files.mjcf)), copy.copy(robot.mj_model))
-    for model in models:  # servos were added to the one
+    for model in models:  # servos were added to the one, and steps that suit them
+        model.opt.timestep, model.opt.integrator = 0.002, mujoco.mjtIntegrator.mjINT_EULER
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     draw, touched = np.random.default_rng(3), 0
     data = [mujoco.MjData(model) for model in models]
