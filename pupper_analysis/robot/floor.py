@@ -176,6 +176,8 @@ def _take_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> list[Diagnostic]:
         geom.margin, geom.gap = pair.margin - floor.margin, pair.gap - floor.gap
         if pair.friction[0] != pair.friction[1] or pair.friction[3] != pair.friction[4]:
             done.append(diagnose("friction-sideways-dropped", subject=("geom", other)))
+        if np.any(pair.solreffriction):  # which no geom has
+            done.append(diagnose("friction-softness-dropped", subject=("geom", other)))
         spec.delete(pair)
         named.append(other)
     return [*done, diagnose("pairs-became-geoms", geoms=named)] if named else done

@@ -340,11 +340,12 @@ def metric_of(given: str | Function) -> Metric:
 def _of_file(metric: Metric, given: str) -> Metric:
     """Returns a named metric, of the file after its colon if it is of one."""
     _, colon, file = given.partition(":")
-    if metric.of_file is None and not colon:
+    if metric.of_file is None:
+        if colon:
+            raise ConfigurationError("measure", diagnose("metric-of-no-file", name=metric.name))
         return metric
-    if metric.of_file is None or not file:
-        key = "metric-of-no-file" if metric.of_file is None else "metric-of-a-file"
-        raise ConfigurationError("measure", diagnose(key, name=metric.name))
+    if not file:
+        raise ConfigurationError("measure", diagnose("metric-of-a-file", name=metric.name))
     function, content = metric.of_file(file)
     return replace(metric, function=function, file=file, content=content)
 
