@@ -91,9 +91,16 @@ def cases() -> Iterator[Case]:
     for robot in ("g1_23dof", "g1", "h1_2", "go2", "a2", "r1"):
         home = f"unitree_{robot.removesuffix('_23dof')}"
         deploy = f"deploy/robots/{robot}/config/policy/velocity/v0/params/deploy.yaml"
-        yield Case("JensenLav/unitree_rl_mjlab", robot, (
-            f"src/assets/robots/{home}/xmls/{robot}.xml",
-            f"src/tasks/velocity/config/{robot}/env_cfgs.py", deploy))  # fmt: skip
+        yield Case(
+            "JensenLav/unitree_rl_mjlab",
+            robot,
+            (
+                f"src/assets/robots/{home}/xmls/{robot}.xml",
+                f"src/tasks/velocity/config/{robot}/env_cfgs.py",
+                deploy,
+                "//mujocolab/mjlab/src",
+            ),
+        )  # fmt: skip - without it no gain of its is a constant
     yield Case("unitreerobotics/unitree_rl_lab", "g1", (
         "//unitreerobotics/unitree_ros/robots/g1_description/g1_29dof_rev_1_0.urdf",
         "source/unitree_rl_lab/unitree_rl_lab/tasks/locomotion/robots/g1/29dof/velocity_env_cfg.py",

@@ -310,7 +310,9 @@ def _mirrored(
     for source in placed:
         for joint, other in mirror_pairs(joints):
             one, two = (source.facts.get((quantity, each)) for each in (joint, other))
-            if one is None or two is None or one.value is None or two.value is None:
+            if one is None or two is None or (one.implied and two.implied):
+                continue
+            if one.value is None or two.value is None:
                 continue
             sign = mirrored_sign(model, joint, other) if kind.mirrored < 0 else 1
             if like_mirror(one.value, two.value, sign):

@@ -78,7 +78,10 @@ def _servo(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
     if kp > 0:
         yield Statement("kp", kp, place, joint)
     if kp > 0 and kd > 0:
-        yield Statement("kd", kd, place, joint)
+        # Of a damping ratio MuJoCo makes what the inertia there asks for.
+        name = model.mj_model.actuator(drive).name if model.mj_model else ""
+        ratio = bool(name) and model.file.stated("actuator", name, ("dampratio",)) is not None
+        yield Statement("kd", kd, place, joint, implied=ratio)
 
 
 def _of_actuator(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place:
