@@ -28,7 +28,7 @@ from pupper_analysis.tools.walk.runs import Lockstep, Run, Stage, simulate_cases
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tests.tools.walk import made  # noqa: E402
+from tests.tools.walk import made
 
 RUNS, SECONDS, REPEATS = 16, 8.0, 5
 FASTER, SCALES = 50.0, 1.8
