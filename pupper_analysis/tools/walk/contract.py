@@ -284,6 +284,10 @@ def contract_of(
     assert upper is not None
     assert signs is not None
     assert offsets is not None
+    if (crossed := np.flatnonzero(lower > upper)).size:
+        low, high = float(lower[crossed[0]]), float(upper[crossed[0]])
+        raise given.refuse("lower", diagnose("not-between", given=low, low=-math.inf, high=high))
+    history, newest = _memory(given)
     if (np.abs(signs) != 1).any():
         raise given.refuse("signs", diagnose("contract-value", given=str(signs), known=("-1", "1")))
     found = Contract(
@@ -298,8 +302,8 @@ def contract_of(
         rate=given.number("rate", None, 1.0, 1000.0),
         latency=given.number("latency", 0.0, 0.0, 1.0),
         clip=given.number("clip", math.inf, 1e-3, math.inf),
-        history=int(given.number("history", 1, 1, 1000)),
-        newest_first=bool(values.get("newest-first", False)),
+        history=history,
+        newest_first=newest,
         layout=layout,
         phase_rate=given.number("phase-rate", 0.0, 0.0, 20.0),
         phase_offsets=offsets,
@@ -323,6 +327,18 @@ def contract_of(
         )
         raise ModelError(path, problem)
     return found
+
+
+def _memory(given: _Stated) -> tuple[int, bool]:
+    """Returns how many frames an observation has, and whether the newest is the first."""
+    history = given.number("history", 1, 1, 1000)
+    if history % 1:
+        raise given.refuse("history", diagnose("whole-number-needed", given=str(history)))
+    newest = given.values.get("newest-first", False)
+    if not isinstance(newest, bool):
+        problem = diagnose("contract-value", given=str(newest), known=("true", "false"))
+        raise given.refuse("newest-first", problem)
+    return int(history), newest
 
 
 def _terms(given: _Stated) -> tuple[Term, ...]:

@@ -41,6 +41,9 @@ TURN_SLACK = 0.1
 AT_LIMIT = 0.99
 """Of its limit: a motor that gives more is at it."""
 
+_FASTEST = 100.0
+"""Of commands (m/s, rad/s): beyond, a unit is wrong."""
+
 _FRAME = 1 / 25
 """s between the configurations that are kept to be looked at."""
 
@@ -178,8 +181,12 @@ def command_of(command: ArrayLike) -> Array:
         found = np.array(command, dtype=np.float64)
     except (ValueError, TypeError) as error:
         raise ConfigurationError("command", diagnose("no-numbers", count=3)) from error
-    if found.shape != (3,) or not np.isfinite(found).all() or np.abs(found).max() > 100:
+    if found.shape != (3,) or not np.isfinite(found).all():
         raise ConfigurationError("command", diagnose("no-numbers", count=3))
+    most = float(found[np.abs(found).argmax()])
+    if abs(most) > _FASTEST:
+        problem = diagnose("not-between", given=most, low=-_FASTEST, high=_FASTEST)
+        raise ConfigurationError("command", problem)
     return found
 
 
@@ -366,7 +373,7 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
         tracks=followed.tracks,
         torque_rms=_rms(torques),
         torque_peak=np.abs(torques).max(axis=0),
-        at_limit=_share_at_limit(torques, limits),
+        at_limit=np.asarray(np.mean(np.abs(torques) >= AT_LIMIT * limits, axis=0)),
         speed_peak=np.abs(rates).max(axis=0),
         power=power,
         transport=power / (weight * speed) if speed > SPEED_SLACK else None,
@@ -382,11 +389,6 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
         torque_time=times[-last:].copy(),
         torques=np.round(torques[-last:], 5),
     )
-
-
-def _share_at_limit(torques: Array, limits: Array) -> Array:
-    share: Array = np.mean(np.abs(torques) >= AT_LIMIT * limits, axis=0)
-    return share
 
 
 def fall_of(stage: Stage, run: Run, duration: float) -> Diagnostic:
@@ -489,5 +491,4 @@ def _stances(seen: Sequence[_Seen], torques: Array) -> tuple[GaitStance, ...]:
 
 
 def _rms(values: Array) -> Array:
-    root: Array = np.sqrt((values**2).mean(axis=0))
-    return root
+    return np.asarray(np.sqrt((values**2).mean(axis=0)))

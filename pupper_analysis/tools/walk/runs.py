@@ -293,16 +293,12 @@ class Lockstep:
         self._asked[going, 0] = _commands(stage, actions)
         control = self._asked[going[:, None], self._late[going]]
         models = [self._models[index] for index in going.tolist()]
-        if forces is None:
-            states, _ = self._runner.rollout(models, self._data, self.current, control)
-        else:
+        asked, spec = control, {}
+        if forces is not None:
             held = np.repeat(forces[:, None], stage.substeps, axis=1)
-            forced = np.concatenate([control, held], axis=2)
-            states, _ = self._runner.rollout(
-                models, self._data, self.current, forced, control_spec=FORCED
-            )
-            # What a state does not hold, the next rollout leaves as it is.
-            self._data.xfrc_applied[:] = 0.0
+            asked, spec = np.concatenate([control, held], axis=2), {"control_spec": FORCED}
+        states, _ = self._runner.rollout(models, self._data, self.current, asked, **spec)
+        self._data.xfrc_applied[:] = 0.0  # what a state does not hold, the next rollout would keep
         self.tick += 1
         self.current = states[:, -1]
         # MuJoCo begins anew, at time 0, where a number is none or too large.
