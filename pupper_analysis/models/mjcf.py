@@ -38,11 +38,6 @@ class JointKind(IntEnum):
     SLIDE = mujoco.mjtJoint.mjJNT_SLIDE.value
     HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
 
-    @property
-    def dofs(self) -> int:
-        """Its degrees of freedom."""
-        return {JointKind.FREE: 6, JointKind.BALL: 3}.get(self, 1)
-
 
 FREE, BALL, SLIDE, HINGE = JointKind
 

@@ -168,11 +168,6 @@ class Mode(Result):
     freed: bool = False
 
     @property
-    def grows(self) -> bool:
-        """Whether it grows."""
-        return self.doubling_time is not None
-
-    @property
     def shakes(self) -> bool:
         """Whether it swings faster than it grows; what grows otherwise buckles.
 

@@ -240,7 +240,7 @@ def test_a_function_stays_what_it_is() -> None:
 
 def test_lengths_are_lengths() -> None:
     assert check_length("x", -1000) == -1000.0
-    for value in (1000.1, float("inf"), 10**400):
+    for value in (1000.1, -1000.1, float("inf"), 10**400):
         with pytest.raises(pa.ConfigurationError):
             check_length("x", value)
     with pytest.raises(pa.ConfigurationError, match="not finite"):
@@ -312,13 +312,6 @@ def test_numbers_beyond_measure_are_refused() -> None:
     assert "\n" not in str(refused.value)
     with pytest.raises(pa.ConfigurationError, match="not a mapping of names"):
         pa.Ground(heights={"FL": 0.1}).steps({2: np.zeros(3)})  # type: ignore[dict-item]
-
-
-@pytest.mark.parametrize("far", [1000.5, -1000.5])
-def test_lengths_end_a_kilometre_away_on_either_side(far: float) -> None:
-    assert check_length("height", far / 1.001) == far / 1.001
-    with pytest.raises(pa.ConfigurationError, match="height"):
-        check_length("height", far)
 
 
 def test_fits_and_plans_check_their_arguments(tmp_path: Path) -> None:

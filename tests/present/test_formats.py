@@ -51,13 +51,6 @@ def read_command(line: str) -> tuple[str, dict[str, str], str]:
     return parts[1], properties, message
 
 
-def test_a_place_with_a_line() -> None:
-    remark = Annotation("error", "mass of base", "too heavy", "models/go1.xml:84")
-    assert write_github([remark]) == (
-        "::error file=models/go1.xml,line=84,title=mass of base::too heavy"
-    )
-
-
 @pytest.mark.parametrize(
     ("place", "parameters"),
     [
