@@ -160,7 +160,7 @@ def _objective(value: str) -> Objective:
     try:
         return Objective(value)
     except ValueError as error:
-        message = diagnose("none-of", value=value, known=Objective)
+        message = diagnose("none-of", value=str(value), known=Objective)
         raise ConfigurationError("objective", message) from error
 
 
