@@ -7,7 +7,7 @@ from dataclasses import replace
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.prepare.causes import LIMITS, overloading_springs
 from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
 from pupper_analysis.prepare.self_check import (
@@ -24,8 +24,15 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.simulation.trial import (
+    NUDGE,
+    NudgeTrial,
+    may_be_upset,
+    simulate_nudges,
+)
 from pupper_analysis.simulation.verdict import (
     Asked,
+    Outcome,
     Simulated,
     Verdict,
     beyond_limits,
@@ -46,6 +53,7 @@ def judge(
     *,
     statics: GravityCompensation | None = None,
     asked: Asked = Asked.STANDS,
+    trial: NudgeTrial | None = None,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Verdict:
@@ -58,6 +66,8 @@ def judge(
         alone: The simulation without; None if there is none.
         statics: What its motors hold; None if their limits are no part of what is asked.
         asked: What the simulation is of.
+        trial: How it takes nudges from all sides; if it is not given, what is near a limit of its
+            ``statics`` is simulated so.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
         kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
 
@@ -65,6 +75,8 @@ def judge(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     servos = servos_used(robot, kp, kd)
+    if statics is not None and fed.passed:
+        fed = _nudged(robot, stand, fed, statics, trial, kp, kd)
     published = as_published_in(robot, stand, servos)
     shakes = fed.stability is not None and not fed.stability.lasts()
     if asked is Asked.STANDS and not fed.passed and shakes:
@@ -89,6 +101,42 @@ def judge(
             *efforts_nobody_meant(robot),
             *import_refused(robot),
         ),
+    )
+
+
+def _nudged(
+    robot: Robot,
+    stand: Stand,
+    fed: Simulated,
+    statics: GravityCompensation,
+    trial: NudgeTrial | None,
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+) -> Simulated:
+    """Returns what was simulated of a stand; that it fails, if a nudge from some side upsets it."""
+    if trial is None:
+        held = solve_stand_as_simulated(robot, stand)
+        if not may_be_upset(robot, held, statics):
+            return fed
+        trial = simulate_nudges(robot, held, kp=kp, kd=kd)
+    if trial.failure is None:
+        return fed
+    upset = diagnose(
+        "upset-by-nudge",
+        speed=Quantity(NUDGE, "m/s"),
+        fell=trial.fell,
+        nudges=trial.nudges,
+        failure=Term(trial.failure.value),
+        where=trial.where,
+        time=Quantity(trial.time or 0.0, "s"),
+    )
+    return Outcome(
+        passed=False,
+        failures=(upset,),
+        duration=fed.duration,
+        torque_error=fed.torque_error,
+        force_error=fed.force_error,
+        stability=fed.stability,
     )
 
 
@@ -188,7 +236,12 @@ def _made_up(robot: Robot) -> tuple[Diagnostic, ...]:
 
 @check_arguments
 def judge_stand(
-    robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, kd: ArrayLike | None = None
+    robot: Robot,
+    stand: Stand,
+    *,
+    trial: NudgeTrial | None = None,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
 ) -> Verdict:
     """Simulates a stand, and returns its verdict: that of ``study_stance``.
 
@@ -198,6 +251,7 @@ def judge_stand(
     Args:
         robot: The robot.
         stand: The stand.
+        trial: How it takes nudges from all sides, if that is known.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
         kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
 
@@ -211,4 +265,5 @@ def judge_stand(
         verify_stand(robot, held, kp=kp, kd=kd, feedforward=ahead, duration=LASTING)
         for ahead in (True, False)
     )
-    return judge(robot, stand, fed, alone, statics=stand_statics(robot, held), kp=kp, kd=kd)
+    statics = stand_statics(robot, held)
+    return judge(robot, stand, fed, alone, statics=statics, trial=trial, kp=kp, kd=kd)

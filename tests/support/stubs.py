@@ -18,6 +18,7 @@ from pupper_analysis.present.document import Document, Name, Report, text
 from pupper_analysis.present.documents.base_workspace import workspace_document
 from pupper_analysis.present.documents.comparison import comparison_document
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
+from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.analyze import comparison
@@ -26,7 +27,6 @@ from pupper_analysis.tools.best.document import best_document
 from pupper_analysis.tools.best.search import Objective
 from pupper_analysis.tools.path.document import path_document
 from pupper_analysis.tools.payload.document import payload_document
-from pupper_analysis.tools.payload.trial import Failure
 from pupper_analysis.tools.push.document import compare_pushes, push_document
 from pupper_analysis.tools.stand.document import stance_document
 

@@ -24,13 +24,14 @@ from pupper_analysis.robot.servos import command_lead, command_ranges, model_wit
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
 from pupper_analysis.simulation.rollout import begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability
+from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Asked, Verdict, beyond_limits
 from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
 from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.tools.payload.trial import Failure, PayloadTrial, simulate_payload
+from pupper_analysis.tools.payload.trial import PayloadTrial, simulate_payload
 
 Array = NDArray[np.float64]
 
@@ -203,7 +204,8 @@ def payload_limit(
     @cache
     def judged(mass: float) -> Verdict:
         loaded = with_payload(robot, mass, place)
-        found = judge_stand(loaded, solve_stand(loaded, task), kp=kp, kd=kd)
+        trial = tried(mass) if mass else None
+        found = judge_stand(loaded, solve_stand(loaded, task), trial=trial, kp=kp, kd=kd)
         return replace(found, asked=Asked.CARRIES)
 
     @cache
@@ -259,10 +261,10 @@ def _simulated(
     """
 
     def trouble(mass: float) -> Trouble:
-        if not judged(TRIED * mass).passed:
-            return Failure.SIMULATED, ()
         trial = tried(TRIED * mass)
-        return None if trial.failure is None else (trial.failure, trial.where)
+        if trial.failure is not None:
+            return trial.failure, trial.where
+        return None if judged(TRIED * mass).passed else (Failure.SIMULATED, ())
 
     found = trouble(most)
     if found is None:

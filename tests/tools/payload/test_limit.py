@@ -19,6 +19,7 @@ from pupper_analysis.robot.stability import free_of_friction
 from pupper_analysis.robot.tool import Place, find_tool, with_payload
 from pupper_analysis.simulation.rollout import STATE, begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability, stand_stability
+from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.stance import soft_ground
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.tools.payload import limit as payload
@@ -29,7 +30,6 @@ from pupper_analysis.tools.payload.limit import (
     Bound,
     payload_limit,
 )
-from pupper_analysis.tools.payload.trial import Failure
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.engines import with_efforts
 from tests.support.random_legged import drawn, ring, written

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 import pupper_analysis as pa
-from pupper_analysis.tools.payload import trial
+from pupper_analysis.simulation import trial
+from pupper_analysis.tools.payload.trial import simulate_payload
 from tests.support.random_legged import irregular_biped, written
 
 ABOVE = (0.0, 0.0, 0.1)
@@ -42,9 +43,9 @@ def test_who_stands_the_nudges_stands_those_between_them(
     held, falls = [], 0
     for by in math.pi / 16 * np.arange(2):
         monkeypatch.setattr(trial, "nudge_velocities", turned(by, 1.0))
-        held.append(trial.simulate_payload(biped, pa.StandTask(), mass, ABOVE).held)
+        held.append(simulate_payload(biped, pa.StandTask(), mass, ABOVE).held)
         # As fast as is said, no faster: the same circle for every turn.
         monkeypatch.setattr(trial, "nudge_velocities", turned(by, math.cos(math.pi / 8)))
-        falls += trial.simulate_payload(biped, pa.StandTask(), mass, ABOVE).fell
+        falls += simulate_payload(biped, pa.StandTask(), mass, ABOVE).fell
     assert held == [stands] * 2
     assert (falls == 0) is stands

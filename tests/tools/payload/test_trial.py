@@ -6,14 +6,16 @@ from unittest import mock
 
 import numpy as np
 import pytest
+import shapely
 
 import pupper_analysis as pa
-from pupper_analysis.tools.payload import trial as payload
-from pupper_analysis.tools.payload.trial import NUDGE, nudge_velocities, simulate_payload
+from pupper_analysis.simulation import trial as payload
+from pupper_analysis.simulation.trial import NUDGE, nudge_velocities
+from pupper_analysis.tools.payload.trial import simulate_payload
 from tests.support.variants import load, stand_of
 
 
-def test_a_base_is_nudged_to_all_sides_and_each_trial_elsewhere() -> None:
+def test_a_base_is_nudged_to_all_sides() -> None:
     robot, stand = load("v3"), stand_of("v3")
     speeds = nudge_velocities(robot, stand, 0.3)
     np.testing.assert_allclose(np.linalg.norm(speeds[8:10, :3], axis=1), NUDGE)
@@ -24,8 +26,19 @@ def test_a_base_is_nudged_to_all_sides_and_each_trial_elsewhere() -> None:
     np.testing.assert_allclose(speeds.sum(axis=0), 0.0, atol=1e-15)
     angles = np.sort(np.arctan2(speeds[:8, 1], speeds[:8, 0]))
     np.testing.assert_allclose(np.diff(angles), np.pi / 4)
-    turns = [simulate_payload(robot, stand, mass, duration=2).turn for mass in (1.0, 1.1, 1.0)]
-    assert turns[0] == turns[2] != turns[1]
+
+
+def test_the_first_nudge_points_to_the_nearest_edge() -> None:
+    """A com that is far to the left, and a little forward, is nudged to the left."""
+    robot = load("v3")
+    for offset in ((0.005, 0.03), (-0.05, 0.01)):
+        stand = pa.solve_stand(robot, pa.StandTask(offset=offset))
+        trial = simulate_payload(robot, stand.task, 1e-9, duration=2)
+        com = pa.robot.Configuration(robot, stand.qpos).center_of_mass()[:2]
+        ring = shapely.MultiPoint([p[:2] for p in stand.contact_points.values()]).convex_hull
+        near = ring.exterior.interpolate(ring.exterior.project(shapely.Point(com)))
+        way = np.array([near.x, near.y]) - com
+        assert trial.turn == pytest.approx(np.arctan2(way[1], way[0]), abs=0.02)
 
 
 def test_each_nudge_is_simulated_from_the_stand_that_is_judged() -> None:
