@@ -1,4 +1,4 @@
-"""Left and right: which names of links and joints are each other's mirror image."""
+"""What names of links and joints say: which are each other's mirror image, which are of legs."""
 
 from __future__ import annotations
 
@@ -20,6 +20,10 @@ _SIDE_PATTERN = re.compile(
 
 NOT_MIRRORED = re.compile("gripper|finger|camera|imu|sensor", re.IGNORECASE)
 """Parts that are mounted as they are, or turned, on both sides."""
+
+
+OF_LEGS = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
+"""In names of joints that are not those of an arm or a hand, whose base is bolted down."""
 
 
 def mirror_name(name: str) -> str:

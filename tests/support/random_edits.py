@@ -1,12 +1,17 @@
 """Random one-place edits of what touches, options, keyframes and pairs of an MJCF, as a user makes.
 
 `python -m tests.support.random_edits ROBOT.xml --count 100` compares what `diff` says of each with
-bare MuJoCo: both files are simulated from the first keyframe, and every step is looked at.
+bare MuJoCo: both files are simulated from the first keyframe, and every step is looked at. What
+`crosscheck` says of it, beside the URDF that `convert` makes of the file as it was, is compared
+with what bare MuJoCo makes of all that a URDF states too: how low what touches the ground reaches,
+and how the robot accelerates.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import copy
 import shutil
 import sys
 import tempfile
@@ -40,16 +45,35 @@ class Edit(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What bare MuJoCo and `diff` make of an edit."""
+    """What bare MuJoCo, `diff` and `crosscheck` make of an edit.
+
+    Attributes:
+        edit: What was edited.
+        truth: How far the rollouts are apart (m, rad).
+        felt: Whether `diff` says that a simulation changes.
+        same: Whether it says that the files are the same.
+        placed: Whether it names the line.
+        stated: Whether what both formats state is another robot in bare MuJoCo; None between
+            the two bounds.
+        agree: Whether `crosscheck` says that the files agree; None if it was not asked.
+    """
 
     edit: str
     truth: float
     felt: bool
     same: bool
     placed: bool
+    stated: bool | None = None
+    agree: bool | None = None
 
     @property
     def right(self) -> bool:
+        """Whether both commands are right."""
+        wrong = None not in (self.stated, self.agree) and self.stated == self.agree
+        return self.right_of_diff and not wrong
+
+    @property
+    def right_of_diff(self) -> bool:
         """Whether what moves a rollout is said to, at its line, and what does not is not."""
         if self.truth > FELT * BAND:
             return self.felt and self.placed
@@ -193,8 +217,98 @@ def apart(one: np.ndarray, two: np.ndarray) -> float:
     return float(gaps.max(initial=0.0)) if same.any() else float("inf")
 
 
-def answers(source: Path, count: int, first: int, scratch: Path) -> list[Answer]:
-    """Edits a file anew for each seed, and asks `diff` and bare MuJoCo."""
+SURFACE = (1e-4, 4e-4)
+"""Feet that reach lower by less than the first are the same, by more than the second others (m)."""
+
+_UNSTATED = mujoco.mjtDisableBit
+_ACT = sum(
+    int(bit)
+    for bit in (
+        _UNSTATED.mjDSBL_CONSTRAINT, _UNSTATED.mjDSBL_LIMIT, _UNSTATED.mjDSBL_FRICTIONLOSS,
+        _UNSTATED.mjDSBL_ACTUATION, _UNSTATED.mjDSBL_CONTACT,
+    )
+)  # fmt: skip
+"""Flags that switch off what a URDF states: limits, dry friction, motors, shapes that touch."""
+
+
+def as_a_urdf_states(one: Path, two: Path) -> bool | None:
+    """Says whether two MJCFs are another robot in what a URDF states, too; None at the bounds."""
+    models = [_on_ground(path) for path in (one, two)]
+    if models[0].nq != models[1].nq:
+        return True
+    flags = [model.opt.disableflags & _ACT for model in models]
+    pushes = [_accelerations(model) for model in models]
+    if flags[0] != flags[1] or not np.allclose(*pushes, rtol=1e-6, atol=1e-6):
+        return True
+    data = mujoco.MjData(models[0])
+    if models[0].nkey:  # both in one pose, which a URDF does not state
+        mujoco.mj_resetDataKeyframe(models[0], data, 0)
+    heights = [_feet(model, data.qpos) for model in models]
+    if heights[0].keys() != heights[1].keys():
+        return True
+    gap = max((abs(heights[0][body] - heights[1][body]) for body in heights[0]), default=0.0)
+    return None if SURFACE[0] < gap < SURFACE[1] else gap >= SURFACE[1]
+
+
+def _on_ground(path: Path) -> mujoco.MjModel:
+    spec = mujoco.MjSpec.from_file(str(path))
+    if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 1))
+    return spec.compile()
+
+
+def _accelerations(model: mujoco.MjModel) -> np.ndarray:
+    """Returns (4, nv) accelerations at states of no choice, with nothing but smooth forces."""
+    model, random = copy.copy(model), np.random.default_rng(0)
+    model.opt.disableflags |= _ACT
+    data, found = mujoco.MjData(model), []
+    for _ in range(4):
+        mujoco.mj_integratePos(model, data.qpos, random.normal(size=model.nv), 0.3)
+        data.qvel = random.normal(size=model.nv)
+        mujoco.mj_forward(model, data)
+        found.append(data.qacc.copy())
+    return np.array(found)
+
+
+def _feet(model: mujoco.MjModel, qpos: np.ndarray) -> dict[str, float]:
+    """Returns how low each foot reaches: MuJoCo's contacts, with all of it far below the ground."""
+    data = mujoco.MjData(model)
+    data.qpos = qpos
+    free = int(np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
+    data.qpos[model.jnt_qposadr[free] + 2] -= 10.0
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    found: dict[str, float] = {}
+    for number in range(data.ncon):
+        contact = data.contact[number]
+        bodies = model.body_weldid[model.geom_bodyid[contact.geom]]
+        if 0 in bodies and contact.dist < -5.0:  # not among each other
+            name = model.body(int(bodies.max())).name
+            found[name] = min(found.get(name, np.inf), float(contact.dist))
+    com = float(data.subtree_com[0][2])
+    return {name: low for name, low in found.items() if low < com and _ends(model, name)}
+
+
+def _ends(model: mujoco.MjModel, name: str) -> bool:
+    """Says whether no joint moves anything against a body."""
+    body = model.body(name).id
+    below = np.flatnonzero(model.body_weldid[model.body_parentid] == body)
+    return all(model.body_weldid[each] == body for each in below)
+
+
+def answers(
+    source: Path, count: int, first: int, scratch: Path, urdf: Path | None = None
+) -> list[Answer]:
+    """Edits a file anew for each seed, and asks `diff` and bare MuJoCo.
+
+    Args:
+        source: The file.
+        count: How many edits that MuJoCo takes.
+        first: The first seed.
+        scratch: A folder for what is edited.
+        urdf: One that agrees with the file, beside which `crosscheck` is asked.
+    """
     folder = scratch / "robot"
     shutil.copytree(source.parent, folder, copy_function=_linked)
     original, edited = folder / source.name, folder / f"edited_{source.name}"
@@ -214,7 +328,10 @@ def answers(source: Path, count: int, first: int, scratch: Path) -> list[Answer]
         felt = bool(messages) or any(each.code == "simulation-changes" for each in diff.combined)
         places = [change.new_place.rpartition(":")[2] for change in diff.changes]
         placed = made.element is None or str(_line(tree, made.element, edited)) in places
-        found.append(Answer(f"{made.what}, seed {seed}", truth, felt, diff.same, placed))
+        stated = as_a_urdf_states(original, edited) if urdf else None
+        agree = pa.compare_models(urdf, edited).agree if urdf else None
+        what = f"{made.what}, seed {seed}"
+        found.append(Answer(what, truth, felt, diff.same, placed, stated, agree))
     return found
 
 
@@ -228,6 +345,15 @@ def _linked(source: str, target: str) -> None:
     Path(target).symlink_to(Path(source).resolve())
 
 
+def _beside(source: Path, scratch: Path) -> Path | None:
+    """Returns the URDF that `convert` makes of an MJCF, if the two agree."""
+    with contextlib.suppress(pa.PupperAnalysisError):
+        pa.convert_model(source, scratch / "converted.urdf")
+        if pa.compare_models(scratch / "converted.urdf", source).agree:
+            return scratch / "converted.urdf"
+    return None
+
+
 def main() -> None:
     """Prints what `diff` misses, and how many it sees."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -238,16 +364,18 @@ def main() -> None:
     wrong = 0
     for file in options.files:
         with tempfile.TemporaryDirectory() as scratch:
-            found = answers(file.resolve(), options.count, options.first, Path(scratch))
+            beside = _beside(file.resolve(), Path(scratch))
+            found = answers(file.resolve(), options.count, options.first, Path(scratch), beside)
         counts = Counter(
             "moves" if one.truth > FELT else "harmless, told" if not one.same else "not told"
             for one in found
         )
-        print(f"{file.name}: {dict(counts)}; wrong: {sum(not one.right for one in found)}")
-        for one in found:
-            if not one.right:
-                wrong += 1
-                print(f"   {one}")
+        other = Counter(one.agree for one in found)
+        wrongs = [one for one in found if not one.right]
+        print(f"{file.name}: {dict(counts)}, crosscheck agrees {dict(other)}; wrong: {len(wrongs)}")
+        for one in wrongs:
+            wrong += 1
+            print(f"   {one}")
     sys.exit(bool(wrong))
 
 

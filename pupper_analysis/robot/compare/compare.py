@@ -11,7 +11,6 @@ ball for a mesh, say), is chosen otherwise in most pairs of files, moves no stan
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -37,6 +36,7 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.sides import OF_LEGS
 from pupper_analysis.models.stated.elements import place_of_geom, touching_geoms
 from pupper_analysis.models.stated.geometry import DIRECTIONS, describe_shape, support_of
 from pupper_analysis.models.stated.mjcf import read_mjcf_model, read_shape
@@ -621,14 +621,10 @@ def _weighed_by_geoms(mjcf: MjcfFile) -> set[str]:
     return {geom.parent.name for geom in spec.geoms if gives_mass(spec, geom)}
 
 
-_LEGS = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
-"""In names of joints that are not those of an arm or a hand, whose base is bolted down."""
-
-
 def _legs_without_base(matched: Match) -> Iterator[Diagnostic]:
     """Yields that an MJCF lacks the base of its legs; that of an arm has no effect."""
     left = [note for note in matched.notes if note.code == "mass-of-base-left-out"]
-    legs = [name for name in matched.robot.joint_names if _LEGS.search(name)]
+    legs = [name for name in matched.robot.joint_names if OF_LEGS.search(name)]
     if left and len(legs) > 1:
         yield diagnose("base-of-legs-left-out", mass=left[0].values["mass"], joints=legs)
 

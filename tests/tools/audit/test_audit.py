@@ -31,7 +31,7 @@ from pupper_analysis.tools.audit.audit import (
 )
 from pupper_analysis.tools.audit.registry import CHECKS
 from pupper_analysis.tools.audit.rules.joints import expected_axis
-from tests.support.legged import quadruped
+from tests.support.legged import fused, quadruped
 from tests.support.repository import ROOT
 
 OWN = {
@@ -727,7 +727,7 @@ def test_contacts_faster_than_two_steps_are_not_what_is_stated(
 
 
 def test_every_rule_has_a_test() -> None:
-    apart = {"mesh-unreadable", "mesh-mirrored"}  # which need a mesh beside the file
+    apart = {"mesh-unreadable", "mesh-mirrored", "base-fused"}  # which no edit of our files makes
     assert {case.rule for case in CASES} | apart == set(CHECKS)
 
 
@@ -1231,3 +1231,15 @@ def test_legs_on_the_world_have_no_lever_to_their_base(tmp_path: Path) -> None:
         )
         rules = [one.rule for one in audit_model(path).findings]
         assert ("mass-beyond-motors" in rules) is found
+
+
+def test_legs_that_begin_at_the_world_lack_their_base(tmp_path: Path) -> None:
+    """As MuJoCo's importer leaves a URDF; two arms on one bench lack nothing."""
+    pair = quadruped(tmp_path)
+    assert not found(audit_model(pair.mjcf), "base-fused")
+    (finding,) = found(audit_model(fused(pair).mjcf), "base-fused")
+    text = pair.mjcf.read_text()
+    assert finding.element.split("'")[1] in text.splitlines()[finding.line - 1]
+    arms = re.sub("hip|thigh|knee|calf|foot|shank", lambda found: found[0][::-1], text)
+    pair.mjcf.write_text(arms)
+    assert not found(audit_model(pair.mjcf), "base-fused")

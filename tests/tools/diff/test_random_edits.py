@@ -15,9 +15,11 @@ from tests.support.repository import ROOT
 
 
 def test_what_moves_v3_is_told(tmp_path: Path) -> None:
-    found = answers(ROOT / "mjcf/pupper_v3.xml", 12, 0, tmp_path)
+    urdf = ROOT / "urdf/pupper_v3.urdf"
+    found = answers(ROOT / "mjcf/pupper_v3.xml", 8, 0, tmp_path, urdf)
     assert not [one for one in found if not one.right]
     assert any(one.truth > FELT for one in found)
+    assert {one.agree for one in found} == {True, False}
 
 
 @pytest.mark.parametrize("seed", [44, 46])

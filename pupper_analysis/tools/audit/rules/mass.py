@@ -15,14 +15,16 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.loading import Found
+from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.sides import OF_LEGS
 from pupper_analysis.models.stated.geometry import (
     extent_points,
     known_points,
     link_points,
     outside_hull,
 )
-from pupper_analysis.models.stated.mjcf import line_of
+from pupper_analysis.models.stated.mjcf import joint_name, line_of
 from pupper_analysis.models.stated.model import (
     FREE,
     HINGE,
@@ -235,6 +237,25 @@ def base_fixed(robot: RobotModel) -> Iterator[Found]:
     if not any(joint.kind == FREE for joint in base.joints):
         message = diagnose("base-fixed", mass=Quantity(mass, "kg"), feet=len(feet))
         yield Found(robot.link_tag, base.name, message)
+
+
+@rule
+def base_fused(robot: MjcfModel) -> Iterator[Found]:
+    """Finds two legs or more that begin at the world: no body of the robot carries them."""
+    model = robot.mj_model
+    if model is None or has_free_joint(model):
+        return
+    firsts: dict[str, list[str]] = {}
+    for joint in range(model.njnt):
+        top = int(model.body_rootid[model.jnt_bodyid[joint]])
+        firsts.setdefault(robot.body_names[top], []).append(joint_name(model, joint))
+    legs = [
+        name
+        for name, joints in firsts.items()
+        if len(joints) > 1 and any(map(OF_LEGS.search, joints))
+    ]
+    if len(legs) > 1:
+        yield Found(robot.link_tag, legs[0], diagnose("base-fused", legs=legs))
 
 
 # Rules about moments of inertia.
