@@ -143,7 +143,7 @@ def shapes_of(
                 place=place.actInv(there),
                 hull=hull,
                 faces=faces,
-                on_ground=ground is not None and _touch(model, geom, ground),
+                on_ground=ground is not None and may_touch(model, geom, ground),
             )
         )
     return tuple(found)
@@ -188,8 +188,8 @@ class _Carriers:
         return link, self._data.oMf[self._links[link]]
 
 
-def _touch(model: mujoco.MjModel, geom: int, ground: int) -> bool:
-    """Whether MuJoCo looks for contacts of a geom and the ground: by their bits, or a pair."""
+def may_touch(model: mujoco.MjModel, geom: int, ground: int) -> bool:
+    """Tells whether MuJoCo looks for contacts of a geom and a ground, by bits or in a pair."""
     for one, two in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
         if {one, two} == {geom, ground}:
             return True

@@ -35,6 +35,7 @@ APART = {  # below, each with an argument that is wrong
     "study_outcome",
     "plan_stands",
     "tool_payload",
+    "write_design",
     "write_plan",
     "write_randomisation",
     "write_report",
@@ -259,6 +260,7 @@ def test_what_studies_and_reports_are_given_wrong(junk: Any, tmp_path: Path) -> 
         "table": lambda: pa.study.certainty(junk),
         "table:": lambda: pa.study.pareto_front(junk, {"mass": "min"}),
         "study": lambda: pa.study.study_outcome(junk, tmp_path / "x"),
+        "study:": lambda: pa.study.write_design(junk, 1, tmp_path / "x"),
         "spreads": lambda: pa.study.write_randomisation(junk, tmp_path / "x.yaml"),
         "results": lambda: pa.report.write_report(junk, tmp_path / "x.html"),
     }

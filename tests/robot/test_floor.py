@@ -50,7 +50,7 @@ def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
     [
         (f'<body name="ground">{PLANE}/></body>', None),
         (f'<body pos="0 0 0.3" euler="0 1.5707963267948966 0">{PLANE}/></body>', "tilted by 90"),
-        (f'{PLANE} pos="0.2 0 0.05"/>', "at z = 0.05 m"),
+        (f'{PLANE} pos="0.2 0 0.05"/>', "at z = 50 mm"),
         (f'{PLANE} euler="0 0.1 0"/>', "tilted by 5.73 deg"),
         (f'{PLANE} euler="0 0 1.5"/>', None),
         (f'<frame euler="0 0 0.5">{PLANE}/></frame>', None),

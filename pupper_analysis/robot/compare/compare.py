@@ -77,6 +77,7 @@ from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees, poses_at_zero
 from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.shapes import may_touch
 
 Array = NDArray[np.float64]
 
@@ -221,17 +222,7 @@ def _touching_the_world(model: mujoco.MjModel) -> list[int]:
     world = [geom for geom in ids if model.body_weldid[model.geom_bodyid[geom]] == 0]
     if not world:
         return ids
-    ends = (model.pair_geom1.tolist(), model.pair_geom2.tolist())
-    paired = {frozenset(pair) for pair in zip(*ends, strict=True)}
-    kinds, kin = model.geom_contype, model.geom_conaffinity
-    return [
-        geom
-        for geom in ids
-        if any(
-            kinds[geom] & kin[other] or kinds[other] & kin[geom] or {geom, other} in paired
-            for other in world
-        )
-    ]
+    return [geom for geom in ids if any(may_touch(model, geom, other) for other in world)]
 
 
 def _feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> list[str]:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -34,9 +34,7 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.design import Maker, measured_columns
 from pupper_analysis.tools.study.measures import Design
 from pupper_analysis.tools.study.store import require_library
-
-if TYPE_CHECKING:
-    from pupper_analysis.tools.study.study import Study
+from pupper_analysis.tools.study.study import Study
 
 _TOLERANCE = 1e-6
 """Relative: files have all digits, and what is left are the tolerances of iterative solvers."""
@@ -96,7 +94,9 @@ def write_design(
         StudyError: If it is no study's folder, or damaged.
         OutputError: If a file cannot be written, or is there with another content.
     """
+    check_type("study", study, Study)
     check_type("number", number, int)
+    check_type("folder", folder, str | Path)
     require_library("pandas")
     table = study.table(folder)
     if not 1 <= number <= len(table):

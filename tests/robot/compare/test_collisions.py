@@ -68,6 +68,14 @@ def test_feet_that_touch_nothing_are_a_difference(tmp_path: Path) -> None:
     assert {note.code for note in found.notes} >= {"collisions-in-one-file"}
 
 
+def test_a_foot_that_is_excluded_from_the_world_is_a_difference(tmp_path: Path) -> None:
+    """Its bits still say that it touches; MuJoCo lets it through the floor."""
+    exclude = '<contact><exclude body1="leg_front_l_3" body2="world"/></contact></mujoco>'
+    found = pa.compare_models(*edited(tmp_path, "mjcf/pupper_v3.xml", "</mujoco>", exclude))
+    (difference,) = found.differences
+    assert difference.diagnostic.code == "foot-touches-in-one-file"
+
+
 def test_what_is_no_foot_is_noted(tmp_path: Path) -> None:
     """A box around the torso is chosen otherwise in most pairs of files, and moves no stand."""
     text = (ROOT / "mjcf/pupper_v3_body.xml").read_text().splitlines()

@@ -34,7 +34,7 @@ def test_the_first_nudge_points_to_the_nearest_edge() -> None:
     for offset in ((0.005, 0.03), (-0.05, 0.01)):
         stand = pa.solve_stand(robot, pa.StandTask(offset=offset))
         trial = simulate_payload(robot, stand.task, 1e-9, duration=2)
-        com = pa.robot.Configuration(robot, stand.qpos).center_of_mass()[:2]
+        com = pa.Configuration(robot, stand.qpos).center_of_mass()[:2]
         ring = shapely.MultiPoint([p[:2] for p in stand.contact_points.values()]).convex_hull
         near = ring.exterior.interpolate(ring.exterior.project(shapely.Point(com)))
         way = np.array([near.x, near.y]) - com
