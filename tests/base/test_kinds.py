@@ -34,7 +34,7 @@ def test_a_result_is_known_and_nothing_else_is_taken_for_it(name: str, tmp_path:
     write(path)
     ours = path.read_bytes()
     others = [b"name,mass\nbase,1\n", b"\x89PNG\r\n\x1a\n", b"<!DOCTYPE html><html></html>", b"# x"]
-    for other in [*others, *(read for read in _results(tmp_path) if read != ours)]:
+    for other in [*others, *_results(tmp_path, without=name)]:
         path.write_bytes(other)
         with pytest.raises(OutputError, match="of this package"):
             write(path)
@@ -43,9 +43,11 @@ def test_a_result_is_known_and_nothing_else_is_taken_for_it(name: str, tmp_path:
     write(path)
 
 
-def _results(folder: Path) -> list[bytes]:
+def _results(folder: Path, without: str) -> list[bytes]:
     made = []
     for name, write in WRITERS.items():
+        if name == without:
+            continue
         other = folder / "others" / name
         write(other)
         made.append(other.read_bytes())

@@ -364,7 +364,7 @@ def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path
     mjcf, found = converted(urdf, "quad.xml")
     assert found.passed, found.failures
     assert any("links without mass" in str(note) and "FL_toe" in str(note) for note in found.notes)
-    assert "spheres of radius 0, points that touch, have a radius of 0.001 m" in map(
+    assert "spheres of radius 0, points that touch, have a radius of 1 mm" in map(
         str, found.not_converted
     )
     model = compiled(mjcf)
