@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
@@ -45,7 +45,7 @@ TURNS = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
 SAME = 1e-9
 """rad, m, N m: numbers of one computation. (Processes order sums alike.)"""
 
-PAYLOAD_PLACE = "0,0,5cm"
+PAYLOAD_PLACE, PAYLOAD_POINT = "0,0,5cm", (0.0, 0.0, 0.05)
 
 
 @dataclass
@@ -110,6 +110,8 @@ def of_robot(name: str, folder: Path, *files: str) -> Agreement:
         _compare_push(found, run, stance)
     _compare_path(found, run, stood, stance)
     _compare_payload(found, run, stood)
+    if stance:
+        _compare_study(found, stance, files, folder)
     if stood.returncode == 0:
         _compare_best(found, run)
         _compare_workspace(found, run)
@@ -167,13 +169,16 @@ def _is_shown(shown: str, meant: float) -> bool:
     return abs(float(shown) - meant) <= 0.501 * 10.0**-digits
 
 
+def _by_format(files: Sequence[str]) -> dict[str, str]:
+    """Returns a robot's files by their format."""
+    return {"mjcf" if file.endswith(".xml") else "urdf": file for file in files}
+
+
 def _compare_interface(found: Agreement, stance: dict[str, Any], files: Sequence[str]) -> None:
     if files[0] in pa.VARIANTS:
         robot = pa.load_variant(files[0])
     else:
-        urdf = next((file for file in files if file.endswith(".urdf")), None)
-        mjcf = next((file for file in files if file.endswith(".xml")), None)
-        robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
+        robot = pa.load_robot(**_by_format(files))
     mine = study_stance(robot, pa.StandTask())
     found.codes["python"] = mine.verdict.code
     if mine.verdict.code != stance["verdict"]["code"]:
@@ -236,6 +241,24 @@ def _compare_payload(found: Agreement, run: Commands, stood: Answer) -> None:
         found.codes[f"stand, {part} of it"] = code
         if (loaded.returncode == 0) is not (part < 1):
             found.disagreements.append(f"stand with {part} of {mass:.4g} kg: {code}")
+
+
+def _compare_study(
+    found: Agreement, stance: dict[str, Any], files: Sequence[str], folder: Path
+) -> None:
+    """A study of the nominal stand alone measures what ``stand`` and ``payload`` say of it."""
+    source = files[0] if files[0] in pa.VARIANTS else _by_format(files)
+    asked = ["verified"] if math.isnan(found.payload) else ["verified", "payload_limit"]
+    study = pa.Study(
+        source, {"yaw": [stance["stand"]["task"]["yaw"]]}, asked, payload_point=PAYLOAD_POINT
+    )
+    with ThreadPoolExecutor(1) as here:
+        (row,) = study.run(folder / "study", executor=here).to_dict("records")
+    if bool(row["verified"]) is not stance["verdict"]["passed"]:
+        found.disagreements.append(f"study: verified {row['verified']}")
+    mass = row.get("payload_limit", found.payload)
+    if not math.isnan(found.payload) and not math.isclose(mass, found.payload, rel_tol=SAME):
+        found.disagreements.append(f"study: payload {mass:.6g} kg for {found.payload:.6g}")
 
 
 def _compare_best(found: Agreement, run: Commands) -> None:

@@ -8,7 +8,7 @@ from pupper_analysis.tools.payload.limit import payload_limit
 
 
 def _measure(design: Any) -> float:
-    return payload_limit(design.robot, design.stand).mass
+    return payload_limit(design.robot, design.stand, design.point, **design.gains).mass
 
 
 METRICS: dict[str, dict[str, Any]] = {

@@ -376,7 +376,7 @@ class Maker:
         own = not gains
         if gains:
             robot = with_gains(robot, gains.pop("kp", None), gains.pop("kd", None), gains)
-        return Design(robot, stand, own_servos=own)
+        return Design(robot, stand, own_servos=own, point=self.point)
 
     def _robot(self, numbers: Mapping[str, float]) -> Robot:
         scales = {name: v for name, v in numbers.items() if name in self.source.scales}

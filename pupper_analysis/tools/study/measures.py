@@ -14,17 +14,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose, phrase
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.base.runs import note_input
 from pupper_analysis.base.tools import other_tools, own_tools
+from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import own_clauses
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servo_gains
 from pupper_analysis.robot.stability import Stability
+from pupper_analysis.robot.tool import Place
 from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.stability import rest_stability
+from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
@@ -44,11 +49,21 @@ class Design:
         robot: The robot, with its payload and its servos' gains.
         stand: How it stands.
         own_servos: Whether these gains are its file's, and what that does by itself counts.
+        point: Where a payload is, or is sought; see ``robot.tool.find_place``.
     """
 
     robot: Robot
     stand: Stand
     own_servos: bool = True
+    point: Place = (0.0, 0.0, 0.0)
+
+    @cached_property
+    def gains(self) -> dict[str, NDArray[np.float64]]:
+        """Its servos' kp and kd (nu,), as ``--kp`` and ``--kd`` give them; its own are not."""
+        if self.own_servos:
+            return {}
+        gains = servo_gains(self.robot)
+        return {"kp": gains.kp, "kd": gains.kd}
 
     @cached_property
     def statics(self) -> GravityCompensation:
@@ -106,9 +121,9 @@ class Design:
         return solve_stand_as_simulated(self.robot, self.stand)
 
     @cached_property
-    def simulated(self) -> StandVerification:
-        """What MuJoCo makes of it, with feed-forward."""
-        return verify_stand(self.robot, self.held)
+    def verdict(self) -> Verdict:
+        """What ``stand`` says of it."""
+        return judge_stand(self.robot, self.stand, **self.gains)
 
     @cached_property
     def simulated_rest(self) -> StandVerification:
@@ -276,7 +291,7 @@ _ALL = (
     ),
     Metric(
         "verified",
-        lambda d: d.simulated.passed,
+        lambda d: d.verdict.passed,
         "1",
         simulates=True,
         fallen=0.0,
@@ -298,7 +313,7 @@ def _of_tools() -> Iterator[Metric]:
             yield from (Metric(name, **more) for name, more in offered.items())
 
 
-REVISION = 4
+REVISION = 5
 """Of what metrics mean, raised when one changes: results of before are not taken for it."""
 
 METRICS: Mapping[str, Metric] = {metric.name: metric for metric in (*_ALL, *_of_tools())}

@@ -124,7 +124,7 @@ def write_design(
     urdf, mjcf = (into / place for place in contents if place.suffix in (".urdf", ".xml"))
     loaded, words = _read_again(design.robot, urdf, mjcf)
     stand = solve_stand(loaded, design.stand.task)
-    again = Design(loaded, stand, own_servos=design.own_servos)
+    again = Design(loaded, stand, own_servos=design.own_servos, point=design.point)
     found = measured_columns(again, study.metrics)
     measured = {name: float(row[name]) for name in found if name in row and _is_number(row[name])}
     found = {name: value for name, value in found.items() if name in measured}

@@ -587,6 +587,8 @@ def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
         study = pa.Study(files, {"kp": [150.0], "kd": [5.0]}, ["stands"])
         maker = Maker(study.source, study.task, study.point)
         assert study.metrics[0].function(maker.design({"kp": 150.0, "kd": 5.0}))
+        assert METRICS["verified"].function(maker.design({"kp": 150.0, "kd": 5.0}))
+        assert METRICS["verified"].function(maker.design({})) is stands
         if stands:
             assert study.metrics[0].function(maker.design({}))
         else:
@@ -612,6 +614,14 @@ def test_the_com_with_its_payload_is_over_the_feet() -> None:
     assert design.robot.total_mass == pytest.approx(load("v3").total_mass + 1.0)
 
 
+def test_what_is_carried_is_sought_where_the_payload_is() -> None:
+    place = (0.0, 0.0, 0.08)
+    design = Maker(study({"kp": [5.0]}).source, pa.StandTask(), place).design({})
+    there = pa.payload_limit(load("v3"), point=place).mass
+    assert METRICS["payload_limit"].function(design) == pytest.approx(there, rel=1e-9)
+    assert there != pytest.approx(pa.payload_limit(load("v3")).mass, rel=0.01)
+
+
 @pytest.mark.longest
 def test_measures_that_simulate_are_what_their_names_say() -> None:
     robot, stand = load("v3"), stand_of("v3")
@@ -624,7 +634,7 @@ def test_measures_that_simulate_are_what_their_names_say() -> None:
         "height_range": reach["height"].high - reach["height"].low,
         "pitch_range": reach["pitch"].high - reach["pitch"].low,
         "roll_range": reach["roll"].high - reach["roll"].low,
-        "verified": pa.verify_stand(robot, held).passed,
+        "verified": pa.judge_stand(robot, stand).passed,
         "simulated_height": pa.verify_stand(robot, held, feedforward=False).base_height,
         "push_recovery": pa.push_recovery(robot, held).weakest_impulse,
     }
