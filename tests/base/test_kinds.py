@@ -32,7 +32,6 @@ def test_a_result_is_known_and_nothing_else_is_taken_for_it(name: str, tmp_path:
     path, write = tmp_path / name, WRITERS[name]
     write(path)
     write(path)
-    ours = path.read_bytes()
     others = [b"name,mass\nbase,1\n", b"\x89PNG\r\n\x1a\n", b"<!DOCTYPE html><html></html>", b"# x"]
     for other in [*others, *_results(tmp_path, without=name)]:
         path.write_bytes(other)

@@ -178,7 +178,8 @@ def _compare_interface(found: Agreement, stance: dict[str, Any], files: Sequence
     if files[0] in pa.VARIANTS:
         robot = pa.load_variant(files[0])
     else:
-        robot = pa.load_robot(**_by_format(files))
+        named = _by_format(files)
+        robot = pa.load_robot(urdf=named.get("urdf"), mjcf=named.get("mjcf"))
     mine = study_stance(robot, pa.StandTask())
     found.codes["python"] = mine.verdict.code
     if mine.verdict.code != stance["verdict"]["code"]:
@@ -470,7 +471,7 @@ def main() -> None:
         folder = Path(name)
         tried = itertools.chain(
             ((variant, (variant,)) for variant in pa.VARIANTS),
-            random_robots(*asked.seeds, folder),
+            random_robots(asked.seeds[0], asked.seeds[1], folder),
             public_robots(asked.robots) if asked.robots else (),
             ((" ".join(Path(file).name for file in files), files) for files in asked.robot),
         )

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose, phrase
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
@@ -58,7 +57,7 @@ class Design:
     point: Place = (0.0, 0.0, 0.0)
 
     @cached_property
-    def gains(self) -> dict[str, NDArray[np.float64]]:
+    def gains(self) -> dict[str, Any]:
         """Its servos' kp and kd (nu,), as ``--kp`` and ``--kd`` give them; its own are not."""
         if self.own_servos:
             return {}
