@@ -200,7 +200,8 @@ class _Search:
         robot, goal = self.robot, self.goal
         yield best.qpos
         if not goal.com_is_free:
-            yield from (stand.qpos for stand in self.reached if stand is not best)
+            # A copy: from each of them another may be reached.
+            yield from [stand.qpos for stand in self.reached if stand is not best]
             return
         for joints in posture_seeds(robot, goal):
             yield make_seed(robot, goal, joints, goal.centre[:2])

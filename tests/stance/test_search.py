@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -15,12 +16,14 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.floor import floor_of
 from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance import search as search_module
 from pupper_analysis.stance.constraints import TOUCHING
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.search import meet_constraints
 from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.support_polygon import com_margin
+from tests.support import random_legged
 from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES, SKELETON_NAMES, load
 
@@ -441,3 +444,23 @@ def test_feet_in_place_and_a_clear_ground_are_had_at_once() -> None:
     com = pa.Configuration(robot, found.qpos).center_of_mass()
     assert com_margin(com, found.contact_points) > 0.01 - 1e-9
     assert np.abs(found.qpos - stand.qpos).max() > 1e-4
+
+
+def test_a_search_that_ends_where_it_began_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each stand that was reached is tried once: those reached from them were tried for ever."""
+    pair = random_legged.written(random_legged.drawn(95000), tmp_path)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    tried: list[object] = []
+
+    def met(search: search_module._Search, programme: object, qpos: object) -> object:
+        tried.append(qpos)
+        assert len(tried) < 100
+        return original(search, programme, qpos)  # type: ignore[arg-type]
+
+    original = search_module._Search.met
+    monkeypatch.setattr(search_module._Search, "met", met)
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, pa.StandTask(pitch=-1.24609375), explain=False)
+    assert len(tried) > 1
