@@ -425,11 +425,26 @@ def _restore_tree(node: ElementTree.Element, body: mujoco.MjsBody) -> None:
         children = [child for child in _own(node) if child.tag in tags]
         for child, element in zip(children, elements, strict=True):
             _restore(child, element)
+            if tag == "geom":
+                _restore_mass(child, element)
             if tag == "body":
                 inertial = child.find("inertial")
                 if inertial is not None:
                     _restore_inertial(inertial, element)
                 _restore_tree(child, element)
+
+
+LOST_OF_CLASSES: Final = {"mass": math.nan, "density": 1000.0}
+"""{attribute of a geom: its default}: what MuJoCo's writer leaves out of default classes, and so of
+the geoms that have it from there. A foot of mass 0 (B2's) would weigh what water does."""
+
+
+def _restore_mass(node: ElementTree.Element, geom: mujoco.MjsGeom) -> None:
+    """Writes a geom's mass or density where MuJoCo leaves them to a class that has none."""
+    for name, usual in LOST_OF_CLASSES.items():
+        value = float(getattr(geom, name))
+        if name not in node.attrib and not np.array_equal(value, usual, equal_nan=True):
+            node.set(name, repr(value))
 
 
 def _is_nothing(frame: mujoco.MjsFrame) -> bool:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.base.inputs import MOST_FILE, read_input
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import LOST_OF_CLASSES, silence_mujoco
 
 _LISTS = (
     *(
@@ -164,7 +164,8 @@ def _corrections(
                 if exact is None or np.shape(exact) != np.shape(value):
                     continue
                 full = name == "fullinertia" and not np.isnan(exact).any()
-                if full or np.allclose(exact, value, equal_nan=True, **_ROUNDING):
+                lost = key[0] == "geoms" and name in LOST_OF_CLASSES
+                if full or lost or np.allclose(exact, value, equal_nan=True, **_ROUNDING):
                     if not np.array_equal(exact, value, equal_nan=True):
                         kept = float(exact) if isinstance(value, float) else np.array(exact)
                         result.append((key, name, kept))

@@ -120,6 +120,10 @@ def _alike(one: float, other: float) -> bool:
 
 _T = TypeVar("_T")
 
+
+_LIMITS = ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit")
+"""What may be infinite in Pinocchio's model: it writes infinity, and cannot read it again."""
+
 _MADE = (
     "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "_kept",
 )  # fmt: skip
@@ -224,9 +228,17 @@ class Robot:
         state = plain_state(self)
         for made in _MADE:
             state.pop(made, None)
+        limits = {name: np.array(getattr(self.pin_model, name)) for name in _LIMITS}
+        if not np.isfinite(np.concatenate([*limits.values()])).all():
+            model = self.pin_model.copy()
+            for name, values in limits.items():
+                setattr(model, name, np.nan_to_num(values))
+            state |= {"pin_model": model, "limits": limits}
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, values in state.pop("limits", {}).items():
+            setattr(state["pin_model"], name, values)
         for name, value in state.items():
             vars(self)[name] = MappingProxyType(value) if isinstance(value, dict) else value
 

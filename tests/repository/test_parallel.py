@@ -21,7 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import silence_mujoco, to_xml
 from pupper_analysis.models.spec_state import spec_from, state_of
 from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.tiny import Files
@@ -207,6 +207,32 @@ def test_a_spec_keeps_all_its_digits(angle: str) -> None:
     assert_same_model(spec.copy().compile(), back.copy().compile(), REBUILT)
     again = spec_from(pickled(state_of(back)))
     assert_same_model(spec.copy().compile(), again.compile(), REBUILT)
+
+
+WEIGHTLESS = """<mujoco><default><default class="shape"><geom group="3" mass="0" density="0"/>
+</default></default><worldbody><body><freejoint/><geom size="0.1"/>
+<body><geom class="shape" size="0.1" mass="0"/></body></body></worldbody></mujoco>"""
+
+
+def test_a_shape_without_mass_weighs_nothing_when_it_comes_back() -> None:
+    """As B2's feet: MuJoCo's writer leaves a class's mass and density out."""
+    spec = mujoco.MjSpec.from_string(WEIGHTLESS)
+    masses = spec.copy().compile().body_mass
+    written = mujoco.MjModel.from_xml_string(to_xml(spec))
+    for back in (spec_from(pickled(state_of(spec))).compile(), written):
+        np.testing.assert_allclose(back.body_mass, masses, rtol=1e-12)
+
+
+def test_limits_that_are_infinite_come_back(tiny: pa.Robot) -> None:
+    """Pinocchio cannot read the infinity that it writes: no study of Mini Cheetah's pair ran."""
+    robot = pickled(tiny)
+    robot.pin_model.effortLimit[-1] = np.inf
+    robot.pin_model.lowerPositionLimit[-1] = -np.inf
+    for _ in range(2):
+        robot = pickled(robot)
+        assert robot.pin_model.effortLimit[-1] == np.inf
+        assert robot.pin_model.lowerPositionLimit[-1] == -np.inf
+        assert np.isfinite(robot.pin_model.upperPositionLimit[-1])
 
 
 def test_a_robot_needs_no_files_any_more(tiny_files: Files, tmp_path: Path) -> None:

@@ -19,9 +19,12 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.rollout import simulate
+from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.verdict import Asked, Outcome, Verdict
-from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.path.path_commands import PathCommands, path_commands
 from pupper_analysis.tools.path.plan import StancePath, stance_path
@@ -79,18 +82,25 @@ def study_path(
     stand = solve_stand(robot, task)
     path = stance_path(robot, way_to(robot, stand), seconds)
     tracking = track_path(robot, path, kp=kp, kd=kd)
+    # Where it leads it shall stay: what shakes there may take longer than the path to show.
+    held = solve_stand_as_simulated(robot, stand)
+    stability = stand_stability(robot, held, kp=kp, kd=kd)
+    leaving = tuple(map(describe_growth, stability.leaving()[:1]))
     ran = Outcome(
-        tracking.passed,
-        tracking.failures,
+        tracking.passed and not leaving,
+        (*tracking.failures, *leaving),
         float(path.time[-1]),
         torque_error=tracking.torque_error,
+        stability=stability,
     )
     return PathThere(
         name=robot.name,
         stand=stand,
         path=path,
         tracking=tracking,
-        verdict=judge(robot, stand, ran, asked=Asked.TRACKED, kp=kp, kd=kd),
+        verdict=judge(
+            robot, stand, ran, statics=stand_statics(robot, held), asked=Asked.TRACKED, kp=kp, kd=kd
+        ),
     )
 
 

@@ -11,7 +11,7 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import STATE, simulate
 from pupper_analysis.tools.path.path_commands import path_commands
 from pupper_analysis.tools.path.plan import stance_path
-from pupper_analysis.tools.path.tracking import track_path
+from pupper_analysis.tools.path.tracking import study_path, track_path
 from tests.support.cases import some
 from tests.support.engines import mujoco_at
 from tests.support.repository import benchmark
@@ -190,3 +190,13 @@ def test_as_a_path_begins_on_a_slope_next_to_nothing_accelerates() -> None:
     mujoco.mj_forward(model, data)
     assert np.abs(data.qacc[:3]).max() < 0.01  # m/s^2
     assert np.abs(data.qacc[3:]).max() < 1.0  # rad/s^2
+
+
+@pytest.mark.parametrize(("mass", "passes"), [(5.0, True), (7.0, False)])
+def test_a_path_leads_to_where_the_robot_stays(mass: float, passes: bool) -> None:
+    """With 7 kg v3 follows it for a second, on its joints' dry friction, and buckles later."""
+    robot = pa.robot.with_payload(load("v3"), mass, (0.0, 0.0, 0.08))
+    found = study_path(robot, pa.StandTask(height=0.13), 1.0)
+    assert found.tracking.passed
+    assert found.passed is passes
+    assert pa.judge_stand(robot, found.stand).passed is passes
