@@ -257,6 +257,7 @@ def _saved(torch: Any, module: Any, path: Path) -> Path:
     return path
 
 
+@pytest.mark.longest  # torch is no package that CI installs
 def test_torchscript_as_by_loops(torch: Any, tmp_path: Path) -> None:
     layers = torch.nn.Linear(7, 9), torch.nn.ELU(), torch.nn.Linear(9, 4)
     path = _saved(torch, torch.nn.Sequential(*layers), tmp_path / "plain.pt")
@@ -273,6 +274,7 @@ def test_torchscript_as_by_loops(torch: Any, tmp_path: Path) -> None:
     assert np.array_equal(alone[0], found[2])
 
 
+@pytest.mark.longest
 def test_torchscript_that_cannot_be_run_in_lockstep_is_refused(torch: Any, tmp_path: Path) -> None:
     class Counting(torch.nn.Module):  # type: ignore[misc]
         def __init__(self) -> None:
