@@ -12,6 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.efforts import Motor, placeholder_efforts
+from pupper_analysis.present.verdict import lines_to_read
 from pupper_analysis.robot.build import with_efforts
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import with_payload
@@ -50,8 +51,10 @@ def test_a_verdict_names_placeholders_until_others_are_asked_for(tmp_path: Path)
     efforts = "|".join(f"{effort}" for effort in arm.EFFORTS.values())
     path.write_text(re.sub(f'effort="({efforts})"', 'effort="2000"', arm.URDF))
     robot = pa.load_robot(path)
-    (message,) = pa.hold_posture(robot).verdict.remarks
+    verdict = pa.hold_posture(robot).verdict
+    (message,) = verdict.remarks
     assert message.code == "rests-on-placeholder-efforts"
+    assert any(str(message) in str(line) for line in lines_to_read(verdict)[0])  # also without -v
     assert sorted(message.values["joints"]) == ["a_turn", "elbow", "shoulder"]  # not the slide
     asked = with_efforts(robot, {"shoulder": 30.0, "elbow": 9.0, "a_turn": 5.0})
     held = pa.hold_posture(asked)

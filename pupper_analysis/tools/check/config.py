@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -411,8 +412,8 @@ _PASSED_OVER: Final = ("node_modules", "site-packages", "build", "install", "log
 """Folders of what was made or installed; those that begin with a dot are passed over too."""
 
 _HEAD: Final = """\
-# What pupper-analysis check checks. Models of one robot stand together, and are compared: those
-# that share a file's name were put together here. docs/data/config-keys.csv has all keys.
+# What pupper-analysis check checks. A pair is one robot's two files, which are compared: here, a
+# URDF and an MJCF of one name. The guide of `check` lists all keys.
 """
 
 
@@ -454,19 +455,21 @@ def entries_of(folder: Path) -> list[dict[str, str]]:
         kind = kind_of(path)
         if kind:
             found[kind].append(path.relative_to(folder))
-    stems = [path.stem.lower() for paths in found.values() for path in paths]
+    stems = Counter(path.stem.lower() for paths in found.values() for path in paths)
     entries = []
-    partners = {path.stem.lower(): path for path in found["mjcf"]}
     for urdf in found["urdf"]:
         stem = urdf.stem.lower()
-        pair = stem in partners and stems.count(stem) == 2
-        name = urdf.stem if pair or stems.count(stem) == 1 else urdf.as_posix()
-        mjcf = {"mjcf": partners.pop(stem).as_posix()} if pair else {}
+        alike = {kind: [o for o in found[kind] if o.stem.lower() == stem] for kind in found}
+        beside = {kind: [o for o in alike[kind] if o.parent == urdf.parent] for kind in alike}
+        # Those of one folder are one robot's, whatever else bears the name elsewhere.
+        pairs = [one for one in (beside, alike) if all(len(paths) == 1 for paths in one.values())]
+        name = urdf.stem if stems[stem] == (2 if pairs else 1) else urdf.as_posix()
+        mjcf = {"mjcf": pairs[0]["mjcf"][0].as_posix()} if pairs else {}
         entries.append({"name": name, "urdf": urdf.as_posix(), **mjcf})
     compared = {entry["mjcf"] for entry in entries if "mjcf" in entry}
     for mjcf_path in found["mjcf"]:
         if mjcf_path.as_posix() not in compared:
-            alone = stems.count(mjcf_path.stem.lower()) == 1
+            alone = stems[mjcf_path.stem.lower()] == 1
             name = mjcf_path.stem if alone else mjcf_path.as_posix()
             entries.append({"name": name, "mjcf": mjcf_path.as_posix()})
     return entries

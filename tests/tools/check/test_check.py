@@ -22,7 +22,7 @@ from pupper_analysis.base.diagnostics import (
     diagnostic,
 )
 from pupper_analysis.present import formats
-from pupper_analysis.tools.check.config import read_config
+from pupper_analysis.tools.check.config import entries_of, read_config
 from pupper_analysis.tools.check.remarks import (
     BaselineEntry,
     Remark,
@@ -310,6 +310,12 @@ def test_init_names_all_models_and_does_not_write_over_one(folder: Path) -> None
     )  # fmt: skip
     assert run(folder, "--update-baseline").returncode == 0
     assert run(folder).returncode == 0
+    (folder / "mj").mkdir()
+    (folder / "mj" / "hopper.xml").write_text((folder / "hopper.xml").read_text())
+    assert entries_of(folder) == [  # another copy elsewhere parts no pair of one folder
+        {"name": "hopper.urdf", "urdf": "hopper.urdf", "mjcf": "hopper.xml"},
+        {"name": "mj/hopper.xml", "mjcf": "mj/hopper.xml"},
+    ]
     empty = folder / "empty"
     empty.mkdir()
     assert "no URDF and no MJCF" in run(empty, "--init").stderr
