@@ -20,6 +20,7 @@ from pupper_analysis.prepare.self_check import (
 from pupper_analysis.robot.alike import joints_unlike, limbs_without_feet
 from pupper_analysis.robot.as_published import Cause, Published
 from pupper_analysis.robot.build import efforts_nobody_meant
+from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
@@ -100,8 +101,24 @@ def judge(
             *_made_up(robot),
             *efforts_nobody_meant(robot),
             *import_refused(robot),
+            *_buried(robot, stand, statics),
         ),
     )
+
+
+def _buried(
+    robot: Robot, stand: Stand, statics: GravityCompensation | None
+) -> tuple[Diagnostic, ...]:
+    """Tells if a foot's sphere sinks by more than its radius: what stands so stands on no floor."""
+    if statics is None:
+        return ()
+    for foot, force in statics.contact_forces.items():
+        radius, pressing = robot.contact_radius[foot], float(force @ stand.normals[foot])
+        depth = GroundLaw.of(robot, foot).depth(max(0.0, pressing))
+        if depth > radius > 0:
+            deep, size = Quantity(depth, "m"), Quantity(radius, "m")
+            return (diagnose("foot-buried", subject=("foot", foot), depth=deep, radius=size),)
+    return ()
 
 
 def _nudged(

@@ -76,10 +76,23 @@ def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule
 
 def test_a_sound_file_has_no_such_line(tmp_path: Path) -> None:
     verdict = verdict_of(pa.load_robot(four_legs(tmp_path)))
-    assert "rests-on-made-up" not in {clause.message.code for clause in verdict_clauses(verdict)}
+    codes = {clause.message.code for clause in verdict_clauses(verdict)}
+    assert not codes & {"rests-on-made-up", "foot-buried"}
 
 
 def test_what_is_held_has_it_too(tmp_path: Path) -> None:
     urdf = slipped(tmp_path, SLIPS["triangle-inequality"][0])
     verdict = hold_posture(pa.load_robot(urdf, fixed_base=True)).verdict
     assert SLIPS["triangle-inequality"][1] in in_words(verdict)
+
+
+def test_a_foot_that_sinks_by_more_than_its_radius_is_named(tmp_path: Path) -> None:
+    """Its depth is that of MuJoCo's own contact, as deep as the solved stand has it."""
+    urdf = four_legs(tmp_path)
+    urdf.write_text(urdf.read_text().replace('radius="0.02"', 'radius="0.0009"'))
+    robot = pa.load_robot(urdf)
+    clauses = verdict_clauses(verdict_of(robot))
+    (message,) = (one.message for one in clauses if one.message.code == "foot-buried")
+    depth = max(pa.solve_stand_as_simulated(robot).depths.values())
+    assert depth > 0.0009
+    assert message.values["depth"].value == pytest.approx(depth, rel=1e-3)
