@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
-import math
 import re
 import secrets
 from collections.abc import Mapping
@@ -21,12 +20,6 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MOST_BYTES = 1 << 20
 """Of a message from a browser: those of sliders and cameras have some hundred."""
-
-LONGEST_TEXT = 10_000
-"""Characters of a typed text: a state with every slider moved has some hundred."""
-
-GREATEST = 1e6
-"""Of a value: 1000 m, in the millimetres of the sliders."""
 
 HEADERS = ("Host", "Origin", "Upgrade", "Cookie")
 """What is looked at of a request's."""
@@ -108,25 +101,3 @@ def without_folders(text: str) -> str:
 
 
 _FOLDERS = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])")
-
-
-def problem_of(updates: Mapping[str, object]) -> Diagnostic | None:
-    """Returns what is wrong with a control's new value as a browser gives it; None if nothing is.
-
-    A value may be typed beyond a slider's ends: whether a robot can have it is for others to say.
-
-    Args:
-        updates: {property: value}.
-    """
-    if set(updates) != {"value"}:
-        return diagnose("control-has-a-value")
-    value = updates["value"]
-    if isinstance(value, str):
-        if len(value) <= LONGEST_TEXT:
-            return None
-        return diagnose("text-too-long", count=len(value), most=LONGEST_TEXT)
-    if isinstance(value, bool):
-        return None
-    if not isinstance(value, int | float) or not math.isfinite(value):
-        return diagnose("no-value-of-a-control")
-    return None if abs(value) <= GREATEST else diagnose("beyond-any-slider", value=value)

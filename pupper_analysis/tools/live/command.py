@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import click
 
@@ -28,8 +28,7 @@ from pupper_analysis.tools.walk.modes import COMMAND, CONTRACT, walked_robot
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
-    from pupper_analysis.robot.robot import Robot
-    from pupper_analysis.tools.live.server import Served
+    from pupper_analysis.tools.live.server import Served, Where
     from pupper_analysis.tools.live.state import LiveSource, State
 
 _ROBOT = frozenset(("words", *(one.name for one in fields(RobotOptions))))
@@ -129,32 +128,22 @@ def command(
     mode = next((name for name, chosen in modes.items() if chosen), "the page")
     refuse_unused(mode, _USES)
     meant = which.one(words) or "v3"
+    where: Where = {"language": language, "host": host, "port": port}
     if policy is not None:
-        _open_walk(meant, policy, contract, asked, language, host, port, browser=not no_browser)
+        _open_walk(meant, policy, contract, asked, browser=not no_browser, **where)
         return
     if mode != "the page":
+        from pupper_analysis.tools.live import window
+
         robot = shown_robot(meant, **({"fixed_base": True} if fixed_base else {}))
-        if not _show_in_mujoco(robot, dropped, headless, fixed_base, seconds):
+        if not dropped:
+            window.view_robot(robot, fixed=fixed_base, headless=headless)
+            return
+        seconds = window.DEFAULT_SECONDS if seconds is None else seconds
+        if not window.drop_and_report(robot, headless=headless, seconds=seconds):
             click.get_current_context().exit(shared.FAILED)
         return
-    _open_page(meant, stance, language, host, port, browser=not no_browser)
-
-
-def _show_in_mujoco(
-    robot: str | VariantSpec | Robot,
-    dropped: bool,
-    headless: bool,
-    fixed: bool,
-    seconds: float | None,
-) -> bool:
-    """Shows a robot in MuJoCo's viewer, or in words; returns whether it does what it shall."""
-    from pupper_analysis.tools.live import window
-
-    if dropped:
-        seconds = window.DEFAULT_SECONDS if seconds is None else seconds
-        return window.drop_and_report(robot, headless=headless, seconds=seconds)
-    window.view_robot(robot, fixed=fixed, headless=headless)
-    return True
+    _open_page(meant, stance, browser=not no_browser, **where)
 
 
 def read_stance(text: str) -> State:
@@ -186,11 +175,9 @@ def read_stance(text: str) -> State:
 def _open_page(
     meant: str | VariantSpec | RobotFiles,
     stance: str,
-    language: str,
-    host: str,
-    port: int | None,
     *,
     browser: bool,
+    **where: Unpack[Where],
 ) -> None:
     """Serves the page until Ctrl-C."""
     from pupper_analysis.tools.live.held import HeldPage
@@ -215,10 +202,10 @@ def _open_page(
     with shared.show_progress("making the page"):
         page: Page | HeldPage
         if isinstance(source, FileSource) and not source.loaded.floating:
-            page = HeldPage(source, language=language, host=host, port=port)
+            page = HeldPage(source, **where)
         else:
-            page = Page(source, begin, language=language, host=host, port=port)
-    _serve(page, host, browser=browser)
+            page = Page(source, begin, **where)
+    _serve(page, where["host"], browser=browser)
 
 
 def _open_walk(
@@ -226,11 +213,9 @@ def _open_walk(
     policy: Path,
     contract: Path | None,
     asked: str,
-    language: str,
-    host: str,
-    port: int | None,
     *,
     browser: bool,
+    **where: Unpack[Where],
 ) -> None:
     """Serves the page of a policy until Ctrl-C."""
     from pupper_analysis.tools.live.render import import_viser
@@ -245,8 +230,8 @@ def _open_walk(
     )
     robot = walked_robot(meant, "text", everything=False)
     with shared.show_progress("making the page"):
-        page = WalkPage(robot, brain, wanted, language=language, host=host, port=port)
-    _serve(page, host, browser=browser)
+        page = WalkPage(robot, brain, wanted, **where)
+    _serve(page, where["host"], browser=browser)
 
 
 def _serve(page: Served, host: str, *, browser: bool) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -22,9 +23,8 @@ from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.robot.tool import split_place
 from pupper_analysis.stance.fields import FIELDS, Field, Slider
 from pupper_analysis.stance.posture import joint_ranges, joint_units
-from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.live.render import Language, mark_slider
-from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN, State, on_page
+from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN, State
 
 Array = NDArray[np.float64]
 
@@ -110,10 +110,7 @@ class Controls:
                         self.on = gui.add_dropdown(say("payload-on"), list(links))
                         self._links = links
                     self._add(folder)
-                    if folder == "Servos":
-                        own = gui.add_button(say("own-servos"))
         self.on.on_update(self._when(self._with_link))
-        own.on_click(lambda _: self.put(self.state.having(kp=None, kd=None), notify=True))
 
     def _add(self, folder: str, *but: str) -> None:
         """Adds the sliders under a heading."""
@@ -142,7 +139,8 @@ class Controls:
                 return
             with self._lock:
                 before = self._state
-                self._state = change(before)
+                with suppress(PupperAnalysisError):  # no number
+                    self._state = change(before)
                 if self._state.place != before.place:
                     self._show_place()
             self._changed()
@@ -271,54 +269,6 @@ class Controls:
                     continue
                 if getattr(self._state, name) is None:
                     self._slide(field.address, round(1e3 * getattr(robot, field.nominal), 2))
-
-    def limits(self, ends: Mapping[str, Mapping[str, Any]]) -> None:
-        """Marks on the sliders how far they can go.
-
-        Args:
-            ends: A refusal's ``limits``: {demand, or demands: {field of a task: its value}}.
-        """
-        places: dict[str, tuple[float, ...]] = {}
-        with self._lock:
-            foot = self._chosen
-            for fields in ends.values():
-                task = replace(self._state.task(), **fields)
-                for name, value in slider_values(self._state, task, fields, foot).items():
-                    places[name] = (*places.get(name, ()), value)
-        for name, handle in self.sliders.items():
-            marked = name in places
-            label = CONTROLS[name].label(self._say.code)
-            found = self._say.either(f"{value:g}" for value in dict.fromkeys(places.get(name, ())))
-            far = self._say("label-values-possible", label=label, values=found)
-            handle.label = far if marked else label
-            mark_slider(handle, places.get(name, ()))
-
-
-def slider_values(
-    state: State, task: StandTask, fields: Mapping[str, Any], foot: str
-) -> dict[str, float]:
-    """Returns where sliders would be for some fields of a task.
-
-    Args:
-        state: What was asked.
-        task: With these fields.
-        fields: Those of the task that count.
-        foot: The foot that the sliders of a foot are about.
-    """
-    found: dict[str, float] = {}
-    asked = state.task()
-    for name, control in CONTROLS.items():
-        field = control.field
-        if field.name not in FIELDS or field.attribute not in fields:
-            continue
-        value = task.values()[field.name]
-        if field.per:
-            value = value.get(foot)
-        elif field.part == "ground" and math.isclose(asked.values()[field.name], value):
-            continue  # the ground gives way in other numbers
-        if value is not None:
-            found[name] = control.of(on_page(field, value))
-    return found
 
 
 def _folders(fields: Mapping[str, Field]) -> list[str]:

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from pupper_analysis.base.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import join_words, text, word
+from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import contact_table, torque_table
 from pupper_analysis.present.documents.simulated import SAG, run_rows, simulated_table
 from pupper_analysis.present.documents.standing import quantity_columns, stand_table, task_text
 from pupper_analysis.present.verdict import clause_text, verdict_clauses
-from pupper_analysis.robot.joints import is_slide
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.document import hardest_motor
 from pupper_analysis.tools.live.access import without_folders
-from pupper_analysis.tools.live.controls import CONTROLS, slider_values
 from pupper_analysis.tools.live.model import Answer, PredictedSag
-from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.push.document import trial_document
 from pupper_analysis.tools.push.trial import PushTrial
 from pupper_analysis.tools.stand.stance import Stance
@@ -51,21 +46,6 @@ def stance_document(
             blocks += _sag(sag)
             blocks += [torque_table(statics, robot.effort_limits.tolist()), contact_table(statics)]
     return _judged(answer, judged, blocks)
-
-
-def brief_document(answer: Answer, judged: Verdict | None) -> doc.Document:
-    """Returns the verdict, and which motor works hardest."""
-    shown = _judged(answer, judged, ())
-    statics = answer.statics
-    if statics is None or judged is None:
-        return shown
-    shares = np.nan_to_num(statics.motor_utilisation, nan=0.0, posinf=0.0)
-    if not shares.any():
-        return shown
-    hardest = int(np.argmax(shares))
-    used = f"{100 * float(shares[hardest]):.0f} %"
-    motor = text("name-note", name=doc.Name(statics.joint_names[hardest]), note=used)
-    return replace(shown, findings=(*shown.findings, motor))
 
 
 def _judged(answer: Answer, judged: Verdict | None, blocks: Iterable[doc.Block]) -> doc.Document:
@@ -113,85 +93,19 @@ def refusal_document(
         pending: Whether it is not explained yet; ``error`` is None then.
     """
     blocks: list[doc.Block] = []
-    message = text("out-of-reach")
+    message: doc.Words = text("out-of-reach")
     if pending:
         blocks.append(doc.Lines((text("explaining"),), "warn"))
     elif error is None:
         message = text("it-is-in-reach-after")
     else:
-        blocks += _explained(answer, error)
+        message = doc.tell(error.diagnostic)
+        if error.nearest is not None:
+            title = text("the-ghost-the-nearest-stance")
+            blocks.append(doc.Lines((task_text(error.nearest.task),), title=title))
     passed = not pending and error is None
     return doc.Document(
         text("stance"), _title(answer), tuple(blocks), passed=passed, findings=(message,)
-    )
-
-
-def _explained(answer: Answer, error: StanceUnreachableError) -> Iterable[doc.Block]:
-    """Yields what is in the way, what would be possible, and where feet and joints end."""
-    if error.possible:
-        demands = join_words(
-            [join_words(map(word, fields), "and") for fields in error.limits.values()], "or"
-        )
-        listed = (_possible(answer.state, one) for one in error.limits.values())
-        lines = (text("possible-with-all-else"), *(_spaced(doc.Name("•"), one) for one in listed))
-        yield doc.Lines(lines, title=text("in-the-way-demands", demands=demands))
-    missing = tuple(
-        (doc.Name(foot), doc.number_cell(gap, ".1f", scale=1e3), doc.Name("mm"))
-        for foot, gap in error.shortfall.items()
-        if gap > 0
-    )
-    if missing:
-        columns = quantity_columns(of="foot")
-        yield doc.Table(text("feet-miss-their-places"), columns, missing)
-    if error.at_limit:
-        limits = doc.Name(_at_limits(answer, error.at_limit))
-        yield doc.Lines((limits,), title=text("joints-at-a-limit"))
-    if error.blocked:
-        yield doc.Lines(tuple(map(doc.tell, error.blocked)))
-    if error.nearest is not None:
-        title = text("the-ghost-the-nearest-stance")
-        yield doc.Lines((task_text(error.nearest.task),), title=title)
-
-
-def _possible(state: State, fields: Mapping[str, Any]) -> doc.Text:
-    """Returns how far fields of a task can go, as their sliders say it."""
-    task = replace(state.task(), **fields)
-    feet = dict.fromkeys((*task.foot_offsets, *task.swing, *task.ground.heights)) or {"": None}
-    values = {
-        (name, foot if CONTROLS[name].field.per else "", f"{value:g}"): None
-        for foot in feet
-        for name, value in slider_values(state, task, fields, foot).items()
-    }
-    return join_words(
-        text("name-note", name=_label(name, foot), note=value) for name, foot, value in values
-    )
-
-
-def _label(name: str, foot: str) -> doc.Text:
-    """Returns what a slider is called, and of which foot it is."""
-    label = CONTROLS[name].label
-    slider = doc.Text(label("en"), label("zh"))
-    return _spaced(slider, doc.Name(foot)) if foot else slider
-
-
-def _spaced(*parts: doc.Text | doc.Name) -> doc.Text:
-    """Returns words beside each other."""
-    english, chinese = (
-        [getattr(one, language) if isinstance(one, doc.Text) else one.text for one in parts]
-        for language in ("en", "zh")
-    )
-    return doc.Text(" ".join(english), " ".join(chinese))
-
-
-def _at_limits(answer: Answer, joints: Mapping[str, float]) -> str:
-    """Returns joints with the limits that they are at: in degrees, or mm of those that slide."""
-    assert answer.robot is not None
-    robot = answer.robot
-    return ", ".join(
-        f"{name} ({1e3 * limit:+.1f} mm)"
-        if is_slide(robot, name)
-        else f"{name} ({math.degrees(limit):+.1f}°)"
-        for name, limit in joints.items()
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import quote
@@ -14,15 +15,13 @@ from pupper_analysis.tools.live.state import (
     State,
     format_number,
     in_si,
-    quote_words,
 )
-
-PROGRAM = "pupper-analysis"
 
 
 def write_command(source: LiveSource, state: State) -> str:
     """Returns the command that solves and simulates the same stand."""
-    return quote_words([PROGRAM, "stand", *source.arguments(state.scales()), *_options(state)])
+    words = source.arguments(state.scales())
+    return shlex.join(["pupper-analysis", "stand", *words, *_options(state)])
 
 
 def hold_command(
@@ -35,8 +34,8 @@ def hold_command(
         scales: Its own scales.
         positions: {joint: where it is (rad, m)}.
     """
-    words = [PROGRAM, "hold", *source.arguments(scales)]
-    return quote_words([*words, *(f"--joints={n}={at:.6g}" for n, at in positions.items())])
+    words = ["pupper-analysis", "hold", *source.arguments(scales)]
+    return shlex.join([*words, *(f"--joints={n}={at:.6g}" for n, at in positions.items())])
 
 
 def write_stance_file(state: State) -> str:
@@ -78,7 +77,7 @@ def _typed(field: Field, value: Any) -> str:
     return value if isinstance(value, str) else repr(in_si(field, value))
 
 
-def write_link(address: str, state: State, language: str = "en") -> str:
+def write_link(address: str, state: State) -> str:
     """Returns the address of a page with the same state, of a server as a browser reaches it.
 
     What viser's page takes to be its server's address is, with a state behind it, what the server
@@ -87,11 +86,6 @@ def write_link(address: str, state: State, language: str = "en") -> str:
     Args:
         address: Host and port.
         state: The state.
-        language: In which it opens.
     """
-    asked = f"state={quote(str(state), safe=':;,.%')}"
-    if language != "en":
-        asked += f"%26language={language}"  # of the server's address, not of the page's
-    elif not str(state):
-        return f"http://{address}/"
-    return f"http://{address}/?websocket=ws://{address}/?{asked}"
+    asked = f"?websocket=ws://{address}/?state={quote(str(state), safe=':;,.%')}"
+    return f"http://{address}/{asked if str(state) else ''}"

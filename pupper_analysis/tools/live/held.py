@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from pupper_analysis.tools.live.scene import (
     parts_of,
     quaternion_along,
 )
-from pupper_analysis.tools.live.server import LOOPBACK, Served
+from pupper_analysis.tools.live.server import Served, Where
 
 Array = NDArray[np.float64]
 
@@ -63,11 +63,7 @@ class HeldSession:
         self._simulate = False
         start = find_posture(robot)
         gui, scene = client.gui, client.scene
-        left = gui.add_panel()
-        with left.add_tab(say("what-it-takes")):
-            self._numbers = gui.add_html(render.render_waiting(text("solving"), say))
-        left.dock_left()
-        left.set_width(380)
+        self._numbers = render.dock_panels(gui, say, "solving")
         self.joints = JointSliders(
             gui, robot, led_joints(robot), start.qpos, lambda _joint, _at: self._asked.set()
         )
@@ -75,8 +71,6 @@ class HeldSession:
         simulate = gui.add_button(say("simulate"), hint=say("hint-simulate"))
         self._result = gui.add_html(render.render_hint(text("not-simulated-yet"), say))
         simulate.on_click(lambda _: self.simulate())
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(360)
         self._figure = Figure(scene, "/held", robot, parts_of(robot.mj_model))
         self._size = size = robot_size(robot, start)
         scene.add_grid("/ground", 4 * size, 4 * size, cell_size=size / 10, section_size=size / 2)
@@ -157,9 +151,7 @@ class HeldPage(Served):
 
     Args:
         source: The robot.
-        language: See ``Served``, as host and port.
-        host: Where it can be reached.
-        port: Where.
+        **where: See ``Served``.
 
     Raises:
         ConfigurationError: If it cannot be served there, the base is free, or the language neither.
@@ -169,18 +161,17 @@ class HeldPage(Served):
     def __init__(
         self,
         source: FileSource,
-        *,
-        language: str = "en",
-        host: str = LOOPBACK,
-        port: int | None = None,
+        **where: Unpack[Where],
     ) -> None:
         render.import_viser()  # before the work
-        self._source, robot = source, source.loaded
-        super().__init__(robot.name, robot_size(robot, find_posture(robot)), language, host, port)
-
-    def _session(self, client: Any, address: str, words: str, say: Language) -> HeldSession:
-        del address, words  # it begins at one posture for all
-        return HeldSession(client, self._source, say)
+        robot = source.loaded
+        size = robot_size(robot, find_posture(robot))
+        super().__init__(
+            robot.name,
+            size,
+            lambda client, _at, _asked, say: HeldSession(client, source, say),
+            **where,
+        )
 
 
 def robot_size(robot: Robot, posture: Posture) -> float:

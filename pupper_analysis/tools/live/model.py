@@ -95,11 +95,6 @@ class Model:
         self._robots: OrderedDict[object, Robot] = OrderedDict()
         self._lock = threading.Lock()
 
-    def made(self, state: State) -> bool:
-        """Whether a state's robot is there, so that nothing has to be made."""
-        with self._lock:
-            return self._key(state) in self._robots
-
     @staticmethod
     def _key(state: State) -> object:
         at = state.payload_point() if state.payload else None

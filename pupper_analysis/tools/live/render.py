@@ -7,9 +7,9 @@ import io
 import logging
 import socket
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial, singledispatch
+from functools import singledispatch
 from html import escape
 from http import HTTPStatus
 from importlib import import_module
@@ -34,7 +34,6 @@ from pupper_analysis.tools.live.access import (
     HEADERS,
     MOST_BYTES,
     Access,
-    problem_of,
     without_folders,
 )
 from pupper_analysis.tools.live.scene import (
@@ -84,13 +83,6 @@ def free_port(host: str, port: int | None) -> int:
         raise ConfigurationError("--host, --port", message) from error
 
 
-@contextlib.contextmanager
-def silence_viser() -> Iterator[None]:
-    """Keeps what viser prints about itself off the terminal."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        yield
-
-
 def start_server(host: str, port: int, label: str, access: Access | None = None) -> Any:
     """Returns a server of viser's, that nobody can open to the internet from the page.
 
@@ -105,10 +97,9 @@ def start_server(host: str, port: int, label: str, access: Access | None = None)
         logging.getLogger(name).setLevel(logging.CRITICAL)
     # Nor is a browser that leaves while its page is made.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
-    with silence_viser(), _behind(access or Access(host)):
+    with contextlib.redirect_stdout(io.StringIO()), _behind(access or Access(host)):
         server = import_viser().ViserServer(host=host, port=port, label=label, verbose=False)
     server.request_share_url = lambda *_, **__: None
-    server._websock_server.on_client_connect(partial(_heed, server))
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(51, 86, 122))
     return server
 
@@ -121,10 +112,9 @@ def address_of(server: Any, host: str, access: Access) -> str:
         host: Where it can be reached.
         access: Who may come in.
     """
-    shown = "localhost" if host in ("0.0.0.0", "::") else host
-    shown = f"[{shown}]" if ":" in shown else shown
-    address = f"http://{shown}:{server.get_port()}/"
-    return address + (f"?token={access.token}" if access.token else "")
+    shown = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    asked = f"?token={access.token}" if access.token else ""
+    return f"http://{shown}:{server.get_port()}/{asked}"
 
 
 @contextlib.contextmanager
@@ -156,110 +146,39 @@ def _behind(access: Access) -> Iterator[None]:
         websockets.serve = serve
 
 
-def _heed(server: Any, connection: Any) -> None:
-    """Lets a browser that has connected move the controls of its page, and send no files."""
-    messages = import_viser()._messages
-    handlers = connection._incoming_handlers
-    for kind in (messages.FileTransferStartUpload, messages.FileTransferPart):
-        handlers.pop(kind, None)
-    moves = handlers.get(messages.GuiUpdateMessage, [])
-
-    async def moved(client_id: int, message: Any) -> None:
-        client = server.get_clients().get(client_id)
-        handle = (
-            None if client is None else client.gui._gui_input_handle_from_uuid.get(message.uuid)
-        )
-        if client is None or handle is None:
-            return
-        if problem := problem_of(message.updates):
-            client.add_notification("Not taken", problem, color="red")
-            return
-        for move in moves:
-            await move(client_id, message)
-
-    handlers[messages.GuiUpdateMessage] = [moved]
-
-
 def stop_server(server: Any) -> None:
     """Stops a server."""
-    with silence_viser():
+    with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
 
-def asked_for(server: Any, client_id: int) -> tuple[str, str, str]:
-    """Returns how a browser reaches the server, and which state and language it asks for.
+def dock_panels(gui: Any, say: Language, waiting: str, width: int = 380) -> Any:
+    """Docks the controls at the right, and at the left a panel of numbers, which is returned."""
+    left = gui.add_panel()
+    with left.add_tab(say("what-it-takes")):
+        numbers = gui.add_html(render_waiting(text(waiting), say))
+    left.dock_left()
+    left.set_width(width)
+    gui.main_panel.dock_right()
+    gui.main_panel.set_width(360)
+    return numbers
 
-    viser keeps the request to itself; where that is not found, both are empty.
+
+def asked_for(server: Any, client_id: int) -> tuple[str, str]:
+    """Returns how a browser reaches the server, and which state it asks for.
+
+    viser keeps the request to itself; where that is not found, it asks for none.
     """
     try:
         request = server._websock_server._live_connections[client_id].request
         address = str(request.headers["Host"])
         given = parse_qs(urlsplit(request.path).query, separator="&")
     except (AttributeError, KeyError, TypeError, ValueError):
-        return f"{server.get_host()}:{server.get_port()}", "", ""
-    return address, given.get("state", [""])[0], given.get("language", [""])[0]
-
-
-def browser_of(server: Any, client_id: int) -> tuple[str, str]:
-    """Returns from where a browser has opened a connection, and which browser it says it is."""
-    try:
-        connection = server._websock_server._live_connections[client_id]
-        return str(connection.remote_address[0]), str(connection.request.headers["User-Agent"])
-    except (AttributeError, IndexError, KeyError, TypeError):
-        return "", str(client_id)
-
-
-def mark_slider(slider: Any, values: tuple[float, ...]) -> None:
-    """Marks places of a slider's track; viser takes marks only when a slider is made."""
-    with contextlib.suppress(AttributeError):
-        kind = import_viser()._messages.GuiSliderMark
-        slider._marks = tuple(kind(value=float(value), label="◆") for value in values) or None
-
-
-def clear_but_tabs(gui: Any, tabs: Any) -> None:
-    """Takes everything away but a group of tabs, which are left empty.
-
-    viser's ``reset`` takes the tabs, too, and a browser then shows the first of the new ones.
-
-    Args:
-        gui: viser's handle of a browser's controls.
-        tabs: That of the group.
-    """
-    for tab in tabs._tab_handles:
-        for child in tuple(tab._children.values()):
-            child.remove()
-    for child in tuple(gui._container_handle_from_uuid["root"]._children.values()):
-        if child is not tabs:
-            child.remove()
-    for panel in tuple(gui._panel_handle_from_uuid.values()):
-        panel.remove()
-
-
-def named_tabs(
-    gui: Any, names: Sequence[str], last: Any, tabs: Any = None
-) -> tuple[Any, list[Any]]:
-    """Returns a group of tabs, and the tabs; if it is there already, they get these names.
-
-    Args:
-        gui: viser's handle of a browser's controls.
-        names: Of the tabs.
-        last: The control below which they are, the last of all.
-        tabs: The group, if it is there already.
-    """
-    if tabs is None:
-        tabs = gui.add_tab_group()
-        return tabs, [tabs.add_tab(name) for name in names]
-    for tab, name in zip(tabs._tab_handles, names, strict=True):
-        tab._label = name
-    tabs._rebuild_tab_props()
-    tabs.order = last.order + 0.5  # viser counts in whole numbers
-    return tabs, list(tabs._tab_handles)
+        return f"{server.get_host()}:{server.get_port()}", ""
+    return address, given.get("state", [""])[0]
 
 
 # The language of a page: its texts are those of the report's catalogue, and so is its Chinese.
-
-NAMES = {"en": "English", "zh": "中文"}
-"""{language: what it calls itself}."""
 
 
 @dataclass(frozen=True)
@@ -273,7 +192,7 @@ class Language:
     code: str = "en"
 
     def __post_init__(self) -> None:
-        if self.code not in NAMES:
+        if self.code not in LANGUAGES:
             raise ConfigurationError("language", diagnose("language-unknown", language=self.code))
 
     def __call__(self, key: str, **values: object) -> str:
@@ -292,26 +211,12 @@ class Language:
         """Returns what a diagnostic says."""
         return message.with_names(without_folders).text(self.code)
 
-    def either(self, choices: Iterable[str]) -> str:
-        """Returns choices with the word for *or* between them."""
-        return self("or").join(choices)
-
     def words(self, words: Words) -> str:
         """Returns words of a document."""
         return without_folders(self._of(words) if isinstance(words, Text) else words.text)
 
     def _of(self, words: Text) -> str:
         return words.zh if self.code == "zh" else words.en
-
-    @property
-    def other(self) -> Language:
-        """The other one."""
-        return Language("en" if self.code == "zh" else "zh")
-
-    @property
-    def name(self) -> str:
-        """What it calls itself."""
-        return NAMES[self.code]
 
 
 STYLE = """<style>
@@ -330,19 +235,6 @@ STYLE = """<style>
 .pa .scale{display:flex;height:.6em;border-radius:2px;margin:.2em 0 0}
 </style>"""
 
-PHONE = """<style>
-.pa-page{display:none}
-@media (max-width:36em){
-.mantine-Paper-root:has(.pa-page){width:100% !important;max-height:55% !important}
-.mantine-Paper-root:has(.pa-page) [style*="width: 20em"]{width:100% !important}
-div:has(>.mantine-Paper-root .pa-page):not(:has([style*="display: none"] .pa-page))>div:has(canvas)
-{height:45% !important}
-.pa-page{display:block}
-}
-</style><div class="pa-page"></div>"""
-"""Where viser has a sheet over the scene, as wide as a hand, the scene ends where it begins."""
-
-
 _BOXES = {"good": "good", "bad": "bad", "warn": "wait"}
 """{emphasis: the class of a box}."""
 
@@ -352,11 +244,6 @@ def render_panel(document: Document, say: Language) -> str:
     parts = [_headed(document.title, say), render_verdict(document, say)]
     parts += [_block(block, say) for block in document.blocks]
     return join_parts(*parts)
-
-
-def render_brief(document: Document, say: Language) -> str:
-    """Returns a document's verdict alone, for a screen that has no room for more."""
-    return f'<div class="pa-page">{join_parts(render_verdict(document, say))}</div>'
 
 
 def render_verdict(document: Document, say: Language) -> str:

@@ -272,11 +272,11 @@ class Scene:
         self._figure("ghost").pose(stand.qpos)
         self._figure("ghost").show(True)
 
-    def twin(self, robot: Robot, qpos: Array, ground: Ground, *, beside: bool) -> None:
-        """Shows a simulated configuration, beside the stand or over it."""
+    def twin(self, robot: Robot, qpos: Array, ground: Ground) -> None:
+        """Shows a simulated configuration, beside the stand."""
         figure = self._figure("twin")
         along = np.array([-math.sin(ground.uphill), math.cos(ground.uphill), 0.0])
-        figure.shift((2.6 * robot.stand_height if beside else 0.0) * along)
+        figure.shift(2.6 * robot.stand_height * along)
         figure.pose(qpos)
         figure.show(True)
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import quote, unquote
 
 from pupper_analysis.base.arguments import check_finite
@@ -30,28 +29,6 @@ from pupper_analysis.stance.task import StandTask
 # Which robot a page is about, and how a script or a command line names it.
 
 
-class LiveSource(Protocol):
-    """Makes robots, and says how others make them.
-
-    Attributes:
-        scales: {name of a scale that it takes: the base robot's}; none for a robot of two files.
-    """
-
-    @property
-    def scales(self) -> Mapping[str, float]:
-        """{name of a scale that it takes: the base robot's}."""
-
-    def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Makes the robot of some scales; where not given, they are the base robot's.
-
-        Raises:
-            PupperAnalysisError: If there is none.
-        """
-
-    def arguments(self, scales: Mapping[str, float]) -> list[str]:
-        """Returns the arguments of a command that name it."""
-
-
 def load_source(files: RobotFiles) -> FileSource:
     """Loads the robot of a page.
 
@@ -63,11 +40,6 @@ def load_source(files: RobotFiles) -> FileSource:
     if robot.floating and not robot.contact_points:
         raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
     return FileSource(files, robot)
-
-
-def quote_words(words: list[str]) -> str:
-    """Returns words as one types them."""
-    return shlex.join(words)
 
 
 PLACES = ("centre", "inside", "offset")
@@ -391,3 +363,7 @@ class LiveVariants(Scaled):
         """Returns the variant of some scales, by the name that it has, if any."""
         made = self.scaled(scales)
         return {spec: spec for spec in VARIANTS.values()}.get(made, made)
+
+
+LiveSource = FileSource | LiveVariants
+"""Makes the robots of a page, and says how others make them."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.documents import unforeseen_document
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.scene import Figure, parts_of
-from pupper_analysis.tools.live.server import LOOPBACK, Served
+from pupper_analysis.tools.live.server import Served, Where
 from pupper_analysis.tools.walk.gait import fall_of, follow, joint_torques
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Lockstep, Run, Stage, push_forces, stage_of
@@ -57,11 +57,7 @@ class WalkSession:
         self._push: tuple[float, float] | None = None
         self.fall: Diagnostic | None = None
         gui, scene = client.gui, client.scene
-        left = gui.add_panel()
-        with left.add_tab(say("what-it-takes")):
-            self._numbers = gui.add_html(render.render_waiting(text("walking-begins"), say))
-        left.dock_left()
-        left.set_width(380)
+        self._numbers = render.dock_panels(gui, say, "walking-begins")
         self.sliders = [
             gui.add_slider(
                 say.words(text(f"walking-slider-{name}")), -end, end, 0.01 * end, float(at)
@@ -79,8 +75,6 @@ class WalkSession:
             button.on_click(lambda _, x=x, y=y: self.push(x, y))
         again = gui.add_button(say("walking-again"))
         again.on_click(lambda _: self.begin_again())
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(360)
         robot = stage.robot
         self._figure = Figure(scene, "/walking", robot, parts_of(robot.mj_model))
         self._cell = robot.stand_height
@@ -220,9 +214,7 @@ class WalkPage(Served):
         robot: The robot.
         policy: What walks it.
         command: (3,) forward and to the left (m/s), and turning to the left (rad/s).
-        language: See ``Served``, as host and port.
-        host: Where it can be reached.
-        port: Where.
+        **where: See ``Served``.
 
     Raises:
         ConfigurationError: If it cannot be served there, the base is fixed, or the language is
@@ -236,15 +228,13 @@ class WalkPage(Served):
         robot: Robot,
         policy: Policy,
         command: Array,
-        *,
-        language: str = "en",
-        host: str = LOOPBACK,
-        port: int | None = None,
+        **where: Unpack[Where],
     ) -> None:
         render.import_viser()  # before the work
-        self._stage, self._command = stage_of(robot, policy), command
-        super().__init__(robot.name, robot.stand_height, language, host, port)
-
-    def _session(self, client: Any, address: str, words: str, say: Language) -> WalkSession:
-        del address, words  # it begins as commanded for all
-        return WalkSession(client, self._stage, self._command, say)
+        stage = stage_of(robot, policy)
+        super().__init__(
+            robot.name,
+            robot.stand_height,
+            lambda client, _at, _asked, say: WalkSession(client, stage, command, say),
+            **where,
+        )

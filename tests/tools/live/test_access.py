@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
-import subprocess
-import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -20,7 +17,6 @@ from pupper_analysis.tools.live.access import (
     COOKIE,
     MOST_BYTES,
     Access,
-    problem_of,
     without_folders,
 )
 from pupper_analysis.tools.live.render import Language
@@ -79,28 +75,6 @@ def test_others_must_know_the_token() -> None:
     assert access.refusal("/assets/index.js", headers) is None  # viser's, and nobody's secret
     evil = headers | SOCKET | {"Origin": "http://evil.example"}
     assert code(access.refusal(f"/?token={access.token}", evil)) == "another-page-asks"
-
-
-@pytest.mark.parametrize(
-    ("updates", "right"),
-    [
-        ({"value": 120.0}, True),
-        ({"value": 100}, True),
-        ({"value": True}, True),
-        ({"value": "roll:1"}, True),
-        ({"value": math.nan}, False),
-        ({"value": math.inf}, False),
-        ({"value": 250.0}, True),  # typed beyond the slider's end
-        ({"value": -1e9}, False),
-        ({"value": [1, 2]}, False),
-        ({"value": "x" * 100_000}, False),
-        ({"value": 120.0, "max": 1e9}, False),
-        ({"update_cb": []}, False),
-        ({}, False),
-    ],
-)
-def test_what_a_browser_may_say(updates: dict[str, object], right: bool) -> None:
-    assert (problem_of(updates) is None) == right
 
 
 @pytest.mark.parametrize(
@@ -195,98 +169,3 @@ def test_a_message_that_is_too_long_ends_the_connection(page: Page) -> None:
     with pytest.raises(closed):
         asyncio.run(_talk(page.address, bytes(MOST_BYTES + 1), b"x"))
     assert asked(page.address)[0] == 200
-
-
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": [1.0, 0.0, 0.0, 0.0],
-    "position": [1.0, 1.0, 1.0],
-    "fov": 1.0,
-    "near": 0.01,
-    "far": 100.0,
-    "image_height": 600,
-    "image_width": 800,
-    "look_at": [0.0, 0.0, 0.0],
-    "up_direction": [0.0, 0.0, 1.0],
-}
-
-
-def test_what_is_no_value_moves_nothing(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
-    """Nor is it a traceback in the terminal of who serves the page; files are not taken at all."""
-    pack = pytest.importorskip("msgspec").msgpack.encode
-
-    messages: list[str] = []
-
-    async def attack() -> tuple[float, float, int]:
-        host = urlsplit(page.address).netloc
-        async with websockets.connect(
-            page.address.replace("http", "ws"),
-            origin=f"http://{host}",
-            subprotocols=[f"viser-v{viser.__version__}"],
-            max_size=None,
-        ) as socket:
-            known = set(page.sessions)
-            await socket.send(pack(CAMERA))
-            for _ in range(1000):
-                await asyncio.sleep(0.02)
-                if new := set(page.sessions) - known:
-                    break
-            session = page.sessions[new.pop()]
-            slider = session._panels.controls.sliders["roll"]
-            session._client.add_notification = lambda _, body, **__: messages.append(body)
-            update = {"type": "GuiUpdateMessage", "uuid": slider._impl.uuid}
-            bad = ({"value": math.nan}, {"value": 1e9}, {"value": [1]}, {"nonsense": 1})
-            for updates in (*bad, {"update_cb": ["x"]}, {"max": 1e9}):
-                await socket.send(pack(update | {"updates": updates}))
-            await socket.send(pack(update | {"uuid": "none", "updates": {"value": 1}}))
-            upload = {
-                "type": "FileTransferStartUpload", "source_component_uuid": slider._impl.uuid,
-                "transfer_uuid": "t", "filename": "a", "mime_type": "b", "part_count": 100,
-                "size_bytes": 10**12,
-            }  # fmt: skip
-            await socket.send(pack(upload))
-            await asyncio.sleep(0.5)
-            before = session._panels.controls.state.roll
-            held = len(session._client.gui._current_file_upload_states)
-            await socket.send(pack(update | {"updates": {"value": 5}}))
-            for _ in range(200):
-                await asyncio.sleep(0.02)
-                if session._panels.controls.state.roll == 5.0:
-                    break
-            return before, session._panels.controls.state.roll, held
-
-    assert asyncio.run(attack()) == (0.0, 5.0, 0)
-    assert len(messages) == 6
-    assert messages[0].code == "no-value-of-a-control"
-    assert messages[1].code == "beyond-any-slider"
-    printed = capfd.readouterr()
-    assert "Traceback" not in printed.out + printed.err
-
-
-MEMORY = """
-import os, threading
-from pupper_analysis.tools.live.server import give_back
-def used():
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
-kept = []
-def session():
-    blocks = [bytes(os.urandom(1000) * 60) for _ in range(400)]  # what malloc takes of its arena
-    kept.append(blocks[-1])
-threads = [threading.Thread(target=session) for _ in range(2)]
-before = used()
-for thread in threads: thread.start()
-for thread in threads: thread.join()
-left = used() - before
-give_back()
-print(left, used() - before)
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="glibc's")
-def test_what_threads_leave_is_given_back() -> None:
-    """A small block that stays holds all that lies below it: 24 MB a thread."""
-    run = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True)
-    left, after = map(float, run.stdout.split())
-    assert left > 20.0
-    assert after < left / 2

@@ -140,12 +140,6 @@ class Opened:
         wait_for(same, f"{self.torques()} are not {expected}")
 
 
-@pytest.fixture(autouse=True)
-def begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each test's browser is another one, though it says the same of itself."""
-    monkeypatch.setattr("pupper_analysis.tools.live.server.RELOADED", 0.0)
-
-
 @pytest.fixture
 def opened(browser: Any, served: Page) -> Iterator[Opened]:  # noqa: F811
     one = Opened(browser, served.address)
@@ -210,10 +204,8 @@ def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     with pytest.raises(pa.StanceUnreachableError) as refused:
         pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(35.0)))
     limit = np.degrees(refused.value.limits["roll"]["roll"])
-    opened.says("In the way: roll")
-    assert f"roll (°): {limit:.1f}" in opened.words()  # in the unit of the slider
+    opened.says(f"{limit:.1f} deg")
     assert opened.torques() == []
-    opened.page.get_by_text(f"◆ {limit:g} possible").wait_for()
 
     def ghostly() -> bool:
         shown = opened.pixels()
@@ -301,64 +293,11 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     stand = pa.stance.solve_stand_on_soft_ground(robot, state.task())
     one.takes(stand, robot)
     one.tab("Share")
-    wait_for(lambda: one.row("state").locator("input").first.input_value() == str(state), "state")
-    assert one.row("link to it").locator("input").first.input_value() == write_link(address, state)
+    link = one.row("link to it").locator("input").first
+    wait_for(lambda: link.input_value() == write_link(address, state), "another link")
     with one.page.expect_download() as caught:
         one.button("Save the stance, for --stance")
     assert Path(caught.value.path()).read_text() == write_stance_file(state)
-    box = one.row("state").locator("input").first
-    box.fill("roll:3")
-    box.press("Enter")
-    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(3.0))))
-    one.close()
-    assert one.complaints == []
-
-
-def test_a_page_that_is_loaded_again_goes_on_where_it_was(
-    browser: Any,  # noqa: F811
-    served: Page,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("pupper_analysis.tools.live.server.RELOADED", 60.0)
-
-    def asked() -> list[State]:
-        return [session.asked[0] for session in served.sessions.values()]
-
-    one = Opened(browser, served.address)
-    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
-    one.tab("Body")
-    one.set("payload (kg)", 12)  # beyond its slider's end
-    wait_for(lambda: asked() == [State(payload=12.0)], "the payload is not asked for")
-    one.tab("Stance")
-    one.set("roll (°)", 3)
-    wait_for(lambda: asked() == [State(payload=12.0, roll=3.0)], "it is asked for no more")
-    one.page.reload()
-    one.page.get_by_text("v3, 15.170 kg").first.wait_for()
-    wait_for(lambda: asked() == [State(payload=12.0, roll=3.0)], "it begins anew")
-    one.close()
-
-
-def test_on_a_phone_the_robot_is_above_the_sliders(browser: Any, served: Page) -> None:  # noqa: F811
-    one = Opened(browser, served.address, (390, 844))
-    one.page.get_by_text("not simulated yet; leg_").wait_for()
-    canvas, sheet = one.page.locator("canvas").first, one.page.locator(".mantine-Paper-root").first
-    wait_for(lambda: canvas.bounding_box()["height"] < 400, "the scene is beneath the sheet")
-    scene, sliders = canvas.bounding_box(), sheet.bounding_box()
-    assert sliders["width"] == 390
-    assert scene["y"] + scene["height"] <= sliders["y"] + 1
-    assert one.page.evaluate("document.documentElement.scrollWidth") <= 390
-
-    def whole() -> bool:
-        """Whether the torso's yellow is seen, and touches no side."""
-        shown = one.pixels()
-        yellow = (shown[..., 0] > 150) & (shown[..., 2] < 110)
-        columns = np.flatnonzero(yellow.any(axis=0))
-        inside = len(columns) and columns[0] > 3 and columns[-1] < shown.shape[1] - 4
-        return bool(yellow.mean() > 0.005 and inside)
-
-    wait_for(whole, "the robot is not there")
-    one.press(one.page.get_by_text("v3, live").first)  # folds the sheet
-    wait_for(lambda: canvas.bounding_box()["height"] > 700, "the scene stays small")
     one.close()
     assert one.complaints == []
 

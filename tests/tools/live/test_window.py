@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
-from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.live import window as viewer
 
 GRAVITY = 9.81
@@ -20,14 +19,6 @@ GRAVITY = 9.81
 @pytest.fixture(scope="module")
 def dropped() -> viewer.Drop:
     return viewer.drop()
-
-
-def home(file: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    model = mujoco.MjModel.from_xml_path(str(model_folder("mjcf") / file))
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    mujoco.mj_forward(model, data)
-    return model, data
 
 
 # ------------------------------------------------------------------------------------- the drop
@@ -42,33 +33,21 @@ def test_a_dropped_robot_falls_lands_and_holds(dropped: viewer.Drop) -> None:
     assert dropped.stable
 
 
+def check_fall(found: viewer.Drop, until: float) -> None:
+    """Freely: by the semi-implicit Euler method, which runs ahead by half a step."""
+    time = found.time[found.time < until]
+    fallen = found.height[0] - found.height[: len(time)]
+    np.testing.assert_allclose(fallen, GRAVITY / 2 * time * (time + found.time[1]), atol=1e-6)
+
+
 def test_a_dropped_robot_falls_freely_until_it_lands(dropped: viewer.Drop) -> None:
-    touchdown = dropped.readings[1].time
-    falling = dropped.time < touchdown - 0.01
-    expected = 0.28 - GRAVITY / 2 * dropped.time[falling] ** 2
-    # The semi-implicit Euler method runs ahead by half a step.
-    np.testing.assert_allclose(dropped.height[falling], expected, atol=2e-3)
-
-
-def test_the_imu_feels_the_fall_the_impact_and_gravity(dropped: viewer.Drop) -> None:
-    release, touchdown, impact, rest = dropped.readings
-    moments = [reading.moment for reading in dropped.readings]
-    assert moments == ["release", "touchdown", "impact", "rest"]
-    np.testing.assert_allclose(release.acceleration, 0, atol=1e-9)
-    assert 0.1 < touchdown.time <= impact.time < 0.5
-    assert np.linalg.norm(impact.acceleration) > 2 * GRAVITY
-    assert rest.acceleration[2] == pytest.approx(GRAVITY, abs=0.01)
-    assert np.linalg.norm(rest.acceleration) == pytest.approx(GRAVITY, abs=0.001)
-    np.testing.assert_allclose(rest.angular_velocity, 0, atol=1e-3)
+    check_fall(dropped, 0.17)  # it lands after 0.18 s
 
 
 def test_stand_prints_its_result(capsys: pytest.CaptureFixture[str]) -> None:
     assert viewer.drop_and_report(headless=True)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-1] == "final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)"
-    rest = next(line.split() for line in lines if line.strip().startswith("rest"))
-    assert rest[1] == "6.000"
-    assert float(rest[5]) == pytest.approx(GRAVITY, abs=0.01)
+    assert lines == ["final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)"]
 
 
 @pytest.mark.parametrize("seconds", [math.nan, math.inf, -math.inf, -1.0, 0.0, 1.999, 600.1])
@@ -82,12 +61,7 @@ def test_bad_seconds_are_refused(seconds: float) -> None:
 def test_other_variants_fall_and_stand(name: str) -> None:
     result = viewer.drop(4.0, robot=name)
     assert result.stable
-    assert result.readings[1].time > 0.1  # it has fallen
-    expected = (
-        math.sqrt(2 * viewer.FALL / GRAVITY) if name == "original" else result.readings[1].time
-    )
-    assert result.readings[1].time == pytest.approx(expected, abs=0.01)
-    assert result.readings[-1].acceleration[2] == pytest.approx(GRAVITY, abs=0.02)
+    check_fall(result, 0.9 * math.sqrt(2 * viewer.FALL / GRAVITY))
 
 
 # ------------------------------------------------------------------------------------- the view
@@ -97,58 +71,17 @@ def test_other_variants_fall_and_stand(name: str) -> None:
     ("fixed", "sizes", "acceleration"),
     [(True, "nq=12, nv=12, nu=12", GRAVITY), (False, "nq=19, nv=18, nu=12", 0.0)],
 )
-def test_view_tells_sizes_joints_and_imu(
+def test_view_tells_sizes_and_what_sensors_read(
     capsys: pytest.CaptureFixture[str], fixed: bool, sizes: str, acceleration: float
 ) -> None:
     viewer.view_robot(fixed=fixed, headless=True)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == sizes
-    joints = [line.split() for line in lines if re.match(r"  leg_", line)]
-    assert len(joints) == 12
-    readings = [re.match(r'  data\.sensor\("(\w+)"\)\.data +(.*)', line) for line in lines]
-    sensors = {found[1]: found[2].split() for found in readings if found}
-    assert set(sensors) == set(viewer.IMU_SENSORS)
-    assert [float(value) for value in sensors["body_quat"][:4]] == [1, 0, 0, 0]
-    assert float(sensors["body_acc"][2]) == pytest.approx(acceleration, abs=1e-3)
-    assert sensors["body_acc"][3] == "m/s^2"
-
-
-def test_the_snippet_reads_the_imu() -> None:
-    model, data = home("pupper_v3_fixed.xml")
-    names = {"data": data}
-    exec(viewer.IMU_SNIPPET, names)
-    imu = names["imu"]
-    assert set(imu) == {model.sensor(index).name for index in range(model.nsensor)}
-    np.testing.assert_allclose(imu["body_acc"], [0, 0, GRAVITY], atol=1e-9)
-
-
-def test_what_the_joints_really_do() -> None:
-    robot, data = viewer.at_home("v3", fixed=True)
-    model = robot.mj_model
-    actions = {action.name: action for action in viewer.joint_actions(robot, data)}
-    assert list(actions) == [model.actuator(index).name for index in range(model.nu)]
-    for name, action in actions.items():
-        side = 1.0 if "_l_" in name else -1.0
-        expected = ("roll", [-1, 0, 0]) if name[-1] == "2" else ("pitch", [0, side, 0])
-        assert action.motion == expected[0]
-        np.testing.assert_allclose(action.axis, expected[1], atol=1e-9)
-
-
-@pytest.mark.parametrize("fixed", [True, False])
-def test_feet_move_as_told(fixed: bool) -> None:
-    robot, data = viewer.at_home("v3", fixed=fixed)
-    model = robot.mj_model
-    if not fixed:  # another attitude of the base must make no difference
-        data.qpos[3:7] = [0.5, -0.5, 0.5, 0.5]
-        mujoco.mj_forward(model, data)
-    base = model.body("base_link").id
-    for action in viewer.joint_actions(robot, data):
-        site = model.site(f"{action.name[:-1]}3_foot_site").id
-        jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jacSite(model, data, jacobian, None, site)
-        column = jacobian[:, model.joint(action.name).dofadr[0]]
-        expected = data.xmat[base].reshape(3, 3).T @ column
-        np.testing.assert_allclose(action.foot_motion, expected, atol=1e-12)
+    readings = [re.match(r'data\.sensor\("(\w+)"\)\.data +(.*)', line) for line in lines]
+    sensors = {found[1]: list(map(float, found[2].split())) for found in readings if found}
+    assert len(sensors) == len(lines) - 1 == 6
+    assert sensors["body_quat"] == [1, 0, 0, 0]
+    assert sensors["body_acc"] == pytest.approx([0.0, 0.0, acceleration], abs=1e-3)
 
 
 # ------------------------------------------------------------------------------------- no window
