@@ -1,22 +1,19 @@
-"""How fast studies are, how they grow, and what survives kills: docs/data/study-speed.csv.
+"""How fast studies are, and what survives kills: docs/data/study-speed.csv.
 
     python benchmarks/studies.py speed 10000       # statics and sag of v3, on two processes
-    python benchmarks/studies.py growth 10000      # how it grows with their number, as a figure
     python benchmarks/studies.py simulated 500     # with a simulation each
-    python benchmarks/studies.py batched           # whether these gain from one call for many
     python benchmarks/studies.py efficiency        # 1 and 2 processes, 100 ms a design
     python benchmarks/studies.py overhead          # of a design that costs nothing; memory
     python benchmarks/studies.py finding           # how large v3 may be, with a figure
     python benchmarks/studies.py kills 20          # of the parent, a worker
 
 Designs of ``efficiency`` sleep: how well the engine keeps workers busy is then measured, whatever
-else the machine does. Times of ``speed`` and ``growth`` are as wall and as processor time.
+else the machine does. Times of ``speed`` are as wall and as processor time.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import multiprocessing
 import os
 import random
@@ -28,18 +25,9 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from statistics import median
-
-import mujoco
-import mujoco.batch
-import mujoco.rollout
-import numpy as np
 
 import pupper_analysis as pa
-from pupper_analysis.simulation import rollout, verify
 from pupper_analysis.tools.study import running
-from pupper_analysis.tools.study import study as whole
-from pupper_analysis.tools.study.design import Maker
 
 SAG = ("peak_utilisation", "base_height", "servo_sag", "com_margin")
 AXES = {  # 10 000 designs of v3
@@ -98,139 +86,6 @@ def speed(count: int, workers: int) -> None:
         )
         print(f"failures: {dict(done.failures)}")
         print("designs, seconds:", ", ".join(f"{n} {s:.0f}" for n, s in marks))
-
-
-def children_cpu() -> float:
-    """Processor time of this process's children that are alive (s), as Linux counts it."""
-    ticks = 0
-    for child in multiprocessing.active_children():
-        fields = Path(f"/proc/{child.pid}/stat").read_text().rpartition(")")[2].split()
-        ticks += int(fields[11]) + int(fields[12])
-    return ticks / os.sysconf("SC_CLK_TCK")
-
-
-def growth(count: int, workers: int) -> None:
-    """Draws how processor time and memory grow with the number of designs.
-
-    Those that fall are together in a grid, and cost more. So robots are taken in random order, each
-    with all its payloads, slopes and servos: any first part of them is like the whole.
-    """
-    pairs = [(leg, torso) for leg in AXES["leg_scale"].levels  # type: ignore[attr-defined]
-             for torso in AXES["torso_mass_scale"].levels]  # type: ignore[attr-defined]  # fmt: skip
-    random.Random(1).shuffle(pairs)
-    rest = [AXES[name].levels for name in ("payload", "slope")]  # type: ignore[attr-defined]
-    points = np.array([(*pair, *one) for pair in pairs[: count // 100]
-                       for one in itertools.product(*rest, AXES["kp"])])  # type: ignore[arg-type]  # fmt: skip
-    # A run puts the designs of a block in the order of their robots: five robots make a block here.
-    whole.BLOCK = 500
-    marks = [(0, 0.0, 0.0, 0.0)]
-
-    def watch(progress: running.Progress) -> None:
-        if progress.done >= marks[-1][0] + 500:
-            used = children_cpu() + cpu() - before
-            resident = int(Path("/proc/self/statm").read_text().split()[1])
-            memory = resident * os.sysconf("SC_PAGE_SIZE") / 2**20
-            marks.append((progress.done, used, memory, progress.seconds))
-
-    with tempfile.TemporaryDirectory() as folder:
-        study = pa.Study("v3", AXES, SAG).at(points)
-        before = cpu()
-        done = study.execute(folder, workers=workers, progress=watch)
-        used = cpu() - before
-        table = study.table(folder)
-    loads = os.getloadavg()
-    print(f"{done.done} designs, {workers} processes: {done.seconds:.0f} s; load {loads[1]:.1f}")
-    print(f"processor: {used:.0f} s, {1e3 * used / done.done:.1f} ms a design")
-    print(f"failures: {dict(done.failures)}; parent's memory {peak_memory():.0f} MB")
-    marks.append((done.done, used, marks[-1][2], done.seconds))
-    numbers = np.array(marks)[1:]
-    expected = used / done.done * numbers[:, 0]
-    off = np.abs(numbers[:, 1] - expected).max() / used
-    print(f"from a straight line: {off:.1%} of the whole at most; rows {len(table)}")
-    draw_growth(np.array(marks), workers)
-
-
-def draw_growth(marks: np.ndarray, workers: int) -> None:
-    """Draws (designs, processor time (s), memory (MB), wall time (s)), one row each."""
-    from matplotlib.figure import Figure
-
-    from pupper_analysis.present.figures.style import (
-        BLUE,
-        DPI,
-        FONT,
-        GREY,
-        ORANGE,
-        save_figure,
-        title_panel,
-    )
-
-    figure = Figure(figsize=(7.2, 3.0), dpi=DPI, layout="constrained")
-    left, right = figure.subplots(1, 2)
-    last = marks[-1]
-    left.plot([0, last[0]], [0, last[1]], "--", color=GREY, linewidth=1, label="a straight line")
-    left.plot(marks[:, 0], marks[:, 1], "o-", color=BLUE, markersize=3, label="processor time")
-    left.set_ylabel("s, of all processes", size=FONT)
-    right.plot(marks[1:, 0], marks[1:, 2], "o-", color=ORANGE, markersize=3)
-    right.set_ylim(0, 1.3 * marks[:, 2].max())
-    right.set_ylabel("the parent's memory (MB)", size=FONT)
-    for axes in (left, right):
-        title_panel(axes, "")
-        axes.set_xlabel("designs", size=FONT)
-    left.legend(fontsize=FONT, frameon=False)
-    each = 1e3 * last[1] / last[0]
-    figure.suptitle(
-        f"Statics and sag of v3 on {workers} processes: {each:.0f} ms of processor a design",
-        size=FONT + 1,
-    )
-    save_figure(figure, Path(__file__).parents[1] / "build" / "study_growth.png")
-
-
-def batched(count: int) -> None:
-    """Whether designs of one robot, which differ in height and kp, gain from one call for many."""
-    vary = {"height": pa.study.uniform(0.12, 0.14), "kp": pa.study.uniform(5.0, 20.0)}
-    study = pa.Study("v3", vary, ["simulated_height"], samples=count)
-    maker = Maker(study.source, study.task, study.point)
-    jobs: list[tuple[mujoco.MjModel, np.ndarray, np.ndarray]] = []
-    run = rollout.simulate
-
-    def kept(model: mujoco.MjModel, start: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
-        jobs.append((model, start, ctrl))
-        return run(model, start, ctrl)
-
-    verify.simulate = kept  # type: ignore[attr-defined]
-    begun = time.process_time()
-    for _, block in study.designs():
-        for numbers in block:
-            _ = maker.design(dict(zip(study.variables, numbers, strict=True))).simulated_rest
-    used = time.process_time() - begun
-    print(f"{count} designs, each measured alone: {1e3 * used / count:.1f} ms of processor each")
-    models = [model for model, _, _ in jobs]
-    starts, commands = (np.array([job[place] for job in jobs]) for place in (1, 2))
-    data = mujoco.MjData(models[0])
-
-    def batch() -> None:
-        many = mujoco.batch.Batch(models[0], count, 1)
-        many.qpos[:] = starts[:, 1 : 1 + many.model.nq]
-        many.qvel[:] = starts[:, 1 + many.model.nq :][:, : many.model.nv]
-        many.ctrl[:] = commands[:, 0]
-        many.step(nstep=commands.shape[1])
-
-    directions = {
-        "one call each": lambda: [run(*job) for job in jobs],
-        "one call for all": lambda: mujoco.rollout.rollout(models, data, starts, commands),
-        "one call for all, of one model": lambda: mujoco.rollout.rollout(
-            models[0], data, starts, commands
-        ),
-        "mujoco.batch, of one model": batch,
-    }
-    times: dict[str, list[float]] = {name: [] for name in directions}
-    for _ in range(5):  # in turn, so that what else the machine does is shared out
-        for name, way in directions.items():
-            begun = time.process_time()
-            way()
-            times[name].append(1e3 * (time.process_time() - begun) / count)
-    for name, found in times.items():
-        print(f"{name}: {min(found):.1f} ms of processor a simulation, median {median(found):.1f}")
 
 
 def simulated(count: int, workers: int) -> None:
@@ -403,7 +258,7 @@ def kills(count: int, kinds: tuple[str, ...]) -> None:
         print(f"{kind}: {good} of {count} are the same afterwards")
 
 
-WHAT = ("speed", "growth", "simulated", "batched", "efficiency", "overhead", "kills", "finding")
+WHAT = ("speed", "simulated", "efficiency", "overhead", "kills", "finding")
 
 
 def main() -> None:
@@ -411,20 +266,16 @@ def main() -> None:
     parser.add_argument("what", choices=list(WHAT))
     parser.add_argument("count", nargs="?", type=int)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--kind", choices=["parent", "worker", "scheduler"])
+    parser.add_argument("--kind", choices=["parent", "worker"])
     given = parser.parse_args()
     if given.what == "speed":
         speed(given.count or 1000, given.workers)
-    elif given.what == "growth":
-        growth(given.count or 10_000, given.workers)
     elif given.what == "simulated":
         simulated(given.count or 100, given.workers)
-    elif given.what == "batched":
-        batched(given.count or 64)
     elif given.what in ("efficiency", "overhead", "finding"):
         {"efficiency": efficiency, "overhead": overhead, "finding": finding}[given.what]()
     else:
-        kinds = (given.kind,) if given.kind else ("parent", "worker", "scheduler")
+        kinds = (given.kind,) if given.kind else ("parent", "worker")
         kills(given.count or 3, kinds)
 
 

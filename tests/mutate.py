@@ -6,7 +6,6 @@ ones of the module's own test. A mutant that none notices has survived: a test i
 code does not need what was changed. ::
 
     python tests/mutate.py statics robot --sample 40    # make mutate ROOM="statics robot" SAMPLE=40
-    python tests/mutate.py --survivors                  # once tests are written: those again
 
 The checkout is not touched: all of it happens in a copy, build/mutants (or in the folder that
 ``MUTANTS`` names). Which rooms, and which
@@ -33,8 +32,8 @@ import sys
 import tomllib
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -190,7 +189,6 @@ class Outcome:
         killed: Whether a test noticed it.
         by: The tests that failed, by their ids; none if they ended otherwise, or not in time.
         tests: How many tests were run.
-        since: Whether a test notices it that was written because it had survived.
     """
 
     path: str
@@ -199,7 +197,6 @@ class Outcome:
     killed: bool
     by: tuple[str, ...]
     tests: int
-    since: bool = False
 
     @property
     def equivalent(self) -> bool:
@@ -321,28 +318,6 @@ def by_cosmic_ray(mutation: Any) -> Outcome:
     return outcome(str(mutation.module_path), mutation.start_pos[0], run)
 
 
-def by_its_change(old: Outcome) -> Outcome | None:
-    """Makes a mutant anew that survived, and judges it; None if what it changed is gone."""
-    rows = old.change.splitlines()
-    before, after = ("\n".join(row[1:] for row in rows if row[0] == sign) for sign in "-+")
-    path = Path(old.path)
-    text = path.read_text() if path.exists() else ""
-    places = [found.start() for found in re.finditer(re.escape(before) + "\n", text)]
-    if not before or not places:
-        return None
-    place = min(places, key=lambda start: abs(text.count("\n", 0, start) + 1 - old.line))
-
-    def run(command: str) -> tuple[bool, str]:
-        path.write_text(text[:place] + after + text[place + len(before) :])
-        try:
-            done = subprocess.run(["sh", "-c", command], capture_output=True, check=False)
-        finally:
-            path.write_text(text)
-        return done.returncode != 0, old.change
-
-    return outcome(old.path, text.count("\n", 0, place) + 1, run)
-
-
 # -------------------------------------------------------------------------------- rooms and scores
 
 
@@ -363,66 +338,18 @@ def report(found: Outcome) -> None:
         print(found.change, flush=True)
 
 
-def written(room: str, seed: int, outcomes: Sequence[Outcome], date: str) -> None:
-    held = {"seed": seed, "date": date, "outcomes": [asdict(found) for found in outcomes]}
-    (BUILD / f"mutants-{room}.json").write_text(json.dumps(held, indent=1))
+COLUMNS = ("room", "mutants", "killed", "equivalent", "left", "seed", "date")
 
 
-def read(room: str) -> tuple[int, str, list[Outcome]]:
-    """Returns a room's seed, date and outcomes, as they were written."""
-    held = json.loads((BUILD / f"mutants-{room}.json").read_text())
-    found = [Outcome(**{**one, "by": tuple(one["by"])}) for one in held["outcomes"]]
-    return held["seed"], held["date"], found
-
-
-def mutate(room: str, sample: int, seed: int) -> None:
-    """Draws a sample of a room's mutants, and writes what became of each."""
-    outcomes: list[Outcome] = []
+def score(room: str, sample: int, seed: int) -> tuple[object, ...]:
+    """Draws a sample of a room's mutants, judges each, and returns a row of `COLUMNS`."""
+    outcomes = []
     for mutation in drawn(rooms_modules(room), sample, seed):
         outcomes.append(by_cosmic_ray(mutation))
         report(outcomes[-1])
-        written(room, seed, outcomes, datetime.date.today().isoformat())
-
-
-def again(room: str) -> None:
-    """Judges anew what survived in a room, and writes which a test notices since."""
-    seed, date, outcomes = read(room)
-    for place, old in enumerate(outcomes):
-        if not (old.killed or old.since or old.equivalent):
-            found = by_its_change(old)
-            if found is None:
-                print(f"gone     {old.path}:{old.line}\n{old.change}", flush=True)
-                continue
-            report(found)
-            outcomes[place] = Outcome(**{**asdict(old), "since": found.killed, "by": found.by})
-            written(room, seed, outcomes, date)
-
-
-COLUMNS = ("room", "mutants", "killed", "equivalent", "killed since", "left", "seed", "date")
-
-
-def scores(rooms: Iterable[str]) -> list[tuple[object, ...]]:
-    """Returns a row of `COLUMNS` for each room, and for all of them."""
-    rows: list[tuple[object, ...]] = []
-    total: Counter[str] = Counter()
-    for room in rooms:
-        seed, date, outcomes = read(room)
-        kinds = Counter(
-            "killed"
-            if found.killed
-            else "equivalent"
-            if found.equivalent
-            else "since"
-            if found.since
-            else "left"
-            for found in outcomes
-        )
-        total += kinds
-        rows.append((room, kinds.total(), *(kinds[kind] for kind in KINDS), seed, date))
-    return [*rows, ("all", total.total(), *(total[kind] for kind in KINDS), "", "")]
-
-
-KINDS = ("killed", "equivalent", "since", "left")
+    killed, equal = (sum(getattr(o, kind) for o in outcomes) for kind in ("killed", "equivalent"))
+    left = len(outcomes) - killed - equal
+    return room, len(outcomes), killed, equal, left, seed, datetime.date.today().isoformat()
 
 
 def main() -> None:
@@ -433,7 +360,6 @@ def main() -> None:
     parser.add_argument("--tests", nargs="+", default=SETTINGS["tests"], help="that judge")
     parser.add_argument("--mark", default="not slow", help="which of these (pytest -m)")
     parser.add_argument("--keep", action="store_true", help="the copy, and what tests run in it")
-    parser.add_argument("--survivors", action="store_true", help="judge anew what has survived")
     parser.add_argument("--csv", type=Path, help="write the scores here")
     parser.add_argument("--least", type=float, default=0.0, help="share killed, or it fails")
     given = parser.parse_args()
@@ -444,19 +370,15 @@ def main() -> None:
         copied()
         record(given.tests, given.mark)
     os.chdir(FOLDER)
-    for room in rooms:
-        if given.survivors:
-            again(room)
-        else:
-            mutate(room, given.sample, given.seed)
-    rows = scores(rooms)
+    rows = [score(room, given.sample, given.seed) for room in rooms]
+    mutants, killed, equal, left = (sum(row[at] for row in rows) for at in range(1, 5))  # type: ignore[misc]
+    rows.append(("all", mutants, killed, equal, left, "", ""))
     for row in [COLUMNS, *rows]:
         print(*(f"{cell!s:>12}" for cell in row))
     if target:
         with target.open("w", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
-    _, drawn_, killed, equivalent, since, *_ = rows[-1]
-    sys.exit(killed + equivalent + since < given.least * drawn_)  # type: ignore[operator]
+    sys.exit(killed + equal < given.least * mutants)
 
 
 if __name__ == "__main__":

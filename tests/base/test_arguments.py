@@ -27,7 +27,6 @@ from tests.support.variants import load, stand_of
 APART = {  # below, each with an argument that is wrong
     "to_json",
     "load_robot",
-    "certainty",
     "fit",
     "fit_motion",
     "fit_stands",
@@ -257,8 +256,7 @@ def test_a_message_stays_short() -> None:
 @pytest.mark.parametrize("junk", [object(), 1.0, b"x", [None]])
 def test_what_studies_and_reports_are_given_wrong(junk: Any, tmp_path: Path) -> None:
     calls: dict[str, Callable[[], object]] = {
-        "table": lambda: pa.study.certainty(junk),
-        "table:": lambda: pa.study.pareto_front(junk, {"mass": "min"}),
+        "table": lambda: pa.study.pareto_front(junk, {"mass": "min"}),
         "study": lambda: pa.study.study_outcome(junk, tmp_path / "x"),
         "study:": lambda: pa.study.write_design(junk, 1, tmp_path / "x"),
         "spreads": lambda: pa.study.write_randomisation(junk, tmp_path / "x.yaml"),

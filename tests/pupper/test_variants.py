@@ -3,7 +3,6 @@
 import math
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -24,7 +23,6 @@ MASSES = {
     "v3-long-leg": 3.642,
     "v3-heavy": 4.676,
 }
-KNEES = {"original": ("FL_HFE", "FL_KFE"), "v3": ("leg_front_l_2", "leg_front_l_3")}
 
 
 def test_every_variant_is_listed_by_its_name() -> None:
@@ -37,47 +35,6 @@ def test_variants_have_their_total_mass(variant: str, source: str) -> None:
     bodies = BODIES[source](load(variant))
     assert sum(body.mass for body in bodies.values()) == pytest.approx(MASSES[variant], abs=1e-12)
     assert load(variant).total_mass == pytest.approx(MASSES[variant], abs=1e-12)
-
-
-def test_variants_have_their_sizes(robot: pa.Robot) -> None:
-    assert (robot.nq, robot.nv, robot.nu) == (19, 18, 12)
-    assert (robot.mj_model.nq, robot.mj_model.nv, robot.mj_model.nu) == (19, 18, 12)
-    assert (robot.pin_model.nq, robot.pin_model.nv) == (19, 18)
-
-
-@pytest.mark.parametrize("source", BODIES)
-@pytest.mark.parametrize("base", KNEES)
-def test_thigh_ratio_from_hip_to_knee(base: str, source: str) -> None:
-    def length(name: str) -> float:
-        hip, knee = (BODIES[source](load(name))[joint].position for joint in KNEES[base])
-        return float(np.linalg.norm(knee - hip))
-
-    longer = "long-leg" if base == "original" else "v3-long-leg"
-    assert length(longer) / length(base) == pytest.approx(1.5, abs=1e-12)
-
-
-def test_thigh_ratio_of_the_capsules() -> None:
-    """The shape that is drawn, and that touches, is as long as the way to the knee."""
-    lengths = []
-    for name in ("original", "long-leg"):
-        model = load(name).mj_model
-        for leg in ("FL", "FR", "RL", "RR"):
-            thigh = model.body(f"{leg}_thigh")
-            geom = int(thigh.geomadr[0])
-            assert model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE.value
-            capsule = 2 * model.geom_size[geom, 1]
-            assert capsule == pytest.approx(
-                np.linalg.norm(model.body(f"{leg}_calf").pos), rel=1e-12
-            )
-            lengths.append(capsule)
-    np.testing.assert_allclose(lengths, [0.08] * 4 + [0.12] * 4, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("heavy", "base", "ratio"), [("heavy", "original", 1.556), ("v3-heavy", "v3", 1.475)]
-)
-def test_heavy_mass_ratio(heavy: str, base: str, ratio: float) -> None:
-    assert load(heavy).total_mass / load(base).total_mass == pytest.approx(ratio, abs=5e-4)
 
 
 @settings(max_examples=15)

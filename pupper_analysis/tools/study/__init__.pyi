@@ -1,6 +1,5 @@
 from ..fit.write import write_randomisation as write_randomisation
 from .outcome import StudyOutcome as StudyOutcome
-from .outcome import certainty as certainty
 from .outcome import pareto_front as pareto_front
 from .outcome import study_outcome as study_outcome
 from .variables import linspace as linspace

@@ -128,18 +128,14 @@ def command(
     objectives = check_objectives(study, minimise, maximise)
     if dry_run:
         expected = estimate_study(study, folder)
-        from pupper_analysis.tools.study.document import estimate_document
-
-        _show(estimate_document(expected, workers=workers), style, everything)
+        _show(report.estimate_document(expected, workers=workers), style, everything)
         shared.finish_command(json_path, expected, passed=True)
         return
     with report.progress_bar() as show:
         _run(study, folder, workers, show)
     table = study.table(folder)
     if style == "text":
-        from pupper_analysis.tools.study.document import measured_document
-
-        finding = measured_document(
+        finding = report.measured_document(
             file.stem, study.variables, table, rests_on(study.base), objectives
         )
         _show(finding, style, everything)

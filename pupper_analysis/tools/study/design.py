@@ -12,7 +12,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import orjson
@@ -128,28 +128,6 @@ def _restored(kept: Any) -> Value:
 # Where the robots of a study come from.
 
 
-class RobotSource(Protocol):
-    """Makes robots, here and in other processes: it can be pickled.
-
-    Attributes:
-        scales: {name of a scale that it takes: the base robot's}.
-    """
-
-    @property
-    def scales(self) -> Mapping[str, float]:
-        """{name of a scale that it takes: the base robot's}."""
-
-    def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Makes the robot of some scales; where not given, they are the base robot's.
-
-        Raises:
-            PupperAnalysisError: If there is none.
-        """
-
-    def asked(self) -> Any:
-        """Returns how a study's file says it, as plain data."""
-
-
 _KNOWN = ("take", "body", "feet", "name", "joints", "keyframe", "packages")
 """What a study may say of files, besides the files."""
 
@@ -207,6 +185,10 @@ class Variants(Scaled):
         return {"base": self.spec.base, **self.scales}
 
 
+RobotSource = FileSource | Variants
+"""Makes robots, here and in other processes: it can be pickled."""
+
+
 def source_of(robot: Any) -> RobotSource:
     """Returns the source of a robot that is given in one of the ways of ``Study``.
 
@@ -234,9 +216,6 @@ def source_of(robot: Any) -> RobotSource:
         return Variants(VariantSpec(**robot))
     if isinstance(robot, Mapping):
         return load_source(robot)
-    if hasattr(robot, "robot") and hasattr(robot, "scales"):
-        source: RobotSource = robot
-        return source
     raise ConfigurationError("robot", diagnose("no-source-of-robots", given=repr(robot)))
 
 

@@ -1,4 +1,4 @@
-"""The document of a study: what failed, the Pareto front, what matters, how sure it is."""
+"""The document of a study: what failed, the Pareto front, what matters."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.present import document as doc
@@ -21,7 +21,6 @@ from pupper_analysis.present.terminal import make_console
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.measures import METRICS, text_key
 from pupper_analysis.tools.study.outcome import (
-    Chance,
     MetricSummary,
     StudyOutcome,
     column_label,
@@ -55,7 +54,6 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     blocks += _drawings(outcome)
     blocks += _front(outcome)
     blocks += _shares(outcome)
-    blocks += _sure(outcome)
     blocks.append(_designs(outcome))
     failed = sum(one.designs for one in outcome.failures)
     finding: list[doc.Words] = [
@@ -67,13 +65,21 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     if len(outcome.table) < outcome.designs:
         left = outcome.designs - len(outcome.table)
         finding.append(text("count-more-are-not-measured", count=left))
-    if outcome.certainty is not None:
-        both = outcome.certainty.both
-        finding.append(text("it-stands-with-all-motors",
-                         share=f"{both.probability:.1%}"))  # fmt: skip
     return doc.Document(
         text("study-of-designs"), doc.Name(outcome.robot), tuple(blocks), findings=tuple(finding)
     )
+
+
+def _left(name: str) -> doc.Column:
+    return doc.Column(text(name), left=True)
+
+
+def _right(name: str, unit: str = "") -> doc.Column:
+    return doc.Column(text(name), unit)
+
+
+def _ranges() -> tuple[doc.Column, ...]:
+    return *map(_right, ("least", "median", "greatest")), _right("designs", "1")
 
 
 def _source() -> tuple[doc.Words, ...]:
@@ -96,12 +102,7 @@ def _variables(outcome: StudyOutcome) -> doc.Table:
         )
     return doc.Table(
         text("what-varies"),
-        (
-            doc.Column(text("number"), left=True),
-            doc.Column(text("how"), left=True),
-            doc.Column(text("range-or-values"), left=True),
-            doc.Column(text("different-values"), "1"),
-        ),
+        (_left("number"), _left("how"), _left("range-or-values"), _right("different-values", "1")),
         tuple(rows),
         (),
         _source(),
@@ -129,15 +130,7 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
     ]
     return doc.Table(
         text("what-was-measured"),
-        (
-            doc.Column(text("metric"), left=True),
-            doc.Column(text("least")),
-            doc.Column(text("median")),
-            doc.Column(text("greatest")),
-            doc.Column(text("designs"), "1"),
-            doc.Column(text("unit"), left=True),
-            doc.Column(text("meaning"), left=True),
-        ),
+        (_left("metric"), *_ranges(), _left("unit"), _left("meaning")),
         tuple(rows),
     )
 
@@ -165,11 +158,11 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
         doc.Table(
             text("what-failed-by-kind"),
             (
-                doc.Column(text("failure"), left=True),
-                doc.Column(text("metric"), left=True),
-                doc.Column(text("designs"), "1"),
-                doc.Column(text("share"), "1"),
-                doc.Column(text("reason-of-the-first"), left=True),
+                _left("failure"),
+                _left("metric"),
+                _right("designs", "1"),
+                _right("share", "1"),
+                _left("reason-of-the-first"),
             ),
             tuple(rows),
         )
@@ -220,12 +213,7 @@ def _shares(outcome: StudyOutcome) -> list[doc.Block]:
         rows += [(doc.Name(one.metric), name, _share(share), measured) for name, share in shares]
     if not rows:
         return []
-    columns = (
-        doc.Column(text("metric"), left=True),
-        doc.Column(text("number"), left=True),
-        doc.Column(text("alone"), "1"),
-        doc.Column(text("designs"), left=True),
-    )
+    columns = (_left("metric"), _left("number"), _right("alone", "1"), _left("designs"))
     title = text("which-number-matters-shares")
     return [doc.Table(title, columns, tuple(rows), (text(_ALONE),), _source())]
 
@@ -234,43 +222,6 @@ def _share(value: float) -> doc.Number:
     if not math.isfinite(value):
         return doc.Number("-", math.nan)
     return doc.Number(f"{value:.1%}", 100 * value, share=min(max(value, 0.0), 1.0))
-
-
-def _sure(outcome: StudyOutcome) -> list[doc.Block]:
-    blocks: list[doc.Block] = []
-    found = outcome.certainty
-    if found is not None:
-        rows: list[tuple[doc.Text | doc.Name, Chance]] = [
-            (text("it-stays-up"), found.stands),
-            (text("all-motors-are-under-their"), found.all_motors),
-            (text("both"), found.both),
-            *((doc.Name(joint), one) for joint, one in found.motors.items()),
-        ]
-        blocks.append(
-            doc.Table(
-                text("how-sure-the-stand"),
-                (
-                    doc.Column(text("what"), left=True),
-                    doc.Column(text("probability"), "1"),
-                    doc.Column(text("at-least-95"), "1"),
-                    doc.Column(text("at-most-95"), "1"),
-                ),
-                tuple(_chance(name, one) for name, one in rows),
-                (),
-                _source(),
-            )
-        )
-    return blocks
-
-
-def _chance(name: doc.Text | doc.Name, one: Chance) -> tuple[doc.Cell, ...]:
-    likely = doc.Number(f"{one.probability:.2%}", 100 * one.probability, share=one.probability)
-    return (
-        name,
-        likely,
-        doc.number_cell(one.low, ".2%", scale=1.0),
-        doc.number_cell(one.high, ".2%", scale=1.0),
-    )
 
 
 def _designs(outcome: StudyOutcome) -> doc.Table:
@@ -299,11 +250,11 @@ def _table(
             cells.append(word(kind) if isinstance(kind, str) else doc.Name(""))
         rows.append(tuple(cells))
     heads = [
-        doc.Column(text("ordinal"), "1"),
+        _right("ordinal", "1"),
         *(doc.Column(doc.Name(name), unit_of(name)) for name in places),
     ]
     if failed:
-        heads.append(doc.Column(text("failure"), left=True))
+        heads.append(_left("failure"))
     notes: tuple[doc.Words, ...] = ()
     if len(table) > MOST_ROWS:
         left = len(table) - MOST_ROWS
@@ -322,30 +273,15 @@ def estimate_document(
         workers: On how many processes; by default as many as this machine has cores.
     """
     count = workers or os.cpu_count() or 1
+    each, slowest = (f"{1e3 * one:.0f}" for one in (expected.seconds_each, expected.slowest))
+    time = duration_text(expected.seconds(count))
     finding = [
-        text(
-            "count-designs-of-which-there",
-            count=expected.designs,
-            there=expected.there,
-        ),
-        text(
-            "mean-ms-each-on-average",
-            mean=f"{1e3 * expected.seconds_each:.0f}",
-            slowest=f"{1e3 * expected.slowest:.0f}",
-        ),
-        text(
-            "about-time-on-count-workers",
-            time=duration_text(expected.seconds(count)),
-            count=count,
-        ),
+        text("count-designs-of-which-there", count=expected.designs, there=expected.there),
+        text("mean-ms-each-on-average", mean=each, slowest=slowest),
+        text("about-time-on-count-workers", time=time, count=count),
     ]
     if expected.left_out:
-        finding.append(
-            text(
-                "not-timed",
-                names=join_words(map(doc.Name, expected.left_out)),
-            )
-        )
+        finding.append(text("not-timed", names=join_words(map(doc.Name, expected.left_out))))
     if expected.failures:
         kinds = join_words(map(word, expected.failures))
         finding.append(text("timed-that-failed", kinds=kinds))
@@ -390,25 +326,15 @@ def measured_document(
         rows.append((doc.Name(column_label(metric)), *numbers, doc.number_cell(len(column), ".0f")))
     measured = doc.Table(
         text("what-was-measured"),
-        (
-            doc.Column(text("metric"), left=True),
-            doc.Column(text("least")),
-            doc.Column(text("median")),
-            doc.Column(text("greatest")),
-            doc.Column(text("designs"), "1"),
-        ),
+        (_left("metric"), *_ranges()),
         tuple(rows),
     )
-    kinds = table["failure"].dropna().value_counts().to_dict()
-    ordered = sorted(kinds.items(), key=lambda item: (-int(item[1]), str(item[0])))
-    finding = text(
-        "count-designs-of-which-failed",
-        count=len(table),
-        failed=sum(int(count) for _, count in ordered),
-    )
-    if ordered:
+    kinds = table["failure"].dropna().value_counts()
+    finding = text("count-designs-of-which-failed", count=len(table), failed=int(kinds.sum()))
+    if len(kinds):
         named = join_words(
-            text("count-kind", count=int(count), kind=word(str(kind))) for kind, count in ordered
+            text("count-kind", count=int(count), kind=word(str(kind)))
+            for kind, count in kinds.items()
         )
         finding = text("designs-kinds", designs=finding, kinds=named)
     lines = (finding, *map(doc.tell, rests_on))
@@ -425,11 +351,7 @@ def metrics_document() -> doc.Document:
         (doc.Name(one.name), doc.Name(one.unit), text(text_key(one.name)))
         for one in METRICS.values()
     )
-    columns = (
-        doc.Column(text("metric"), left=True),
-        doc.Column(text("unit"), left=True),
-        doc.Column(text("meaning"), left=True),
-    )
+    columns = (_left("metric"), _left("unit"), _left("meaning"))
     table = doc.Table(text("what-can-be-measured"), columns, rows)
     return doc.Document(text("study-of-designs"), doc.Name("study"), (table,))
 
@@ -447,11 +369,7 @@ def written_document(written: WrittenDesign) -> doc.Document:
         )
         for name, value in written.measured.items()
     )
-    columns = (
-        doc.Column(text("metric"), left=True),
-        doc.Column(text("measured-in-the-study")),
-        doc.Column(text("measured-of-the-files")),
-    )
+    columns = (_left("metric"), _right("measured-in-the-study"), _right("measured-of-the-files"))
     numbers = ", ".join(f"{name} {value:g}" for name, value in written.numbers.items())
     return doc.Document(
         text("design-written", number=written.number),
@@ -466,25 +384,16 @@ def written_document(written: WrittenDesign) -> doc.Document:
 @contextmanager
 def progress_bar() -> Iterator[Callable[[Done], None]]:
     """Yields what shows how far a run has come: designs, rate, time left, failures by kind."""
-    columns = (
-        TextColumn("designs"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TextColumn("{task.fields[failures]}"),
-    )
-    with Progress(*columns, console=make_console()) as shown:
-        task = shown.add_task("", total=None, rate="", failures="")
+    with Progress(
+        "designs", BarColumn(), MofNCompleteColumn(), "{task.description}", console=make_console()
+    ) as shown:
+        task = shown.add_task("", total=None)
 
         def show(done: Done) -> None:
             rate = f"{done.rate:.1f}/s, {duration_text(done.left)} left" if done.done else ""
-            shown.update(
-                task,
-                total=done.total,
-                completed=done.there + done.done,
-                rate=rate,
-                failures=count_failures(done.failures),
-            )
+            words = f"{rate} {count_failures(done.failures)}"
+            there = done.there + done.done
+            shown.update(task, total=done.total, completed=there, description=words)
 
         yield show
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose, phrase
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
@@ -197,6 +198,18 @@ def _stands(design: Design) -> bool:
     return True
 
 
+def _peak(values: NDArray[np.float64]) -> float:
+    return float(np.abs(values).max())
+
+
+def _friction_utilisation(design: Design) -> float:
+    return max(design.statics.friction_utilisation.values())
+
+
+def _minimum_stiffness(design: Design) -> float:
+    return minimum_stiffness(design.robot, design.stand)
+
+
 def _least_peak(design: Design) -> float:
     held = stand_statics(design.robot, design.stand, distribution=ForceDistribution.MIN_MAX_TORQUE)
     return float(held.motor_utilisation.max())
@@ -204,103 +217,28 @@ def _least_peak(design: Design) -> float:
 
 _ALL = (
     Metric("total_mass", lambda d: d.robot.total_mass, "kg"),
-    Metric(
-        "peak_utilisation",
-        lambda d: float(d.statics.motor_utilisation.max()),
-        "1",
-        better="min",
-    ),
-    Metric(
-        "peak_torque",
-        lambda d: float(np.abs(d.statics.joint_torques).max()),
-        "N m",
-        better="min",
-    ),
+    Metric("peak_utilisation", lambda d: _peak(d.statics.motor_utilisation), "1", better="min"),
+    Metric("peak_torque", lambda d: _peak(d.statics.joint_torques), "N m", better="min"),
     Metric("least_peak_utilisation", _least_peak, "1"),
     Metric("torque", lambda d: d.per_joint(d.statics.joint_torques), "N m"),
-    Metric(
-        "utilisation",
-        lambda d: d.per_joint(d.statics.motor_utilisation),
-        "1",
-    ),
-    Metric(
-        "friction_utilisation",
-        lambda d: max(d.statics.friction_utilisation.values()),
-        "1",
-        better="min",
-    ),
-    Metric(
-        "com_margin",
-        lambda d: d.stand.com_margin,
-        "m",
-        better="max",
-    ),
-    Metric(
-        "base_height",
-        lambda d: d.rest.base_height,
-        "m",
-    ),
-    Metric(
-        "sag",
-        lambda d: d.rest.height_loss,
-        "m",
-        better="min",
-    ),
-    Metric(
-        "servo_sag",
-        lambda d: d.rest.servo_sag,
-        "m",
-        better="min",
-    ),
+    Metric("utilisation", lambda d: d.per_joint(d.statics.motor_utilisation), "1"),
+    Metric("friction_utilisation", _friction_utilisation, "1", better="min"),
+    Metric("com_margin", lambda d: d.stand.com_margin, "m", better="max"),
+    Metric("base_height", lambda d: d.rest.base_height, "m"),
+    Metric("sag", lambda d: d.rest.height_loss, "m", better="min"),
+    Metric("servo_sag", lambda d: d.rest.servo_sag, "m", better="min"),
     Metric("contact_sag", lambda d: d.rest.contact_sag, "m"),
-    Metric(
-        "stiffness",
-        lambda d: d.equilibrium.stiffness,
-        "rad^2/s^2",
-        better="max",
-    ),
-    Metric(
-        "release_margin",
-        lambda d: d.equilibrium.release_margin,
-        "1",
-        better="max",
-    ),
-    Metric(
-        "rest_utilisation",
-        lambda d: d.utilisation_at_rest(),
-        "1",
-        better="min",
-    ),
+    Metric("stiffness", lambda d: d.equilibrium.stiffness, "rad^2/s^2", better="max"),
+    Metric("release_margin", lambda d: d.equilibrium.release_margin, "1", better="max"),
+    Metric("rest_utilisation", lambda d: d.utilisation_at_rest(), "1", better="min"),
     Metric("stands", _stands, "1", fallen=0.0),
-    Metric(
-        "minimum_stiffness",
-        lambda d: minimum_stiffness(d.robot, d.stand),
-        "N m/rad",
-        simulates=True,
-        better="min",
-    ),
-    *(
-        Metric(
-            f"{direction}_range",
-            lambda d, direction=direction: d.span(direction),  # type: ignore[misc]
-            unit,
-            simulates=True,
-        )
-        for direction, unit in (("height", "m"), ("roll", "rad"), ("pitch", "rad"), ("yaw", "rad"))
-    ),
-    Metric(
-        "verified",
-        lambda d: d.verdict.passed,
-        "1",
-        simulates=True,
-        fallen=0.0,
-    ),
-    Metric(
-        "simulated_height",
-        lambda d: d.simulated_rest.base_height,
-        "m",
-        simulates=True,
-    ),
+    Metric("minimum_stiffness", _minimum_stiffness, "N m/rad", simulates=True, better="min"),
+    Metric("height_range", lambda d: d.span("height"), "m", simulates=True),
+    Metric("roll_range", lambda d: d.span("roll"), "rad", simulates=True),
+    Metric("pitch_range", lambda d: d.span("pitch"), "rad", simulates=True),
+    Metric("yaw_range", lambda d: d.span("yaw"), "rad", simulates=True),
+    Metric("verified", lambda d: d.verdict.passed, "1", simulates=True, fallen=0.0),
+    Metric("simulated_height", lambda d: d.simulated_rest.base_height, "m", simulates=True),
 )
 
 

@@ -1,4 +1,4 @@
-"""The results of a study, to be shown: failures, fronts, shares, and how sure its stands are."""
+"""The results of a study, to be shown: failures, fronts, shares, maps."""
 
 from __future__ import annotations
 
@@ -33,93 +33,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Array = NDArray[np.float64]
-
-
-_Z = 1.959963984540054
-"""Of a 95 % confidence interval: the 97.5 % quantile of the normal distribution."""
-
-
-@dataclass(frozen=True)
-class Chance(Result):
-    """A probability, estimated from designs.
-
-    Attributes:
-        probability: The share of designs.
-        low: The least that it may be, with 95 % confidence.
-        high: The greatest.
-        designs: How many there are.
-    """
-
-    probability: float
-    low: float
-    high: float
-    designs: int
-
-
-def probability_interval(there: int, designs: int) -> Chance:
-    """Returns a probability and its confidence interval.
-
-    Source: Wilson, "Probable inference", 1927: good where the share is near to 0 or 1 too.
-
-    Args:
-        there: How many designs are as wanted.
-        designs: Of how many.
-    """
-    if designs < 1:
-        raise ConfigurationError("table", diagnose("table-without-designs"))
-    share, z = there / designs, _Z**2 / designs
-    middle = (share + z / 2) / (1 + z)
-    half = math.sqrt(share * (1 - share) * z + z**2 / 4) / (1 + z)
-    return Chance(share, max(0.0, middle - half), min(1.0, middle + half), designs)
-
-
-@dataclass(frozen=True)
-class Certainty(Result):
-    """How sure a stand is.
-
-    Attributes:
-        stands: That it stays up on its servos; a design that fails does not.
-        motors: {joint: that its motor is under its limit in the stand}.
-        all_motors: That all are.
-        both: That it stays up, and all motors are under their limits.
-    """
-
-    stands: Chance
-    motors: dict[str, Chance]
-    all_motors: Chance
-    both: Chance
-
-
-NEEDED = ("stands", "utilisation")
-"""Measures that ``certainty`` looks at."""
-
-
-def certainty(table: pd.DataFrame) -> Certainty:
-    """Tells from a study's table how sure its stands are.
-
-    Args:
-        table: Of a study with the metrics ``stands`` and ``utilisation``, and with samples.
-
-    Raises:
-        ConfigurationError: If a metric is missing, or there are no designs.
-    """
-    if not hasattr(table, "columns"):
-        raise ConfigurationError("table", diagnose("no-table", given=reprlib.repr(table)))
-    joints = [str(name) for name in table.columns if str(name).startswith("utilisation.")]
-    if "stands" not in table or not joints:
-        raise ConfigurationError("table", diagnose("table-lacks-metrics", needed=NEEDED))
-    count = len(table)
-    up = table["stands"].fillna(0.0).to_numpy(float) > 0
-    under = table[joints].to_numpy(float) < 1  # not of a design that has no stand
-    return Certainty(
-        stands=probability_interval(int(up.sum()), count),
-        motors={
-            name.partition(".")[2]: probability_interval(int(held.sum()), count)
-            for name, held in zip(joints, under.T, strict=True)
-        },
-        all_motors=probability_interval(int(under.all(axis=1).sum()), count),
-        both=probability_interval(int((up & under.all(axis=1)).sum()), count),
-    )
 
 
 SHARES = 8
@@ -194,8 +107,6 @@ class StudyOutcome(Result):
         objectives: {column: ``min`` or ``max``} of the front; empty if there is none.
         front: The designs that no other beats in these, of those that stay up where that was
             measured.
-        certainty: How sure the stand is, if the numbers are samples of distributions and the study
-            measures it.
     """
 
     robot: str
@@ -209,7 +120,6 @@ class StudyOutcome(Result):
     axes: tuple[str, ...]
     objectives: dict[str, str]
     front: pd.DataFrame
-    certainty: Certainty | None
 
 
 def study_outcome(
@@ -257,7 +167,6 @@ def study_outcome(
         axes=tuple(spread[:2]) if len(spread) > 1 else (),
         objectives=objectives,
         front=pareto_front(standing_designs(table), objectives) if objectives else table.iloc[:0],
-        certainty=_certainty(study, table),
     )
 
 
@@ -370,13 +279,6 @@ def _read_diagnostic(kept: object) -> Diagnostic | None:
 def _better(metrics: Sequence[str]) -> dict[str, str]:
     known = {n: METRICS[n].better for n in metrics if n in METRICS and METRICS[n].better}
     return dict(list(known.items())[:2]) if len(known) > 1 else {}
-
-
-def _certainty(study: Study, table: pd.DataFrame) -> Certainty | None:
-    """Returns how sure the stand is, where designs are samples of distributions."""
-    if study.sampling.samples is None or "stands" not in table:
-        return None
-    return certainty(table) if any(str(n).startswith("utilisation.") for n in table) else None
 
 
 def _named(source: Any) -> str:
@@ -533,24 +435,6 @@ class Panel:
         return ", ".join(one.rstrip() for one in finding)
 
 
-@dataclass(frozen=True, eq=False)
-class EndMap:
-    """What becomes of designs over two variables.
-
-    Attributes:
-        x: The cells along.
-        y: The cells upwards.
-        kinds: ``""`` for those of which all was measured, then kinds of failure, the most frequent
-            first.
-        counts: (kinds, ny, nx) designs.
-    """
-
-    x: Cells
-    y: Cells
-    kinds: tuple[str, ...]
-    counts: Array
-
-
 def mean_map(table: pd.DataFrame, x: str, y: str, metric: str) -> MeanMap:
     """Returns the mean of a metric over two variables.
 
@@ -599,22 +483,6 @@ def column_label(column: str) -> str:
     """Returns the name of a metric or of a number that varies, with its unit."""
     unit = unit_of(column)
     return f"{column} ({unit})" if unit else column
-
-
-def end_map(table: pd.DataFrame, x: str, y: str) -> EndMap:
-    """Returns what becomes of designs over two variables.
-
-    Raises:
-        ConfigurationError: If a column is not there, or the table is empty.
-    """
-    check_columns(table, x, y, "failure")
-    columns, rows = (Cells(table[name].to_numpy(float)) for name in (x, y))
-    reasons = table["failure"].fillna("").astype(str).to_numpy()
-    kinds = ("", *(str(kind) for kind in table["failure"].dropna().value_counts().index))
-    counts = np.zeros((len(kinds), len(rows.centres), len(columns.centres)))
-    kind_at = np.array([kinds.index(reason) for reason in reasons])
-    np.add.at(counts, (kind_at, rows.index, columns.index), 1.0)
-    return EndMap(columns, rows, kinds, counts)
 
 
 def value_span(low: float, high: float) -> float:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from glob import escape
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Vector, diagnose
@@ -173,8 +174,8 @@ def bodies_of(robot: Robot) -> dict[str, str]:
     }
 
 
-_MASS_TOLERANCE = 1e-9
-"""Relative: two models that were given the same factors agree to rounding."""
+_TOLERANCE = 1e-9
+"""Relative, and m: two models that were given the same numbers agree to rounding."""
 
 
 def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
@@ -227,9 +228,7 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
     masses = dict(wanted.get("mass", {}))
     for joint, factor in lengths.items():
         masses[joint] = masses.get(joint, 1.0) * factor
-    _check(robot, built, masses)
-    if offsets and not masses:  # which move the whole's, too
-        check_coms(robot, built, offsets)
+    _check(robot, built, masses, {} if lengths else offsets)  # which move coms, too
     return built
 
 
@@ -257,27 +256,58 @@ def _scale(tree: ModelTree, link: str, kind: str, joint: str, factor: float, rob
             raise ModelError(robot.description.mjcf_source, finding) from error
 
 
-def _check(before: Robot, after: Robot, factors: Mapping[str, float]) -> None:
-    """Checks that the masses of both models have become what was asked for."""
-    bodies = bodies_of(before)
-    for joint, factor in factors.items():
-        body = before.mj_model.body(bodies[joint] if joint else before.mj_base).id
-        number = before.pin_model.getJointId(joint) if joint else int(before.floating)
-        pairs = [
-            (_welded_mass(one.mj_model, body), float(one.pin_model.inertias[number].mass))
-            for one in (before, after)
-        ]
-        for old, new in zip(*pairs, strict=True):
-            if abs(new - factor * old) > _MASS_TOLERANCE * abs(factor * old) + 1e-15:
-                name = bodies.get(joint, before.mj_base)
+def _check(
+    before: Robot, after: Robot, masses: Mapping[str, float], offsets: Mapping[str, Array]
+) -> None:
+    """Checks that bodies weigh, in both models, what was asked for, and where.
+
+    Args:
+        before: The robot of before.
+        after: The changed one.
+        masses: {joint: factor on the mass of the body that it moves}; ``""``: the base.
+        offsets: {joint: (3,) of its centre of mass, in the axes of the URDF's link (m)}.
+
+    Raises:
+        ModelError: If not.
+    """
+    config, bodies = Configuration(before, before.neutral()), bodies_of(before)
+    links = UrdfTree.of(before.description.urdf).moved_links
+    for joint in {**masses, **offsets}:
+        body, link = bodies.get(joint, before.mj_base), links.get(joint, before.base)
+        factor = masses.get(joint, 1.0)
+        asked = config.frame_rotation(link) @ offsets.get(joint, np.zeros(3))
+        pairs = zip(_weights(before, joint, body), _weights(after, joint, body), strict=True)
+        for (old, old_com), (new, com) in pairs:
+            if abs(new - factor * old) > _TOLERANCE * abs(factor * old) + 1e-15:
                 problem = diagnose(
-                    "mass-became-another", body=name, new=new, old=old, factor=factor
+                    "mass-became-another", body=body, new=new, old=old, factor=factor
                 )
-                raise ModelError(before.description.mjcf_source, problem)
+            elif joint in offsets and np.abs(com - old_com - asked).max() > _TOLERANCE:
+                moved = Vector(tuple(com - old_com), "m")
+                problem = diagnose(
+                    "com-moved-otherwise", body=body, moved=moved, asked=Vector(tuple(asked), "m")
+                )
+            else:
+                continue
+            raise ModelError(before.description.mjcf_source, problem)
 
 
-def _welded_mass(model: mujoco.MjModel, body: int) -> float:
-    return float(model.body_mass[model.body_weldid == model.body_weldid[body]].sum())
+def _weights(robot: Robot, joint: str, body: str) -> Iterator[tuple[float, Array]]:
+    """Yields what a body weighs with all that is fixed to it (kg), and its com (m), by each engine.
+
+    The com is in the world, in the pose of zeros.
+    """
+    number = robot.pin_model.getJointId(joint) if joint else int(robot.floating)
+    own, data = robot.pin_model.inertias[number], robot.pin_model.createData()
+    pin.forwardKinematics(robot.pin_model, data, robot.pin_convention.q(robot.neutral()))
+    yield float(own.mass), data.oMi[number].act(own.lever)
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, robot.neutral())
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    welded = model.body_weldid == model.body_weldid[model.body(body).id]
+    mass = model.body_mass[welded]
+    yield float(mass.sum()), mass @ data.xipos[welded] / mass.sum()
 
 
 def with_friction(robot: Robot, friction: float) -> Robot:
@@ -373,10 +403,6 @@ def _weightless(geom: mujoco.MjsGeom) -> bool:
 # Bodies whose centres of mass are elsewhere, in a robot's URDF and its MJCF alike.
 
 
-_COM_TOLERANCE = 1e-9
-"""m: the centres of mass of both models have moved alike to rounding."""
-
-
 def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[str, Array]) -> None:
     """Moves centres of mass in both files, in place.
 
@@ -399,56 +425,3 @@ def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[s
             urdf.move_com(one, config.frame_rotation(one).T @ moved)
         for one in mjcf.fixed_group(mjcf.moved_by(joint) or robot.mj_base):
             mjcf.move_com(one, data.body(one).xmat.reshape(3, 3).T @ moved)
-
-
-def check_coms(before: Robot, after: Robot, offsets: Mapping[str, Array]) -> None:
-    """Checks that the whole's centre of mass has moved as asked, in both engines.
-
-    Args:
-        before: The robot of before.
-        after: That with the offsets, of the same masses.
-        offsets: As ``move_coms`` has them.
-
-    Raises:
-        ModelError: If not.
-    """
-    config = Configuration(before, before.neutral())
-    links = UrdfTree.of(before.description.urdf).moved_links
-    shares = {joint: _shares(after, joint) for joint in offsets}
-    both = zip(("URDF", "MJCF"), _centres(before), _centres(after), strict=True)
-    for at, (place, old, new) in enumerate(both):
-        asked = sum(
-            (shares[joint][at] * config.frame_rotation(links.get(joint, before.base)) @ offset
-             for joint, offset in offsets.items()), np.zeros(3),
-        )  # fmt: skip
-        if np.abs(new - old - asked).max() > _COM_TOLERANCE:
-            finding = diagnose(
-                "com-moved-otherwise",
-                file=place,
-                moved=Vector(tuple(new - old), "m"),
-                asked=Vector(tuple(asked), "m"),
-            )
-            raise ModelError(before.description.mjcf_source, finding)
-
-
-def _shares(robot: Robot, joint: str) -> tuple[float, float]:
-    """Returns the share of a body in the whole's mass, by either file: they may differ."""
-    pin_model, model = robot.pin_model, robot.mj_model
-    body = model.body(bodies_of(robot)[joint] if joint else robot.mj_base).id
-    welded = model.body_mass[model.body_weldid == model.body_weldid[body]].sum()
-    own = pin_model.inertias[pin_model.getJointId(joint) if joint else 1].mass
-    return (
-        float(own / sum(one.mass for one in pin_model.inertias)),
-        float(welded / model.body_subtreemass[model.body(robot.mj_base).id]),
-    )
-
-
-def _centres(robot: Robot) -> tuple[Array, Array]:
-    """Returns the whole's centre of mass by either model, in the pose of zeros (m)."""
-    data = mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, robot.neutral())
-    mujoco.mj_kinematics(robot.mj_model, data)
-    mujoco.mj_comPos(robot.mj_model, data)
-    base = robot.mj_model.body(robot.mj_base).id
-    own = Configuration(robot, robot.neutral()).center_of_mass()
-    return own, np.array(data.subtree_com[base])

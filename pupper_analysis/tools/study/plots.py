@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.present.document import Name, Plot, Text, Words, text, word
+from pupper_analysis.present.document import Name, Plot, Text, Words, text
 from pupper_analysis.present.html.plots import (
     BOTTOM,
     LEFT,
@@ -28,12 +28,10 @@ from pupper_analysis.present.html.plots import (
 )
 from pupper_analysis.tools.study.outcome import (
     Cells,
-    EndMap,
     MeanMap,
     Panel,
     check_columns,
     column_label,
-    end_map,
     mean_map,
     metrics_in,
     pareto_front,
@@ -67,25 +65,6 @@ class MeansPlot(Plot):
     y: str
     metric: str
     ends: tuple[float, float]
-    part: Words | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class EndsPlot(Plot):
-    """What most designs of each cell come to; paler where they come to different ends.
-
-    Attributes:
-        found: What becomes of the designs.
-        x: The variable along.
-        y: The variable upwards.
-        kinds: Of the whole study, whose colours are the same in all its maps.
-        part: As of a ``MeansPlot``.
-    """
-
-    found: EndMap
-    x: str
-    y: str
-    kinds: Sequence[str]
     part: Words | None = None
 
 
@@ -129,36 +108,22 @@ def study_plots(
     shown: dict[str, list[Plot]] = {}
     if axes:
         x, y = axes
-        shown["failures"] = [*end_plots(table, x, y, variables)]
         for metric in metrics[:MAPS]:
             shown[f"map_{metric}"] = [*mean_plots(table, x, y, metric, variables)]
     return shown
 
 
-def end_plots(table: pd.DataFrame, x: str, y: str, variables: Sequence[str] = ()) -> list[EndsPlot]:
-    """Returns what becomes of designs: a map, or one for each combination of other variables.
+def mean_plots(
+    table: pd.DataFrame, x: str, y: str, metric: str, variables: Sequence[str] = ()
+) -> list[MeansPlot]:
+    """Returns a metric's maps: one, or one for each combination of other variables.
 
     Args:
         table: Of a study.
         x: The variable along.
         y: The variable upwards.
+        metric: What is shown; all maps have the same colours.
         variables: What varies in it.
-
-    Raises:
-        ConfigurationError: If a column is not there, or the table is empty.
-    """
-    kinds = end_map(table, x, y).kinds
-    title = text("what-becomes-of-designs-over", x=Name(x), y=Name(y))
-    return [
-        EndsPlot(title, end_map(one.table, x, y), x, y, kinds, _part(one))
-        for one in split_panels(table, variables, x, y)
-    ]
-
-
-def mean_plots(
-    table: pd.DataFrame, x: str, y: str, metric: str, variables: Sequence[str] = ()
-) -> list[MeansPlot]:
-    """Returns a metric's maps, in the same colours; see ``end_plots``.
 
     Raises:
         ConfigurationError: If a column is not there, or the table is empty.
@@ -216,9 +181,6 @@ _VIRIDIS = ("#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e89", "#
             "#b5de2b", "#fde725")  # fmt: skip
 """Matplotlib's, which is even to the eye, in grey too, and to those who see few colours."""
 
-_OUTCOME_COLOURS = ("#009e73", "#d55e00", "#e69f00", "#7f7f7f", "#56b4e9", "#cc79a7", "#f0e442")
-"""Okabe and Ito's colours: measured, then kinds of failure, the most frequent first."""
-
 
 def colour_of_share(share: float) -> str:
     """Returns the colour of a share from 0 to 1."""
@@ -257,42 +219,7 @@ def _means(plot: MeansPlot) -> Drawing:
     return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks))
 
 
-@draw_svg.register
-def _ends(plot: EndsPlot) -> Drawing:
-    found, x, y, kinds = plot.found, plot.x, plot.y, plot.kinds
-    total, most = found.counts.sum(axis=0), found.counts.argmax(axis=0)
-    tones = [
-        _OUTCOME_COLOURS[0],
-        *(_OUTCOME_COLOURS[1 + i % (len(_OUTCOME_COLOURS) - 1)] for i in range(len(kinds) - 1)),
-    ]
-    shade = [tones[kinds.index(kind)] for kind in found.kinds]
-
-    def filled(row: int, column: int) -> tuple[str, float]:
-        if not total[row, column]:
-            return "", 1.0
-        kind = int(most[row, column])
-        share = float(found.counts[kind, row, column] / total[row, column])
-        return shade[kind], 0.25 + 0.75 * share
-
-    cells = _Grid(found.x, found.y)
-    marks = [*cells.cells(filled), *cells.axes(x, y)]
-    named = [text("all-measured") if not kind else word(kind) for kind in found.kinds]
-    for kind, name in enumerate(
-        named
-    ):  # where it is the most frequent: what it is, and of how many
-
-        def label(row: int, column: int, kind: int = kind) -> str:
-            return f"{found.counts[kind, row, column]:.0f} / {total[row, column]:.0f}"
-
-        chosen = (most == kind) & (total > 0)
-        if chosen.any():
-            marks.append(cells.labels(name, x, y, label, chosen))
-    counts = found.counts.sum(axis=(1, 2))
-    legend = tuple((name, shade[kind]) for kind, name in enumerate(named) if counts[kind])
-    return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks), legend)
-
-
-def _titled(plot: MeansPlot | EndsPlot) -> Words:
+def _titled(plot: MeansPlot) -> Words:
     """Returns a map's title, and of which designs it is."""
     return plot.title if plot.part is None else text("name-note", name=plot.title, note=plot.part)
 
@@ -384,13 +311,10 @@ class _Grid:
         x: str,
         y: str,
         label: Callable[[int, int], str],
-        chosen: NDArray[np.bool_] | None = None,
     ) -> Mark:
         """Returns what cells say when pointed at: an unseen line through their middles."""
         points, labels = [], []
         for row, column in np.ndindex(len(self.y.centres), len(self.x.centres)):
-            if chosen is not None and not chosen[row, column]:
-                continue
             middle = LEFT + (column + 0.5) * self.across
             points.append([round(middle, 1), round(TOP + self.tall - (row + 0.5) * self.up, 1)])
             at = f"{x} {self.x.centres[column]:.4g}, {y} {self.y.centres[row]:.4g}"

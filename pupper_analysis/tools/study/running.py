@@ -223,15 +223,6 @@ EXIT_LIMIT = 1
 """What ``faulthandler`` ends a process with; one that is killed has the signal, negative."""
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What a run needs of its study: pickled ``Work``, the variables, the time limit (s)."""
-
-    work: bytes
-    variables: tuple[str, ...]
-    limit: float | None
-
-
 @dataclass
 class Progress:
     """How far a run has come.
@@ -366,16 +357,25 @@ class Run:
     """One run of a study.
 
     Args:
-        settings: What the workers do.
+        work: A pickled ``Work``.
+        variables: The names of the numbers of a design.
+        limit: How long a design may take (s).
         store: Where results go.
         total: How many designs there are.
         tell: Called with the progress.
     """
 
     def __init__(
-        self, settings: Settings, store: Store, total: int, tell: Callable[[Progress], None]
+        self,
+        work: bytes,
+        variables: tuple[str, ...],
+        limit: float | None,
+        store: Store,
+        total: int,
+        tell: Callable[[Progress], None],
     ) -> None:
-        self.settings, self.store, self.tell = settings, store, tell
+        self.work, self.variables, self.limit = work, variables, limit
+        self.store, self.tell = store, tell
         self.progress = Progress(total)
         self._rows: list[Row] = []
         self._begun = self._written = time.monotonic()
@@ -422,7 +422,7 @@ class Run:
             self.progress.total -= int((~once & ~there).sum())
             new = np.flatnonzero(once & ~there)
             done = np.union1d(done, own)
-            rank = [index for index, name in enumerate(self.settings.variables)
+            rank = [index for index, name in enumerate(self.variables)
                     if not servo_number(name)]  # fmt: skip
             if len(new) and rank:
                 new = new[np.lexsort(numbers[new][:, rank[::-1]].T)]
@@ -436,7 +436,7 @@ class Run:
                 part = slice(start, start + self._size())
                 start = part.stop
                 rows = tuple(map(tuple, numbers[part].tolist()))
-                yield Chunk(self.settings.work, tuple(names[part]), rows)
+                yield Chunk(self.work, tuple(names[part]), rows)
 
     def _size(self) -> int:
         """Returns how many designs make a chunk of about ``TASK`` seconds."""
@@ -511,13 +511,13 @@ class Run:
             self._suspects.extend(_singly(chunk))
             return
         self._tries[name] += 1
-        limit = self.settings.limit
+        limit = self.limit
         # Of a given executor it is not known how long the worker had been at it, nor how it ended.
         slow = limit is not None and seconds >= limit and crew.gave_up()
         if self._tries[name] < TRIES and not slow:
             self._suspects.append(chunk)
             return
-        values = dict(zip(self.settings.variables, chunk.numbers[0], strict=True))
+        values = dict(zip(self.variables, chunk.numbers[0], strict=True))
         if slow:
             failed = failure_columns("timed out", diagnose("design-took-longer", limit=limit))
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import os
 import threading
@@ -215,22 +216,8 @@ _held: set[str] = set()
 def _lock(handle: int) -> bool:
     """Locks a file for this process; the system lets go of it when the process ends."""
     try:
-        import fcntl
-    except ImportError:
-        return _lock_on_windows(handle)
-    try:
         # Not flock: forked workers would inherit it, and hold it when the parent has died.
         fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
-
-
-def _lock_on_windows(handle: int) -> bool:
-    import msvcrt
-
-    try:
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
     except OSError:
         return False
     return True

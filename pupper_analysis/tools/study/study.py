@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import pickle
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,12 +58,11 @@ from pupper_analysis.tools.study.running import (
     Chunk,
     Progress,
     Run,
-    Settings,
     Work,
     measure_designs,
 )
 from pupper_analysis.tools.study.store import Store, design_keys, require_library
-from pupper_analysis.tools.study.variables import BLOCK, Sampling, make_variable
+from pupper_analysis.tools.study.variables import Sampling, make_variable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -142,7 +141,6 @@ class Study:
         self.metrics = tuple(metric_of(one) for one in measure)
         self.left_out: tuple[str, ...] = ()
         self._given = tuple(measure)
-        self._points: Array | None = None
         frame, point = split_place(payload_point)
         self.point = (*filter(None, (frame,)), *check_point(point).tolist())
         find_place(self.base, self.point)
@@ -161,9 +159,7 @@ class Study:
         """Returns the source of the same robots with all that is only looked at."""
         if isinstance(self.source, FileSource):
             return FileSource(self.source.files, self.source.files.load())
-        if isinstance(self.source, Variants):
-            return Variants(self.source.spec, whole=True)
-        return self.source
+        return Variants(self.source.spec, whole=True)
 
     @property
     def spreads(self) -> dict[str, dict[str, Any]]:
@@ -200,9 +196,7 @@ class Study:
         parts = {
             "robot": digest_of(self.base.description),
             "source": repr(self.source.asked()) if self.source.scales else "",
-            "stand": {
-                field.name: repr(getattr(self.task, field.name)) for field in fields(self.task)
-            },
+            "stand": {one.name: repr(getattr(self.task, one.name)) for one in fields(self.task)},
             "point": self.point,
             "measures": sorted(metric_fingerprint(one) for one in self.metrics),
             "revision": REVISION,
@@ -212,21 +206,11 @@ class Study:
         return hashlib.sha256(data).hexdigest()
 
     def __len__(self) -> int:
-        return len(self.sampling) if self._points is None else len(self._points)
-
-    def at(self, points: Array) -> Study:
-        """Returns the same study with other designs: points (n, variables)."""
-        other = copy.copy(self)
-        other._points = points
-        return other
+        return len(self.sampling)
 
     def designs(self) -> Iterator[tuple[list[str], Array]]:
         """Yields designs block by block: their hashes, and their numbers (n, variables)."""
-        blocks = self.sampling.blocks()
-        if self._points is not None:
-            count = -(-len(self._points) // BLOCK)
-            blocks = iter(np.array_split(self._points, count)) if count else iter(())
-        for block in blocks:
+        for block in self.sampling.blocks():
             yield names_of(self.digest, tuple(self.variables), block), block
 
     def work(self) -> bytes:
@@ -373,11 +357,10 @@ class Study:
         require_library("pyarrow")
         store = Store(Path(folder))
         with store.locked():
-            store.write_asked(
-                {"study": self.asked(), "digest": self.digest, "versions": list_versions()}
-            )
-            settings = Settings(self.work(), tuple(self.variables), self.time_limit)
-            run = Run(settings, store, len(self), progress or (lambda _: None))
+            asked = {"study": self.asked(), "digest": self.digest, "versions": list_versions()}
+            store.write_asked(asked)
+            tell, variables = progress or (lambda _: None), tuple(self.variables)
+            run = Run(self.work(), variables, self.time_limit, store, len(self), tell)
             return run.all(self.designs(), executor, workers)
 
     def table(self, folder: str | Path) -> pd.DataFrame:
@@ -387,12 +370,7 @@ class Study:
             StudyError: If it is no study's folder, or damaged.
         """
         require_library("pandas")
-        store = Store(Path(folder))
-        order: dict[str, int] = {}
-        for names, _ in self.designs():
-            for name in names:
-                order.setdefault(name, len(order))
-        return order_rows(store.table(), order)
+        return order_rows(Store(Path(folder)).table(), (names for names, _ in self.designs()))
 
 
 def _beside(path: Path, word: str) -> str:
@@ -415,8 +393,9 @@ def names_of(digest: str, variables: Sequence[str], block: Array) -> list[str]:
     return [hashlib.sha256(head + row.tobytes()).hexdigest()[:32] for row in rows]
 
 
-def order_rows(frame: pd.DataFrame, order: Mapping[str, int]) -> pd.DataFrame:
-    """Returns the rows of designs, {hash: place}, in their order; empty columns are left out."""
+def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame:
+    """Returns the rows of designs, by their hashes, in their order; empty columns are left out."""
+    order = {name: place for place, name in enumerate(dict.fromkeys(chain.from_iterable(blocks)))}
     kept = frame[frame["design"].isin(order.keys())]
     placed = kept.assign(_at=kept["design"].map(order)).sort_values("_at").drop(columns="_at")
     ends = [name for name in ENDS if name in placed]
@@ -458,11 +437,8 @@ def read_study(folder: str | Path, *, everything: bool = False) -> pd.DataFrame:
         if isinstance(error, KeyError):
             what = diagnose("key-missing", key=str(error))
         raise StudyError(folder, diagnose("study-does-not-say", what=what)) from error
-    order: dict[str, int] = {}
-    for block in sampling.blocks():
-        for name in names_of(digest, tuple(variables), block):
-            order.setdefault(name, len(order))
-    return order_rows(store.table(), order)
+    blocks = (names_of(digest, tuple(variables), block) for block in sampling.blocks())
+    return order_rows(store.table(), blocks)
 
 
 # How many designs a study has, and about how long it takes: some are timed.

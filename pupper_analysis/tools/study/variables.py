@@ -80,67 +80,50 @@ class Linspace(Values):
         return {"linspace": [self.numbers[0], self.numbers[-1], len(self.numbers)]}
 
 
-@dataclass(frozen=True)
-class Uniform(Variable):
-    """A uniform distribution between two values."""
-
-    low: float
-    high: float
-
-    @property
-    def range(self) -> tuple[float, float]:
-        """The least and the greatest value."""
-        return self.low, self.high
-
-    def at(self, shares: Array) -> Array:
-        """Returns the quantiles (n,) of shares (n,)."""
-        return self.low + (self.high - self.low) * shares
-
-    def asked(self) -> dict[str, Any]:
-        """Returns it as a study's file has it."""
-        return {"uniform": [self.low, self.high]}
-
-
-@dataclass(frozen=True)
-class LogUniform(Uniform):
-    """A distribution whose logarithm is uniform: as likely within each factor of two."""
-
-    def at(self, shares: Array) -> Array:
-        """Returns the quantiles (n,) of shares (n,)."""
-        spread: Array = self.low * (self.high / self.low) ** shares
-        return spread
-
-    def asked(self) -> dict[str, Any]:
-        """Returns it as a study's file has it."""
-        return {"log_uniform": [self.low, self.high]}
-
-
 _TAIL = 2.0**-33
 """Half of the finest step of Sobol's sequence: shares nearer to 0 or 1 would be infinitely far."""
 
 
-@dataclass(frozen=True)
-class Normal(Variable):
-    """A normal distribution."""
+def _normal(mean: float, deviation: float, shares: Array) -> Array:
+    from scipy.special import ndtri
 
-    mean: float
-    deviation: float
+    spread: Array = mean + deviation * ndtri(np.clip(shares, _TAIL, 1 - _TAIL))
+    return spread
+
+
+_QUANTILES: Mapping[str, Callable[[float, float, Array], Array]] = {
+    "uniform": lambda low, high, shares: low + (high - low) * shares,
+    "log_uniform": lambda low, high, shares: low * (high / low) ** shares,
+    "normal": _normal,
+}
+"""{kind of a distribution: its inverse}; a log-uniform one is as likely within each factor of 2."""
+
+
+@dataclass(frozen=True)
+class Distribution(Variable):
+    """A distribution of two numbers.
+
+    Attributes:
+        kind: ``uniform`` or ``log_uniform``, of the least and the greatest value; ``normal``, of
+            the mean and the standard deviation.
+        numbers: These.
+    """
+
+    kind: str
+    numbers: tuple[float, float]
 
     @property
     def range(self) -> tuple[float, float]:
-        """It has no bounds."""
-        return -math.inf, math.inf
+        """The least and the greatest value; infinite where there is none."""
+        return (-math.inf, math.inf) if self.kind == "normal" else self.numbers
 
     def at(self, shares: Array) -> Array:
         """Returns the quantiles (n,) of shares (n,)."""
-        from scipy.special import ndtri
-
-        spread: Array = self.mean + self.deviation * ndtri(np.clip(shares, _TAIL, 1 - _TAIL))
-        return spread
+        return _QUANTILES[self.kind](*self.numbers, shares)
 
     def asked(self) -> dict[str, Any]:
         """Returns it as a study's file has it."""
-        return {"normal": [self.mean, self.deviation]}
+        return {self.kind: list(self.numbers)}
 
 
 MOST_LEVELS = 1_000_000
@@ -184,16 +167,16 @@ def values(numbers: Sequence[float]) -> Values:
     return Values(listed)
 
 
-def uniform(low: float, high: float) -> Uniform:
+def uniform(low: float, high: float) -> Distribution:
     """Makes a uniform distribution.
 
     Raises:
         ConfigurationError: If its range is empty.
     """
-    return Uniform(*_ordered("uniform", low, high))
+    return Distribution("uniform", _ordered("uniform", low, high))
 
 
-def log_uniform(low: float, high: float) -> LogUniform:
+def log_uniform(low: float, high: float) -> Distribution:
     """Makes a distribution whose logarithm is uniform.
 
     Raises:
@@ -202,10 +185,10 @@ def log_uniform(low: float, high: float) -> LogUniform:
     first, last = _ordered("log_uniform", low, high)
     if first <= 0:
         raise ConfigurationError("log_uniform", diagnose("logarithm-of-negative", low=first))
-    return LogUniform(first, last)
+    return Distribution("log_uniform", (first, last))
 
 
-def normal(mean: float, deviation: float) -> Normal:
+def normal(mean: float, deviation: float) -> Distribution:
     """Makes a normal distribution of a mean and a standard deviation.
 
     Raises:
@@ -214,7 +197,7 @@ def normal(mean: float, deviation: float) -> Normal:
     spread = check_finite("normal", deviation)
     if spread <= 0:
         raise ConfigurationError("normal", diagnose("deviation-not-positive", deviation=spread))
-    return Normal(check_finite("normal", mean), spread)
+    return Distribution("normal", (check_finite("normal", mean), spread))
 
 
 KINDS: Mapping[str, Callable[..., Variable]] = {

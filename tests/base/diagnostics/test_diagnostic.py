@@ -286,7 +286,7 @@ def test_what_is_recorded_can_be_said_again_in_any_language() -> None:
     )
     one = diagnose(
         "com-moved-otherwise",
-        file="URDF",
+        body="base",
         moved=Vector((0.0, 1.5, 0.0), "m"),
         asked=Vector((0.0, 0.0, 0.0), "m"),
     )

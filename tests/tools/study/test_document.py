@@ -18,9 +18,7 @@ from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.study.document import study_document
 from pupper_analysis.tools.study.outcome import (
     Cells,
-    Certainty,
     main_effects,
-    probability_interval,
 )
 from pupper_analysis.tools.study.plots import colour_of_share
 from tests.present.test_html import EVIL, written
@@ -42,17 +40,6 @@ def outcome() -> pa.study.StudyOutcome:
         return pa.study.study_outcome(study, folder)
 
 
-def full() -> pa.study.StudyOutcome:
-    """The same with all that can be there, of distinct numbers."""
-    sure = Certainty(
-        probability_interval(90, 100),
-        {"knee": probability_interval(80, 100)},
-        probability_interval(70, 100),
-        probability_interval(60, 100),
-    )
-    return replace(outcome(), certainty=sure)
-
-
 # What came of it
 
 
@@ -72,7 +59,6 @@ def test_the_report_counts_what_the_table_has() -> None:
     assert (sag.unit, "servos" in sag.meaning) == ("m", True)
     assert found.axes == ("leg_scale", "height")  # of most values, in the study's order
     assert found.robot == "v3"
-    assert found.certainty is None  # no samples of distributions: no probabilities
 
 
 def test_the_front_is_of_what_stands_in_what_is_better() -> None:
@@ -187,17 +173,12 @@ def test_the_page_has_the_table_s_numbers() -> None:
     )
 
 
-def test_shares_and_certainties_are_in_their_columns() -> None:
-    tables = Page(written(full(), robots=False)).tables()
+def test_shares_are_in_their_columns() -> None:
+    tables = Page(written(outcome(), robots=False)).tables()
     shares = next(rows for title, rows in tables.items() if title.startswith("Sensitivity"))
     row = next(r for r in shares if r["metric"] == "servo_sag" and r["parameter"] == "kp")
-    (sag,) = [one for one in full().measured if one.metric == "servo_sag"]
+    (sag,) = [one for one in outcome().measured if one.metric == "servo_sag"]
     assert row["alone (–)"].startswith(f"{sag.alone['kp']:.1%}")
-    sure = {row["what"]: row for row in tables["Probability that it stands"]}
-    assert sure["It stays upright on its servos"]["probability (–)"] == "90.00%"
-    assert sure["knee"]["probability (–)"] == "80.00%"
-    assert sure["All motors are under their limits"]["probability (–)"] == "70.00%"
-    assert sure["Both"]["at least (95 %) (–)"] == "50.20%"  # Wilson's, of 60 of 100
 
 
 def drawing(page: Page, title: str) -> object:
@@ -224,16 +205,6 @@ def test_maps_are_coloured_by_their_means_and_tell_them() -> None:
     labels = line.get("data-labels").split("|")
     assert labels[0] == f"leg_scale 0.8, height 0.12: {means[0]:.4g}"
     assert labels[8] == "leg_scale 1.2, height 0.5: -"
-
-
-def test_what_becomes_of_designs_is_drawn_by_kind() -> None:
-    svg = drawing(Page(written(outcome(), robots=False)), "Outcome of designs")
-    lines = {one.get("data-en"): one for one in svg.iter("polyline")}
-    assert set(lines) == {"all measured", "unreachable"}
-    assert lines["unreachable"].get("data-labels").split("|")[0] == (
-        "leg_scale 0.8, height 0.5: 1 / 1"
-    )
-    assert lines["unreachable"].get("data-zh") == "够不到"
 
 
 def test_no_mean_leaves_out_what_does_not_stand_in_silence() -> None:
@@ -273,7 +244,7 @@ def test_of_many_designs_the_first_are_listed() -> None:
 
 
 def test_the_page_is_in_both_languages() -> None:
-    root = Page(written(full(), robots=False)).root.find("body")
+    root = Page(written(outcome(), robots=False)).root.find("body")
     for element in [e for e in root.iter() if (e.get("class") or "") in ("name", "said")]:
         element.clear(keep_tail=True)
     root.find(".//button[@id='language']").text = ""
@@ -284,7 +255,7 @@ def test_the_page_is_in_both_languages() -> None:
 
 
 def test_no_name_of_a_study_becomes_markup() -> None:
-    found = full()
+    found = outcome()
     names = {"leg_scale": EVIL[0], "kp": EVIL[1], "servo_sag": EVIL[2]}
     evil = replace(
         found,

@@ -1,4 +1,4 @@
-"""What is made of a study's table: fronts, figures, sensitivities, certainty."""
+"""What is made of a study's table: fronts, figures, sensitivities."""
 
 from __future__ import annotations
 
@@ -22,15 +22,13 @@ from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.fit.write import write_randomisation
 from pupper_analysis.tools.study.outcome import (
     Cells,
-    certainty,
     main_effects,
     mean_map,
     pareto_front,
-    probability_interval,
     split_panels,
     study_outcome,
 )
-from pupper_analysis.tools.study.plots import draw_study, end_plots, mean_plots
+from pupper_analysis.tools.study.plots import draw_study, mean_plots
 
 
 @pytest.fixture(scope="module")
@@ -117,9 +115,9 @@ def test_cells_lie_about_their_middles() -> None:
 
 
 def test_maps_have_their_cells_where_they_are(table: pd.DataFrame, tmp_path: Path) -> None:
-    """Viridis: dark blue is little, yellow is much; grey is not known; ends are green and red."""
+    """Viridis: dark blue is little, yellow is much; grey is not known."""
     drawn = draw_study(table, ("x", "y"), tmp_path, {"x": "max", "m": "min"})
-    names = ["failures.png", "map_m.png", "front.png"]
+    names = ["map_m.png", "front.png"]
     assert [path.name for path in drawn] == names
     for path in drawn:
         assert np.ptp(imread(path)[..., :3], axis=(0, 1)).min() > 0.5
@@ -128,9 +126,6 @@ def test_maps_have_their_cells_where_they_are(table: pd.DataFrame, tmp_path: Pat
     assert much[0] > much[2] + 0.3
     unknown = colours(tmp_path / "map_m.png", (0.3, 0.8))
     assert unknown == pytest.approx((0.93, 0.93, 0.93), abs=0.01)
-    good, bad = (colours(tmp_path / "failures.png", (0.3, at)) for at in (0.45, 0.8))
-    assert good[1] > good[0] + 0.3  # green
-    assert bad[0] > bad[1] + 0.3  # red
 
 
 def test_a_panel_for_each_value_of_another_variable_and_crossed_means_of_more(
@@ -159,7 +154,7 @@ def test_a_panel_for_each_value_of_another_variable_and_crossed_means_of_more(
     with pytest.raises(pa.ConfigurationError, match="no 'z'; there are x, y, m"):
         mean_plots(table, "x", "z", "m")
     with pytest.raises(pa.ConfigurationError, match="it is empty"):
-        end_plots(table.iloc[:0], "x", "y")
+        mean_plots(table.iloc[:0], "x", "y", "m")
 
 
 def test_the_outcome_of_one_file_says_so(tmp_path: Path, thread: Executor) -> None:
@@ -172,34 +167,6 @@ def test_the_outcome_of_one_file_says_so(tmp_path: Path, thread: Executor) -> No
     outcome = study_outcome(study, tmp_path)
     assert (outcome.robot, outcome.converted) == ("pupper_v3.xml", "urdf")
     assert "from one file" in write_markdown(build_report([("", outcome)], (), ()))
-
-
-# ----------------------------------------------------------------------------- certainty
-
-
-@pytest.mark.parametrize(("there", "designs"), [(0, 20), (19, 20), (20, 20), (990, 1000)])
-def test_confidence_is_wilsons(there: int, designs: int) -> None:
-    found = probability_interval(there, designs)
-    known = stats.binomtest(there, designs).proportion_ci(0.95, "wilson")
-    assert (found.low, found.high) == pytest.approx((known.low, known.high), abs=1e-12)
-    assert found.probability == there / designs
-
-
-def test_certainty_counts_what_fails() -> None:
-    table = pd.DataFrame(
-        {
-            "stands": [1.0, 1.0, 0.0, np.nan],
-            "utilisation.a": [0.5, 1.2, 0.5, np.nan],
-            "utilisation.b": [0.5, 0.5, 0.9, np.nan],
-        }
-    )
-    found = certainty(table)
-    assert found.stands.probability == 0.5
-    assert {name: one.probability for name, one in found.motors.items()} == {"a": 0.5, "b": 0.75}
-    assert found.all_motors.probability == 0.5
-    assert found.both.probability == 0.25
-    with pytest.raises(pa.ConfigurationError, match="lacks some of stands, utilisation"):
-        certainty(table[["stands"]])
 
 
 def test_randomisation_as_yaml(tmp_path: Path) -> None:
