@@ -2,17 +2,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import click
 import pytest
 
 from pupper_analysis import Ground, StandTask
-from pupper_analysis.cli.shared import parse_place
-from pupper_analysis.cli.stance_fields import task_of
 from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
-from pupper_analysis.tools.live.export import write_stance_file
-from pupper_analysis.tools.live.state import State
 from tests.support.commands import check_refusal
 
 
@@ -58,32 +53,6 @@ def test_what_is_typed_goes_first(tmp_path: Path) -> None:
     ):
         assert asked(*arguments).task() == StandTask(height=0.11, roll=0.2)
     assert asked().task() == StandTask()
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"height": 120.0, "roll": 5.0, "swing": {"FL": 20.0}},
-        {"place": "inside", "heights": {"RR": 4.0}, "slope": 3.0, "uphill": 90.0},
-        {"place": "offset", "offset": (4.0, -3.0), "payload": 1.5, "payload_at": (0.0, 0.0, 80.0)},
-        {"kp": 20.0, "kd": 0.5},
-        {
-            "posture": {"*elbow*": -0.5, "neck": 0.0},
-            "payload": 1.0,
-            "payload_at": ("hand", 0, 0, 5),
-        },
-    ],
-)
-def test_the_pages_file_is_the_pages_stance(tmp_path: Path, values: dict[str, Any]) -> None:
-    state, file = State(**values), tmp_path / "page.toml"
-    file.write_text(write_stance_file(state))
-    found = asked("--stance", str(file))
-    assert task_of(found.stance) == state.task()
-    assert found.payload == state.payload
-    if state.payload:
-        assert parse_place("payload-at", found.payload_at or "") == state.payload_point()
-    gains = [(), ()] if state.kp is None else [("20.0",), ("0.5",)]
-    assert [found.kp, found.kd] == gains
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ none, is seen; so are metres shown as millimetres and columns that are swapped.
 from __future__ import annotations
 
 import math
+from importlib import import_module
 from types import SimpleNamespace as Stub
 from typing import Any
 
@@ -21,14 +22,11 @@ from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.analyze import comparison
-from pupper_analysis.tools.analyze.document import analysis_document
-from pupper_analysis.tools.best.document import best_document
-from pupper_analysis.tools.best.search import Objective
-from pupper_analysis.tools.path.document import path_document
-from pupper_analysis.tools.payload.document import payload_document
-from pupper_analysis.tools.push.document import compare_pushes, push_document
-from pupper_analysis.tools.stand.document import stance_document
+
+
+def tool(module: str) -> Any:
+    """A module of a tool: who shows something else can do without it."""
+    return import_module(f"pupper_analysis.tools.{module}")
 
 
 def problem(words: str) -> Diagnostic:
@@ -225,7 +223,7 @@ def row(name: str, shift: float, **changes: Any) -> Any:
         "cross_check": 1.5e-13,
         "verified": True,
     }
-    return comparison.ComparisonRow(**{**fields, **changes})
+    return tool("analyze.comparison").ComparisonRow(**{**fields, **changes})
 
 
 def pushes(shift: float) -> Stub:
@@ -353,7 +351,7 @@ def there(**changes: Any) -> Any:
 def best() -> Any:
     """The best stance of a search."""
     found = Stub(
-        objective=Objective.MARGIN,
+        objective=tool("best.search").Objective.MARGIN,
         payload=None,
         value=0.0456,
         nominal_value=0.0345,
@@ -459,6 +457,7 @@ def _variants() -> Report:
     )
     third = row("three", 0.02, stands_without=False)
     spec = Stub(name="mine", base="v3", leg_scale=1.21, torso_mass_scale=2.31)
+    comparison = tool("analyze.comparison")
     listed = comparison.variants_table([(spec, Stub(total_mass=3.4567, stand_height=0.14159))])
     compared = comparison.comparison_table([row("one", 0.0), other, third])
     return _alone(Document(Name("Variants"), Name("variants"), (compared, listed)))
@@ -466,7 +465,10 @@ def _variants() -> Report:
 
 def _pushes() -> Report:
     both = [pushed("one", 0.0, 0.00311), pushed("two", 0.1, 0.0)]
-    return Report(text("report"), tuple(map(push_document, both)), compare_pushes(both[0], both))
+    push = tool("push.document")
+    return Report(
+        text("report"), tuple(map(push.push_document, both)), push.compare_pushes(both[0], both)
+    )
 
 
 def _alone(document: Document) -> Report:
@@ -474,14 +476,14 @@ def _alone(document: Document) -> Report:
 
 
 REPORTS = {
-    "analysis": lambda: _alone(analysis_document(ANALYSIS)),
+    "analysis": lambda: _alone(tool("analyze.document").analysis_document(ANALYSIS)),
     "variants": _variants,
     "pushes": _pushes,
-    "stance": lambda: _alone(stance_document(stance())),
-    "payload": lambda: _alone(payload_document(loaded("hip"))),
-    "best": lambda: _alone(best_document(best())),
+    "stance": lambda: _alone(tool("stand.document").stance_document(stance())),
+    "payload": lambda: _alone(tool("payload.document").payload_document(loaded("hip"))),
+    "best": lambda: _alone(tool("best.document").best_document(best())),
     "workspace": lambda: _alone(workspace_document(workspace())),
-    "path": lambda: _alone(path_document(there())),
+    "path": lambda: _alone(tool("path.document").path_document(there())),
     "files": lambda: _alone(comparison_document(files())),
 }
 """{golden document: what makes its report}."""

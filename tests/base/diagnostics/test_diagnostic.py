@@ -23,7 +23,6 @@ from pupper_analysis.base.diagnostics import (
     Severity,
     Source,
     Term,
-    Vector,
     codes,
     diagnose,
     entry,
@@ -35,7 +34,6 @@ from pupper_analysis.base.diagnostics.catalogue import word_files
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import to_json
-from pupper_analysis.tools.study.design import from_record, to_record
 from tests.support.rooms import PACKAGE, trees
 
 WORDS = {
@@ -278,22 +276,6 @@ def test_a_diagnostic_survives_pickling_and_can_be_compared() -> None:
     assert other != message()
     with pytest.raises(TypeError, match="cannot be changed"):
         message().values["gap"] = 3  # type: ignore[index]
-
-
-def test_what_is_recorded_can_be_said_again_in_any_language() -> None:
-    within = diagnose(
-        "name-unknown", kind=Term("joint"), unknown="joint", known=("a", "term: joint")
-    )
-    one = diagnose(
-        "com-moved-otherwise",
-        body="base",
-        moved=Vector((0.0, 1.5, 0.0), "m"),
-        asked=Vector((0.0, 0.0, 0.0), "m"),
-    )
-    for kept in (message(), within, one, diagnose("argument-not-valid", field="f", problem=within)):
-        again = from_record(json.loads(json.dumps(to_record(kept))))
-        assert again == kept
-        assert (again.text("en"), again.text("zh")) == (kept.text("en"), kept.text("zh"))
 
 
 def test_in_json_it_has_its_code_values_units_sources_and_words() -> None:

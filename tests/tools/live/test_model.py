@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
+from pupper_analysis.present.scene import Contact
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.live import export, render
 from pupper_analysis.tools.live.command import read_stance
@@ -44,6 +45,7 @@ from pupper_analysis.tools.live.scene import (
     SCALE,
     UNLIMITED,
     colour_of,
+    force_arrows,
     mesh_of_primitive,
     parts_of,
     to_css,
@@ -549,3 +551,36 @@ def test_bad_input_is_refused_in_a_line(arguments: list[str], tmp_path: Path) ->
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_arrows_begin_on_the_ground_and_point_as_forces_do() -> None:
+    point, force = np.array([0.1, 0.2, 0.0]), np.array([1.0, -2.0, 8.0])
+    ((begin, end),) = force_arrows(load("v3"), [Contact("FL", point, force)])
+    np.testing.assert_array_equal(begin, point)
+    along = end - begin
+    np.testing.assert_allclose(np.cross(along, force), 0.0, atol=1e-15)
+    assert along @ force > 0
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"height": 120.0, "roll": 5.0, "swing": {"FL": 20.0}},
+        {"place": "inside", "heights": {"RR": 4.0}, "slope": 3.0, "uphill": 90.0},
+        {"place": "offset", "offset": (4.0, -3.0), "payload": 1.5, "payload_at": (0.0, 0.0, 80.0)},
+        {"kp": 20.0, "kd": 0.5},
+        {
+            "posture": {"*elbow*": -0.5, "neck": 0.0},
+            "payload": 1.0,
+            "payload_at": ("hand", 0, 0, 5),
+        },
+    ],
+)
+def test_the_pages_file_is_the_pages_stance(tmp_path: Path, values: dict[str, Any]) -> None:
+    state, file = State(**values), tmp_path / "page.toml"
+    file.write_text(export.write_stance_file(state))
+    begun = read_stance(str(file))
+    assert begun.task() == state.task()
+    assert begun.payload == state.payload
+    assert not state.payload or begun.payload_point() == state.payload_point()
+    assert (begun.kp, begun.kd) == (state.kp, state.kd)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
@@ -14,12 +15,14 @@ from matplotlib.image import imread
 from scipy import stats
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Phrase, Quantity, Source, Term, Vector, diagnose
 from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.figures import style
 from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.fit.write import write_randomisation
+from pupper_analysis.tools.study.design import from_record, to_record
 from pupper_analysis.tools.study.outcome import (
     Cells,
     main_effects,
@@ -194,3 +197,27 @@ def test_randomisation_as_yaml(tmp_path: Path) -> None:
         {"name": "payload", "operation": "absolute", "distribution": "linspace", "low": 0.0,
          "high": 1.0, "count": 3.0},
     ]  # fmt: skip
+
+
+def test_what_is_recorded_can_be_said_again_in_any_language() -> None:
+    missed = diagnose(
+        "foot-misses-target",
+        subject=("foot", "FL"),
+        gap=Quantity(0.002, "m"),
+        sources=Source("a.urdf", 7, "joint/limit", "effort"),
+    )
+    within = diagnose(
+        "name-unknown", kind=Term("joint"), unknown="joint", known=("a", "term: joint")
+    )
+    one = diagnose(
+        "com-moved-otherwise",
+        body="base",
+        moved=Vector((0.0, 1.5, 0.0), "m"),
+        asked=Vector((0.0, 0.0, 0.0), "m"),
+    )
+    said = diagnose("problem", problem=Phrase("height 1 m", "高度 1 m"))
+    whole = diagnose("argument-not-valid", field="f", problem=within)
+    for kept in (missed, within, one, said, whole):
+        again = from_record(json.loads(json.dumps(to_record(kept))))
+        assert again == kept
+        assert (again.text("en"), again.text("zh")) == (kept.text("en"), kept.text("zh"))
