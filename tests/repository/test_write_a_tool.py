@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
@@ -27,9 +28,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     package = folder / "inertia_tool"
     package.mkdir()
-    for name in ("__init__.py", "document.py", "command.py", "words.toml"):
-        (package / name).write_text(PARTS[name], encoding="utf-8")
-    project = tomllib.loads(PARTS["pyproject.toml"])["project"]
+    stated = tomllib.loads(PARTS["pyproject.toml"])
+    data = stated["tool"]["setuptools"]["package-data"]["inertia_tool"]
+    for name in PARTS.keys() - {"pyproject.toml"}:
+        if any(fnmatchcase(name, one) for one in ("*.py", *data)):
+            (package / name).write_text(PARTS[name], encoding="utf-8")
+    project = stated["project"]
     about = folder / "inertia_tool-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text(
