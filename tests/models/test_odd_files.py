@@ -26,7 +26,6 @@ from tests.support.robots import (
 )
 
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
-INCLUDED = '<mujocoinclude><option timestep="0.003"/></mujocoinclude>'
 POINTER = (
     "version https://git-lfs.github.com/spec/v1\n"
     "oid sha256:4665a5ea423c2713d436b5ee50593a9640e0018c1550b5a0002f74190d6caea8\nsize 12345\n"

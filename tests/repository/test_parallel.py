@@ -27,7 +27,6 @@ from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.tiny import Files
 from tests.support.variants import load, stand_of
 
-METHODS = multiprocessing.get_all_start_methods()
 REBUILT = 1e-14  # of the largest number of its kind
 HEIGHTS = np.linspace(0.10, 0.14, 20)
 

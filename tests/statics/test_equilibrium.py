@@ -299,24 +299,6 @@ def test_a_motor_without_strength_does_not_count_for_the_peak() -> None:
     assert result.motor_utilisation[1:].max() <= least * (1 + 1e-6)
 
 
-def test_the_forces_that_last_are_the_default(variant: str) -> None:
-    config = at_stand(variant)
-    default, even = (
-        pa.gravity_compensation(config, **arguments)
-        for arguments in ({}, {"distribution": pa.statics.ForceDistribution.MIN_TANGENTIAL})
-    )
-    np.testing.assert_array_equal(default.joint_torques, even.joint_torques)
-
-
-@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
-def test_a_sharing_by_its_value(distribution: pa.statics.ForceDistribution) -> None:
-    config = at_stand("v3")
-    one, two = (
-        pa.gravity_compensation(config, distribution=s) for s in (distribution, distribution.value)
-    )
-    np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
-
-
 @pytest.mark.parametrize("distribution", ["x", None, 3, "MIN_TANGENTIAL"])
 def test_an_unknown_sharing_is_refused(distribution: object) -> None:
     with pytest.raises(
@@ -787,11 +769,6 @@ def test_a_fixed_base_has_no_contacts() -> None:
     robot = load("v3", fixed_base=True)
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         pa.gravity_compensation(pa.Configuration(robot, robot.neutral()), ["FR"])
-
-
-def test_a_foot_given_as_a_string_is_not_taken_for_its_letters() -> None:
-    with pytest.raises(pa.PupperAnalysisError):
-        pa.gravity_compensation(at_stand("v3"), "FR")
 
 
 @pytest.mark.parametrize("torqueless", [0, 1, 2])

@@ -15,7 +15,6 @@ class Pair(NamedTuple):
     mjcf: Path
 
 
-SPHERE = '<geom {name} type="sphere" size="0.02" pos="0 0 -0.2"/>'
 BOX = '<geom {name} type="box" size="0.08 0.04 0.01" pos="0.02 0 -0.03"/>'
 
 

@@ -411,8 +411,6 @@ def _commands(root: Element) -> None:
         servo.set("ctrllimited", "true")
 
 
-_DAMPED = ("joints-damped-negatively", "rests-on-made-up")
-_VARYING = ("gain-is-not-fixed", "own-run", "servos-for-actuators")
 _UNEVEN = ("gain-is-no-stiffness", "own-run")
 
 PLANTS: dict[str, tuple[Plant, Codes]] = {

@@ -13,11 +13,6 @@ def knee_bend(robot: pa.Robot, stand: pa.Stand) -> float:
     return float(stand.joint_positions(robot)[2])
 
 
-def product_of_gains(robot: pa.Robot, stand: pa.Stand) -> float:
-    model = robot.mj_model
-    return float(model.actuator_gainprm[0, 0] * -model.actuator_biasprm[0, 2])
-
-
 def places(robot: pa.Robot, stand: pa.Stand) -> dict[str, float]:
     return {foot: float(place[0]) for foot, place in stand.contact_points.items()}
 

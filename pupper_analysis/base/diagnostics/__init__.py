@@ -4,58 +4,26 @@ Whoever finds something makes a ``Diagnostic`` by ``diagnose``, with a code of t
 in English and in Simplified Chinese, are in ``catalogue/*.toml`` and nowhere else.
 """
 
-from pupper_analysis.base.diagnostics.catalogue import (
-    LANGUAGES,
-    Entry,
-    codes,
-    entry,
-    is_term,
-    meaning,
-    phrase,
-    term,
-)
-from pupper_analysis.base.diagnostics.diagnostic import (
-    Diagnostic,
-    Group,
-    Quantity,
-    Severity,
-    Source,
-    Subject,
-    Term,
-    Value,
-    Vector,
-    diagnose,
-    merge_diagnostics,
-)
-from pupper_analysis.base.diagnostics.templates import (
-    UNLIMITED,
-    Phrase,
-    describe_bound,
-    fill_template,
-)
-
-__all__ = [
-    "LANGUAGES",
-    "UNLIMITED",
-    "Diagnostic",
-    "Entry",
-    "Group",
-    "Phrase",
-    "Quantity",
-    "Severity",
-    "Source",
-    "Subject",
-    "Term",
-    "Value",
-    "Vector",
-    "codes",
-    "describe_bound",
-    "diagnose",
-    "entry",
-    "fill_template",
-    "is_term",
-    "meaning",
-    "merge_diagnostics",
-    "phrase",
-    "term",
-]
+from pupper_analysis.base.diagnostics.catalogue import LANGUAGES as LANGUAGES
+from pupper_analysis.base.diagnostics.catalogue import Entry as Entry
+from pupper_analysis.base.diagnostics.catalogue import codes as codes
+from pupper_analysis.base.diagnostics.catalogue import entry as entry
+from pupper_analysis.base.diagnostics.catalogue import is_term as is_term
+from pupper_analysis.base.diagnostics.catalogue import meaning as meaning
+from pupper_analysis.base.diagnostics.catalogue import phrase as phrase
+from pupper_analysis.base.diagnostics.catalogue import term as term
+from pupper_analysis.base.diagnostics.diagnostic import Diagnostic as Diagnostic
+from pupper_analysis.base.diagnostics.diagnostic import Group as Group
+from pupper_analysis.base.diagnostics.diagnostic import Severity as Severity
+from pupper_analysis.base.diagnostics.diagnostic import Source as Source
+from pupper_analysis.base.diagnostics.diagnostic import Subject as Subject
+from pupper_analysis.base.diagnostics.diagnostic import Value as Value
+from pupper_analysis.base.diagnostics.diagnostic import diagnose as diagnose
+from pupper_analysis.base.diagnostics.diagnostic import merge_diagnostics as merge_diagnostics
+from pupper_analysis.base.diagnostics.templates import UNLIMITED as UNLIMITED
+from pupper_analysis.base.diagnostics.templates import Phrase as Phrase
+from pupper_analysis.base.diagnostics.templates import Quantity as Quantity
+from pupper_analysis.base.diagnostics.templates import Term as Term
+from pupper_analysis.base.diagnostics.templates import Vector as Vector
+from pupper_analysis.base.diagnostics.templates import describe_bound as describe_bound
+from pupper_analysis.base.diagnostics.templates import fill_template as fill_template

@@ -19,20 +19,6 @@ from pupper_analysis.base.diagnostics.templates import (
 )
 from pupper_analysis.base.frozen import FrozenDict
 
-__all__ = [
-    "Diagnostic",
-    "Group",
-    "Phrase",
-    "Quantity",
-    "Severity",
-    "Source",
-    "Subject",
-    "Term",
-    "Vector",
-    "diagnose",
-    "merge_diagnostics",
-]
-
 
 class Severity(StrEnum):
     """How bad it is."""

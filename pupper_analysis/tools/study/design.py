@@ -17,9 +17,8 @@ from typing import Any, TypeVar
 import numpy as np
 import orjson
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.diagnostics.catalogue import entry
-from pupper_analysis.base.diagnostics.diagnostic import (
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
     Phrase,
     Quantity,
     Severity,
@@ -28,6 +27,8 @@ from pupper_analysis.base.diagnostics.diagnostic import (
     Term,
     Value,
     Vector,
+    diagnose,
+    entry,
 )
 from pupper_analysis.base.errors import (
     ConfigurationError,
