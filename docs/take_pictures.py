@@ -38,7 +38,7 @@ def live(browser: Browser, path: Path) -> None:
     page.get_by_text("leg_back_l_3").first.wait_for()
     page.locator("[role=tab]", has_text="MuJoCo").first.click()
     page.get_by_role("button", name="Simulate", exact=True).first.click()
-    page.get_by_text("Play again").first.wait_for()
+    page.get_by_text("base height").first.wait_for()
     time.sleep(20.0)  # the motion is played to its end
     page.locator("[role=tab]", has_text="Stance").first.click()
     time.sleep(5.0)

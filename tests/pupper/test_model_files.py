@@ -64,24 +64,29 @@ def test_mjcf_sizes_and_mass(file: str, sizes: tuple[int, ...], mass: float) -> 
     assert model.body_mass.sum() == pytest.approx(mass, abs=1e-12)
 
 
-V3_AXES = {
-    "r": [(0, -1, 0), (-1, 0, 0), (0, -1, 0)],
-    "l": [(0, 1, 0), (-1, 0, 0), (0, 1, 0)],
+AXES = {
+    f"leg_{end}_{side}_{number}": axis
+    for end in ("front", "back")
+    for side, axes in (
+        ("r", [(0, -1, 0), (-1, 0, 0), (0, -1, 0)]),
+        ("l", [(0, 1, 0), (-1, 0, 0), (0, 1, 0)]),
+    )
+    for number, axis in enumerate(axes, 1)
+}
+"""Of v3: _1 and _3 turn about y (pitch) and _2 about x (roll)."""
+AXES |= {
+    f"{leg}_{joint}": (1, 0, 0) if joint == "HAA" else (0, 1, 0)
+    for leg in LEGS["original"]
+    for joint in SEGMENTS["original"]
 }
 
 
-@pytest.mark.parametrize("side", V3_AXES)
-@pytest.mark.parametrize("end", ["front", "back"])
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_v3_axes_at_zero_angles(end: str, side: str, number: int) -> None:
-    """_1 and _3 turn about y (pitch) and _2 about x (roll)."""
-    robot, name = load("v3"), f"leg_{end}_{side}_{number}"
-    expected = V3_AXES[side][number - 1]
-    mjcf = mujoco_at(robot, robot.neutral()).joint(name).xaxis
-    np.testing.assert_allclose(mjcf, expected, atol=1e-15)
-    config = pa.Configuration(robot, robot.neutral())
-    urdf = config.frame_jacobian(name)[3:, 6 + robot.joint_names.index(name)]
-    np.testing.assert_allclose(urdf, expected, atol=1e-15)
+def test_axes_at_zero_angles(base: str) -> None:
+    robot = load(base)
+    config, data = pa.Configuration(robot, robot.neutral()), mujoco_at(robot, robot.neutral())
+    for name in robot.joint_names:
+        np.testing.assert_allclose(data.joint(name).xaxis, AXES[name], atol=1e-15)
+        np.testing.assert_allclose(config.joint_axis(name), AXES[name], atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -265,6 +270,13 @@ def test_v3_joint_limits(leg: str, limits: list[tuple[float, float]]) -> None:
     model = compiled("pupper_v3.xml")
     for number, expected in enumerate(limits, start=1):
         np.testing.assert_allclose(model.joint(f"{leg}{number}").range, expected)
+
+
+def test_limits_of_the_skeleton_are_alike_in_all_legs() -> None:
+    ranges = compiled("pupper_skeleton.xml").jnt_range[1:].reshape(4, 3, 2)
+    np.testing.assert_array_equal(
+        ranges, np.tile([(-0.8, 0.8), (-1.8, 1.2), (-2.6, 0.1)], (4, 1, 1))
+    )
 
 
 def test_sites_are_links(base: str) -> None:
