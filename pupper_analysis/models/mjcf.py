@@ -119,7 +119,7 @@ def put_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     gone = sorted(name for name in named - known if name)
     if len(gone) != 1 or not _GROUND.search(gone[0]):
         return []
-    add_plane(spec, gone[0])
+    add_plane(spec.worldbody, gone[0])
     return [diagnose("ground-of-pairs-added", subject=("geom", gone[0]))]
 
 
@@ -130,19 +130,29 @@ CONTACT_OF_GEOM: Final = (
 """What a geom of an MJCF has that makes its contacts, and in which group it is shown."""
 
 
-def add_plane(spec: mujoco.MjSpec, name: str, bits: int = 1) -> mujoco.MjsGeom:
+def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
     """Adds a plane at z = 0 with MuJoCo's own contact: an MJCF's defaults are for its robot.
 
     Args:
-        spec: The MJCF's.
+        body: The world, or a body that is fixed to it.
         name: The plane's.
         bits: What it lets touch it (``conaffinity``).
     """
-    plane, plain = spec.worldbody.add_geom(name=name), mujoco.MjSpec().default.geom
+    plane, plain = body.add_geom(name=name), mujoco.MjSpec().default.geom
     for word in CONTACT_OF_GEOM:
         setattr(plane, word, getattr(plain, word))
     plane.type, plane.size, plane.conaffinity = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05), bits
     return plane
+
+
+def start_data(model: mujoco.MjModel) -> mujoco.MjData:
+    """Returns MuJoCo's data as the robot begins: at its first keyframe, or else at its qpos0."""
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    return data
 
 
 TIMESTEPS = 1e-5, 0.1

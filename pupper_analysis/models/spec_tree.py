@@ -209,18 +209,25 @@ class SpecTree:
         for name, value in values.items():
             setattr(self.spec.option, name, _OPTION_WORDS.get((name, value), value))
 
-    def add_floor(self) -> mujoco.MjsGeom:
+    def add_floor(self, beneath: float | None = None) -> mujoco.MjsGeom:
         """Adds a plane at z = 0 with MuJoCo's own contact, that all which touches anything touches.
 
         Shapes whose bits only let them touch each other (left legs and right ones, say) are seen to
         touch ground, too: scenes of such robots have a floor with those bits.
+
+        Args:
+            beneath: A body of its own at that height (m) has it, the last one: what was there
+                before keeps its number.
         """
         bits, name, taken = 1, FLOOR, {geom.name for geom in self.spec.geoms}
         for geom in self.spec.geoms:
             bits |= int(geom.contype)
         while name in taken:
             name += "_"
-        return add_plane(self.spec, name, bits)
+        body = self.spec.worldbody
+        return add_plane(
+            body if beneath is None else body.add_body(pos=(0, 0, beneath)), name, bits
+        )
 
     def add_imu(self, body: str, site: str) -> None:
         """Adds an IMU at a site of a body, which is added at its origin where there is none."""

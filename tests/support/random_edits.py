@@ -1,7 +1,8 @@
 """Random one-place edits of what touches, options, keyframes and pairs of an MJCF, as a user makes.
 
 `python -m tests.support.random_edits ROBOT.xml --count 100` compares what `diff` says of each with
-bare MuJoCo: both files are simulated from the first keyframe, and every step is looked at. What
+bare MuJoCo: both files are simulated from the first keyframe, and every step is looked at; a robot
+without a ground is put on a plane, as its scenes have it. What
 `crosscheck` says of it, beside the URDF that `convert` makes of the file as it was, is compared
 with what bare MuJoCo makes of all that a URDF states too: how low what touches the ground reaches,
 and how the robot accelerates.
@@ -187,7 +188,7 @@ def _in_default(geom: Element) -> bool:
 
 def rollout(path: Path, seconds: float = SECONDS) -> np.ndarray:
     """Returns the positions (steps, nq) of bare MuJoCo from the first keyframe."""
-    model = mujoco.MjModel.from_xml_path(str(path))
+    model = _on_ground(path)
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -253,7 +254,12 @@ def as_a_urdf_states(one: Path, two: Path) -> bool | None:
 def _on_ground(path: Path) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(path))
     if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 1))
+        plane = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 1))
+        usual = mujoco.MjSpec().default.geom  # a file's defaults are for its robot
+        for word in ("friction", "condim", "solref", "solimp", "margin", "gap", "solmix"):
+            setattr(plane, word, getattr(usual, word))
+        plane.contype = plane.conaffinity = 1
+        plane.priority = 0
     return spec.compile()
 
 

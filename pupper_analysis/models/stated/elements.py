@@ -37,6 +37,7 @@ class Element:
             itself, if it is not.
         shape: That of a geom.
         touches: Whether a geom can touch anything, by ``contype`` and ``conaffinity`` or in a pair.
+        of: The body of a geom, the two geoms of a pair, or the two bodies of an exclude.
     """
 
     row: int
@@ -44,6 +45,7 @@ class Element:
     place: Callable[[str], Place]
     shape: Shape | None = None
     touches: bool = True
+    of: tuple[str, ...] = ()
 
 
 _FRICTION_OF: Final = {1: 0, 3: 1, 4: 2, 6: 3}
@@ -66,20 +68,20 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
         values = _values(model, "geom", geom)
         values["friction"] = values["friction"][: _FRICTION_OF[int(model.geom_condim[geom])]]
         place = partial(place_of_geom, file, geom)
+        body = model.body(int(model.geom_bodyid[geom])).name
         found["geom", name] = Element(
-            geom, values, place, read_shape(model, geom), geom in touching
+            geom, values, place, read_shape(model, geom), geom in touching, (body,)
         )
     pairs, excludes = ([place for _, place in file.elements(tag)] for tag in ("pair", "exclude"))
     for pair in range(model.npair):
         ends = names[int(model.pair_geom1[pair])], names[int(model.pair_geom2[pair])]
         values = _values(model, "pair", pair)
-        found["pair", _both(ends)] = Element(
-            pair, values, _at(_nth(pairs, pair, model.npair, file))
-        )
+        at = _at(_nth(pairs, pair, model.npair, file))
+        found["pair", both_of(ends)] = Element(pair, values, at, of=ends)
     for exclude, signature in enumerate(model.exclude_signature.tolist()):
         ends = model.body(signature >> 16).name, model.body(signature & 0xFFFF).name
         at = _at(_nth(excludes, exclude, model.nexclude, file))
-        found["exclude", _both(ends)] = Element(exclude, {}, at)
+        found["exclude", both_of(ends)] = Element(exclude, {}, at, of=ends)
     stated = next((place for _, place in file.elements("option")), Place(file.path))
     found["option", "option"] = Element(
         0, _values(model, "option", 0), _stating(file, "option", stated)
@@ -94,7 +96,8 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
     return found
 
 
-def _both(ends: tuple[str, str]) -> str:
+def both_of(ends: Iterable[str]) -> str:
+    """Returns what a pair or an exclude is called."""
     return " and ".join(sorted(ends))
 
 
@@ -211,7 +214,7 @@ def list_collisions(model: UrdfModel) -> dict[Key, Element]:
         for number, shape in enumerate(touching, 1):
             name = link.name if number == 1 else f"{link.name} #{number}"
             place = model.file.nth(link.name, "collision", number - 1)
-            found["collision", name] = Element(number - 1, {}, _at(place), shape)
+            found["collision", name] = Element(number - 1, {}, _at(place), shape, of=(link.name,))
     return found
 
 

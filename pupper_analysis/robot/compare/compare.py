@@ -32,7 +32,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.loading import reader_of
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import silence_mujoco, start_data
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.places import Place
@@ -131,7 +131,7 @@ def compare_collisions(
         return [], []  # one of them is of joints and masses alone
     if meant.base is not None or meant.zeros:
         return [], [diagnose("collisions-not-compared")]
-    data = _start(mjcf.model)
+    data = start_data(mjcf.model)
     elsewhere = {matched.mjcf_body[name] for name in moved if name in matched.mjcf_body}
     tried = {
         name: _of_limb(name, matched, (one, urdf), (two, mjcf), data)
@@ -150,16 +150,6 @@ def compare_collisions(
 
 def _shapes(robot: RobotModel) -> Iterator[Shape]:
     return (shape for link in robot.links.values() for shape in link.shapes)
-
-
-def _start(model: mujoco.MjModel) -> mujoco.MjData:
-    """Returns MuJoCo's data as the robot begins: at its first keyframe, or else at its qpos0."""
-    data = mujoco.MjData(model)
-    if model.nkey:
-        mujoco.mj_resetDataKeyframe(model, data, 0)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    return data
 
 
 Limb = tuple[tuple[_Placed, ...], tuple[_Placed, ...]]
@@ -303,7 +293,7 @@ def _untouched(mjcf: MjcfFile, body: str, other: _Placed) -> Place:
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
         stated = (place for words, place in mjcf.elements("flag") if "contact" in words)
         return next(stated, Place(mjcf.path))
-    data, moving = _start(model), model.body_weldid == model.body_weldid[model.body(body).id]
+    data, moving = start_data(model), model.body_weldid == model.body_weldid[model.body(body).id]
     geoms = np.flatnonzero(moving[model.geom_bodyid])
     if not len(geoms):
         return mjcf.place("body", body)

@@ -30,8 +30,9 @@ from pupper_analysis.robot.matching.pairs import guess_of_trees
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.diff.elements import (
     ElementDifference,
+    SimulatedPair,
     changed_elements,
-    effect_of_all,
+    like_before,
 )
 from pupper_analysis.tools.diff.version import Version, VersionedFile, open_version, version_of
 
@@ -236,14 +237,16 @@ class _Comparison:
                 effects = judge.effects(before, trial.behaviour(change.apply(first, second)))
             self.differences.append(change.difference(effects))
         self.differences += self._others()
-        one, two, models = self.one.file, self.two.file, None
+        one, two, trial_of_both = self.one.file, self.two.file, None
         if isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
-            models = one.model, two.model
-        self.differences += changed_elements(self.one.elements, self.two.elements, models)
+            trial_of_both = SimulatedPair.of(one, two)
+        renamed = {self.two.bodies[new]: self.one.bodies[old] for new, old in self.old_name.items()}
+        there = like_before(self.one.elements, self.two.elements, renamed)
+        self.differences += changed_elements(self.one.elements, there, trial_of_both)
         combined: tuple[Diagnostic, ...] = ()
         alone = [isinstance(each, ElementDifference) for each in self.differences] == [True]
-        if models is not None and not alone:  # what one does alone is told of it
-            combined = effect_of_all(*models, explained=bool(self.differences))
+        if trial_of_both is not None and not alone:  # what one does alone is told of it
+            combined = trial_of_both.effect_of_all(explained=bool(self.differences))
         patched = trial.behaviour(apply_changes(first, second, VERSIONS))
         left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
         holding = trial.holding_torques(first), trial.holding_torques(second)

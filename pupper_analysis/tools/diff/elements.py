@@ -1,16 +1,18 @@
 """Changes of what touches, of MuJoCo's options and of keyframes, and what each does alone.
 
 What a change does, MuJoCo says: both models are simulated from the same keyframe, the old one as it
-is and with this change alone.
+is and with this change alone. Robots are published without a ground, in a file that scenes include:
+where neither file has one, both stand on a plane that is laid under them.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from typing import Any, Final
 
 import mujoco
@@ -24,8 +26,10 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import compile_spec, has_free_joint, silence_mujoco, start_data
+from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.elements import (
     DISABLE_BITS,
     ENABLE_BITS,
@@ -33,6 +37,7 @@ from pupper_analysis.models.stated.elements import (
     Element,
     Key,
     Value,
+    both_of,
     flag_name,
 )
 from pupper_analysis.models.stated.geometry import DIRECTIONS, describe_shape, support_of
@@ -96,19 +101,131 @@ def apart(one: Shape, two: Shape) -> float:
     )
 
 
+def like_before(
+    old: Mapping[Key, Element], new: Mapping[Key, Element], bodies: Mapping[str, str]
+) -> dict[Key, Element]:
+    """Returns new elements by what the old file calls those that they are like.
+
+    Geoms of one name are one. Of the others of a body, the most alike are: another number in the
+    file is no change. What only the new file has is numbered on.
+
+    Args:
+        old: The old file's.
+        new: The new one's.
+        bodies: {body of the new file: what it is called in the old one}.
+    """
+    found: dict[Key, Element] = {}
+    calls: dict[str, str] = {}
+    taken = {name for _, name in (*old, *new)}
+    for (kind, body), (here, there) in _unnamed(old, new, bodies).items():
+        pairs = _most_alike([old[key] for key in here], [new[key] for key in there])
+        for number, key in enumerate(there):
+            name = here[pairs[number]][1] if number in pairs else key[1]
+            if number not in pairs and ((kind, name) in old or (kind, name) in found):
+                name = next(free for n in count(2) if (free := f"{body} #{n}") not in taken)
+                taken.add(name)
+            found[kind, name], calls[key[1]] = new[key], name
+    for (kind, name), element in new.items():
+        if element.shape is not None and name in calls:
+            continue
+        if kind in ("pair", "exclude"):
+            ends = calls if kind == "pair" else bodies
+            name = both_of(ends.get(end, end) for end in element.of)
+        found[kind, name] = element
+    return found
+
+
+def _unnamed(
+    old: Mapping[Key, Element], new: Mapping[Key, Element], bodies: Mapping[str, str]
+) -> dict[Key, tuple[list[Key], list[Key]]]:
+    """Returns {tag and body: the shapes of both files that have no name in common}."""
+    found: dict[Key, tuple[list[Key], list[Key]]] = {}
+    for number, elements in enumerate((old, new)):
+        for key, element in elements.items():
+            names = {
+                one.shape.name if (one := side.get(key)) and one.shape else ""
+                for side in (old, new)
+            }
+            if element.shape is not None and names != {key[1]}:
+                body = element.of[0]
+                body = bodies.get(body, body) if number else body
+                found.setdefault((key[0], body), ([], []))[number].append(key)
+    return found
+
+
+def _most_alike(here: Sequence[Element], there: Sequence[Element]) -> dict[int, int]:
+    """Returns {number of one there: that of the one here which it is most like}."""
+    same = all(_unlike(one, two, quick=True) == 0.0 for one, two in zip(here, there, strict=False))
+    if (same and len(here) == len(there)) or len(here) * len(there) > _MOST_PAIRS:
+        return {number: number for number in range(min(len(here), len(there)))}
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    # What stands at the same place is the same, where all else is.
+    costs = [
+        [_unlike(one, two) + 1e-9 * abs(i - j) for j, two in enumerate(there)]
+        for i, one in enumerate(here)
+    ]
+    rows, columns = linear_sum_assignment(np.array(costs).reshape(len(here), len(there)))
+    pairs = zip(columns.tolist(), rows.tolist(), strict=True)
+    return {j: i for j, i in pairs if not _is_another(here[i], there[j])}
+
+
+def _is_another(one: Element, two: Element) -> bool:
+    """Whether one is drawn alone and the other touches, and they have not one shape."""
+    assert one.shape is not None
+    assert two.shape is not None
+    return one.touches != two.touches and apart(one.shape, two.shape) > SAME_SHAPE
+
+
+_MOST_PAIRS = 2_500
+"""Of shapes of one body that are compared each with each."""
+
+
+def _unlike(one: Element, two: Element, *, quick: bool = False) -> float:
+    """Counts the numbers in which two elements with shapes differ; a shape counts for as many."""
+    assert one.shape is not None
+    assert two.shape is not None
+    unlike = float(sum(not _same(*values) for values in _numbers_of_both(one, two).values()))
+    unlike += 2.0 * (one.touches != two.touches) + 2.0 * (one.shape.kind != two.shape.kind)
+    ends = [
+        np.concatenate([shape.pose.position, 0.1 * shape.pose.rotation.ravel(), shape.size])
+        for shape in (one.shape, two.shape)
+    ]
+    gap = 0.0
+    if one.shape.kind == two.shape.kind and len(ends[0]) == len(ends[1]):
+        gap = float(np.abs(ends[0] - ends[1]).max())
+    if one.shape.kind == two.shape.kind == "mesh" and not quick:
+        gap = max(gap, apart(one.shape, two.shape))
+    return unlike + (gap / (gap + _NEAR) if math.isfinite(gap) else 1.0)
+
+
+_NEAR = 0.01
+"""m: two shapes that are so far apart are half another."""
+
+
+def _numbers_of_both(one: Element, two: Element) -> dict[str, tuple[Value, Value]]:
+    """Returns {word: its numbers in both}, as far as both have them."""
+    found = {}
+    for word in dict.fromkeys((*one.values, *two.values)):
+        here, there = one.values.get(word, ()), two.values.get(word, ())
+        if word == "friction":  # those that another condim adds are no change of their own
+            here, there = (values[: min(len(here), len(there))] for values in (here, there))
+        found[word] = here, there
+    return found
+
+
 def changed_elements(
     old: Mapping[Key, Element],
     new: Mapping[Key, Element],
-    models: tuple[mujoco.MjModel, mujoco.MjModel] | None,
+    trial: SimulatedPair | None,
 ) -> Iterator[ElementDifference]:
     """Yields what has changed; elements whose number has changed alike are one change.
 
     Args:
         old: The old file's.
         new: The new one's.
-        models: What MuJoCo compiles of both; None where it is not known what a change does.
+        trial: Simulates both; None where it is not known what a change does.
     """
-    trial = None if models is None else _Trial(*models)
     alike: dict[tuple[Any, ...], list[Key]] = {}
     for key in dict.fromkeys((*old, *new)):
         one, two = old.get(key), new.get(key)
@@ -117,10 +234,7 @@ def changed_elements(
         if one is None or two is None:
             alike.setdefault((key[0], "", one is None, key), []).append(key)
             continue
-        for word in dict.fromkeys((*one.values, *two.values)):
-            here, there = one.values.get(word, ()), two.values.get(word, ())
-            if word == "friction":  # those that another condim adds are no change of their own
-                here, there = (values[: min(len(here), len(there))] for values in (here, there))
+        for word, (here, there) in _numbers_of_both(one, two).items():
             if not _same(here, there):
                 alike.setdefault((key[0], word, here, there), []).append(key)
         if (
@@ -151,7 +265,7 @@ def _change(
     keys: list[Key],
     old: Mapping[Key, Element],
     new: Mapping[Key, Element],
-    trial: _Trial | None,
+    trial: SimulatedPair | None,
 ) -> ElementDifference:
     names = tuple(name for _, name in keys)
     one, two = old.get(keys[0]), new.get(keys[0])
@@ -252,29 +366,6 @@ ROUNDING = 1e-9
 """rad, m: what files that mean the same are apart by; a fall may make centimetres of it."""
 
 
-def effect_of_all(
-    old: mujoco.MjModel, new: mujoco.MjModel, *, explained: bool
-) -> tuple[Diagnostic, ...]:
-    """Returns what all changes do together: both files are simulated as they are.
-
-    Args:
-        old: The old file's model.
-        new: The new one's.
-        explained: Whether a change was found; if not, what rounding can do is no effect.
-    """
-    names = [[model.joint(n).name for n in range(model.njnt)] for model in (old, new)]
-    if names[0] != names[1] or (not explained and _image(old) == _image(new)):
-        return ()
-    before, after = _simulate(old, 0), _simulate(new, 0)
-    start = old.key(0).name if old.nkey else ""
-    effects, messages = _weigh(before, after, start, joined=False)
-    if explained or not effects:
-        return messages if explained else ()
-    nudged, _ = _weigh(before, _simulate(old, 0, ROUNDING), start, joined=False)
-    # A tenth: where both have left their course, they are apart by any part of the way.
-    return () if nudged and nudged[MOTION].deviation > 0.1 * effects[MOTION].deviation else messages
-
-
 def _image(model: mujoco.MjModel) -> bytes:
     """Returns a model as MuJoCo saves it."""
     image = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
@@ -285,11 +376,56 @@ def _image(model: mujoco.MjModel) -> bytes:
 MOTION: Final = "simulated motion"
 
 
-class _Trial:
-    """Simulates the old file as it is, and with changes."""
+@dataclass(frozen=True, eq=False)
+class SimulatedPair:
+    """Two MJCFs that are simulated: the old file as it is, with changes, and the new one.
 
-    def __init__(self, old: mujoco.MjModel, new: mujoco.MjModel) -> None:
-        self.old, self.new = old, new
+    Attributes:
+        old: What MuJoCo makes of the old file.
+        new: Of the new one.
+        laid: Whether a ground was laid under both, because neither has one.
+    """
+
+    old: mujoco.MjModel
+    new: mujoco.MjModel
+    laid: bool
+
+    @staticmethod
+    def of(old: MjcfFile, new: MjcfFile) -> SimulatedPair:
+        """Returns two files' models, on a ground if they have one to stand on or none at all."""
+        models = old.model, new.model
+        stand = all(has_free_joint(model) and not _stays(model).any() for model in models)
+        # Fused bodies would have other numbers with one that is fixed to the world.
+        if not stand or old.spec.compiler.fusestatic or new.spec.compiler.fusestatic:
+            return SimulatedPair(*models, laid=False)
+        height = min(0.0, *map(_lowest, models))
+        trees = [SpecTree(file.spec.copy()) for file in (old, new)]
+        floors = [tree.add_floor(height) for tree in trees]
+        floors[1].conaffinity = floors[0].conaffinity  # one ground, that the old file's feet touch
+        laid = (
+            compile_spec(tree.spec, file.path) for tree, file in zip(trees, (old, new), strict=True)
+        )
+        return SimulatedPair(*laid, laid=True)
+
+    def effect_of_all(self, *, explained: bool) -> tuple[Diagnostic, ...]:
+        """Returns what all changes do together: both files are simulated as they are.
+
+        Args:
+            explained: Whether a change was found; if not, what rounding can do is no effect.
+        """
+        old, new = self.old, self.new
+        names = [[model.joint(n).name for n in range(model.njnt)] for model in (old, new)]
+        if names[0] != names[1] or (not explained and _image(old) == _image(new)):
+            return ()
+        before, after = _simulate(old, 0), _simulate(new, 0)
+        start = old.key(0).name if old.nkey else ""
+        effects, messages = self._weigh(before, after, start)
+        if explained or not effects:
+            return messages if explained else ()
+        nudged, _ = self._weigh(before, _simulate(old, 0, ROUNDING), start)
+        # A tenth: where both have left their course, they are apart by any part of the way.
+        rounding = nudged and nudged[MOTION].deviation > 0.1 * effects[MOTION].deviation
+        return () if rounding else messages
 
     @cached_property
     def _unchanged(self) -> dict[int, _Run]:
@@ -312,7 +448,35 @@ class _Trial:
             self._unchanged[key] = _simulate(self.old, key)
         before, after = self._unchanged[key], _simulate(model, key)
         start = self.old.key(key).name if self.old.nkey else ""
-        return _weigh(before, after, start, joined=joined)
+        return self._weigh(before, after, start, joined=joined)
+
+    def _weigh(
+        self, before: _Run, after: _Run, start: str, *, joined: bool = False
+    ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
+        """Returns by how much two simulations differ, and what of it a user would see."""
+        seconds = Quantity(min(before.seconds, after.seconds), "s")
+        return _weigh(
+            before,
+            after,
+            {"seconds": seconds, "start": start, "joined": joined, "laid": self.laid},
+        )
+
+
+def _stays(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Says which geoms stand in the world and can touch."""
+    touch = (model.geom_contype | model.geom_conaffinity) != 0
+    touch[[*model.pair_geom1, *model.pair_geom2]] = True
+    still: NDArray[np.bool_] = touch & (model.body_weldid[model.geom_bodyid] == 0)
+    return still
+
+
+def _lowest(model: mujoco.MjModel) -> float:
+    """Returns how low the boxes around all geoms reach as the robot begins (m)."""
+    data = start_data(model)
+    middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
+    up = data.geom_xmat[:, 6:]
+    reach = data.geom_xpos[:, 2] + (up * middle).sum(axis=1) - (np.abs(up) * half).sum(axis=1)
+    return float(reach.min(initial=0.0))
 
 
 _OF_BODIES = {"contype": np.bitwise_or, "conaffinity": np.bitwise_or, "margin": np.maximum}
@@ -407,13 +571,10 @@ def _least_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | None:
 
 
 def _weigh(
-    before: _Run, after: _Run, start: str, *, joined: bool
+    before: _Run, after: _Run, where: Mapping[str, Any]
 ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-    """Returns by how much two simulations differ, and what of it a user would see."""
-    seconds = Quantity(min(before.seconds, after.seconds), "s")
     if before.qpos.shape != after.qpos.shape:
         return {}, ()
-    where: dict[str, Any] = {"seconds": seconds, "start": start, "joined": joined}
     same_end = np.isnan(before.qpos) & np.isnan(after.qpos)
     off = np.where(same_end, 0.0, np.abs(after.qpos - before.qpos))
     worst = float(np.nan_to_num(off, nan=math.inf).max(initial=0.0))

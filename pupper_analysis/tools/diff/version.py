@@ -53,6 +53,7 @@ class Version:
         others: {(kind, element): value} of what is not in the tree: joints that follow others,
             motors, springs, tendons ...
         elements: What touches, and of an MJCF its options and keyframes.
+        bodies: {base or joint: the body that it moves}.
         sources: Where the numbers stand.
         notes: What was assumed or left out.
     """
@@ -61,6 +62,7 @@ class Version:
     tree: MultibodyTree
     others: Mapping[tuple[str, str], Any]
     elements: Mapping[Key, Element]
+    bodies: Mapping[str, str]
     sources: Sources
     notes: tuple[Diagnostic, ...]
 
@@ -83,13 +85,14 @@ def _of_urdf(file: UrdfFile) -> Version:
     _, _, held = moving_joints(root)
     base = tree.base.name
     frames = [joint.child for joint in tree.joints.values() if joint.is_fixed]
-    carriers = {joint.name: joint.child for joint in tree.moving}
+    carriers = {base: base, **{joint.name: joint.child for joint in tree.moving}}
     return Version(
         file=file,
         tree=urdf_tree(root, file.path, base, frames),
         others={("mimic", name): list(value) for name, value in mimics.items()},
         elements=list_collisions(read_urdf_model(file)),
-        sources=UrdfSources(file, UrdfTree(root), {base: base, **carriers}, {}, {}, {}, (base,)),
+        bodies=carriers,
+        sources=UrdfSources(file, UrdfTree(root), carriers, {}, {}, {}, (base,)),
         notes=(*file.notes, *held),
     )
 
@@ -112,8 +115,9 @@ def _of_mjcf(file: MjcfFile) -> Version:
         for joint in range(model.njnt)
         if model.jnt_type[joint] != JointKind.FREE
     ]
-    carriers = {name: model.body(int(model.joint(name).bodyid[0])).name for name in names}
     base = _base(model, names)
+    carriers = {name: model.body(int(model.joint(name).bodyid[0])).name for name in names}
+    carriers = {base: base, **carriers}
     reference = Reference(whole if joined else file.model, whole, names, base)
     others: dict[tuple[str, str], Any] = {
         (extra.kind, extra.element): extra.value
@@ -125,7 +129,8 @@ def _of_mjcf(file: MjcfFile) -> Version:
         tree=mjcf_tree(spec, file.path, base, frames),
         others={**others, **_motors(NamedModel(reference))},
         elements=list_elements(file),
-        sources=MjcfSources(file, model, {base: base, **carriers}, {}, (base,)),
+        bodies=carriers,
+        sources=MjcfSources(file, model, carriers, {}, (base,)),
         notes=tuple(notes),
     )
 

@@ -123,3 +123,90 @@ def test_a_drawn_shape_that_begins_to_touch_is_told_to_move_it(tmp_path: Path, w
     (message,) = change.consequences
     assert message.code == "simulation-changes"
     assert message.values["higher"].value == pytest.approx(0.15, abs=0.01)
+
+
+FLOOR = (
+    '    <geom name="floor" type="plane" size="0 0 0.05" material="ground" condim="3" contype="1" '
+    'conaffinity="1"/>\n'
+)
+
+
+def in_a_scene(file: Path) -> Path:
+    """Returns a scene that includes a robot, with a plane at z = 0."""
+    scene = file.with_name("scene.xml")
+    scene.write_text(
+        "<mujoco><worldbody><geom type='plane' size='0 0 1' condim='3' friction='1 0.005 0.0001' "
+        "solimp='0.9 0.95 0.001' contype='1' conaffinity='1'/></worldbody>"
+        f"<include file='{file.name}'/></mujoco>"
+    )
+    return scene
+
+
+@pytest.mark.parametrize("name", ["conaffinity", "shape", "solref", "condim", "contacts off"])
+def test_robots_without_a_ground_are_put_on_one(tmp_path: Path, name: str) -> None:
+    """A robot's file has no ground; in the air, none of its feet's numbers does anything."""
+    folders = [copied(tmp_path / each) for each in ("before", "after")]
+    for folder in folders:
+        scene = folder / "pupper_v3.xml"
+        assert FLOOR in scene.read_text()
+        scene.write_text(scene.read_text().replace(FLOOR, ""))
+    FELT[name].written(folders[1])
+    before, after = (folder / "pupper_v3.xml" for folder in folders)
+    (change,) = pa.diff_models(before, after).changes
+    (message,) = (one for one in change.consequences if one.code == "simulation-changes")
+    assert message.values["laid"]
+    stated = [message.values[which] for which in ("higher", "lower", "falls")]
+    (height,) = [value.value for value in stated if value is not None] or [0.0]
+    rise = rest_height(in_a_scene(after)) - rest_height(in_a_scene(before))
+    assert height == pytest.approx(abs(rise), rel=0.01, abs=3e-3)
+
+
+def test_a_robot_below_its_ground_is_put_on_one_below_it(tmp_path: Path) -> None:
+    text = (
+        "<mujoco><worldbody><body pos='0 0 {z}'><freejoint/><geom size='0.1' {more}/></body>"
+        "</worldbody></mujoco>"
+    )
+    found = []
+    for z in (-3.0, 0.1):
+        before, after = tmp_path / "before.xml", tmp_path / "after.xml"
+        before.write_text(text.format(z=z, more=""))
+        after.write_text(text.format(z=z, more="solref='0.2 1'"))
+        (change,) = pa.diff_models(before, after).changes
+        (message,) = change.consequences
+        found.append(message.values["lower"].value)
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    assert found[0] > 0.003
+
+
+FOOT = '<geom class="collision" type="sphere" size="0.01995"'
+DRAWN = '<geom class="visual" type="sphere" material="rubber" size="0.01995"'
+
+
+def test_a_number_in_the_file_is_no_change(tmp_path: Path) -> None:
+    """Geoms without a name are known again by what they are: drawn ones come and go before."""
+    file = copied(tmp_path) / "pupper_v3_body.xml"
+    text = file.read_text()
+    lines = [line for line in text.splitlines(keepends=True) if DRAWN not in line]
+    assert len(lines) == len(text.splitlines()) - 4
+    file.write_text("".join(lines))
+    sound, after = ROOT / "mjcf/pupper_v3.xml", file.with_name("pupper_v3.xml")
+    assert pa.diff_models(sound, after).same
+    assert pa.diff_models(after, sound).same
+    place = "".join(lines).find(FOOT)
+    file.write_text("".join(lines).replace(FOOT, FOOT.replace("0.01995", "0.025"), 1))
+    (change,) = pa.diff_models(sound, after).changes
+    assert change.new_place.endswith(f"{file.name}:{1 + ''.join(lines)[:place].count(chr(10))}")
+    assert (change.old[:2], change.new[:2]) == (["sphere", 0.01995], ["sphere", 0.025])
+    more = '<geom class="collision" type="box" size="0.01 0.01 0.01"/>\n'
+    file.write_text("".join(lines).replace(FOOT, more + FOOT, 1))
+    (change,) = pa.diff_models(sound, after).changes
+    assert (change.old, change.new[:2]) == (None, ["box", 0.01])
+
+
+def test_shapes_of_a_body_that_is_called_otherwise_are_the_same(tmp_path: Path) -> None:
+    folder = copied(tmp_path)
+    for name in ("pupper_v3.xml", "pupper_v3_body.xml"):
+        text = (folder / name).read_text()
+        (folder / name).write_text(text.replace('body name="', 'body name="new_'))
+    diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", folder / "pupper_v3.xml")
+    assert not [change for change in diff.changes if change.kind == "geom"]
