@@ -49,8 +49,8 @@ ROBOTS = {
 LIMIT = 120
 """Seconds of processor time that a checker may take for a file, in each of its processes."""
 
-PATIENCE = 600
-"""Seconds after which one that waits, rather than computes, is ended."""
+PATIENCE = 3600
+"""Seconds after which one that waits, rather than computes, is ended: other processes may work."""
 
 Said = Counter[str]
 """Errors and warnings: which check, of which element. Numbers in messages are left out."""

@@ -43,7 +43,7 @@ class ContactParameters:
         return self.friction[0] if self.condim > 1 else 0.0
 
 
-def combine_geoms(model: mujoco.MjModel, first: int, second: int) -> ContactParameters:
+def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> ContactParameters:
     """Combines two geoms' parameters as MuJoCo does for a contact without a ``<pair>``.
 
     The geom of higher priority wins. At equal priority: the greater condim, each greater friction
@@ -55,31 +55,37 @@ def combine_geoms(model: mujoco.MjModel, first: int, second: int) -> ContactPara
     Args:
         model: The model.
         first: A geom's id.
-        second: The other geom's id.
+        second: The other geom's id; None: a ground with MuJoCo's own numbers, as scenes have it.
     """
-    one, two = int(model.geom_priority[first]), int(model.geom_priority[second])
-    if one != two:
-        chosen = first if one > two else second
-        condim = int(model.geom_condim[chosen])
-        friction = model.geom_friction[chosen]
-        solref, solimp = model.geom_solref[chosen], model.geom_solimp[chosen]
+    geoms = (model, first), (model, second) if second is not None else (_PLANE, 0)
+    priority, condims, frictions, weights, solrefs, solimps, margins = (
+        np.array([getattr(of, f"geom_{word}")[geom] for of, geom in geoms]) for word in _COMBINED
+    )
+    if priority[0] != priority[1]:
+        chosen = int(np.argmax(priority))
+        condim, friction = int(condims[chosen]), frictions[chosen]
+        solref, solimp = solrefs[chosen], solimps[chosen]
     else:
-        condim = int(max(model.geom_condim[first], model.geom_condim[second]))
-        friction = np.maximum(model.geom_friction[first], model.geom_friction[second])
-        weights = model.geom_solmix[[first, second]]
+        condim, friction = int(condims.max()), frictions.max(axis=0)
         share = 0.5 if weights.sum() < mujoco.mjMINVAL else weights[0] / weights.sum()
-        solref = share * model.geom_solref[first] + (1 - share) * model.geom_solref[second]
-        if min(model.geom_solref[first, 0], model.geom_solref[second, 0]) <= 0:
-            solref = np.minimum(model.geom_solref[first], model.geom_solref[second])
-        solimp = share * model.geom_solimp[first] + (1 - share) * model.geom_solimp[second]
+        solref = share * solrefs[0] + (1 - share) * solrefs[1]
+        if solrefs[:, 0].min() <= 0:
+            solref = solrefs.min(axis=0)
+        solimp = share * solimps[0] + (1 - share) * solimps[1]
     slide, spin, roll = (float(value) for value in friction)
     return ContactParameters(
         condim=condim,
         friction=(slide, slide, spin, roll, roll),
         solref=effective_solref(solref),
         solimp=tuple(float(value) for value in solimp),
-        margin=float(model.geom_margin[[first, second]].sum()),
+        margin=float(margins.sum()),
     )
+
+
+_COMBINED = ("priority", "condim", "friction", "solmix", "solref", "solimp", "margin")
+_PLANE = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><geom type='plane' size='1 1 1'/></worldbody></mujoco>"
+)
 
 
 def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:

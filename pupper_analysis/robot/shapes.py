@@ -188,8 +188,13 @@ class _Carriers:
         return link, self._data.oMf[self._links[link]]
 
 
-def may_touch(model: mujoco.MjModel, geom: int, ground: int) -> bool:
-    """Tells whether MuJoCo looks for contacts of a geom and a ground, by bits or in a pair."""
+def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
+    """Tells whether MuJoCo looks for contacts of a geom and a ground, by bits or in a pair.
+
+    A ground that the model lacks (None) has MuJoCo's own bits, as scenes have it.
+    """
+    if ground is None:
+        return bool((model.geom_contype[geom] | model.geom_conaffinity[geom]) & 1)
     for one, two in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
         if {one, two} == {geom, ground}:
             return True

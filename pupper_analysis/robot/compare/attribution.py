@@ -17,6 +17,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.models.sides import ANY_MOTOR
 from pupper_analysis.robot.compare.behaviour import Behaviour, MujocoBehaviour, still_acting
 from pupper_analysis.robot.compare.changes import apply_changes, changes_between, convention_changes
 from pupper_analysis.robot.compare.differences import (
@@ -263,9 +264,14 @@ def _unusual_armatures(values: MultibodyTree) -> dict[str, float]:
     for names in (group for place in places.values() for group in _alike(place, carried, values)):
         found = Counter(values.joints[name].armature for name in names)
         usual, count = found.most_common(1)[0]
-        if 2 * count > len(names) >= 3:
-            # A value that a mirror image has too is meant: thumbs among fingers.
-            odd = {armature for armature, times in found.items() if times == 1}
+        same = 2 * count > len(names)
+        if not same:  # identified one by one
+            usual = sorted(found.elements())[len(names) // 2]
+        # A value that a mirror image has too is meant: thumbs among fingers.
+        odd = {armature for armature, times in found.items() if times == 1}
+        if not same:
+            odd = {value for value in odd if not usual < value * ANY_MOTOR < usual * ANY_MOTOR**2}
+        if len(names) >= 3 and (same or usual):
             unusual |= {n: usual for n in names if values.joints[n].armature in odd}
     return unusual
 

@@ -65,6 +65,7 @@ FL_CALF, FR_CALF = '<link name="FL_calf">', '<link name="FR_calf">'
 FL_HAA, FL_HFE, FR_HAA, FR_HFE = (
     f'<joint name="{name}"' for name in ("FL_HAA", "FL_HFE", "FR_HAA", "FR_HFE")
 )
+OTHER = 'contype="2" conaffinity="2"'
 SERVO = '<general name="FL_HAA" '
 KEY = '<key name="home"'
 
@@ -93,6 +94,14 @@ CASES = [
             Edit(FL_CALF, r"(?s)<inertial>.*?</inertial>", ""),
             Edit('<link name="FL_foot">', r"(?s)<inertial>.*?</inertial>", ""),
         ),
+    ),
+    urdf(
+        "moving-body-without-mass",
+        "link 'base_link'",
+        '<link name="base_link">',
+        "<mass",
+        'value="1.506"',
+        'value="0.0001"',
     ),
     urdf("com-outside-shapes", "link 'FL_calf'", FL_CALF, "<origin", "-0.055", "0.055"),
     urdf("total-mass-unusual", "link 'base_link'", '<link name="base_link">', "", "1.506", "1506"),
@@ -285,6 +294,27 @@ CASES = [
             Edit(after, r"(?s)<collision>.*?</collision>", "")
             for after in ('<link name="FR_foot">', *(FR_CALF,) * 3)
         ),
+    ),
+    urdf(  # 3 mm, in the file's other half
+        "mirror-shapes",
+        "link 'FR_calf'",
+        FR_CALF,
+        "",
+        '(?s)(<link name="FR_foot">.*?<collision>.*?<sphere radius=)"0.018"',
+        r'\g<1>"0.021"',
+    ),
+    *(
+        mjcf("mirror-contacts", "body 'FR_calf'", '<body name="FR_calf"', *edit)
+        for edit in (
+            (
+                r'<geom class="calf"/>(\s*)<geom name="FR_foot"',
+                rf'<geom class="calf" {OTHER}/>\1<geom name="FR_foot" {OTHER}',
+            ),
+            ('<geom name="FR_foot"', '<geom name="FR_foot" friction="0.1" priority="1"'),
+            ('<geom name="FR_foot"', '<geom name="FR_foot" solref="0.1 1"'),
+            ('<geom name="FR_foot"', '<geom name="FR_foot" condim="6"'),
+            ('<geom name="FR_foot"', '<geom name="FR_foot" margin="0.004"'),
+        )
     ),
     urdf("axis-contradicts-name", "joint 'FL_HAA'", FL_HAA, "<axis", '"1 0 0"', '"0 1 0"'),
     urdf("axis-zero", "joint 'FL_HAA'", FL_HAA, "<axis", '"1 0 0"', '"0 0 0"'),
@@ -654,10 +684,72 @@ def test_a_mirrored_mesh_is_found(scale: str, severity: str, tmp_path: Path) -> 
     assert found(audit_model(path), "value-impossible", "link 'FL_calf'")
 
 
-def test_gravity_that_points_up_is_more_than_an_information(tmp_path: Path) -> None:
-    path = written(tmp_path, "mjcf", (Edit("<option", "-9.81", "9.81"),))
+@pytest.mark.parametrize(
+    ("gravity", "severity"),
+    [
+        ("0 0 9.81", Severity.WARNING),
+        ("9.81 0 0", Severity.WARNING),
+        ("0 -7.1 -6.8", Severity.WARNING),
+        ("0 -4 -8.96", Severity.NOTE),  # a slope of 24 degrees
+        ("0 0 -1.62", Severity.NOTE),
+    ],
+)
+def test_gravity_up_or_aside_is_more_than_an_information(
+    gravity: str, severity: Severity, tmp_path: Path
+) -> None:
+    path = written(tmp_path, "mjcf", (Edit("<option", "0 0 -9.81", gravity),))
     (finding,) = found(audit_model(path), "gravity-unusual")
-    assert finding.severity is Severity.WARNING
+    assert finding.severity is severity
+
+
+FLOOR = Edit("<worldbody", '<geom name="floor".*?/>', "")
+FEET = '<default class="foot">'
+
+
+@pytest.mark.parametrize(
+    ("rule", "edits"),
+    [
+        ("", ()),
+        ("", (Edit(FEET, 'condim="3"', 'condim="1"'),)),  # the ground's 3 counts
+        ("foot-frictionless", (Edit(FEET, 'condim="3"', 'condim="1" priority="1"'),)),
+        ("foot-frictionless", (Edit(FEET, 'friction="1.2', 'friction="0'),)),
+        ("ground-not-met", (Edit("<option", "/>", '><flag contact="disable"/></option>'),)),
+        ("ground-not-met", (Edit("<option", "/>", '><flag constraint="disable"/></option>'),)),
+        (
+            "ground-not-met",
+            (
+                Edit(FEET, 'contype="1" conaffinity="1"', 'contype="2" conaffinity="2"'),
+                Edit(
+                    "<default>",
+                    '<geom contype="0" conaffinity="1"',
+                    '<geom contype="2" conaffinity="4"',
+                ),
+            ),
+        ),
+    ],
+)
+def test_a_file_without_ground_is_judged_on_that_of_a_scene(
+    rule: str, edits: tuple[Edit, ...], tmp_path: Path
+) -> None:
+    result = audit_model(written(tmp_path, "mjcf", (FLOOR, *edits)))
+    assert {one.rule for one in result.findings if one.severity != Severity.NOTE} <= {rule}
+    assert bool(found(result, rule)) is bool(rule)
+
+
+@pytest.mark.parametrize(("factor", "named"), [(100.0, True), (0.01, True), (10.0, False)])
+def test_motors_that_were_identified_one_by_one_differ_but_not_by_any_factor(
+    factor: float, named: bool, tmp_path: Path
+) -> None:
+    text = OWN["mjcf"].read_text()
+    for number, name in enumerate(re.findall('<joint name="(.._H.E|.._KFE|.._HAA)"', text)):
+        value = 0.003 * (1.0 + 0.1 * (number % 7)) * (factor if name == "FR_KFE" else 1.0)
+        joint = f'<joint name="{name}"'
+        text = text.replace(joint, f'{joint} armature="{value:.6g}"')
+    path = tmp_path / "own.xml"
+    path.write_text(text)
+    assert {one.element for one in found(audit_model(path), "mirror-drive")} == (
+        {"joint 'FR_KFE'"} if named else set()
+    )
 
 
 def test_a_keyframe_without_commands_is_only_told(tmp_path: Path) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
+import mujoco
 import numpy as np
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
@@ -17,7 +19,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.loading import Found
-from pupper_analysis.models.sides import mirror_pairs
+from pupper_analysis.models.sides import ANY_MOTOR, mirror_pairs
 from pupper_analysis.models.stated.geometry import known_points
 from pupper_analysis.models.stated.model import (
     HINGE,
@@ -25,8 +27,11 @@ from pupper_analysis.models.stated.model import (
     Inertial,
     Joint,
     Link,
+    MjcfModel,
     RobotModel,
 )
+from pupper_analysis.robot.contact import ContactParameters, combine_geoms, ground_geom
+from pupper_analysis.robot.shapes import may_touch
 from pupper_analysis.tools.audit.registry import rule
 
 
@@ -309,7 +314,10 @@ ALIKE = 3
 
 @rule
 def mirror_drive(robot: RobotModel) -> Iterator[Found]:
-    """Compares damping, dry friction, armature and springs (2 %), where most partners are alike."""
+    """Compares damping, dry friction, armature and springs (2 %), where most partners are alike.
+
+    Where motors were identified one by one, partners differ, but not by more than 20 times.
+    """
     pairs = [(one, other) for _, one, other in _joint_pairs(robot)]
     for attribute in PASSIVE:
         kind, differing, alike = attribute.kind, [], 0
@@ -321,9 +329,10 @@ def mirror_drive(robot: RobotModel) -> Iterator[Found]:
                 alike += 1
             else:
                 differing.append((one, other, own, its))
-        if alike < ALIKE * len(differing):
-            continue
         for one, other, own, its in differing:
+            alone = alike >= ALIKE * len(differing)
+            if not alone and min(abs(own), abs(its)) * ANY_MOTOR > max(abs(own), abs(its)):
+                continue
             unit = attribute.unit(other.kind != HINGE)
             message = diagnose(
                 "mirror-drive",
@@ -334,6 +343,9 @@ def mirror_drive(robot: RobotModel) -> Iterator[Found]:
             )
             yield Found("joint", other.name, message, robot.words(attribute)[1])
 
+
+SIMPLE = 2e-3
+"""m: of simple shapes, whose numbers are typed; the largest gap in use is 1 mm."""
 
 SHAPES = 0.01
 """m: of what touches, plus a tenth of its size: left and right meshes are cut otherwise."""
@@ -360,9 +372,53 @@ def mirror_shapes(robot: RobotModel) -> Iterator[Found]:
         ]
         gap = float(np.abs(ends[0] - ends[1]).max())
         size = float(np.ptp(ends[0], axis=0).max())
-        if gap > SHAPES + 0.1 * size:
+        simple = all(
+            shape.kind != "mesh" for parts in pair for part in parts for shape in part.shapes
+        )
+        if gap > (SIMPLE if simple else SHAPES + 0.1 * size):
             message = diagnose("mirror-shapes", gap=Quantity(gap, "m"), other=one.name)
             yield Found(robot.link_tag, other.name, message)
+
+
+@rule
+def mirror_contacts(robot: MjcfModel) -> Iterator[Found]:
+    """Compares the contacts that MuJoCo makes of shapes and ground; of none, that of a scene."""
+    model = robot.mj_model
+    if model is None:
+        return
+    ground = ground_geom(model)
+    for _, one, other in _in_place(robot):
+        if not all(_touching(robot, link) for link in (one, other)):
+            continue  # which is another slip
+        its, own = (_contacts(robot, model, link, ground) for link in (one, other))
+        if bool(its) != bool(own):
+            bare, whole = (one, other) if own else (other, one)
+            message = diagnose("mirror-contacts", lone=True, other=whole.name)
+            yield Found(robot.link_tag, bare.name, message)
+        elif len(its) == len(own):
+            for word in ("condim", "friction", "solref", "solimp", "margin"):
+                both = [
+                    sorted(np.ravel(getattr(c, word)).tolist() for c in side) for side in (own, its)
+                ]
+                differ = (pair for pair in zip(*both, strict=True) if not np.allclose(*pair))
+                for here, there in islice(differ, 1):
+                    numbers = {"own": Vector(tuple(here), ""), "its": Vector(tuple(there), "")}
+                    message = diagnose(
+                        "mirror-contacts", lone=False, word=word, other=one.name, **numbers
+                    )
+                    yield Found(robot.link_tag, other.name, message)
+
+
+def _contacts(
+    robot: MjcfModel, model: mujoco.MjModel, link: Link, ground: int | None
+) -> list[ContactParameters]:
+    """Returns the contacts with the ground of all shapes that move with a link."""
+    bodies = [robot.body_names.index(part.name) for part in robot.fixed_group(link.name)]
+    return [
+        combine_geoms(model, geom, ground)
+        for geom in np.flatnonzero(np.isin(model.geom_bodyid, bodies)).tolist()
+        if may_touch(model, geom, ground)
+    ]
 
 
 def _touching(robot: RobotModel, link: Link) -> list[Link]:

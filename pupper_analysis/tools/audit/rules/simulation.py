@@ -19,6 +19,7 @@ from pupper_analysis.models.loading import Found
 from pupper_analysis.models.stated.geometry import solid_of
 from pupper_analysis.models.stated.model import MjcfModel, Shape, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
+from pupper_analysis.robot.shapes import may_touch
 from pupper_analysis.robot.stability import servo_stability
 from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import drives
@@ -27,15 +28,16 @@ from pupper_analysis.tools.audit.rules.files import first_place
 
 @rule
 def gravity_unusual(robot: MjcfModel) -> Iterator[Found]:
-    """Finds a gravity off by more than 0.02 m/s^2 in any direction; NOTE unless it points up.
+    """Finds a gravity off by more than 0.02 m/s^2; NOTE if it points down more than aside.
 
-    What is used for it differs by the third digit.
+    What is used for it differs by the third digit; some tilt it to simulate a slope.
     """
     gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:
         place = first_place(robot.file, "option", "gravity")
         message = diagnose("gravity-unusual", gravity=Vector(tuple(gravity), "m/s^2"))
-        severity = None if gravity[2] > 0 else Severity.NOTE
+        wrong = gravity[2] > 0 or np.hypot(*gravity[:2]) > -gravity[2]
+        severity = None if wrong else Severity.NOTE
         yield Found("option", "", message, place=place, severity=severity)
 
 
@@ -90,8 +92,9 @@ def servo_unstable(robot: MjcfModel) -> Iterator[Found]:
 def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
     """Finds feet whose contact with the ground, as MuJoCo combines it, has no sliding friction.
 
-    A file without ground is to be put into a scene: there, condim 1 of the foot gives way to the
-    ground's 3, so that the friction alone counts.
+    A file without ground is to be put into a scene, whose ground has MuJoCo's own numbers: there,
+    condim 1 of the foot gives way to 3, unless its priority is higher. A friction of 0 counts all
+    the same, as the ground may have none either.
     """
     model = robot.mj_model
     if model is None:
@@ -109,12 +112,12 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
         called = "foot" in name.lower() or "foot" in robot.body_names[body].lower()
         if not (called or at_site):
             continue
-        contact = combine_geoms(model, geom, geom if ground is None else ground)
-        friction = contact.friction[0] if ground is None else contact.sliding_friction
-        if friction < 1e-3:
-            message = diagnose(
-                "foot-frictionless", condim=contact.condim, friction=contact.friction[0]
-            )
+        contact = combine_geoms(model, geom, ground)
+        friction = contact.friction[0]
+        if ground is None:
+            friction = min(friction, float(model.geom_friction[geom, 0]))
+        if friction < 1e-3 or contact.condim == 1:
+            message = diagnose("foot-frictionless", condim=contact.condim, friction=friction)
             yield _of_geom(robot, geom, message)
 
 
@@ -175,21 +178,21 @@ def contact_out_of_range(robot: MjcfModel) -> Iterator[Found]:
 
 @rule
 def ground_not_met(robot: MjcfModel) -> Iterator[Found]:
-    """Finds robots with a free base none of whose shapes touches a ground that others would."""
+    """Finds robots with a free base none of whose shapes touches the ground, or that of a scene."""
     model = robot.mj_model
-    ground = None if model is None else ground_geom(model)
-    if model is None or ground is None or not (model.jnt_type == FREE).any() or model.npair:
+    if model is None or not (model.jnt_type == FREE).any() or model.npair:
         return
-    touching = [geom for geom in _touching(model) if _falls_free(model, geom)]
-    met = [
-        model.geom_contype[geom] & model.geom_conaffinity[ground]
-        or model.geom_contype[ground] & model.geom_conaffinity[geom]
-        for geom in touching
-    ]
-    off = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT.value)
-    if off or not any(met):
-        message = diagnose("ground-not-met", ground=model.geom(ground).name, off=off)
+    ground = ground_geom(model)
+    free = [geom for geom in range(model.ngeom) if _falls_free(model, geom)]
+    off = bool(model.opt.disableflags & _OFF)
+    if off or not any(may_touch(model, geom, ground) for geom in free):
+        name = None if off or ground is None else model.geom(ground).name or "ground"
+        scene = ground is None and not off
+        message = diagnose("ground-not-met", ground=name, off=off, scene=scene)
         yield Found("body", robot.base, message)
+
+
+_OFF = mujoco.mjtDisableBit.mjDSBL_CONTACT.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
 
 
 FREE = mujoco.mjtJoint.mjJNT_FREE.value
