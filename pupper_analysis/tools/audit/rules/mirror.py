@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.base.diagnostics import (
+    Diagnostic,
     Quantity,
     Term,
     Vector,
@@ -393,20 +394,30 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[Found]:
         its, own = (_contacts(robot, model, link, ground) for link in (one, other))
         if bool(its) != bool(own):
             bare, whole = (one, other) if own else (other, one)
-            message = diagnose("mirror-contacts", lone=True, other=whole.name)
-            yield Found(robot.link_tag, bare.name, message)
+            yield Found(robot.link_tag, bare.name, _unlike(whole))
         elif len(its) == len(own):
             for word in ("condim", "friction", "solref", "solimp", "margin"):
                 both = [
-                    sorted(np.ravel(getattr(c, word)).tolist() for c in side) for side in (own, its)
+                    sorted(np.ravel(getattr(contact, word)).tolist() for contact in side)
+                    for side in (own, its)
                 ]
                 differ = (pair for pair in zip(*both, strict=True) if not np.allclose(*pair))
-                for here, there in islice(differ, 1):
-                    numbers = {"own": Vector(tuple(here), ""), "its": Vector(tuple(there), "")}
-                    message = diagnose(
-                        "mirror-contacts", lone=False, word=word, other=one.name, **numbers
-                    )
-                    yield Found(robot.link_tag, other.name, message)
+                for pair in islice(differ, 1):
+                    yield Found(robot.link_tag, other.name, _unlike(one, word, *pair))
+
+
+def _unlike(
+    other: Link, word: str = "", own: Sequence[float] = (), its: Sequence[float] = ()
+) -> Diagnostic:
+    numbers = [Vector(tuple(values), "") for values in (own, its)]
+    return diagnose(
+        "mirror-contacts",
+        lone=not word,
+        word=word,
+        other=other.name,
+        own=numbers[0],
+        its=numbers[1],
+    )
 
 
 def _contacts(
