@@ -49,7 +49,8 @@ class Element:
 
 
 _FRICTION_OF: Final = {1: 0, 3: 1, 4: 2, 6: 3}
-"""{condim: how many of a geom's three coefficients of friction act}."""
+"""{condim: how many of a geom's three coefficients of friction act}; the greater one of two geoms
+counts, and that of a scene's ground is 3."""
 
 
 def list_elements(file: MjcfFile) -> dict[Key, Element]:
@@ -64,9 +65,10 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
     found: dict[Key, Element] = {}
     names = geom_names(model)
     touching = touching_geoms(model)
+    condim = max((3, *model.geom_condim.tolist()))
     for geom, name in enumerate(names):
         values = _values(model, "geom", geom)
-        values["friction"] = values["friction"][: _FRICTION_OF[int(model.geom_condim[geom])]]
+        values["friction"] = values["friction"][: _FRICTION_OF[condim]]
         place = partial(place_of_geom, file, geom)
         body = model.body(int(model.geom_bodyid[geom])).name
         found["geom", name] = Element(

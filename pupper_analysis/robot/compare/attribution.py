@@ -17,7 +17,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.models.sides import ANY_MOTOR
+from pupper_analysis.models.sides import ANY_MOTOR, mirror_pairs, unlike_pairs
 from pupper_analysis.robot.compare.behaviour import Behaviour, MujocoBehaviour, still_acting
 from pupper_analysis.robot.compare.changes import apply_changes, changes_between, convention_changes
 from pupper_analysis.robot.compare.differences import (
@@ -273,6 +273,10 @@ def _unusual_armatures(values: MultibodyTree) -> dict[str, float]:
             odd = {value for value in odd if not usual < value * ANY_MOTOR < usual * ANY_MOTOR**2}
         if len(names) >= 3 and (same or usual):
             unusual |= {n: usual for n in names if values.joints[n].armature in odd}
+    armatures = {name: joint.armature for name, joint in values.joints.items()}
+    for one, other in unlike_pairs(mirror_pairs(values.joints), armatures):
+        if not {one, other} & unusual.keys():  # two legs alone
+            unusual[other] = armatures[one]
     return unusual
 
 

@@ -398,7 +398,7 @@ class SimulatedPair:
         # Fused bodies would have other numbers with one that is fixed to the world.
         if not stand or old.spec.compiler.fusestatic or new.spec.compiler.fusestatic:
             return SimulatedPair(*models, laid=False)
-        height = min(0.0, *map(_lowest, models))
+        height = min(map(_ground_under, models))
         trees = [SpecTree(file.spec.copy()) for file in (old, new)]
         floors = [tree.add_floor(height) for tree in trees]
         floors[1].conaffinity = floors[0].conaffinity  # one ground, that the old file's feet touch
@@ -470,13 +470,18 @@ def _stays(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return still
 
 
-def _lowest(model: mujoco.MjModel) -> float:
-    """Returns how low the boxes around all geoms reach as the robot begins (m)."""
+def _ground_under(model: mujoco.MjModel) -> float:
+    """Returns the height of a ground (m): 0, as in scenes, if the robot begins above it.
+
+    Home poses are published with feet centimetres in the ground; who is in it by more than a
+    quarter of his height up to the com is below it, and is put on one at his lowest point.
+    """
     data = start_data(model)
     middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
     up = data.geom_xmat[:, 6:]
     reach = data.geom_xpos[:, 2] + (up * middle).sum(axis=1) - (np.abs(up) * half).sum(axis=1)
-    return float(reach.min(initial=0.0))
+    lowest, com = float(reach.min(initial=0.0)), float(data.subtree_com[0][2])
+    return lowest if -lowest > 0.25 * (com - lowest) else 0.0
 
 
 _OF_BODIES = {"contype": np.bitwise_or, "conaffinity": np.bitwise_or, "margin": np.maximum}

@@ -210,3 +210,18 @@ def test_shapes_of_a_body_that_is_called_otherwise_are_the_same(tmp_path: Path) 
         (folder / name).write_text(text.replace('body name="', 'body name="new_'))
     diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", folder / "pupper_v3.xml")
     assert not [change for change in diff.changes if change.kind == "geom"]
+
+
+def test_friction_of_a_foot_that_leaves_it_to_the_ground_is_told(tmp_path: Path) -> None:
+    """A foot of condim 1 slides on a ground of condim 3 with a friction: the greater counts."""
+    text = (
+        "<mujoco><option gravity='4 0 -9'/><worldbody><geom type='plane' size='0 0 1'/>"
+        "<body pos='0 0 0.1'><freejoint/><geom type='box' size='0.1 0.1 0.1' condim='1' "
+        "friction='1'/></body></worldbody></mujoco>"
+    )
+    before, after = tmp_path / "before.xml", tmp_path / "after.xml"
+    before.write_text(text.replace("type='plane'", "type='plane' friction='0.1'"))
+    after.write_text(before.read_text().replace("friction='1'", "friction='0.2'"))
+    (change,) = pa.diff_models(before, after).changes
+    assert (change.old, change.new) == (1.0, 0.2)
+    assert "simulation-changes" in {one.code for one in change.consequences}

@@ -20,7 +20,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.loading import Found
-from pupper_analysis.models.sides import ANY_MOTOR, mirror_pairs
+from pupper_analysis.models.sides import mirror_pairs, unlike_pairs
 from pupper_analysis.models.stated.geometry import known_points
 from pupper_analysis.models.stated.model import (
     HINGE,
@@ -306,43 +306,26 @@ def mirror_limits(robot: RobotModel) -> Iterator[Found]:
         yield Found("joint", other.name, message, "limit")
 
 
-DRIVE = 0.02
-"""Relative: published motors of one kind are stated alike to the digit."""
-
-ALIKE = 3
-"""Pairs that agree for each one that does not: where motors were identified one by one, none do."""
-
-
 @rule
 def mirror_drive(robot: RobotModel) -> Iterator[Found]:
-    """Compares damping, dry friction, armature and springs (2 %), where most partners are alike.
-
-    Where motors were identified one by one, partners differ, but not by more than 20 times.
-    """
-    pairs = [(one, other) for _, one, other in _joint_pairs(robot)]
+    """Compares damping, dry friction, armature and springs; see ``unlike_pairs``."""
+    pairs = [(one.name, other.name) for _, one, other in _joint_pairs(robot)]
     for attribute in PASSIVE:
-        kind, differing, alike = attribute.kind, [], 0
-        for one, other in pairs:
-            its, own = one.stated.get(kind), other.stated.get(kind)
-            if own is None or its is None:
-                continue
-            if np.isclose(own, its, rtol=DRIVE, atol=0.0):
-                alike += 1
-            else:
-                differing.append((one, other, own, its))
-        for one, other, own, its in differing:
-            alone = alike >= ALIKE * len(differing)
-            if not alone and min(abs(own), abs(its)) * ANY_MOTOR > max(abs(own), abs(its)):
-                continue
-            unit = attribute.unit(other.kind != HINGE)
+        stated = {
+            name: value
+            for name, joint in robot.joints.items()
+            if (value := joint.stated.get(attribute.kind)) is not None
+        }
+        for one, other in unlike_pairs(pairs, stated):
+            unit = attribute.unit(robot.joints[other].kind != HINGE)
             message = diagnose(
                 "mirror-drive",
-                what=Term(kind),
-                own=Quantity(own, unit),
-                other=one.name,
-                its=Quantity(its, unit),
+                what=Term(attribute.kind),
+                own=Quantity(stated[other], unit),
+                other=one,
+                its=Quantity(stated[one], unit),
             )
-            yield Found("joint", other.name, message, robot.words(attribute)[1])
+            yield Found("joint", other, message, robot.words(attribute)[1])
 
 
 SIMPLE = 2e-3
