@@ -397,15 +397,15 @@ class SimulatedPair:
         stand = all(has_free_joint(model) and not _stays(model).any() for model in models)
         # Fused bodies would have other numbers with one that is fixed to the world.
         if not stand or old.spec.compiler.fusestatic or new.spec.compiler.fusestatic:
-            return SimulatedPair(*models, laid=False)
+            return SimulatedPair(old.model, new.model, laid=False)
         height = min(map(_ground_under, models))
         trees = [SpecTree(file.spec.copy()) for file in (old, new)]
         floors = [tree.add_floor(height) for tree in trees]
         floors[1].conaffinity = floors[0].conaffinity  # one ground, that the old file's feet touch
-        laid = (
+        before, after = (
             compile_spec(tree.spec, file.path) for tree, file in zip(trees, (old, new), strict=True)
         )
-        return SimulatedPair(*laid, laid=True)
+        return SimulatedPair(before, after, laid=True)
 
     def effect_of_all(self, *, explained: bool) -> tuple[Diagnostic, ...]:
         """Returns what all changes do together: both files are simulated as they are.

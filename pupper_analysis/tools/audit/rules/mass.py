@@ -80,8 +80,9 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[Found]:
         carried = sum(other.mass for other in robot.descendants(body.name)) + body.mass - mass
         base = body.parent is None and len(_limbs(robot, group)) > 1
         if (body.moving or base) and 0 < mass < LEAST_SHARE * carried:
-            both = {"mass": Quantity(mass, "kg"), "carried": Quantity(carried, "kg")}
-            message = diagnose("hardly-any-mass", **both)
+            message = diagnose(
+                "hardly-any-mass", mass=Quantity(mass, "kg"), carried=Quantity(carried, "kg")
+            )
             part = robot.inertial_part("mass")
             yield Found(robot.link_tag, body.name, message, part, severity=Severity.WARNING)
         if not body.moving or any(part.mass != 0 for part in group):
