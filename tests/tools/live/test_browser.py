@@ -175,29 +175,6 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
 
 
-def test_a_slider_can_be_dragged(opened: Opened, served: Page) -> None:
-    track = opened.row("pitch (°)").locator(".mantine-Slider-track").first
-    box = track.bounding_box()
-    y = box["y"] + box["height"] / 2
-    opened.page.mouse.move(box["x"] + box["width"] / 2, y)
-    opened.page.mouse.down()
-    for step in range(1, 12):
-        opened.page.mouse.move(box["x"] + box["width"] * (0.5 + 0.01 * step), y)
-    opened.page.mouse.up()
-    (session,) = served.sessions.values()
-
-    def asked() -> State | None:
-        answer, _ = session.export()
-        return answer.state if answer is not None else None
-
-    wait_for(lambda: (asked() or State()).pitch > 8.0, "it is not moved")
-    time.sleep(0.2)  # what viser has held back
-    state = asked()
-    assert state is not None
-    assert 8.0 < state.pitch < 12.0
-    opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), state.task()))
-
-
 def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     solid = opened.pixels()
     opened.set("roll (°)", 35)
