@@ -16,9 +16,8 @@ from pathlib import Path
 from playwright.sync_api import Browser, sync_playwright
 
 import pupper_analysis as pa
-from pupper_analysis.tools.live.export import write_link
 from pupper_analysis.tools.live.server import Page
-from pupper_analysis.tools.live.state import LiveVariants, parse_state
+from pupper_analysis.tools.live.state import LiveVariants, parse_state, write_link
 from pupper_analysis.tools.stand.stance import study_stance
 
 IMAGES = Path(__file__).resolve().parent / "images"

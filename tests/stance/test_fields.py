@@ -18,9 +18,13 @@ from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_fields import TYPED, task_of
 from pupper_analysis.present.documents.standing import task_text
 from pupper_analysis.stance.fields import FIELDS, Field
-from pupper_analysis.tools.live import export
 from pupper_analysis.tools.live.controls import CONTROLS, ranges_of
-from pupper_analysis.tools.live.state import LiveVariants, State, parse_state
+from pupper_analysis.tools.live.state import (
+    LiveVariants,
+    State,
+    parse_state,
+    write_command,
+)
 from pupper_analysis.tools.study.design import STANCE, check_range
 from pupper_analysis.tools.study.design import task_of as task_of_numbers
 from pupper_analysis.tools.study.measures import METRICS
@@ -174,7 +178,7 @@ def test_each_field_has_sliders_with_words_and_a_range(field: Field) -> None:
 def test_each_field_is_exported_as_a_command(field: Field) -> None:
     state = state_with(field)
     source = LiveVariants(pa.VARIANTS["v3"])
-    words = shlex.split(export.write_command(source, state))[2:]
+    words = shlex.split(write_command(source, state))[2:]
     context = cli.find_command("stand").make_context("stand", words)
     typed = task_of({name: context.params[name] for name in TYPED})
     assert near(typed.values()[field.name], asked(field))

@@ -27,7 +27,6 @@ from pupper_analysis.tools.live.documents import (
     held_document,
     unforeseen_document,
 )
-from pupper_analysis.tools.live.export import hold_command
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.scene import (
     Figure,
@@ -37,6 +36,7 @@ from pupper_analysis.tools.live.scene import (
     quaternion_along,
 )
 from pupper_analysis.tools.live.server import Served, Where
+from pupper_analysis.tools.live.state import hold_command
 
 Array = NDArray[np.float64]
 

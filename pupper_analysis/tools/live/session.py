@@ -22,8 +22,8 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.present.document import Document, text
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.simulation.verdict import Verdict
-from pupper_analysis.tools.live import export, render
 from pupper_analysis.tools.live import model as answers
+from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.controls import Controls
 from pupper_analysis.tools.live.documents import (
     failure_document,
@@ -40,7 +40,12 @@ from pupper_analysis.tools.live.model import (
 )
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.scene import Scene
-from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.state import (
+    State,
+    write_command,
+    write_link,
+    write_stance_file,
+)
 
 
 class Panels:
@@ -109,7 +114,7 @@ class Panels:
 
     def _save(self) -> None:
         """Sends a file to the browser, of the stance that is asked for."""
-        content = export.write_stance_file(self.controls.state).encode()
+        content = write_stance_file(self.controls.state).encode()
         self._client.send_file_download("stance.toml", content, save_immediately=True)
 
     @property
@@ -145,8 +150,8 @@ class Panels:
         if answer.robot is not None:
             self.controls.follow(answer.robot)
         self.hint("not-simulated-yet")
-        self._link.value = export.write_link(self._address, state)
-        self._command.value = escape_control(export.write_command(source, state))
+        self._link.value = write_link(self._address, state)
+        self._command.value = escape_control(write_command(source, state))
 
     def nearest(self, there: bool) -> None:
         """Shows the way to the nearest stance, if there is one."""

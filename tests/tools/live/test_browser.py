@@ -20,9 +20,8 @@ import pytest
 from PIL import Image
 
 import pupper_analysis as pa
-from pupper_analysis.tools.live.export import write_link, write_stance_file
 from pupper_analysis.tools.live.server import Page
-from pupper_analysis.tools.live.state import LiveVariants, State
+from pupper_analysis.tools.live.state import LiveVariants, State, write_link, write_stance_file
 from tests.present.test_html_browser import browser  # noqa: F401 - the fixture
 from tests.repository.test_readme import commands
 from tests.support.repository import ROOT

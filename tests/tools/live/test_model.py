@@ -22,7 +22,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.present.scene import Contact
 from pupper_analysis.simulation.verdict import VerdictCode
-from pupper_analysis.tools.live import export, render
+from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.command import read_stance
 from pupper_analysis.tools.live.controls import fine_step, ranges_of, round_up
 from pupper_analysis.tools.live.documents import (
@@ -56,6 +56,9 @@ from pupper_analysis.tools.live.state import (
     load_source,
     parse_length,
     parse_state,
+    write_command,
+    write_link,
+    write_stance_file,
 )
 from tests.support.commands import answer as run_command
 from tests.support.variants import load
@@ -283,7 +286,7 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     state = RICH if kind == "variant" else RICH.having(leg_scale=None, torso_mass_scale=None)
     found = Model(source).answer(state)
     qpos, _ = outcome(found)
-    words = shlex.split(export.write_command(source, state))
+    words = shlex.split(write_command(source, state))
     assert words[0] == "pupper-analysis"
     done = run_command(*words[1:], "--json", "stance.json", folder=tmp_path)
     assert done.returncode in (0, 1), done.stderr
@@ -293,12 +296,12 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
 
 def test_the_usual_state_is_exported_in_few_words() -> None:
     source = LiveVariants(pa.VARIANTS["v3-heavy"])
-    assert export.write_command(source, State()) == "pupper-analysis stand v3-heavy"
-    scaled = export.write_command(source, State(torso_mass_scale=1.5))
+    assert write_command(source, State()) == "pupper-analysis stand v3-heavy"
+    scaled = write_command(source, State(torso_mass_scale=1.5))
     assert scaled == "pupper-analysis stand --base v3 --torso-mass-scale 1.5"
-    assert export.write_command(source, State(torso_mass_scale=1.0)) == "pupper-analysis stand v3"
+    assert write_command(source, State(torso_mass_scale=1.0)) == "pupper-analysis stand v3"
     turned = State(pitch=-5.0, slope=3.0, height=150.0, com_margin=7.0)
-    assert export.write_command(source, turned).split()[3:] == [
+    assert write_command(source, turned).split()[3:] == [
         "--height=0.15", "--pitch=-5deg", "--slope=3deg", "--com-margin=0.007",
     ]  # fmt: skip
 
@@ -306,7 +309,7 @@ def test_the_usual_state_is_exported_in_few_words() -> None:
 def test_a_page_begins_with_the_stance_of_a_file(tmp_path: Path) -> None:
     """What the page saves for --stance it reads again; what no slider has is refused."""
     file = tmp_path / "stance.toml"
-    file.write_text(export.write_stance_file(RICH))
+    file.write_text(write_stance_file(RICH))
     begun = read_stance(str(file))
     assert begun.task() == RICH.task()
     assert begun.place == RICH.place
@@ -320,9 +323,9 @@ def test_a_page_begins_with_the_stance_of_a_file(tmp_path: Path) -> None:
 
 
 def test_links_are_addresses() -> None:
-    assert export.write_link("127.0.0.1:80", State()) == "http://127.0.0.1:80/"
-    assert "&" not in export.write_link("127.0.0.1:80", RICH)
-    assert "#" not in export.write_link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))
+    assert write_link("127.0.0.1:80", State()) == "http://127.0.0.1:80/"
+    assert "&" not in write_link("127.0.0.1:80", RICH)
+    assert "#" not in write_link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))
 
 
 def test_nothing_in_a_name_acts() -> None:
@@ -578,7 +581,7 @@ def test_arrows_begin_on_the_ground_and_point_as_forces_do() -> None:
 )
 def test_the_pages_file_is_the_pages_stance(tmp_path: Path, values: dict[str, Any]) -> None:
     state, file = State(**values), tmp_path / "page.toml"
-    file.write_text(export.write_stance_file(state))
+    file.write_text(write_stance_file(state))
     begun = read_stance(str(file))
     assert begun.task() == state.task()
     assert begun.payload == state.payload

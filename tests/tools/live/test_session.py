@@ -12,11 +12,15 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.live import export, render
+from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.model import Model
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.session import Session, interpolate_motion
-from pupper_analysis.tools.live.state import LiveVariants, State
+from pupper_analysis.tools.live.state import (
+    LiveVariants,
+    State,
+    write_link,
+)
 from tests.support.variants import load
 
 pytest.importorskip("viser", reason="viser is not installed")
@@ -105,7 +109,7 @@ def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
     assert f">{1e3 * settled.height_loss:.3f}</td><td>mm<" in page.numbers
     for torque in pa.stance.stand_statics(load("v3"), stand).joint_torques:
         assert f">{torque:+.4f}<" in page.numbers
-    assert export.write_link("here:1", last) == page.session._panels._link.value
+    assert write_link("here:1", last) == page.session._panels._link.value
 
 
 def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
