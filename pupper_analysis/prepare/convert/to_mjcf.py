@@ -12,7 +12,7 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError, StanceUnreachableError
-from pupper_analysis.models.additions import Ball, Servo, put_all
+from pupper_analysis.models.additions import Ball, Floor, Servo, Start, put_all
 from pupper_analysis.models.conversion import UrdfImport
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.mjcf_xml import MjcfXml
@@ -385,13 +385,30 @@ def _put_held(bare: _Bare, options: MjcfOptions) -> list[Diagnostic]:
     """Adds the servos of a robot that is held; returns what was added."""
     if not bare.mjcf.joints:
         return [diagnose("nothing-moves")]
-    robot = robot_of(bare.urdf, bare.file(), fixed_base=True)
+    robot = _freed(bare, options) or robot_of(bare.urdf, bare.file(), fixed_base=True)
     added = robot.description.added
     if options.sag is not None or options.damping_ratio is not None:
         gains = drives.held_gains_of(robot, options.sag, options.damping_ratio)
         added = drives.retuned(robot, *gains)
+    # What hangs from the world needs no ground, and no pose of its base.
+    added = tuple(each for each in added if not isinstance(each, Floor | Start))
     put_all(added, bare.mjcf)
     return list(dict.fromkeys(each.reason for each in added))
+
+
+def _freed(bare: _Bare, options: MjcfOptions) -> Robot | None:
+    """Returns a robot on legs that its URDF ties to the link "world", as ``load_robot`` frees it.
+
+    Its servos are those with which it stands, as ``stand`` of either file answers.
+    """
+    if options.fixed_base is not None or bare.bodies.root != WORLD:
+        return None
+    try:
+        robot = robot_of(bare.urdf, bare.file(), feet=options.feet)
+        solve_stand_on_soft_ground(robot)
+    except PupperAnalysisError:
+        return None  # an arm, a hand
+    return robot
 
 
 def _unstated(mjcf: MjcfXml) -> list[Diagnostic]:

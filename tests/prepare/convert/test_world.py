@@ -154,3 +154,23 @@ def test_who_frees_a_base_and_lays_the_ground_says_how_it_grips(
     gripped = any(note.code == "contacts-made-to-hold" for note in robot.notes)
     assert gripped is not bool(stated)
     assert robot.mj_model.opt.impratio == (5 if stated else 100)
+
+
+def test_what_is_tied_to_the_world_is_written_with_the_servos_that_it_stands_on(
+    tmp_path: Path,
+) -> None:
+    """Tied it stays; those of a robot that hangs are so weak that one that was freed fell."""
+    urdf = standing_urdf(tmp_path)
+    tie = '<joint name="tie" type="fixed"><parent link="world"/><child link="trunk"/></joint>'
+    tied = urdf.read_text().replace("</robot>", f'<link name="world"/>{tie}</robot>')
+    (tmp_path / "tied.urdf").write_text(tied)
+    free, written, output = both(tmp_path / "tied.urdf", tmp_path)
+    assert written.nkey == 0
+    assert not (written.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any()
+    for name in MOTOR:
+        one, two = (getattr(model, f"actuator_{name}") for model in (free.mj_model, written))
+        np.testing.assert_allclose(one, two, rtol=1e-9, err_msg=name)
+    for slope in (0.0, 0.14):
+        task = StandTask(ground=pa.Ground(slope=slope))
+        for robot in (free, pa.load_robot(output)):
+            assert pa.verify_stand(robot, pa.solve_stand(robot, task)).passed
