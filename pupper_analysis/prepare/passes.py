@@ -257,7 +257,7 @@ def _narrow_limits(draft: Draft) -> Made:
     return _rebuilt(draft, description), messages
 
 
-@_pass(Term("refuses joints that move no mass"), _stands)
+@_pass(Term("refuses joints that move no mass"), _any)
 def _check_masses(draft: Draft) -> Made:
     check_masses(draft.robot, draft.urdf)
     return draft, ()

@@ -67,7 +67,8 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         *_beyond(verdict),
         *(() if fails else own),
     )
-    return tuple(sorted(messages, key=lambda clause: clause.good != verdict.passed))
+    once = {str(clause): clause for clause in messages}  # a cause is one, whatever it makes fail
+    return tuple(sorted(once.values(), key=lambda clause: clause.good != verdict.passed))
 
 
 def in_words(verdict: Verdict) -> str:

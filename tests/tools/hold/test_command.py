@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -28,7 +29,7 @@ def test_what_is_printed_and_written_is_what_python_finds(
     given = ("--joints", "elbow=90deg", "--joints", "b_slide=5cm", "--payload", "0.2")
     out = tmp_path / "held.json", tmp_path / "held.html", tmp_path / "held.png"
     written = ("--json", str(out[0]), "--report", str(out[1]), "--figure", str(out[2]))
-    status, output, errors = run_command(capfd, "hold", *files, *given, *written)
+    status, output, errors = run_command(capfd, "hold", *files, *given, *written, "-v")
     assert status == 0, errors
     joints = {"elbow": 1.5707963267948966, "b_slide": 0.05}
     held = pa.hold_posture(arm(), joints, payload=0.2)
@@ -73,3 +74,14 @@ def test_weak_motors_and_bad_input(
         (("--kp", "0"), "kp"),
     ):
         check_refusal(capfd, here, ("hold", *files, *wrong), said)
+
+
+def test_a_urdf_without_inertials_holds_nothing(
+    files: tuple[str, str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Beside an MJCF that has them, too: what its motors hold was divided by a weight of zero."""
+    urdf = Path(files[0])
+    urdf.write_text(re.sub(r"<inertial>.*?</inertial>", "", URDF))
+    status, _, errors = run_command(capfd, "hold", *files)
+    assert status == 2
+    assert "'elbow' moves nothing that has mass" in errors
