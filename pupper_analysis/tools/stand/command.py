@@ -24,7 +24,7 @@ from pupper_analysis.prepare.convert.files import RobotFiles
 @shared.command("stand")
 @robot_argument
 @click.option(
-    "--minimum-stiffness", is_flag=True, help="Also find the lowest kp that carries the robot."
+    "--minimum-stiffness", is_flag=True, help="Also find the kp below which no equilibrium is left."
 )
 @click.option(
     "--explain",

@@ -52,8 +52,8 @@ class Stance(Tabular):
         unsettled: Why ``settled`` is None; None where it is not.
         loops_open: By how much MuJoCo's loops and couplings of joints are open in it (m, rad); None
             for a robot without any.
-        minimum_stiffness: Of the servos that carry it without feed-forward (N m/rad), if asked
-            for; None also if none do.
+        minimum_stiffness: Below which no equilibrium is left without feed-forward (N m/rad), if it
+            is asked for; None also where there is none at all.
     """
 
     name: str
