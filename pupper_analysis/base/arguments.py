@@ -243,7 +243,7 @@ def _options(hint: Any) -> tuple[Any, ...]:
 
 @cache
 def _test(hint: Any) -> Callable[[Any], bool]:
-    """Returns what tells whether a value is of a type; yes where the type is none that can be told.
+    """Returns what checks whether a value is of a type; yes of a type that cannot be checked.
 
     It is made once per type: arguments are checked more often than types are written.
     """

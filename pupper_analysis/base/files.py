@@ -1,4 +1,4 @@
-"""The door of all that is written: whole or not at all, and never over what it must not replace.
+"""The one module that writes files: whole or not at all, never over what must not be replaced.
 
 Nothing is written over what the run reads (`runs`), by whatever name; and without ``force`` over
 nothing but a result of the same kind (`kinds`). Files on their way are hidden beside their place

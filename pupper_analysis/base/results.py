@@ -12,7 +12,7 @@ import numpy as np
 import orjson
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose, format_number
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.base.frozen import freeze
 
@@ -139,7 +139,7 @@ def shorten(value: object) -> str:
     if isinstance(value, Enum):
         return repr(value.value)
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return format_number(value, ".6g")
     if isinstance(value, str):
         return repr(value if len(value) <= 60 else f"{value[:57]}...")
     if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""Which robot: the words and options by which all commands are told."""
+"""Which robot: the words and options by which all commands are given it."""
 
 from __future__ import annotations
 
@@ -233,7 +233,9 @@ def robot_from(
     return load_variant(meant, fixed_base=fixed_base)
 
 
-def told_apart(meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]) -> list[Robot]:
+def named_apart(
+    meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]
+) -> list[Robot]:
     """Returns robots by names of their own: those of one name have their files', or a number."""
     names = Counter(robot.name for robot in robots)
     found: list[Robot] = []
@@ -293,7 +295,7 @@ def add_options(
 
 
 def shown_robot(meant: str | VariantSpec | RobotFiles, **more: bool) -> str | VariantSpec | Robot:
-    """Returns a variant as it is, and the robot of files, of which it is told what was assumed."""
+    """Returns a variant as it is, and the robot of files, whose assumptions are reported."""
     if not isinstance(meant, RobotFiles):
         return meant
     robot = robot_from(meant, **more)

@@ -19,9 +19,9 @@ from pupper_analysis.cli.robots import (
     Command,
     RobotOptions,
     add_options,
+    named_apart,
     print_notes,
     robot_from,
-    told_apart,
 )
 from pupper_analysis.cli.stance_fields import (
     TYPED,
@@ -144,7 +144,7 @@ class RobotAndTask:
             refuse_alone(("--payload",), "payload_at")
         meant = self.which.all(words) or default
         _refuse_idle(meant)
-        return told_apart(meant, [self._loaded(one) for one in meant])
+        return named_apart(meant, [self._loaded(one) for one in meant])
 
     def _loaded(self, meant: str | VariantSpec | RobotFiles) -> Robot:
         """Returns a robot as it was asked for; of one of files its notes follow the answer."""

@@ -32,7 +32,7 @@ class Addition(ABC):
     """Something that is added.
 
     Attributes:
-        reason: Why, as it is told.
+        reason: Why, as it is reported.
     """
 
     reason: Diagnostic

@@ -269,7 +269,7 @@ class SpecTree:
         return found[-1] if found else None
 
     def add_motor(self, joint: str) -> mujoco.MjsActuator:
-        """Adds a motor at a joint; it has no limits, and does what it is told."""
+        """Adds a motor at a joint; it has no limits, and does what is commanded."""
         motor = self._add_actuator(joint)
         # The MJCF's defaults are meant for its own: a limit of theirs has no range here.
         motor.ctrllimited = motor.forcelimited = motor.actlimited = (

@@ -240,7 +240,7 @@ def _base_placed(bare: Bare, robot: Robot, there: mujoco.MjData, data: mujoco.Mj
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """What the drives of a published model are told, so that they hold a configuration.
+    """What the drives of a published model are given, so that they hold a configuration.
 
     Attributes:
         ctrl: (model.nu,) of its own servos; zero for the others.

@@ -201,7 +201,7 @@ def judge_held(
 
     Args:
         robot: The robot, with what it carries.
-        posture: Where it is told to be.
+        posture: Where it is commanded to be.
         fed: The simulation with feed-forward.
         alone: The simulation without.
         statics: What its motors hold.

@@ -15,9 +15,9 @@ from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint, 
 def one_at_each_joint(spec: mujoco.MjSpec, source: Path) -> list[Diagnostic]:
     """Takes the motors at a joint together, in place.
 
-    A stand has one command per joint, from which all of them would have to be told: MuJoCo adds up
-    what position and velocity servos do, and so are their gains added. Motors beside a servo, and
-    all but one of several, are left out: they are not commanded.
+    A stand has one command per joint, from which all of them would have to be determined: MuJoCo
+    adds up what position and velocity servos do, and so are their gains added. Motors beside a
+    servo, and all but one of several, are left out: they are not commanded.
 
     Args:
         spec: The MJCF's; it has no keyframes.

@@ -251,7 +251,7 @@ def _limp(bare: Bare) -> bool:
 
 
 def _angles(bare: Bare, robot: Robot, data: mujoco.MjData, pose: Array) -> Hold:
-    """Returns what holds a pose: its servos are told it.
+    """Returns what holds a pose: its servos are commanded it.
 
     Servos that were added help where most joints have none; a motor among servos holds nothing.
     """
@@ -320,7 +320,7 @@ def _far(joint: JointOff) -> float:
 
 
 def _servo_lead(bare: Bare, joint: str, ctrl: Array, angle: float) -> float | None:
-    """Returns where a joint's servo is told to be less its angle; None where it has no one servo.
+    """Returns a joint's command less its angle; None where it has no one servo.
 
     By its law at rest: its gain's part of ctrl balances its stiffness's.
     """

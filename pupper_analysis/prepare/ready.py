@@ -66,7 +66,7 @@ def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | Non
     robot = _built(urdf, mjcf, request)
     if robot is None or (robot.floating and _needs_more(robot)):
         return None
-    if robot.floating and not request.as_is and not _may_be_told_to_stand(robot):
+    if robot.floating and not request.as_is and not _may_be_commanded_to_stand(robot):
         return None
     if not (robot.floating or request.feet or request.as_is):
         return None
@@ -127,7 +127,7 @@ def _built(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:
         return None
 
 
-def _may_be_told_to_stand(robot: Robot) -> bool:
+def _may_be_commanded_to_stand(robot: Robot) -> bool:
     """Tells whether there are servos, and a stand at the height that the keyframe gives it.
 
     What stands at no height, on two points, needs none.

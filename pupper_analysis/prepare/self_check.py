@@ -84,7 +84,7 @@ SAME_HEIGHT = 1e-3
 
 
 def as_published_in(robot: Robot, stand: Stand, servos: ServosUsed) -> Published | None:
-    """Returns how the file differs in a stand; in the nominal one where it cannot be told of it.
+    """Returns how the file differs in a stand; in the nominal one where that is out of reach.
 
     That is on other ground than the level one, and of a robot that was changed since it was loaded.
 
@@ -133,7 +133,7 @@ def with_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
 def as_published_held(robot: Robot, qpos: Array, torques: Array) -> Published | None:
     """Returns how the file of a robot whose base is held differs in a posture.
 
-    Its servos are told the posture and the torques that hold it there: ctrl = q* + tau / kp.
+    Its servos are given the posture and the torques that hold it there: ctrl = q* + tau / kp.
 
     Args:
         robot: The robot; of one that was changed since it was loaded, how it was loaded.
@@ -233,7 +233,7 @@ class Predicted:
     """What a stand is predicted to be at rest.
 
     Attributes:
-        feedforward: Whether its servos are told its torques, too.
+        feedforward: Whether its servos are given its torques, too.
         qpos: (nq,) where it rests, sunk into the ground.
         torques: (nu,) N m.
         targets: (nu,) the positions that are commanded (rad).
@@ -324,7 +324,7 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
 
 
 def _sticking(robot: Robot) -> float:
-    """Returns how far from where it is told to be a joint may stick by dry friction (rad, m)."""
+    """Returns how far from its command a joint may stick by dry friction (rad, m)."""
     rubbing = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index]
     if not rubbing.any():
         return 0.0
@@ -368,7 +368,7 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
     if any(drive.bad for drive in bare.drives):
         return run  # that is told, and what makes it fall later is none
     known, physics = candidate_causes(bare, robot), physical_causes(bare, robot)
-    if run.unheld is not None or (run.worst is not None and run.worst.told_away):
+    if run.unheld is not None or (run.worst is not None and run.worst.commanded_away):
         # Nothing holds a joint, or its ctrl is of another pose; on the way there any other change
         # may let it stand.
         known, physics = ([one for one in of if one.code in COMMANDS] for of in (known, physics))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pupper_analysis.statics.equilibrium import GravityCompensation
 from collections.abc import Iterable
 
-from pupper_analysis.base.diagnostics import fill_template, is_term, phrase
+from pupper_analysis.base.diagnostics import fill_template, format_number, is_term, phrase
 
 Array = NDArray[np.float64]
 
@@ -456,10 +456,10 @@ Block = Table | Lines | Sides | Listing | Plot | View
 
 @dataclass(frozen=True)
 class Document:
-    """What is told of one result.
+    """What is shown of one result.
 
     Attributes:
-        kind: What is told: an analysis, a stance.
+        kind: What is shown: an analysis, a stance.
         title: What of: a robot, a file, two files.
         blocks: What is shown, what matters most first.
         passed: The verdict; None where there is none.
@@ -495,7 +495,7 @@ class Document:
 
 @dataclass(frozen=True)
 class Report:
-    """What is told of several results together.
+    """What is shown of several results together.
 
     Attributes:
         title: What they are, and what of.
@@ -520,7 +520,7 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
     if value is None:
         return Number("-", math.nan, mark)
     shown = scale * float(value)
-    text = format(shown, form)
+    text = format_number(shown, form)
     if not float(text.rstrip("%") or "nan"):
         text = format(0.0, form)  # no minus before a zero
     return Number(text, shown, mark)

@@ -1,6 +1,6 @@
 """Documents on a terminal: a verdict, what it rests on, and tables that fit its width.
 
-The short view leaves out what is marked as detail; what it has left out is told in its last line.
+The short view leaves out what is marked as detail; what it has left out is named in its last line.
 A table that is too wide has its sentences wrapped; if that is not enough, it is turned over, where
 its rows are few; or else it is printed in parts, each with its first column. No name and no number
 is ever cut.

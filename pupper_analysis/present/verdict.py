@@ -158,11 +158,11 @@ def judged_document(
     assumed for it. What else the verdict rests on, and all tables, a terminal has with -v.
 
     Args:
-        kind: What is told.
+        kind: What is shown.
         judged: The result.
         blocks: Its tables and plots.
         answer: Its key figures: some three lines.
-        details: What else is told of it.
+        details: What else is shown of it.
         failures: What is against it besides the verdict.
         word: The verdict in a word or two, if it is another than the judge's.
         notes: What was assumed, found or left out on the way.
@@ -228,12 +228,12 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
             away=Quantity(run.away, "m"),
             joint=None if joint is None else joint.joint,
             added=joint is not None and joint.added,
-            commanded=joint is not None and joint.told_away,
+            commanded=joint is not None and joint.commanded_away,
             **how,
         )
         yield Clause(not run.falls, message)
     for cause in () if own is None else own.causes:
-        yield Clause(False, told_cause(cause))
+        yield Clause(False, cause_text(cause))
 
 
 def _replaced(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
@@ -291,10 +291,10 @@ def published_clauses(published: Published | None) -> Iterator[Clause]:
         message = diagnose("off-as-published", torque=torque, joint=joint, height=height)
         yield Clause(False, message)
     for cause in published.causes:
-        yield Clause(False, told_cause(cause))
+        yield Clause(False, cause_text(cause))
 
 
-def told_cause(cause: Cause) -> Diagnostic:
+def cause_text(cause: Cause) -> Diagnostic:
     """Tells what makes a file differ from what is computed.
 
     Raises:

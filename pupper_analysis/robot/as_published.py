@@ -66,7 +66,7 @@ LEFT = 0.5
 
 
 class OwnCommands(StrEnum):
-    """What a file's actuators are told in its own run."""
+    """What a file's actuators are given in its own run."""
 
     STATED = "the keyframe's ctrl"
     ABSENT = "the zeros of a keyframe without ctrl"
@@ -81,7 +81,8 @@ class JointOff:
         joint: Its name.
         off: Where it is less where it was (rad, m).
         drive: What drives it in the file.
-        commanded: Where its servo is told to be less where it was (rad, m); None where it has none.
+        commanded: Where its servo is commanded to be less where it was (rad, m); None where it has
+            none.
         added: Whether a servo was added there, on which the run rests.
     """
 
@@ -92,8 +93,8 @@ class JointOff:
     added: bool = False
 
     @property
-    def told_away(self) -> bool:
-        """Whether its own servo was told to go there: what is commanded is another pose."""
+    def commanded_away(self) -> bool:
+        """Whether its own servo was commanded to go there: what is commanded is another pose."""
         if self.commanded is None or abs(self.off) <= GIVES_WAY:
             return False
         return abs(self.commanded) > abs(self.off) / 2
@@ -104,7 +105,7 @@ class Cause:
     """An element of the MJCF, or a change of it on loading, that makes it do other than predicted.
 
     Attributes:
-        code: What it is; see ``present.verdict.told_cause``.
+        code: What it is; see ``present.verdict.cause_text``.
         elements: Its name, or the names of all that are alike.
         line: Where the first stands in the file; None where that is not known.
         remaining: The largest deviation of a torque / the largest predicted torque that is left
@@ -128,7 +129,7 @@ class OwnRun(BodyMotion):
             base, a floor, servos ... but for its shapes.
         timestep: Of such an import (s), if it is finer than the robot's, as its shapes need.
         keyframe: Its name; empty where the file has none: from the nominal stand.
-        commands: What its actuators are told.
+        commands: What its actuators are given.
         limp: Whether most joints have motors, or nothing, which nobody commands.
         worst: The joint that is furthest from where it began; None where it diverged.
         unheld: The same of the joints without a servo, among others that have one, if that is more
@@ -154,7 +155,7 @@ class OwnRun(BodyMotion):
     def left(self) -> bool:
         """Whether a joint of what is held has left its posture, and was not told to."""
         worst = None if self.standing else self.worst
-        return worst is not None and abs(worst.off) > LEFT and not worst.told_away
+        return worst is not None and abs(worst.off) > LEFT and not worst.commanded_away
 
     @property
     def falls(self) -> bool:

@@ -356,7 +356,6 @@ class Configuration:
         return (1 - self._structure.fixed) * moving
 
     def _accelerated(self, qacc: ArrayLike) -> Workspace:
-        """Returns a workspace with this acceleration."""
         a = self._structure.velocity(check_vector("qacc", qacc, self.robot.nv))
         held = self._structure.workspace()
         pin.forwardKinematics(self._model, held.data, self._q, self._v, a)

@@ -237,7 +237,6 @@ def _height_to_keep(
 
 
 def _world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.bool_]:
-    """Returns which contacts are with the world."""
     bodies = model.body_weldid[model.geom_bodyid[data.contact.geom]].reshape(-1, 2)
     return np.asarray((bodies == 0).any(axis=1))
 

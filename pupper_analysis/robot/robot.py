@@ -57,7 +57,7 @@ def efforts_of(
         convention: Where the joints are in it.
         joint_names: Their names, in both.
         before: {joint: the same}, of motors that a preparation replaced by servos. Where the servo
-            has that limit, it is told with the statements of the file itself.
+            has that limit, it is reported with the statements of the file itself.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
     drives = drives_by_joint(mj_model)

@@ -1,6 +1,6 @@
 """Ranges of tendons, and which constraints of an MJCF no stand knows of.
 
-What an MJCF lets joints do together a URDF has no words for.
+What an MJCF lets joints do together a URDF cannot express.
 
 A fixed tendon's length is a sum of joint positions, l = C q, so that its range bounds C q as a
 joint's range bounds q. A spatial one's is a way through space: postures are found without it.

@@ -115,7 +115,7 @@ def sweep_gains(
     amplitude sin(2 pi frequency t), from the first step. All cells run in parallel, on all cores.
     The default integrator takes kd implicitly: with Euler, high kd jitters.
 
-    No pair of gains is told to be the best: a disturbance moves stiffer servos less, without end,
+    No pair of gains is called the best: a disturbance moves stiffer servos less, without end,
     and nothing here has the delay, noise and torque that end it on a robot. Where a pair is not
     stable, or hardly damped, its mode says so.
 

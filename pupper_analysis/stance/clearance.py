@@ -359,7 +359,7 @@ class ClearanceShapes:
     def _not_feet(self) -> Iterator[OffGround]:
         """Yields each shape that is no foot.
 
-        A flat foot and the shapes on its link move as one body, so that it is told once for all.
+        A flat foot and the shapes on its link move as one body, so that it is stated once for all.
         """
         robot, model = self.robot, self.robot.pin_model
         feet: dict[str, str] = {}  # by their joint

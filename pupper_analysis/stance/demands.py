@@ -211,7 +211,7 @@ def round_demands(
     *,
     back: bool = False,
 ) -> StandTask:
-    """Returns a task with some demands rounded to what is told of them, away from what was asked.
+    """Returns a task with some demands rounded as they are reported, away from what was asked.
 
     By up to 0.1 mm, 0.1 degrees or 1/200 of the distance from the nominal stand, whichever is
     least; ``back`` rounds towards what was asked.
@@ -240,7 +240,7 @@ def _rounded(field: Field, number: float, usual: float, asked: float, *, back: b
 
 
 def round_in_radians(task: StandTask, demands: Sequence[str]) -> StandTask:
-    """Returns a task with the angles of some demands as they are told in radians."""
+    """Returns a task with the angles of some demands as they are reported in radians."""
     angles = [one for name in demands for one in _FIELDS[name] if one.kind == "angle"]
     values = {one.name: _short(value) for one in angles for _, value in _values(task, one)}
     return task.having(values)

@@ -185,7 +185,7 @@ class Field:
         Args:
             name: What the error calls it.
             number: In ``unit``.
-            unit: Whoever reads the error is told of this one; the SI unit by default.
+            unit: Whoever reads the error is shown this one; the SI unit by default.
             factor: Of this unit's numbers, over SI ones.
 
         Raises:

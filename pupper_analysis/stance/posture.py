@@ -1,4 +1,4 @@
-"""Where a robot whose base is held is told to be."""
+"""Where a robot whose base is held is commanded to be."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class PostureSource(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Posture(Result):
-    """Where a robot whose base is held is told to be.
+    """Where a robot whose base is held is commanded to be.
 
     Attributes:
         joint_names: In actuator order.

@@ -209,7 +209,7 @@ class _Ways:
         return way
 
     def _stated(self, way: Relaxation | None) -> _Way | None:
-        """Returns a way as it can be told; None if it cannot be typed and found."""
+        """Returns a way as it can be reported; None if it cannot be typed and found."""
         if way is None:
             return None
         robot = self.context.robot
@@ -225,7 +225,7 @@ class _Ways:
         return None
 
     def _rounded(self, way: Relaxation, demands: Sequence[str], share: float) -> StandTask | None:
-        """Returns the task of a way as it is told, its demands giving more by a share.
+        """Returns the task of a way as it is reported, its demands giving more by a share.
 
         One after the other, those that give most first: where one has been rounded, the others
         give as little as that leaves them.

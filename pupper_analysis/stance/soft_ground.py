@@ -105,7 +105,7 @@ def solve_stand_on_soft_ground(
 
 @check_arguments
 def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
-    """Finds the stand that a task means wherever it is told, pushed, loaded or simulated.
+    """Finds the stand that a task means wherever it is shown, pushed, loaded or simulated.
 
     That is ``solve_stand_on_soft_ground``'s, which MuJoCo holds as predicted; or, where the legs do
     not reach down so far, or the ground does not settle under soft loops, the one on rigid ground,

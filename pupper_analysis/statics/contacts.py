@@ -108,7 +108,7 @@ def make_contacts(
     normals: Mapping[str, ArrayLike] | None,
     depths: Mapping[str, float] | None,
 ) -> Contacts:
-    """Checks what ``gravity_compensation`` is told of contacts; its docstring tells what that is.
+    """Checks what ``gravity_compensation`` is given of contacts; its docstring tells what that is.
 
     Raises:
         UnknownNameError: If a foot is unknown.

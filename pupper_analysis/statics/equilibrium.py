@@ -393,7 +393,7 @@ def _result(
     forces: Array,
     point: Array | None = None,
 ) -> GravityCompensation:
-    """Puts together what the contacts' forces (n, 3) leave of a load to the motors.
+    """Combines what the contacts' forces (n, 3) leave of a load to the motors.
 
     Without contacts, what is left on the base is what holds it from outside.
     """

@@ -178,7 +178,7 @@ def test_wrong_values_are_refused(kind: type, junk: Any) -> None:
         (lambda: pa.compare_models(5, "b"), "urdf: 5 is not a text or a path"),
         (lambda: pa.load_robot(urdf=5, mjcf=6), "urdf: 5 is not a text or a path"),
         (lambda: pa.audit_model(5), "path: 5 is not a text or a path"),
-        (lambda: pa.StandTask(height=1e6), "height: 1e+06 m is beyond 1000 m"),
+        (lambda: pa.StandTask(height=1e6), "height: 1000000 m is beyond 1000 m"),
         (lambda: pa.StandTask(offset=(1e308, 0.0)), "offset: 1e+308 m is beyond"),
         (lambda: pa.StandTask(self_clearance=1e15), "self_clearance: 1e+15 m is beyond"),
         (lambda: pa.load_variant(pa.pupper.VariantSpec(leg_scale=1e-6)), "try scales nearer to 1"),

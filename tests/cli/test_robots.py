@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.cli.robots import RobotOptions, told_apart
+from pupper_analysis.cli.robots import RobotOptions, named_apart
 from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.pupper.variants import model_folder
@@ -69,7 +69,7 @@ def test_an_xml_is_taken_by_what_is_in_it(tmp_path: Path) -> None:
 def test_robots_of_one_name_are_told_apart() -> None:
     robot = load_variant("v3")
     meant = [RobotFiles((name,), {}) for name in ("a.urdf", "b.xml", "b.xml")]
-    names = [one.name for one in told_apart([*meant, "v3"], [robot] * 4)]
+    names = [one.name for one in named_apart([*meant, "v3"], [robot] * 4)]
     assert names == ["v3 (a.urdf)", "v3 (b.xml)", "v3 (b.xml) 2", "v3"]
 
 

@@ -41,7 +41,7 @@ def causes(verdict: Verdict) -> list[str]:
                 "files-differ" for one in verdict.failures if one.code == "files-of-two-robots"
             ]
         elif own is not None and own.fails and joint is not None:
-            found += ["own-run"] if joint.drive is not Drive.SERVO or joint.told_away else []
+            found += ["own-run"] if joint.drive is not Drive.SERVO or joint.commanded_away else []
         elif code not in NEVER:
             found.append(code)
     return found

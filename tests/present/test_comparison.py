@@ -195,7 +195,9 @@ def test_what_the_mjcf_alone_has_is_printed_with_its_effect(tmp_path: Path) -> N
     assert f": {spring}\n" in out
     assert "   likewise on 1 more: hip" in out
     # What the other spring undoes is no share of the whole.
-    assert re.search(r"contribution to the deviation in: forward dynamics (\d\d% )?\(\d\.", out)
+    assert re.search(
+        r"deviation that it makes \(.+\): forward dynamics [\d.]+ %( \(\d\d%\))?[,\n]", out
+    )
     assert "explained: 100 % of the deviation" in out
     assert "engines differ" not in out
     header = next(line for line in out.splitlines() if line.strip().startswith("models"))

@@ -10,20 +10,28 @@ from pupper_analysis import cli
 from tests.support import pages
 from tests.support.repository import ROOT
 
-PAGES = {path.relative_to(ROOT).as_posix(): path for path in pages.pages() if pages.blocks_of(path)}
-EXAMPLES = [name for name in cli.COMMANDS if pages.blocks_of_help(name)]
+BLOCKS = {path.relative_to(ROOT).as_posix(): pages.blocks_of(path) for path in pages.pages()}
+BLOCKS |= {f"{name} --help": pages.blocks_of_help(name) for name in cli.COMMANDS}
+BLOCKS = {name: found for name, found in BLOCKS.items() if found}
+LATE = [name for name, found in BLOCKS.items() if any(pages.late_lines(block) for block in found)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", BLOCKS)
 def test_blocks_of_a_page_run_and_print_what_it_says(name: str, tmp_path: Path) -> None:
-    pages.run_page(pages.blocks_of(PAGES[name]), tmp_path)
+    pages.run_page(BLOCKS[name], tmp_path)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_examples_of_help_run(name: str, tmp_path: Path) -> None:
-    pages.run_page(pages.blocks_of_help(name), tmp_path)
+@pytest.mark.longest
+@pytest.mark.parametrize("name", LATE)
+def test_blocks_that_take_minutes_run(name: str, tmp_path: Path) -> None:
+    pages.run_page(BLOCKS[name], tmp_path, late=True)
+
+
+def test_few_blocks_are_run_nowhere() -> None:
+    left = {line for found in BLOCKS.values() for block in found for line in block.left}
+    unreachable = ("pip install", "make ", "source ", "robot_descriptions", "python")
+    assert all(any(words in line for words in unreachable) for line in left), left
 
 
 def test_a_wrong_number_or_status_of_a_page_is_found(tmp_path: Path) -> None:
@@ -39,7 +47,7 @@ def test_a_wrong_number_or_status_of_a_page_is_found(tmp_path: Path) -> None:
         pages.run_page([exits], tmp_path)
 
 
-def test_a_block_that_is_not_run_says_why(tmp_path: Path) -> None:
-    page = ROOT / "docs/how-to/live.md"
-    (block,) = [one for one in pages.blocks_of(page) if one.language == "sh"][:1]
-    assert all(block.left.values())
+def test_what_is_in_a_chinese_page_as_in_the_english_one_runs_once() -> None:
+    page = ROOT / "docs/zh/how-to/stand.md"
+    assert "pupper-analysis stand v3" in page.read_text()
+    assert "pupper-analysis stand v3\n" not in "".join(b.text for b in pages.blocks_of(page))

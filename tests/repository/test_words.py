@@ -16,9 +16,6 @@ from pupper_analysis import cli
 from tests.support.repository import ROOT
 
 PACKAGE = ROOT / "pupper_analysis"
-SWEPT = ("tools/study", "pupper")
-"""Folders whose docstrings have none, either."""
-
 SECTION = (ROOT / "CONTRIBUTING.md").read_text().partition("\n## Words\n")[2].partition("\n## ")[0]
 IDIOMS = dict(re.findall(r"^\| ([a-z' ]+?) \| (.+) \|$", SECTION, re.M)[1:])
 
@@ -76,12 +73,11 @@ def test_help_has_none() -> None:
             assert found(text) == [], (name, text)
 
 
-def test_docstrings_of_swept_folders_have_none() -> None:
+def test_docstrings_have_none() -> None:
     kinds = ast.FunctionDef | ast.ClassDef | ast.Module
     wrong = [
         (file.name, found(text), text)
-        for folder in SWEPT
-        for file in (PACKAGE / folder).rglob("*.py")
+        for file in PACKAGE.rglob("*.py")
         for node in ast.walk(ast.parse(file.read_text("utf-8")))
         if isinstance(node, kinds) and found(text := ast.get_docstring(node) or "")
     ]

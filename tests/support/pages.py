@@ -3,9 +3,11 @@
 `python -m tests.support.pages` prints how many there are of each page, and which are not run, why.
 
 A block that cannot run is marked in its page, with the reason: `<!-- not run: REASON -->` on the
-line above it; `<!-- not run 'WORDS': REASON -->` means those of its lines that hold these words. A
-command whose line ends with `# exits 1` must. The lines of a block of text below are its output:
-`...` stands for any, and numbers have the digits that are printed.
+line above it; `<!-- not run 'WORDS': REASON -->` means those of its lines that hold these words.
+What takes minutes has `<!-- longest -->`, or `<!-- longest 'WORDS' -->`: the longest tests run it.
+What is in a Chinese page exactly as in the English one runs once. A command whose line ends with
+`# exits 1` must. The lines of a block of text below are its output: `...` stands for any, and
+numbers have the digits that are printed. What is a reader's own makes `own_files.py`.
 """
 
 from __future__ import annotations
@@ -23,40 +25,31 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from unittest import mock
+from urllib.request import urlopen
+
+import mujoco
+import mujoco.viewer
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from tests.support import arm
+from tests.support import own_files
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 
-FOLDERS = ("docs/how-to", "docs/tutorials", "docs/zh", "docs/zh/how-to")
+FOLDERS = ("docs/how-to", "docs/tutorials", "docs/explanation", "docs/zh", "docs/zh/how-to")
 """Of pages whose every block is run, beside the README."""
 
-ARMS = ("panda", "ur5", "arm", "hand")
-"""Names of files that are an arm's; all others are Pupper's."""
+NEVER = {"pip install": "it needs the network"}
+if shutil.which("jq") is None:
+    NEVER["| jq"] = "jq is not there"
+"""Lines that are run nowhere: {their words: why}."""
 
-HELP = {
-    "study": "an hour of designs; its page runs a smaller one",
-    "live": "it serves until it is ended: tests/tools/live",
-    "ur5": "a UR5 of one's own",
-    "hand.xml": "a hand of one's own",
-    "mjcf:": "two files that differ: tests/tools/sync",
-    "contract": "a policy of one's own: tests/tools/contract",
-    "analysis walk": "a policy of one's own: tests/tools/walk",
-    "--policy": "a policy of one's own: tests/tools/walk",
-    "xacro": "xacro is no dependency",
-    "g1": "its joints and feet are named: a G1 of one's own",
-    "--foot": "feet of other names",
-    "--map": "joints of other names",
-    "HEAD": "a repository of one's own",
-    "v1.0": "a repository of one's own",
-    "stands.csv": "measurements of one's own",
-    "hanging.csv": "measurements of one's own",
-    ".usd": "tests/tools/usd",
-    "pupper-analysis check": "a repository of one's own: tests/repository/test_action.py",
-}
-"""Examples of `--help` that are not run: {words in their line: why}."""
+SPEED = "0.13,0,0"
+"""m/s, m/s, rad/s."""
+
+HELP_LONGEST = ("study", "--seeds 20", "--vary", "--orders", "best payload", "fit go2.xml --log")
+"""Words of those that take minutes."""
 
 
 @dataclass
@@ -69,6 +62,7 @@ class Block:
         language: `sh` or `python`.
         text: What is in it.
         marks: {words in the lines that are not run (empty: all): reason}.
+        longest: Words in the lines that only the longest tests run (empty: all).
         output: Text that is shown below it, in order.
     """
 
@@ -77,17 +71,22 @@ class Block:
     language: str
     text: str
     marks: dict[str, str] = field(default_factory=dict)
+    longest: tuple[str, ...] = ()
     output: list[str] = field(default_factory=list)
 
     def reason(self, line: str = "") -> str:
         """Why a line is not run; empty if it is."""
-        return next((why for words, why in self.marks.items() if words in line), "")
+        return next((why for words, why in (NEVER | self.marks).items() if words in line), "")
 
-    def lines(self) -> Iterator[tuple[str, int]]:
+    def late(self, line: str = "") -> bool:
+        """Whether only the longest tests run a line."""
+        return any(words in line for words in self.longest)
+
+    def lines(self, *, late: bool = True) -> Iterator[tuple[str, int]]:
         """Yields the commands of a shell block that are run, and their exit status."""
         for line in self.text.replace("\\\n", " ").splitlines():
             command, _, comment = line.partition("  #")
-            if command.strip() and not self.reason(line):
+            if command.strip() and not self.reason(line) and (late or not self.late(line)):
                 status = re.search(r"exits (\d)", comment)
                 yield command.strip(), int(status[1]) if status else 0
 
@@ -98,34 +97,59 @@ class Block:
         return {line: why for line in lines if line.strip() and (why := self.reason(line))}
 
 
+def late_lines(block: Block) -> int:
+    """How many commands, or blocks of Python, of a block the longest tests run alone."""
+    if block.language == "python":
+        return int(block.late() and not block.reason())
+    return len(list(block.lines())) - len(list(block.lines(late=False)))
+
+
 def pages() -> list[Path]:
     """The pages whose blocks are run."""
     found = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
     return [ROOT / "README.md", *found]
 
 
+def english(page: Path) -> Path:
+    """The English page of a Chinese one."""
+    if page.name == "tutorial.md":
+        return ROOT / "docs/tutorials/pupper.md"
+    return ROOT / "docs" / page.relative_to(ROOT / "docs/zh")
+
+
 def blocks_of(page: Path) -> list[Block]:
     """The blocks of a page, each with its marks and its output."""
     found: list[Block] = []
     marks: dict[str, str] = {}
+    longest: tuple[str, ...] = ()
     lines = page.read_text("utf-8").splitlines()
     index = 0
     while index < len(lines):
         line = lines[index]
         mark = re.fullmatch(r"<!-- not run(?: '(.+)')?: (.+) -->", line)
+        late = re.fullmatch(r"<!-- longest(?: '(.+)')? -->", line)
         fence = re.fullmatch(r"```(\w+)", line)
         if mark:
             marks[mark[1] or ""] = mark[2]
+        elif late:
+            longest = (*longest, late[1] or "")
         elif fence:
             end = lines.index("```", index)
             text = "\n".join(lines[index + 1 : end]) + "\n"
             if fence[1] in ("sh", "python"):
                 name = page.relative_to(ROOT).as_posix()
-                found.append(Block(name, index + 1, fence[1], text, marks))
+                found.append(Block(name, index + 1, fence[1], text, marks, longest))
             elif fence[1] == "text" and found and not marks:
                 found[-1].output.append(text)
-            marks, index = {}, end
+            marks, longest, index = {}, (), end
         index += 1
+    if "zh" in page.parts and (twin := english(page)).exists():
+        theirs = {block.text: "".join(block.output) for block in blocks_of(twin)}
+        return [
+            one
+            for one in found
+            if one.text not in theirs or misses("".join(one.output), theirs[one.text])
+        ]
     return found
 
 
@@ -138,47 +162,64 @@ def blocks_of_help(command: str) -> list[Block]:
         for line in said.replace("\\\n", " ").splitlines()
         if re.match(r"\W*(xacro .*\| )?pupper-analysis ", line)
     ]
-    lines = [line for line in lines if line.strip() not in elsewhere]
-    return [Block(f"{command} --help", 0, "sh", "\n".join(lines) + "\n", dict(HELP))] * bool(lines)
+    text = "\n".join(line for line in lines if line.strip() not in elsewhere) + "\n"
+    block = Block(f"{command} --help", 0, "sh", text, longest=HELP_LONGEST)
+    return [block] if text.strip() else []
 
 
 def furnish(folder: Path, block: Block) -> None:
-    """Puts the files of one's own that a block names into a folder: copies of Pupper's."""
-    places = {name: folder / name for name in ("urdf", "mjcf", "examples", "scripts")}
-    # The URDF names its meshes from its own folder, beside that of the MJCF.
-    places |= {"mjcf/": folder.parent / "mjcf", "mjcf/meshes": folder / "meshes"}
-    for name, place in places.items():
-        if not place.exists():
-            place.symlink_to(ROOT / name, target_is_directory=True)
-    (folder / "crouch.toml").write_text("height = '12cm'\n")
-    if "legs.toml" in block.text:
-        shutil.copy(ROOT / "examples/legs.toml", folder)
-    made: set[str] = set()  # by a command, before it is read
-    for before, name, suffix in re.findall(
-        r"(\S*)[\"' ]((?:\w+/)?[\w.]+)\.(urdf|xml)\b", block.text
-    ):
-        file = folder / f"{name}.{suffix}"
-        if before in ("-o", ">"):
-            made.add(file.name)
-        if file.exists() or file.name in made or name.startswith("build/"):
-            continue
-        file.parent.mkdir(exist_ok=True)
-        if name in ARMS:
-            file.write_text(arm.URDF if suffix == "urdf" else arm.MJCF)
-        elif suffix == "urdf":
-            shutil.copy(ROOT / "urdf/pupper_v3.urdf", file)
-        else:
-            shutil.copy(ROOT / "mjcf/pupper_v3.xml", file)
-            for part in ("shared", "body"):
-                shutil.copy(ROOT / f"mjcf/pupper_v3_{part}.xml", file.parent)
+    """Puts what a block names into a folder: the checkout's files, and those of one's own."""
+    if "analysis check" in block.text:
+        list(own_files.models(folder))
+    else:
+        # The URDF names its meshes from its own folder, beside that of the MJCF.
+        places = {name: folder / name for name in ("urdf", "mjcf", "examples", "scripts")}
+        places |= {"mjcf/": folder.parent / "mjcf", "mjcf/meshes": folder / "meshes"}
+        for name, place in places.items():
+            if not place.exists():
+                place.symlink_to(ROOT / name, target_is_directory=True)
+    own_files.write(folder, block.text)
+
+
+XACRO = """#!/bin/sh
+exec cat "$1"
+"""
+"""In the place of xacro, which is no dependency: the file is one already."""
+
+
+def look_at(page: Any, *, browser: bool, wait: Any) -> None:
+    """In the place of a reader who opens the live page, and ends it."""
+    del browser, wait
+    try:
+        with urlopen(page.address, timeout=30) as got:
+            assert b"<!doctype html" in got.read(200).lower()
+    finally:
+        page.close()
+
+
+def look_into(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """In the place of a reader who looks into MuJoCo's viewer for a moment."""
+    mujoco.mj_step(model, data, 10)
+
+
+def slowly(text: str) -> str:
+    """What walks by a policy, at the speed at which the one that is made here walks."""
+    text = text.replace("0.5,0,0", SPEED).replace("(0.5, 0, 0)", f"({SPEED})")
+    walks = r"(pupper-analysis walk (?!.*(?:--command|--orders)).*)"
+    return re.sub(walks, rf"\1 --command {SPEED}", text)
 
 
 def run_shell(command: str, folder: Path) -> Answer:
     """Runs a line as a shell does; one that only starts the command, in this process."""
+    command = slowly(command)
     words = shlex.split(command)
+    if words[0] == "xacro":
+        (folder / "xacro").write_text(XACRO)
+        (folder / "xacro").chmod(0o755)
     file = words[words.index(">") + 1] if ">" in words else None
     if words[0] != "pupper-analysis" or "|" in words:
-        programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        found = (str(Path(sys.executable).parent), str(folder), os.environ["PATH"])
+        programs = os.pathsep.join(found)
         env = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": programs}
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", command],
@@ -187,7 +228,12 @@ def run_shell(command: str, folder: Path) -> Answer:
         return Answer(done.returncode, done.stdout, done.stderr)
     if file is not None:
         words = words[: words.index(">")]
-    done = answer(*words[1:], folder=folder)
+    with (
+        mock.patch("pupper_analysis.tools.live.server.serve", look_at),
+        mock.patch("pupper_analysis.tools.live.window.check_display"),
+        mock.patch("mujoco.viewer.launch", look_into),
+    ):
+        done = answer(*words[1:], folder=folder)
     if file is not None:
         (folder / file).write_text(done.stdout)
     return done
@@ -196,7 +242,7 @@ def run_shell(command: str, folder: Path) -> Answer:
 def run_python(block: Block, folder: Path, names: dict[str, Any]) -> str:
     """Runs a block of Python in the names of its page; returns what it prints."""
     out = io.StringIO()
-    code = compile(block.text, f"{block.page}:{block.line}", "exec")
+    code = compile(slowly(block.text), f"{block.page}:{block.line}", "exec")
     with contextlib.chdir(folder), contextlib.redirect_stdout(out):
         exec(code, names)
     return out.getvalue()
@@ -209,8 +255,13 @@ def misses(shown: str, printed: str) -> list[str]:
     return [part for part in parts if " ".join(part.split()) not in flat]
 
 
-def run_page(blocks: list[Block], folder: Path) -> Counter[str]:
+def run_page(blocks: list[Block], folder: Path, *, late: bool = False) -> Counter[str]:
     """Runs the blocks of a page one after the other, in one folder, and compares what they print.
+
+    Args:
+        blocks: The blocks.
+        folder: Where.
+        late: Whether to run those of the longest tests, too.
 
     Returns:
         How many commands and blocks of Python were run.
@@ -226,10 +277,10 @@ def run_page(blocks: list[Block], folder: Path) -> Counter[str]:
         where = f"{block.page}:{block.line}"
         furnish(folder, block)
         printed = ""
-        if block.language == "python" and not block.reason():
+        if block.language == "python" and not block.reason() and (late or not block.late()):
             printed = run_python(block, folder, names)
             count["python"] += 1
-        for command, status in block.lines() if block.language == "sh" else ():
+        for command, status in block.lines(late=late) if block.language == "sh" else ():
             done = run_shell(command, folder)
             printed += done.stdout + done.stderr
             said = f"{where}: {command}\n{done.stdout[-2000:]}{done.stderr[-2000:]}"
@@ -245,16 +296,18 @@ def main() -> None:
     """Prints how many blocks there are, and which are not run."""
     whole = {page.relative_to(ROOT).as_posix(): blocks_of(page) for page in pages()}
     whole |= {f"{name} --help": blocks_of_help(name) for name in cli.COMMANDS}
-    commands = python = left = 0
+    commands = python = late = left = 0
     for name, blocks in whole.items():
         run = sum(len(list(block.lines())) for block in blocks if block.language == "sh")
         codes = sum(block.language == "python" and not block.reason() for block in blocks)
+        late += sum(map(late_lines, blocks))
         unrun = {line: why for block in blocks for line, why in block.left.items()}
         commands, python, left = commands + run, python + codes, left + len(unrun)
         print(f"{name}: {run} commands, {codes} blocks of Python")
         for line, why in unrun.items():
             print(f"    not run: {' '.join(line.split())} ({why})")
-    print(f"{commands} commands and {python} blocks of Python are run, {left} are not")
+    print(f"{commands} commands and {python} blocks of Python are run", end=" ")
+    print(f"({late} of them by the longest tests), {left} are not")
 
 
 if __name__ == "__main__":

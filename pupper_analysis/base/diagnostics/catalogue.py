@@ -1,4 +1,4 @@
-"""The catalogue: all that is told to a reader, under keys, in each language.
+"""The catalogue: all that a reader is shown, under keys, in each language.
 
 Diagnostics: per code its severity and its words.
 
@@ -161,7 +161,8 @@ def _tables() -> Mapping[str, str]:
     """Returns {code: its table's text}.
 
     TOML is slow to read (1,000 entries take 50 ms, a tenth of a command's start), and a command
-    says a few things only: entries are told apart by their headers and read when they are needed.
+    says a few things only: entries are distinguished by their headers and read when they are
+    needed.
     """
     tables: dict[str, str] = {}
     for path in word_files().values():

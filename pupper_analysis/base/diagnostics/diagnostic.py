@@ -89,7 +89,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One fact that a reader is told of.
+    """One fact that is reported.
 
     ``str`` says it in English. Two are equal if code, subject, values and sources are.
 

@@ -2,7 +2,7 @@
 
 In a template may stand
 
-- ``{mass}``, ``{mass:.3g}``: a value, with a format of Python's; a ``Quantity`` comes with its
+- ``{mass}``, ``{mass:.3g}``: a value, as by ``format_number``; a ``Quantity`` comes with its
   unit, and ``{gap:mm:.1f}`` shows it in another one (mm, deg, g, ms, %), ``{gap::.1f}`` in none;
 - ``{name!r}``: a text in quotes;
 - ``{names}``: several, with commas between them, at most eight; ``{names:3}`` at most three. What
@@ -22,6 +22,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 from string import Formatter
 from typing import Any
 
@@ -32,6 +33,7 @@ _SHOWN_IN = {
     ("m", "um"): 1e6,
     ("m/s", "mm/s"): 1e3,
     ("rad", "deg"): math.degrees(1.0),
+    ("rad, m", "deg"): math.degrees(1.0),
     ("rad", "degrees"): math.degrees(1.0),
     ("rad", "°"): math.degrees(1.0),
     ("rad/s", "deg/s"): math.degrees(1.0),
@@ -42,6 +44,19 @@ _SHOWN_IN = {
     ("1", "%"): 1e2,
 }
 """{(SI unit, unit that is shown): factor}."""
+
+
+def format_number(value: float, spec: str) -> str:
+    """Formats a number as people write it: by a ``g`` without an exponent, from 1e-6 to 1e9.
+
+    A ``%`` after the ``g`` shows hundredths: 0.039 by ``".2g%"`` is ``"3.9 %"``.
+    """
+    if spec.endswith("g%"):
+        return f"{format_number(100 * value, spec[:-1])} %"
+    written = format(value, spec)
+    if "e" in written and not spec.endswith("e") and 1e-6 <= abs(value) < 1e9:
+        return format(Decimal(written), "+f" if written.startswith("+") else "f")
+    return written
 
 
 @dataclass(frozen=True)
@@ -66,13 +81,13 @@ class Quantity:
         """
         shown, colon, digits = spec.rpartition(":")
         if colon and not shown:
-            return format(self.value, digits)
+            return format_number(self.value, digits)
         if not colon and (self.unit, digits) in _SHOWN_IN:
             shown, digits = digits, ""
         elif not colon:  # so that "g" are grams of a mass, and Python's format of all else
             shown = self.unit
         factor = 1.0 if shown == self.unit else _SHOWN_IN[self.unit, shown]
-        return _with_unit(format(factor * self.value, digits or ".4g"), shown)
+        return _with_unit(format_number(factor * self.value, digits or ".4g"), shown)
 
     def __str__(self) -> str:
         return format(self, "")
@@ -105,7 +120,9 @@ class Vector:
         """
         shown, colon, digits = spec.rpartition(":")
         factor = _SHOWN_IN[self.unit, shown] if shown else 1.0
-        numbers = ", ".join(format(factor * value + 0.0, digits or ".6g") for value in self.values)
+        numbers = ", ".join(
+            format_number(factor * value + 0.0, digits or ".6g") for value in self.values
+        )
         return (
             f"({numbers})"
             if colon and not shown
@@ -226,7 +243,8 @@ class _Filler(Formatter):
             return str(value.text(self.language))
         if hasattr(value, "kind"):  # a subject
             return f"{term(value.kind, self.language)} {value.name}"
-        return format(value, format_spec)
+        write = format_number if isinstance(value, float) else format
+        return write(value, format_spec)
 
     def _listed(self, values: tuple[Any, ...], spec: str) -> str:
         found = _LIST.match(spec)

@@ -70,7 +70,8 @@ class ConversionDraft:
         stands: Whether it is a robot that shall stand.
         failure: Why it does not, if that is known already.
         lost: What it cannot do without, and lacks.
-        on_balls: The joints whose feet touch with balls in the place of their meshes, as is told.
+        on_balls: The joints whose feet touch with balls in the place of their meshes, as is
+            reported.
     """
 
     text: str

@@ -60,7 +60,7 @@ class Repair(Result):
 
     @property
     def diagnostic(self) -> Diagnostic:
-        """What was written, as it is told."""
+        """What was written, as it is reported."""
         link = "link", self.link
         if not self.mass > 0:
             return diagnose("mass-given", subject=link, mass=Quantity(self.new_mass, "kg"))

@@ -87,7 +87,7 @@ def matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
 
 
 def _groups(differences: Iterable[Difference]) -> list[list[Difference]]:
-    """Puts together differences of one kind with the same two values."""
+    """Combines differences of one kind with the same two values."""
     groups: dict[tuple[str, str, str], list[Difference]] = {}
     for difference in differences:
         key = (difference.kind, str(difference.urdf), str(difference.mjcf))
@@ -324,7 +324,7 @@ def _differences(comparison: Comparison) -> doc.Table:
                 _value(difference.urdf),
                 _value(difference.mjcf),
                 doc.Name(difference.unit),
-                doc.Number(f"{effect:.1e}", effect),
+                doc.number_cell(effect, ".2g", scale=100),
                 doc.Name(_short(difference.urdf_place)),
                 doc.Name(_short(difference.mjcf_place)),
             )
@@ -338,7 +338,7 @@ def _differences(comparison: Comparison) -> doc.Table:
             doc.Column(text("in-the-urdf")),
             doc.Column(text("in-the-mjcf")),
             doc.Column(text("unit"), left=True),
-            doc.Column(text("greatest-relative-effect"), "1"),
+            doc.Column(text("greatest-relative-effect"), "%"),
             doc.Column(text("line-of-the-urdf"), left=True),
             doc.Column(text("line-of-the-mjcf"), left=True),
         ),
@@ -350,7 +350,7 @@ def _differences(comparison: Comparison) -> doc.Table:
 
 
 def _short(place: str | None) -> str:
-    """Returns a place with its file's name alone: the folders are told once."""
+    """Returns a place with its file's name alone: the folders are shown once."""
     return "" if place is None else Path(place).name
 
 

@@ -33,7 +33,7 @@ def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
 
 
 def mass_text(mass: float) -> doc.Words:
-    """Returns a mass that can be borne (kg), rounded down: what is told is borne."""
+    """Returns a mass that can be borne (kg), rounded down: what is stated is borne."""
     if math.isinf(mass):
         return text("no-limit")
     return doc.Name(f"{math.floor(100 * mass) / 100:.2f} kg")

@@ -113,7 +113,7 @@ def _lines(plot: LinePlot) -> Drawing:
         across, up = (np.asarray(values, dtype=float) for values in (one.x, one.y))
         good = np.isfinite(across) & np.isfinite(up)
         lines.append(_thinned(np.column_stack([across[good], up[good]])))
-    points = np.concatenate(lines)
+    points = np.concatenate(lines) if any(map(len, lines)) else np.ones((1, 2))
     along, upward = scale_values(x, points[:, 0]), scale_values(y, points[:, 1])
     left, right = _range(along, 0.0 if not x.log else 0.03)
     low, high = _range(upward, 0.06)

@@ -129,7 +129,7 @@ class Stated:
 
     @property
     def message(self) -> str:
-        """The difference in plain words."""
+        """The difference in a sentence."""
         return str(self.diagnostic)
 
 

@@ -114,7 +114,7 @@ def fold_bodies(*bodies: TreeBody) -> TreeBody:
 def body_moments(body: TreeBody) -> Array:
     """Returns a body's mass, first and second moments about its frame's origin (10,).
 
-    They add up when bodies are put together: the mass (kg), the first moments (kg m), and the six
+    They add up when bodies are combined: the mass (kg), the first moments (kg m), and the six
     entries of the inertia about the origin (kg m^2).
     """
     c = body.com
@@ -612,7 +612,7 @@ def masses_of_geoms(case: PatternCase) -> Found:
 
 
 def closed_loops(case: PatternCase) -> Found:
-    """Puts together what an MJCF alone holds by equality constraints."""
+    """Combines what an MJCF alone holds by equality constraints."""
     found = [name for kind, name in case.open if kind == "equality"]
     if len(found) > 1:
         message = diagnose("equalities-of-the-mjcf-alone", names=found)
@@ -983,12 +983,12 @@ class PatternCause(Result):
 
     @property
     def message(self) -> str:
-        """What it is, in plain words."""
+        """What it is, in a sentence."""
         return str(self.diagnostic)
 
     @property
     def leads(self) -> bool:
-        """Whether it is told before all else.
+        """Whether it is reported before all else.
 
         So are efforts of another place on the drive: the dynamics do not feel them, but whatever is
         said of what the motors hold is false by the gear.

@@ -237,7 +237,7 @@ def _coms(values: MultibodyTree, names: list[str]) -> Array:
 
 
 def _samples(count: int) -> Iterator[list[int]]:
-    """Yields numbers of points to fit: all, and then triples, lest one that is off spoils it."""
+    """Yields numbers of points to fit: all, and then triples, lest one that is off damages it."""
     yield list(range(count + 1))
     yield list(range(1, count + 1))
     triples = itertools.combinations(range(min(count, _TRIED) + 1), 3)

@@ -18,9 +18,9 @@ from pupper_analysis.cli.robots import (
     VARIANT,
     RobotOptions,
     add_options,
+    named_apart,
     robot_from,
     robots_argument,
-    told_apart,
     with_robot,
 )
 from pupper_analysis.cli.stance_fields import options_of, task_of
@@ -153,7 +153,7 @@ def _analyze_all(
     from pupper_analysis.tools.analyze.analysis import analyze_variant
     from pupper_analysis.tools.analyze.document import analysis_document
 
-    robots = told_apart(meant, [robot_from(robot) for robot in meant])
+    robots = named_apart(meant, [robot_from(robot) for robot in meant])
     for robot in robots:  # a stance out of reach is found before anything is printed
         solve_stand(robot, task)
     out = make_console()

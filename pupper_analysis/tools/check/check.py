@@ -160,9 +160,9 @@ def check_repository(
         config: The configuration; by default that of the current folder, or of one above it.
         update_baseline: Write what is found to the baseline, so that all of it is known. What
             cannot be read is not taken; its entries stay.
-        since: A revision of git: what has changed since then is told, with what it does; it fails
-            where the robot falls or MuJoCo diverges, and where ``fail-on`` says so. No baseline
-            knows it.
+        since: A revision of git: what has changed since then is reported, with what it does; it
+            fails where the robot falls or MuJoCo diverges, and where ``fail-on`` says so. No
+            baseline knows it.
 
     Raises:
         ConfigurationError: If there is no configuration.
@@ -210,7 +210,7 @@ def check_repository(
 
 
 def _counted(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
-    """Returns what was checked of a pair, with what came of it."""
+    """Returns what was checked of a pair, with its results."""
     own = [one for one in remarks if one.pair == pair.name
            or (not one.pair and one.file in pair.files)]  # fmt: skip
     known = count_findings(one for one in own if one.state is RemarkState.KNOWN)

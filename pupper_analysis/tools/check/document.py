@@ -45,7 +45,7 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
 
 
 def _groups(remarks: Iterable[Remark]) -> list[list[Remark]]:
-    """Puts together what one slip explains, and what has the same values, old and new."""
+    """Combines what one slip explains, and what has the same values, old and new."""
     groups: dict[tuple[str, ...], list[Remark]] = {}
     for remark in remarks:
         same = (remark.state, remark.kind, str(remark.values), str(remark.before))
@@ -176,9 +176,9 @@ def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[
 
     Args:
         check: The check.
-        in_a_change: For the page of a change, where what is told of the lines that it touches alone
-            is seen: a difference is told where its value is another one than the baseline's, or in
-            both files.
+        in_a_change: For the page of a change, where what is reported of the lines that it touches
+            alone is seen: a difference is reported where its value is another one than the
+            baseline's, or in both files.
     """
     found = [
         _annotation(group, place)
@@ -190,7 +190,7 @@ def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[
 
 
 def _guarded(remark: Remark) -> bool:
-    """Whether a tool that guards found it: it is told at each of its lines."""
+    """Whether a tool that guards found it: it is reported at each of its lines."""
     return remark.check not in ("crosscheck", "audit", "diff")
 
 
@@ -226,7 +226,7 @@ def _places(remark: Remark) -> list[str | None]:
 
 
 def _findings(remarks: Iterable[Remark]) -> Iterable[list[Remark]]:
-    """Puts together what one slip explains."""
+    """Combines what one slip explains."""
     groups: dict[tuple[str, ...], list[Remark]] = {}
     for remark in remarks:
         alone = () if remark.cause else (str(len(groups)),)

@@ -72,7 +72,7 @@ class ModelChange(Result):
 
     @property
     def message(self) -> str:
-        """The change in plain words."""
+        """The change in a sentence."""
         return str(self.diagnostic)
 
 

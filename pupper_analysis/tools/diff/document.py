@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from pupper_analysis.base.diagnostics import format_number
 from pupper_analysis.base.results import shorten
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
@@ -78,7 +79,9 @@ def _effects(change: ModelChange) -> doc.Text:
         return text("no-effect-on-the-dynamics").marked("quiet")
     effects = sorted(change.effects.items(), key=lambda item: -item[1].relative)
     listed = join_words(
-        text("quantity-by-effect", quantity=word(name), effect=f"{effect.relative:.1e}")
+        text(
+            "quantity-by-effect", quantity=word(name), effect=format_number(effect.relative, ".2g%")
+        )
         for name, effect in effects
     )
     return text("alone-it-changes-effects", effects=listed)

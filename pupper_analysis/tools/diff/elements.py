@@ -316,7 +316,6 @@ _TERMS: Final = (SHAPE, "friction")
 
 
 def _value(element: Element | None, word: str) -> object:
-    """Returns a value as it is said."""
     if element is None:
         return Term("none")
     if not word:

@@ -100,7 +100,7 @@ def open_lines(
 
 
 def _open(combinations: Iterable[Combination]) -> Iterable[doc.Words]:
-    """Yields what cannot be told apart, and what else to measure."""
+    """Yields what cannot be distinguished, and what else to measure."""
     for one in combinations:
         names = doc.Name(", ".join(one.names[:_MOST]) + (", ..." if one.names[_MOST:] else ""))
         yield text("only-ratio-told" if one.ratio else "only-together-told", names=names)

@@ -125,7 +125,7 @@ class Posterior:
         mean: (n,) the most probable values, in the parameters' units.
         covariance: (n, n) of these.
         information: (n, n) what the measurements alone tell, where the prior's widths are the
-            units: a direction with 1 is told as well by the prior.
+            units: a direction with 1 is determined as well by the prior.
         precision: (n, n) what was known before, likewise.
         chi2: Sum of squares of the whitened residuals left.
         moved: (n,) how far the parameters moved, in what were their widths.

@@ -1,4 +1,4 @@
-"""What a fit tells: numbers with intervals, and what cannot be told apart."""
+"""What a fit tells: numbers with intervals, and what cannot be distinguished."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def determined_by(share: float) -> Determined:
 
 @dataclass(frozen=True)
 class Combination(Result):
-    """Parameters that measurements cannot tell apart.
+    """Parameters that measurements cannot distinguish.
 
     Attributes:
         names: Of the parameters.
@@ -70,7 +70,7 @@ class Combination(Result):
 def find_combinations(
     posterior: Posterior, more: Mapping[str, Array] | None = None
 ) -> tuple[Combination, ...]:
-    """Finds parameters that are told only in combinations.
+    """Finds parameters that are determined only in combinations.
 
     Two belong together if their correlation after the measurements is over 0.9 and each alone is
     not told. All that are bound to each other are one group: its widest direction is what the

@@ -92,7 +92,7 @@ def fit_files(
     Args:
         robot: The robot, as its files have it.
         posterior: What is known of its parameters.
-        fit: The result that is told in ``fit.json`` beside what is written.
+        fit: The result that is written to ``fit.json`` beside what is written.
         files: The URDF and the MJCF, if they are not those that the robot was loaded from.
         packages: {ROS package: its folder}, for ``package://`` paths.
 
@@ -334,7 +334,7 @@ def write_fit(
         robot: The robot, as its files have it.
         posterior: What is known of its parameters.
         folder: Where to; made if need be.
-        fit: The result that is told in ``fit.json``, too.
+        fit: The result that is written to ``fit.json``, too.
         files: The URDF and the MJCF, if they are not those that the robot was loaded from.
         packages: {ROS package: its folder}, for ``package://`` paths.
         force: Replace files that no fit has written, or that were edited since; but never those

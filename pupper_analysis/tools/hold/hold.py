@@ -261,7 +261,7 @@ class Hold(Tabular):
     Attributes:
         name: The robot's name.
         hangs: Whether its base, which is held, is free in the MJCF; the ground touches nothing.
-        posture: Where it is told to be.
+        posture: Where it is commanded to be.
         units: (nu,) of the joints' positions: rad, or m of one that slides; of its motor, N for
             N m.
         tool: Where it carries, and is pushed.

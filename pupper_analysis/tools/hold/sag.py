@@ -74,7 +74,7 @@ def sag_posture(
     Args:
         robot: A robot whose base is held.
         posture: What is commanded.
-        tool: Whose sag is told.
+        tool: Whose sag is computed.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
 
     Raises:

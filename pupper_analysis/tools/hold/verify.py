@@ -138,7 +138,7 @@ def verify_posture(
     Args:
         robot: A robot whose base is held.
         posture: The posture that is commanded.
-        tool: Whose sag is told.
+        tool: Whose sag is computed.
         sagged: Where it is predicted to rest without feed-forward.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         kp: Servo stiffness (N m/rad); the model's own by default.

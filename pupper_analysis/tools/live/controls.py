@@ -47,7 +47,7 @@ class Controls:
         robot: The robot as it is on a page just opened.
         scales: {name of a scale that it can be made with: its own}.
         say: The page's language.
-        changed: What is told that the state has changed.
+        changed: What is called when the state has changed.
     """
 
     def __init__(
@@ -315,7 +315,7 @@ class JointSliders:
         robot: The robot.
         joints: Which.
         start: (nu,) where they are (rad, m).
-        moved: Is told a joint and its position (rad, m) when somebody moves a slider.
+        moved: Is called with a joint and its position (rad, m) when somebody moves a slider.
 
     Attributes:
         sliders: {joint: viser's slider}.
@@ -355,11 +355,11 @@ class JointSliders:
         return round(value, _DIGITS) + 0.0  # never -0
 
     def positions(self) -> dict[str, float]:
-        """Returns where all of these joints are told to be (rad, m)."""
+        """Returns where all of these joints are commanded to be (rad, m)."""
         return {joint: self._position(joint) for joint in self.sliders}
 
     def changed(self) -> dict[str, float]:
-        """Returns where those are told to be that are not where they began (rad, m)."""
+        """Returns where those are commanded to be that are not where they began (rad, m)."""
         begin, sliders = self._begin, self.sliders
         return {n: p for n, p in self.positions().items() if sliders[n].value != begin[n]}
 

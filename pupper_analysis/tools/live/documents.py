@@ -25,7 +25,7 @@ from pupper_analysis.tools.push.trial import PushTrial
 from pupper_analysis.tools.stand.stance import Stance
 
 NOWHERE = doc.Name("")
-"""The title of what is told of no robot."""
+"""The title of what is shown of no robot."""
 
 
 def stance_document(
@@ -114,7 +114,7 @@ def simulation_document(stance: Stance, *, feedforward: bool) -> doc.Document:
 
     Args:
         stance: What was simulated.
-        feedforward: Which of its simulations is told.
+        feedforward: Which of its simulations is shown.
     """
     run = stance.verification if feedforward else stance.sagging
     expected: float | None = float(stance.stand.qpos[2])
@@ -131,7 +131,7 @@ def simulation_document(stance: Stance, *, feedforward: bool) -> doc.Document:
 
 
 def push_document(trial: PushTrial) -> doc.Document:
-    """Returns what came of a push."""
+    """Returns the results of a push."""
     document = trial_document(trial)
     return replace(document, blocks=(*document.blocks, _AS_SIMULATED))
 

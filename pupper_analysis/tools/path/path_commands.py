@@ -1,4 +1,4 @@
-"""What servos are told so that they follow a path: feed-forward, step by step."""
+"""What servos are commanded so that they follow a path: feed-forward, step by step."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _STEP_ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PathCommands:
-    """A path at the time steps of a simulation, and what the servos are told.
+    """A path at the time steps of a simulation, and what the servos are commanded.
 
     Attributes:
         path: The path.
@@ -80,7 +80,7 @@ def path_commands(
     drive_of: Callable[[Robot], Servos] = model_with_servos,
     timestep: float | None = None,
 ) -> PathCommands:
-    """Returns what the servos are told, step by step.
+    """Returns what the servos are commanded, step by step.
 
     Args:
         robot: The robot.

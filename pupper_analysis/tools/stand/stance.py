@@ -40,7 +40,7 @@ class Stance(Tabular):
         joint_positions: (nu,) of ``stand``, in actuator order (rad).
         limits: (nu,) of the motors' torques, the least that both files state (N m).
         limit_origins: (nu,) which statement of which file each is; None without a limit.
-        stand: How it stands, its feet sunk into MuJoCo's ground, which all that is told is of; on
+        stand: How it stands, its feet sunk into MuJoCo's ground, which all that is shown is of; on
             rigid ground, without ``depths``, where that is out of reach.
         rigid: How it would stand on rigid ground.
         statics: Torques and contact forces: those that last.

@@ -279,7 +279,7 @@ class MjcfSide(Side):
     ) -> bool:
         """Writes numbers as an attribute of an element itself, unless it states them.
 
-        Where a default class states it, what is told of the difference says so.
+        Where a default class states it, what is reported of the difference says so.
 
         Args:
             key: The difference.

@@ -1,7 +1,7 @@
 """Reads a USD file (UsdPhysics): what may be opened, and where its prims are.
 
-Nothing is fetched, no plugin is asked for, and what a file brings in is counted before it is put
-together: a few lines that reference each other can otherwise make more prims than a machine holds.
+Nothing is fetched, no plugin is asked for, and what a file brings in is counted before it is
+assembled: a few lines that reference each other can otherwise make more prims than a machine holds.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def _check_depth(path: Path, text: bytes) -> None:
 
 
 def _check_size(pxr: Any, path: Path) -> None:
-    """Refuses a file that brings in more prims than ``MAX_PRIMS``, before they are put together."""
+    """Refuses a file that brings in more prims than ``MAX_PRIMS``, before they are assembled."""
     counts: dict[tuple[str, str], int] = {}
     top = pxr.Sdf.Layer.FindOrOpen(str(path.absolute()))
     if top is None:

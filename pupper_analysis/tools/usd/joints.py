@@ -1,7 +1,7 @@
 """Joints of a USD: what they join, where, and their numbers, in m, rad, N m and seconds.
 
 UsdPhysics states angles in degrees, and with them all that is per angle: gains, damping, speeds.
-What it has no words for (damping, dry friction, armature) stands in the schemas of engines.
+What it cannot express (damping, dry friction, armature) stands in the schemas of engines.
 """
 
 from __future__ import annotations

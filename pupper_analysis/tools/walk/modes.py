@@ -19,9 +19,9 @@ from pupper_analysis.cli.modes import refuse_alone, refuse_unused
 from pupper_analysis.cli.robots import (
     RobotOptions,
     add_options,
+    named_apart,
     print_notes,
     robot_from,
-    told_apart,
 )
 from pupper_analysis.cli.shared import Command
 from pupper_analysis.prepare.convert.files import RobotFiles
@@ -119,7 +119,7 @@ def _vary(
     several = name == "push"
     meant = (which.all(words) if several else [which.one(words) or "v3"]) or ["v3"]
     robots = [walked_robot(one, style, everything=everything) for one in meant]
-    robots = told_apart(meant, robots) if several else robots
+    robots = named_apart(meant, robots) if several else robots
     given: dict[str, Any] = {"seeds": seeds, "seconds": seconds}
     given = {key: value for key, value in given.items() if value is not None}
     found = {}

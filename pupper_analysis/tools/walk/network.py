@@ -1,7 +1,7 @@
 """The network of a policy: a list of operations on arrays, evaluated by NumPy in double precision.
 
 Every value is (runs, 1, n): each run's row is multiplied by itself, so what a run gives does not
-depend, to the last bit, on how many others are evaluated with it.
+depend, exactly, on how many others are evaluated with it.
 """
 
 from __future__ import annotations

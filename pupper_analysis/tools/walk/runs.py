@@ -1,6 +1,6 @@
 """Many runs of a policy at once: a batch moves in lockstep, batches go to threads.
 
-What a run gives is the same to the last bit for any number of workers, and whatever runs beside it:
+What a run gives is the same exactly for any number of workers, and whatever runs beside it:
 MuJoCo steps each by itself, and the network multiplies each run's row by itself.
 """
 

@@ -111,7 +111,7 @@ def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float 
         ({"mass": 1e3}, "all masses of the MJCF are 1000 times those of the URDF: g for kg"),
         ({"mass": 0.1}, "all masses of the MJCF are 0.1 times those of the URDF: a decimal point?"),
         ({"length": 1e3}, "all lengths of the MJCF are 1000 times those of the URDF: mm for m"),
-        ({"inertia": 1e6}, "all inertias of the MJCF are 1e+06 times those of the URDF: kg mm^2"),
+        ({"inertia": 1e6}, "all inertias of the MJCF are 1000000 times those of the URDF: kg mm^2"),
     ],
 )
 def test_a_ratio_of_a_unit_is_named(tmp_path: Path, factors: dict[str, float], words: str) -> None:

@@ -159,8 +159,8 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[Found]:
 def keyframe_falls(robot: MjcfModel) -> Iterator[Found]:
     """Simulates the first keyframe (``home``, if there is one) with its own actuators and ctrl.
 
-    For 5 s, nudged. Where the keyframe states no ctrl, position servos are told to hold its joints,
-    if half of them have one; motors would need a controller.
+    For 5 s, nudged. Where the keyframe states no ctrl, position servos are commanded to hold its
+    joints, if half of them have one; motors would need a controller.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.nkey or not robot.base:

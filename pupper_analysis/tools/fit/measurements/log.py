@@ -149,7 +149,7 @@ def make_log(
 
 
 def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
-    """Checks that time is told in all rows, and rises.
+    """Checks that time is stated in all rows, and rises.
 
     Raises:
         MeasurementError: If not.

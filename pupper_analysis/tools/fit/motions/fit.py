@@ -526,9 +526,9 @@ class Motion:
         """Returns how far parameters are from where straight lines lead (draws, n), in widths.
 
         Moments are drawn as they are known. What measurements do not tell takes what they do with
-        it where that bends: an armature is told with the inertia of its link, which goes with the
-        square of a com. So each draw is led back to what suits the measurements, by one step with
-        the same derivatives.
+        it where that bends: an armature is determined with the inertia of its link, which goes with
+        the square of a com. So each draw is led back to what suits the measurements, by one step
+        with the same derivatives.
 
         Args:
             posterior: The moments.

@@ -463,8 +463,9 @@ class Moments:
     """A vector of parameters by first moments, and back.
 
     Gravity and inertia act by m and m c. A step that is good in them is none in m and c, as
-    d(m c) = m dc + c dm + dm dc: where mass and com of a link are told by their product alone, and
-    each to no better than the prior, the last term was 20 standard deviations of what was measured.
+    d(m c) = m dc + c dm + dm dc: where mass and com of a link are determined by their product
+    alone, and each to no better than the prior, the last term was 20 standard deviations of what
+    was measured.
 
     In place of a com c there stands c0 + (m / m0) (c - c0), c0 and m0 being the stated ones: a
     length, the com itself at the stated mass, and linear in the moment and the mass. Its prior is
