@@ -119,7 +119,7 @@ class Panels:
 
     @property
     def feedforward(self) -> bool:
-        """Whether servos are told the torque in advance."""
+        """Whether servos are given the torque in advance."""
         return bool(self._feedforward.value)
 
     @property
@@ -132,7 +132,7 @@ class Panels:
         self._numbers.content = render.render_panel(document, self.say)
 
     def result(self, document: Document) -> None:
-        """Shows what came of a simulation."""
+        """Shows the results of a simulation."""
         self._result.content = render.render_panel(document, self.say)
 
     def wait(self, key: str) -> None:
@@ -215,7 +215,7 @@ class Session:
         self._think.set()
 
     def changed(self) -> None:
-        """Is told that the controls say something else."""
+        """Is called when the controls say something else."""
         self._asked.set()
 
     def reset(self) -> None:
@@ -380,7 +380,7 @@ class Session:
         motion: Any,
         verdict: Verdict | None = None,
     ) -> None:
-        """Tells what came of a simulation, and plays it."""
+        """Shows the results of a simulation, and plays it."""
 
         def show() -> None:
             self._verdict = verdict or self._verdict
