@@ -17,15 +17,14 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import refuse_input
-from pupper_analysis.models.stated.model import RobotModel
-from pupper_analysis.tools.contract.facts import Request, Role, Source, kind_of, readers
+from pupper_analysis.tools.contract.facts import Fact, Request, Role, Source, readers
 from pupper_analysis.tools.contract.findings import (
     Disagreement,
     Pose,
     find_all,
     pose_effects,
 )
-from pupper_analysis.tools.contract.orders import Placed, place_source
+from pupper_analysis.tools.contract.orders import Joints, Placed, place_source
 from pupper_analysis.tools.contract.readers.models import match_names, read_stated
 
 MOST_FILES = 500
@@ -33,31 +32,6 @@ MOST_FILES = 500
 
 _PASSED_OVER = ("node_modules", "site-packages", "build", "install", "log", "logs", "thirdparty",
                 "__pycache__")  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Fact(Result):
-    """One number that a source states.
-
-    Attributes:
-        source: The source's name.
-        joint: The joint, by the model's name; "" of a setting.
-        quantity: What it is.
-        value: In SI units; None of an expression that is no constant.
-        unit: Its unit.
-        place: ``file:line``.
-        expression: What stands there, of what is no constant.
-        implied: Whether the source leaves it to its library's default.
-    """
-
-    source: str
-    joint: str
-    quantity: str
-    value: float | None
-    unit: str
-    place: str
-    expression: str
-    implied: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,14 +115,14 @@ def read_contract(
         raise ConfigurationError("sources", diagnose("contract-without-model"))
     # By its joints all is ordered: an MJCF's, as it is what trainers and engines go by.
     models.sort(key=lambda one: one.path.suffix.lower() not in (".xml", ".mjcf"))
-    first, model = models[0], read_stated(Request(models[0].path))
     names, notes = match_names(models, names or {})
+    joints = Joints(read_stated(models[0].path), models[0].order, names)
     for folder in folders:
-        found, said = _in_folder(folder, read, model, first.order, names)
+        found, said = _in_folder(folder, read, joints)
         read += found
         notes += said
-    first, *rest = _named_apart([first, *(one for one in read if one is not first)])
-    placed = [place_source(one, model, first.order, rest, names) for one in (first, *rest)]
+    first, *rest = _named_apart([models[0], *(one for one in read if one is not models[0])])
+    placed = [place_source(one, joints, rest) for one in (first, *rest)]
     for one in placed:
         notes += _check(one, first)
     placed.sort(key=lambda one: list(Role).index(one.source.role))
@@ -159,29 +133,23 @@ def read_contract(
         paths = list(dict.fromkeys(one.path for one in models))
         poses, unstood = stand_poses(paths, placed, first.order)
         notes += unstood
-    findings = pose_effects(find_all(placed, model, first.order), poses)
+    findings = pose_effects(find_all(placed, joints), poses)
     worst = Severity(fail_on).rank
-    return Contract(
-        model=str(first.path),
-        joints=first.order,
-        sources=tuple(map(_source_read, placed)),
-        facts=tuple(fact for one in placed for fact in _facts(one)),
-        findings=findings,
-        poses=poses,
-        notes=tuple(notes),
-        passed=all(one.severity.rank > worst for one in findings),
-    )
+    facts = tuple(fact for one in placed for fact in one.facts.values())
+    passed = all(one.severity.rank > worst for one in findings)
+    return Contract(str(first.path), first.order, tuple(map(_source_read, placed)), facts, findings,
+                    poses, tuple(notes), passed)  # fmt: skip
 
 
 def _check(one: Placed, model: Source) -> list[Diagnostic]:
     """Returns what is noted of a source; one without a joint of the robot is refused."""
-    said = [fact for (_, joint), fact in one.facts.items() if joint and not fact.implied]
+    said = [fact for fact in one.facts.values() if fact.joint and not fact.implied]
     theirs = [*one.unknown, *(each.joint for each in one.source.statements if each.joint)]
     # A network without names states how many joints it is for.
-    alone = any(not joint for _, joint in one.facts) and not (theirs or one.notes)
+    alone = any(not fact.joint for fact in one.facts.values()) and not (theirs or one.notes)
     if not (said or any(one.order) or alone):
-        message = diagnose("contract-no-joint", model=model.name,
-                        names=tuple(dict.fromkeys(theirs))[:4],
+        names = tuple(dict.fromkeys(theirs))[:4]
+        message = diagnose("contract-no-joint", model=model.name, names=names,
                         joints=model.order[:4])  # fmt: skip
         raise ModelError(one.source.path, next(iter(one.notes), message))
     unknown = [diagnose("contract-names-unknown", file=one.source.name,
@@ -220,9 +188,9 @@ def _asked(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
 def _read(request: Request) -> list[Source]:
     """Returns what a file holds."""
     ending = request.path.suffix.lower()
-    able = [one for one in readers() if ending in one.suffixes]
+    able = [one for one in readers() if ending in one.SUFFIXES]
     if not able:
-        known = sorted({suffix for one in readers() for suffix in one.suffixes})
+        known = sorted({suffix for one in readers() for suffix in one.SUFFIXES})
         raise ModelError(request.path, diagnose("contract-of-no-kind", known=known))
     try:
         return [source for one in able for source in one.read(request)]
@@ -255,11 +223,7 @@ def _one_of(request: Request, found: Sequence[Source]) -> list[Source]:
 
 
 def _in_folder(
-    folder: Path,
-    read: Sequence[Source],
-    model: RobotModel,
-    joints: tuple[str, ...],
-    names: Mapping[str, str],
+    folder: Path, read: Sequence[Source], joints: Joints
 ) -> tuple[list[Source], list[Diagnostic]]:
     """Returns the deployments of a folder that name joints of the robot; not its modules.
 
@@ -274,8 +238,8 @@ def _in_folder(
             refused.append(path.name)
             continue
         for one in sources:
-            by_name = place_source(one, model, joints, (), names)
-            every = set(by_name.names.values()) == set(joints)
+            by_name = place_source(one, joints, ())
+            every = set(by_name.names.values()) == set(joints.order)
             fits = every or (by_name.how == "named" and all(by_name.order))
             left += not fits
             found += [one] if fits else []
@@ -295,13 +259,6 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _source_read(one: Placed) -> SourceRead:
-    source = one.source
-    seen = tuple(name for name, _, _ in source.observations)
-    return SourceRead(source.name, str(source.path), str(source.role), one.order, one.how,
-                      one.unknown, seen)  # fmt: skip
-
-
-def _facts(one: Placed) -> Iterator[Fact]:
-    for (quantity, joint), said in one.facts.items():
-        yield Fact(one.source.name, joint, quantity, said.value, kind_of(quantity).unit,
-                   said.place.path, said.expression, said.implied)  # fmt: skip
+    seen = tuple(name for name, _, _ in one.source.observations)
+    return SourceRead(one.source.name, str(one.source.path), str(one.source.role), one.order,
+                      one.how, one.unknown, seen)  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -13,8 +14,8 @@ from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of, quote_line
 from pupper_analysis.present.formats import Annotation, CheckedItem
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.contract.contract import Contract, Fact
-from pupper_analysis.tools.contract.facts import QUANTITIES, kind_of
+from pupper_analysis.tools.contract.contract import Contract
+from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, kind_of
 from pupper_analysis.tools.contract.findings import Disagreement
 
 MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
@@ -61,17 +62,15 @@ def _blocks(contract: Contract) -> Iterable[doc.Block]:
 
 
 def _sides(finding: Disagreement, *, detail: bool) -> doc.Sides:
-    columns = [
-        doc.FilePlace(
-            doc.Name(Path(place).name), doc.Name(quote_line(place) or _value(finding, n)), place
-        )
-        for place, n in {place: n for n, place in enumerate(finding.places)}.items()
-    ]
+    numbers = {place: number for number, place in enumerate(finding.places)}
+    columns = tuple(doc.FilePlace(doc.Name(Path(place).name),
+                                  doc.Name(quote_line(place) or _value(finding, number)), place)
+                    for place, number in numbers.items())  # fmt: skip
     tag: doc.Words = word(str(finding.severity))
     if finding.slip:
         tag = text("severity-rule", severity=tag, rule=word(finding.slip))
     tag = tag.marked(MARKS[finding.severity]) if isinstance(tag, doc.Text) else tag
-    return doc.Sides(doc.tell(finding.diagnostic), tuple(columns),
+    return doc.Sides(doc.tell(finding.diagnostic), columns,
                      tuple(map(doc.tell, finding.effects)), tag, detail)  # fmt: skip
 
 
@@ -80,55 +79,37 @@ def _value(finding: Disagreement, number: int) -> str:
     return "-" if value is None else f"{value:.6g} {finding.unit}".rstrip()
 
 
+def _column(key: str, unit: str = "", *, detail: bool = False) -> doc.Column:
+    return doc.Column(text(key), unit, left=not unit, detail=detail)
+
+
 def _poses(contract: Contract) -> doc.Table:
-    columns = (doc.Column(text("contract-source"), left=True),
-               doc.Column(text("contract-height"), "m"),
-               doc.Column(text("contract-sag"), "mm"),
-               doc.Column(text("contract-utilisation"), "%"),
-               doc.Column(text("contract-moved"), "rad", detail=True),
-               doc.Column(text("contract-stays"), left=True))  # fmt: skip
+    columns = (_column("contract-source"), _column("contract-height", "m"),
+               _column("contract-sag", "mm"), _column("contract-utilisation", "%"),
+               _column("contract-moved", "rad", detail=True),
+               _column("contract-stays"))  # fmt: skip
+    ends: dict[bool | None, doc.Cell] = {None: doc.Name("-"), True: text("contract-stays-up"),
+                                         False: text("contract-falls").marked("bad")}  # fmt: skip
     rows = tuple(
-        (
-            doc.Name(pose.source),
-            doc.number_cell(pose.height, ".3f"),
-            doc.number_cell(pose.sag, ".1f", scale=1e3),
-            doc.number_cell(pose.utilisation, ".1f", scale=100.0),
-            doc.number_cell(pose.moved, ".3f"),
-            doc.Name("-") if pose.stays is None
-            else text("contract-stays-up") if pose.stays
-            else text("contract-falls").marked("bad"),
-        )
+        (doc.Name(pose.source), doc.number_cell(pose.height, ".3f"),
+         doc.number_cell(pose.sag, ".1f", scale=1e3),
+         doc.number_cell(pose.utilisation, ".1f", scale=100.0),
+         doc.number_cell(pose.moved, ".3f"), ends[pose.stays])
         for pose in contract.poses
     )  # fmt: skip
-    notes = tuple(
-        text("contract-pose-note", source=pose.source, why=doc.tell(pose.problem))
-        for pose in contract.poses if pose.problem is not None
-    )  # fmt: skip
+    notes = tuple(text("contract-pose-note", source=pose.source, why=doc.tell(pose.problem))
+                  for pose in contract.poses if pose.problem is not None)  # fmt: skip
     source = (page_of("how-to/contract.md", "How it stands"),)
     return doc.Table(text("contract-poses"), columns, rows, notes, source)
 
 
 def _sources(contract: Contract) -> doc.Table:
-    columns = (doc.Column(text("contract-source"), left=True),
-               doc.Column(text("contract-role"), left=True),
-               doc.Column(text("contract-numbers"), "1"),
-               doc.Column(text("contract-order-how"), left=True))  # fmt: skip
-    hows = {
-        "named": text("contract-order-named"),
-        "motors": text("contract-order-motors"),
-        "policy": text("contract-order-policy"),
-        "assumed": text("contract-order-assumed"),
-        "": text("contract-order-none"),
-    }
-    rows = tuple(
-        (
-            doc.Name(one.name),
-            word(one.role),
-            doc.number_cell(sum(fact.source == one.name for fact in contract.facts), ".0f"),
-            hows[one.how],
-        )
-        for one in contract.sources
-    )
+    columns = (_column("contract-source"), _column("contract-role"),
+               _column("contract-numbers", "1"), _column("contract-order-how"))  # fmt: skip
+    count = Counter(fact.source for fact in contract.facts)
+    rows = tuple((doc.Name(one.name), word(one.role), doc.number_cell(count[one.name], ".0f"),
+                  text(f"contract-order-{one.how or 'none'}"))
+                 for one in contract.sources)  # fmt: skip
     return doc.Table(text("contract-sources"), columns, rows, detail=False)
 
 
@@ -149,7 +130,7 @@ def _table(
             marks = ["bad" if (row, name) in differ else "" for name in names]
             head = doc.Name(row) if row in contract.joints else word(row)
             rows.append((head, *map(_cell, said, marks)))
-    columns = [doc.Column(text("joint") if facts[0].joint else text("contract-setting"), left=True)]
+    columns = [_column("joint" if facts[0].joint else "contract-setting")]
     columns += [doc.Column(doc.Name(name), unit) for name in names]
     places = {name: next(one.place for one in facts if one.source == name) for name in names}
     notes = (join_words(text("contract-first-place", source=name, place=Path(place).name)
@@ -167,13 +148,12 @@ def _cell(fact: Fact | None, mark: str) -> doc.Cell:
 
 def _observations(contract: Contract) -> doc.Table:
     seen = {one.name: one.observations for one in contract.sources if one.observations}
-    columns = [doc.Column(text("ordinal"), "1")]
-    columns += [doc.Column(doc.Name(name), left=True) for name in seen]
+    named = [doc.Column(doc.Name(name), left=True) for name in seen]
     rows: list[tuple[doc.Cell, ...]] = []
     for number, row in enumerate(zip_longest(*seen.values(), fillvalue=""), start=1):
         rows.append((doc.number_cell(number, ".0f"), *map(doc.Name, row)))
-    title = text("contract-observations")
-    return doc.Table(title, tuple(columns), tuple(rows), detail=True)
+    columns = (_column("ordinal", "1"), *named)
+    return doc.Table(text("contract-observations"), columns, tuple(rows), detail=True)
 
 
 # For machines.
@@ -182,29 +162,22 @@ def _observations(contract: Contract) -> doc.Table:
 def contract_remarks(contract: Contract) -> list[Annotation]:
     """Returns each finding as an annotation at the line of each source."""
     return [
-        Annotation(
-            LEVELS[one.severity],
-            f"{one.slip or one.kind}: {', '.join(one.joints[:3]) or one.kind}",
-            f"{one.message} [{one.places[1 - number]}]",
-            place,
-            rule=f"contract/{one.kind.replace(' ', '-')}",
-            about=one.kind,
-            diagnostic=one.diagnostic,
-        )
+        Annotation(LEVELS[one.severity],
+                   f"{one.slip or one.kind}: {', '.join(one.joints[:3]) or one.kind}",
+                   f"{one.message} [{one.places[1 - number]}]", place, about=one.kind,
+                   rule=f"contract/{one.kind.replace(' ', '-')}", diagnostic=one.diagnostic)
         for one in contract.findings
         for place, number in {place: n for n, place in enumerate(one.places)}.items()
-    ]
+    ]  # fmt: skip
 
 
 def contract_cases(contract: Contract) -> list[CheckedItem]:
     """Returns one case per quantity that is stated; errors and warnings are its failures."""
-    kinds = dict.fromkeys([*(one.quantity for one in contract.facts),
-                           *(one.kind for one in contract.findings)])  # fmt: skip
-    cases = []
-    for kind in kinds:
-        found = [one for one in contract.findings if one.kind == kind]
-        failed = [one for one in found if one.severity is not Severity.NOTE]
-        lines = [f"{one.places[0]}, {one.places[1]}: {one.message}" for one in failed]
-        message = tuple(one.diagnostic for one in failed)
-        cases.append(CheckedItem(kind, "\n".join(lines) or None, message))
-    return cases
+    kinds = [*(one.quantity for one in contract.facts), *(one.kind for one in contract.findings)]
+    failed: dict[str, list[Disagreement]] = {kind: [] for kind in kinds}
+    for one in contract.findings:
+        failed[one.kind] += [one] * (one.severity is not Severity.NOTE)
+    lines = {kind: "\n".join(f"{', '.join(one.places)}: {one.message}" for one in found)
+             for kind, found in failed.items()}  # fmt: skip
+    return [CheckedItem(kind, lines[kind] or None, tuple(one.diagnostic for one in found))
+            for kind, found in failed.items()]  # fmt: skip

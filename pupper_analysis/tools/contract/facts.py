@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import re
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place
 
 GROUP: Final = "pupper_analysis.contract"
@@ -32,6 +34,20 @@ class Role(StrEnum):
     MODEL = "model"
 
 
+FIELDS: Final[Mapping[str, Any]] = tomllib.loads(
+    Path(__file__).with_name("fields.toml").read_text("utf-8")
+)
+"""What formats call what they state; the file explains its keys."""
+
+NAMES: Final[Mapping[str, list[str]]] = FIELDS["names"]
+"""{what is named: by which keys}."""
+
+CALLED: Final[Mapping[str, str]] = {
+    alias: name for name, aliases in FIELDS["observed"].items() for alias in aliases
+}
+"""{what a library calls a part of what a policy observes: what the others do}."""
+
+
 class Kind(NamedTuple):
     """A quantity.
 
@@ -40,49 +56,32 @@ class Kind(NamedTuple):
         severity: Of a difference; None of what is listed alone.
         mirrored: How it is of the other side's joint: 1 the same, -1 by the joint's axis, 0 not
             held against it.
+        whole: Whether it is of a source as a whole, and not of a joint.
     """
 
     unit: str
     severity: Severity | None
-    mirrored: int = 1
+    mirrored: int
+    whole: bool
 
-
-_ERROR, _WARNING = Severity.ERROR, Severity.WARNING
 
 QUANTITIES: Final[Mapping[str, Kind]] = {
-    "time step": Kind("s", None, 0),
-    "decimation": Kind("1", None, 0),
-    "policy step": Kind("s", _ERROR, 0),
-    "latency": Kind("s", _ERROR, 0),
-    "actions": Kind("1", _ERROR, 0),
-    "observed numbers": Kind("1", None, 0),
-    "default angle": Kind("rad", _ERROR, -1),
-    "action scale": Kind("rad", _ERROR),
-    "action offset": Kind("rad", _ERROR, -1),
-    "sign": Kind("1", _ERROR, 0),
-    "kp": Kind("N m/rad", _ERROR),
-    "kd": Kind("N m s/rad", _ERROR),
-    "effort": Kind("N m", _WARNING),
-    "velocity": Kind("rad/s", _WARNING),
-    "lower limit": Kind("rad", _WARNING, 0),
-    "upper limit": Kind("rad", _WARNING, 0),
-    "armature": Kind("kg m^2", _WARNING),
-    "friction": Kind("N m", _WARNING),
-    "damping": Kind("N m s/rad", _WARNING),
-    "start angle": Kind("rad", None, 0),
-    "start kp": Kind("N m/rad", None, 0),
-    "start kd": Kind("N m s/rad", None, 0),
-    "friction coefficient": Kind("1", None, 0),
-}
-"""Of a source as a whole, then of joints. How a policy's step is made up may differ, the step may
-not; how many numbers are observed depends on how many steps of them are. What passive joints damp
-is no gain of a servo; at which angles a model begins, and with which gains a robot stands up, need
-not be what its policy has; a friction of PhysX is no torque."""
+    name: Kind(row["unit"], Severity(row["differs"]) if "differs" in row else None,
+               row.get("mirrored", 0), row.get("whole", False))
+    for name, row in FIELDS["quantities"].items()
+}  # fmt: skip
 
 
 def kind_of(quantity: str) -> Kind:
     """Returns what a quantity is; what is none of ``QUANTITIES`` is a scale of what is observed."""
-    return QUANTITIES.get(quantity, Kind("1", _ERROR, 0))
+    return QUANTITIES.get(quantity, Kind("1", Severity.ERROR, 0, whole=True))
+
+
+KEYS: Final[Mapping[str, Mapping[str, str]]] = {
+    form: {key: name for name, row in FIELDS["quantities"].items() for key in row.get(form, ())}
+    for form in ("table", "settings", "actuator")
+}
+"""{format: {what it calls it: quantity}}."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +109,38 @@ class Statement:
     decimals: int | None = None
     expression: str = ""
     implied: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Fact(Result):
+    """One number that a source states.
+
+    Attributes:
+        source: The source's name.
+        joint: The joint, by the model's name; "" of a setting.
+        quantity: What it is.
+        value: In SI units; None of an expression that is no constant.
+        unit: Its unit.
+        place: ``file:line``.
+        expression: What stands there, of what is no constant.
+        implied: Whether the source leaves it to its library's default.
+        decimals: Digits after the point, as it is written; None of what was computed.
+    """
+
+    source: str
+    joint: str
+    quantity: str
+    value: float | None
+    unit: str
+    place: str
+    expression: str
+    implied: bool
+    decimals: int | None = None
+
+    @property
+    def number(self) -> float:
+        """Its value; 0 of what is no number."""
+        return self.value or 0.0
 
 
 @dataclass(frozen=True)
@@ -142,12 +173,15 @@ class Source:
     observations: tuple[tuple[str, float | None, Place], ...] = ()
     notes: tuple[Diagnostic, ...] = ()
 
+    def fact(self, said: Statement, joint: str = "") -> Fact:
+        """Returns a statement as one of a joint of the robot; of itself as a whole, if of none."""
+        return Fact(self.name, joint, said.quantity, said.value, kind_of(said.quantity).unit,
+                    said.place.path, said.expression, said.implied, said.decimals)  # fmt: skip
+
     @property
     def content(self) -> tuple[tuple[object, ...], ...]:
         """What it states, wherever that stands: two of the same are one."""
-        said = sorted(
-            (one.quantity, one.joint, str(one.index), str(one.value)) for one in self.statements
-        )
+        said = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         seen = [(name, scale) for name, scale, _ in self.observations]
         return tuple(said), self.order, self.motors, tuple(seen)
 
@@ -167,17 +201,15 @@ class Request:
     folders: tuple[Path, ...] = ()
 
 
-class Reader(NamedTuple):
-    """A reader of sources: a module with ``SUFFIXES`` and ``read``.
+class Reader(Protocol):
+    """A reader of sources: a module.
 
     Attributes:
-        name: What it is called.
-        suffixes: How the names of its files end.
+        SUFFIXES: How the names of its files end.
         read: Yields what a file holds; nothing if it is of another kind.
     """
 
-    name: str
-    suffixes: tuple[str, ...]
+    SUFFIXES: tuple[str, ...]
     read: Callable[[Request], Iterable[Source]]
 
 
@@ -189,8 +221,8 @@ def readers() -> tuple[Reader, ...]:
     own = Path(__file__).parent / "readers"
     names = {f"{__package__}.readers.{path.stem}" for path in own.glob("[a-z]*.py")}
     others = [point.module for point in entry_points(group=GROUP)]
-    modules = [import_module(name) for name in (*sorted(names), *sorted(others))]
-    return tuple(Reader(one.__name__, tuple(one.SUFFIXES), one.read) for one in modules)
+    modules: Any = [import_module(name) for name in (*sorted(names), *sorted(others))]
+    return tuple(modules)
 
 
 @dataclass(frozen=True)
@@ -207,15 +239,31 @@ class Node:
     place: Place
     decimals: int | None = field(default=None, compare=False)
 
-    def get(self, *keys: str) -> Node | None:
-        """Returns what is below it, by names; None where there is nothing."""
-        node: Node | None = self
+    def __deepcopy__(self, memo: dict[int, Any]) -> Node:
+        return replace(self, value=deepcopy(self.value, memo))
+
+    @property
+    def there(self) -> bool:
+        """Whether it is anything."""
+        return self.value is not None
+
+    @property
+    def table(self) -> dict[Any, Node]:
+        """It as a table, or the fields that it has; empty if it is neither."""
+        held = getattr(self.value, "fields", self.value)
+        return held if isinstance(held, dict) else {}
+
+    def get(self, *keys: str) -> Node:
+        """Returns what is below it, by names; nothing, where there is none."""
+        node = self
         for key in keys:
-            if node is None:
-                return None
-            held = node.value if isinstance(node.value, dict) else getattr(node.value, "fields", {})
-            node = held.get(key)
-        return None if node is None or node.value is None else node
+            node = node.table.get(key, Node(None, node.place))
+        return node
+
+    def first(self, names: str) -> Node:
+        """Returns the first of several that is below it: of ``NAMES``."""
+        found = (self.get(*one.split(".")) for one in NAMES[names])
+        return next((one for one in found if one.there), Node(None, self.place))
 
     @property
     def number(self) -> float | None:
@@ -231,71 +279,38 @@ class Node:
     @property
     def items(self) -> list[Node]:
         """It as a list; itself alone if it is none."""
-        return self.value if isinstance(self.value, list) else [self]
-
-    @property
-    def text(self) -> str:
-        """It as a text; "" if it is none."""
-        return self.value if isinstance(self.value, str) else ""
+        return self.value if isinstance(self.value, list) else [self] * self.there
 
     @property
     def texts(self) -> tuple[str, ...]:
         """It as texts; empty unless it is a text, or a list of nothing else."""
-        found = tuple(one.text for one in self.items)
-        return found if all(found) else ()
+        found = tuple(one.value for one in self.items)
+        return found if all(isinstance(one, str) and one for one in found) else ()
 
+    def state(self, quantity: str, joint: str = "", **where: Any) -> Statement:
+        """Returns its statement: a number, or an expression that is none."""
+        number = self.number
+        shown = "[...]" if isinstance(self.value, list | dict) else str(self.value)
+        return Statement(quantity, number, self.place, joint, decimals=self.decimals,
+                         expression="" if number is not None else shown, **where)  # fmt: skip
 
-def stated(
-    quantity: str, node: Node, joint: str = "", index: int | None = None, count: int = 0
-) -> Statement:
-    """Returns the statement of a node: a number, or an expression that is none."""
-    number = node.number
-    shown = "[...]" if isinstance(node.value, list | dict) else str(node.value)
-    said = "" if number is not None else shown
-    return Statement(quantity, number, node.place, joint, index, count, node.decimals, said)
+    def per_joint(self, quantity: str, joints: Iterable[str] = ()) -> Iterator[Statement]:
+        """Yields statements of a number for all, a list by index, or a table by name or pattern.
 
-
-def per_joint(quantity: str, node: Node | None, joints: Iterable[str] = ()) -> Iterator[Statement]:
-    """Yields statements of a number for all, a list by index, or a table by name or pattern.
-
-    Args:
-        quantity: Which.
-        node: The value; nothing is stated if there is none.
-        joints: Patterns of those that a number alone is of; all, if empty.
-    """
-    if node is None:
-        return
-    if isinstance(node.value, dict):
-        for name, value in node.value.items():
-            if value.value is not None:
-                yield stated(quantity, value, str(name))
-    elif isinstance(node.value, list):
-        for index, value in enumerate(node.value):
-            yield stated(quantity, value, index=index, count=len(node.value))
-    else:
-        for pattern in list(joints) or [".*"]:
-            yield stated(quantity, node, pattern)
-
-
-def matches(pattern: str, name: str) -> bool:
-    """Whether a joint's name is a name, or matches all of a regular expression."""
-    if pattern in (name, ".*"):
-        return True
-    return is_pattern(pattern) and re.fullmatch(pattern, name) is not None
-
-
-@cache
-def is_pattern(text: str) -> bool:
-    """Whether a text is a regular expression, and none whose time may grow without bound."""
-    often = len(_REPEATED.findall(text))
-    try:
-        return often <= _MOST_REPEATED and not _NESTED.search(text) and bool(re.compile(text))
-    except (re.error, RecursionError, OverflowError):
-        return False
-
-
-_REPEATED: Final = re.compile(r"[+*{?]")
-_MOST_REPEATED: Final = 5
-"""A name of n letters is tried in some n^5 / 120 ways."""
-_NESTED: Final = re.compile(r"[+*}?)][+*{]")
-"""A repetition of a repetition, or of a group, which may have some, or alternatives."""
+        Args:
+            quantity: Which; of a source as a whole there is one statement, if it is a number.
+            joints: Patterns of those that a number alone is of; all, if empty.
+        """
+        if kind_of(quantity).whole:
+            if self.number is not None:
+                yield self.state(quantity)
+        elif isinstance(self.value, dict):
+            for name, node in self.value.items():
+                if node.there:
+                    yield node.state(quantity, str(name))
+        elif isinstance(self.value, list):
+            for index, node in enumerate(self.value):
+                yield node.state(quantity, index=index, count=len(self.value))
+        elif self.there:
+            for pattern in list(joints) or [".*"]:
+                yield self.state(quantity, pattern)

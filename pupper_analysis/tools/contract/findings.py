@@ -6,19 +6,18 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import product
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.sides import mirror_pairs
-from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.tools.contract.facts import QUANTITIES, Kind, Role, Statement, kind_of
+from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, Kind, Role, Statement, kind_of
 from pupper_analysis.tools.contract.orders import (
+    Joints,
     Placed,
     like_mirror,
-    mirrored_sign,
     observed,
 )
 
@@ -104,117 +103,105 @@ class Pose(Result):
     problem: Diagnostic | None
 
 
-def find_all(
-    placed: Sequence[Placed], model: RobotModel, joints: tuple[str, ...]
-) -> tuple[Disagreement, ...]:
+def find_all(placed: Sequence[Placed], model: Joints) -> tuple[Disagreement, ...]:
     """Returns what differs, the worst first.
 
     Args:
         placed: The sources, in the order in which one is held against another.
-        model: The robot.
-        joints: Its joints.
+        model: The robot's joints.
     """
     found = [*_orders(placed), *_observations(placed)]
-    for quantity in dict.fromkeys(
-        [*QUANTITIES, *(what for one in placed for what, _ in one.facts)]
-    ):
+    every = [*QUANTITIES, *(what for one in placed for what, _ in one.facts)]
+    for quantity in dict.fromkeys(every):
         kind = kind_of(quantity)
         if kind.severity is not None:
-            found += _of_quantity(quantity, kind, placed, ("", *joints))
+            found += _of_quantity(quantity, kind, placed, ("", *model.order))
             if kind.mirrored:
-                found += _mirrored(quantity, kind, placed, model, joints)
+                found += _mirrored(quantity, kind, placed, model)
     offsets = {one.joints for one in found if one.kind == "default angle"}
     kept = [one for one in found if one.kind != "action offset" or one.joints not in offsets]
     return tuple(sorted(kept, key=lambda one: one.severity.rank))
 
 
-def agree(one: Statement, two: Statement) -> bool:
+def agree(one: Fact, two: Fact) -> bool:
     """Whether two numbers are one: the same, or the one rounded from the other, worked out.
 
     What models state is held as near as ``crosscheck`` holds them.
     """
-    a, b = one.value, two.value
-    if a is None or b is None:
-        return True  # nobody knows
-    if a == b or abs(a - b) <= _TOLERANCES.get(one.quantity, _SAME) * max(abs(a), abs(b)):
+    a, b = one.number, two.number
+    apart = abs(a - b)
+    if a == b or apart <= _TOLERANCES.get(one.quantity, _SAME) * max(abs(a), abs(b)):
         return True
-    if one.quantity in _LIMITS and abs(a - b) <= Tolerances().limit:
+    if one.quantity in _LIMITS and apart <= Tolerances().limit:
         return True
     for rounded, fine in ((one, two), (two, one)):
         written = fine.decimals is None or fine.decimals >= _FINE
-        if rounded.decimals is None or not written or rounded.value is None or fine.value is None:
-            continue
-        step = 0.5 * 10.0**-rounded.decimals
-        near = abs(rounded.value - fine.value)
-        if (near <= step * (1 + 1e-9) and near <= _ROUNDED * abs(fine.value)) or near < 1e-9:
-            return True
+        if rounded.decimals is not None and written:
+            step = 0.5 * 10.0**-rounded.decimals * (1 + 1e-9)
+            if apart <= min(step, _ROUNDED * abs(fine.number)) or apart < 1e-9:
+                return True
     return False
+
+
+Sides = tuple[Fact, Fact]
+"""What two sources state; the first is held to be meant."""
 
 
 def _of_quantity(
     quantity: str, kind: Kind, placed: Sequence[Placed], joints: tuple[str, ...]
 ) -> Iterator[Disagreement]:
     """Yields in what each source differs from the first that states a joint's number."""
-    pairs: dict[tuple[int, int], list[str]] = {}
+    pairs: dict[tuple[Role, Role, str, str], dict[str, Sides]] = {}
     for joint in joints:
-        stating = [number for number, one in enumerate(placed)
-                   if (quantity, joint) in one.facts
-                   and one.facts[quantity, joint].value is not None]  # fmt: skip
-        for other in stating[1:]:
-            one, two = (placed[n].facts[quantity, joint] for n in (stating[0], other))
-            if quantity == "effort" and not math.isfinite(max(one.value or 0, two.value or 0)):
-                continue
-            if not agree(one, two):
-                pairs.setdefault((stating[0], other), []).append(joint)
-    for (first, other), differing in pairs.items():
-        yield from _grouped(quantity, kind, placed[first], placed[other], differing)
+        stated = ((one.source.role, one.facts.get((quantity, joint))) for one in placed)
+        stating = [(role, said) for role, said in stated if said and said.value is not None]
+        for role, two in stating[1:]:
+            first, one = stating[0]
+            bounded = quantity != "effort" or math.isfinite(max(one.number, two.number))
+            if bounded and not agree(one, two):
+                key = (first, role, one.source, two.source)
+                pairs.setdefault(key, {})[joint] = (one, two)
+    for (first, other, *_), differing in pairs.items():
+        # What asks for less than the model allows may be meant.
+        asks = (first, other).count(Role.MODEL) == 1 and quantity in _LIMITS
+        yield from _grouped(quantity, kind, differing, asks)
 
 
 def _grouped(
-    quantity: str, kind: Kind, first: Placed, other: Placed, joints: list[str]
+    quantity: str, kind: Kind, differing: dict[str, Sides], asks: bool
 ) -> Iterator[Disagreement]:
     """Yields findings of two sources: one of an order, or one for each pair of values."""
-    one = {joint: first.facts[quantity, joint] for joint in joints}
-    two = {joint: other.facts[quantity, joint] for joint in joints}
-    names: dict[str, Any] = {"first": first.source.name, "second": other.source.name}
-
-    def sides(joint: str) -> tuple[Side, Side]:
-        return (first, one[joint]), (other, two[joint])
-
-    swapped = _exchange(one, two)
+    joints = list(differing)
+    one, two = differing[joints[0]]
+    swapped = _exchange(differing)
     if swapped:
         pairs = tuple(f"{joint} ↔ {whose}" for joint, whose in swapped.items() if joint < whose)
         message = diagnose("contract-exchanged", what=Term(quantity), joints=tuple(joints),
                         pairs=pairs or tuple(f"{a} → {b}" for a, b in swapped.items()),
-                        file=names["second"], other=names["first"])  # fmt: skip
-        yield _finding(quantity, message, sides(joints[0]), kind.severity, joints=joints,
-                       slip="order", unit=kind.unit)  # fmt: skip
+                        file=two.source, other=one.source)  # fmt: skip
+        yield _finding(quantity, message, (one, two), kind, joints=joints, slip="order")
         return
     groups: dict[tuple[float, float], list[str]] = {}
-    for joint in joints:
-        a, b = one[joint].value or 0.0, two[joint].value or 0.0
-        signs = (1 if a >= 0 else -1) if quantity in _ANGLES else 1
-        groups.setdefault((round(signs * a, 9), round(signs * b, 9)), []).append(joint)
-    # What asks for less than the model allows may be meant.
-    asks = (first.source.role, other.source.role).count(Role.MODEL) == 1 and quantity in _LIMITS
+    for joint, (one, two) in differing.items():
+        signs = (1 if one.number >= 0 else -1) if quantity in _ANGLES else 1
+        pair = (round(signs * one.number, 9), round(signs * two.number, 9))
+        groups.setdefault(pair, []).append(joint)
     lower = -1 if quantity == "lower limit" else 1
     for (a, b), members in groups.items():
+        head = members[0]
+        one, two = differing[head]
         slip, unit = _slip(quantity, a, b)
         meant = asks and lower * a <= lower * b + 1e-6
         near = quantity in ("effort", "velocity") and abs(b - a) <= _NEAR * max(abs(a), abs(b))
-        head = members[0]
+        what = Term(quantity) if quantity in QUANTITIES else quantity
         message = diagnose("contract-differs", subject=("joint", head) if head else None,
-                        what=_term(quantity), others=tuple(members[1:]),
-                        one=Quantity(one[head].value or 0.0, kind.unit),
-                        two=Quantity(two[head].value or 0.0, kind.unit), **names,
+                        what=what, others=tuple(members[1:]),
+                        one=Quantity(one.number, kind.unit), two=Quantity(two.number, kind.unit),
+                        first=one.source, second=two.source,
                         sign=slip == "sign" or None, unit=unit or None)  # fmt: skip
-        yield _finding(quantity, message, sides(head), None if meant or near else kind.severity,
-                       joints=[one for one in members if one], slip=slip, unit=kind.unit,
-                       effects=_effects(quantity, a, b))  # fmt: skip
-
-
-def _term(quantity: str) -> Term | str:
-    return Term(quantity) if quantity in QUANTITIES else quantity
+        yield _finding(quantity, message, (one, two),
+                       kind._replace(severity=None) if meant or near else kind, joints=members,
+                       slip=slip, effects=_effects(quantity, a, b))  # fmt: skip
 
 
 _NEAR = 0.02
@@ -223,43 +210,35 @@ _NEAR = 0.02
 _ANGLES = ("default angle", "action offset")
 
 
-def _exchange(one: dict[str, Statement], two: dict[str, Statement]) -> dict[str, str]:
+def _exchange(differing: dict[str, Sides]) -> dict[str, str]:
     """Returns {joint: whose number it has}, if all that differs is whose each number is."""
-    if len(one) < 2:
+    a, b = (Counter(round(both[side].number, 6) for both in differing.values()) for side in (0, 1))
+    # If each number is the other's, with the other sign, signs are exchanged, and not sides.
+    opposite = all(abs(one.number + two.number) < 1e-9 for one, two in differing.values())
+    half = len(differing) / 2
+    if half < 1 or a != b or any(count > half for count in a.values()) or opposite:
         return {}
-    a = Counter(round(said.value or 0.0, 6) for said in one.values())
-    b = Counter(round(said.value or 0.0, 6) for said in two.values())
-    if a != b or any(count > len(one) / 2 for count in a.values()) or _all_opposite(one, two):
-        return {}
-    left, found = list(one), {}
-    for joint, said in two.items():
-        fits = [each for each in left if each != joint and agree(one[each], said)]
+    left, found = list(differing), {}
+    for joint, (one, two) in differing.items():
+        fits = [each for each in left if each != joint and agree(differing[each][0], two)]
         # Those that changed places with each other before all others.
-        best = next(
-            (each for each in fits if agree(two[each], one[joint])), fits[0] if fits else ""
-        )
-        if not best:
+        both = [each for each in fits if agree(differing[each][1], one)]
+        if not fits:
             return {}
-        left.remove(best)
-        found[joint] = best
+        found[joint] = (both or fits)[0]
+        left.remove(found[joint])
     return found
-
-
-def _all_opposite(one: dict[str, Statement], two: dict[str, Statement]) -> bool:
-    """Whether each number is the other's, with the other sign: an exchange of signs, not sides."""
-    return all(abs((one[j].value or 0.0) + (two[j].value or 0.0)) < 1e-9 for j in one)
 
 
 def _slip(quantity: str, a: float, b: float) -> tuple[str, str]:
     """Returns which slip would make the one number of the other, and the unit, if it is that."""
     if a and abs(a + b) <= _SAME * abs(a):
         return "sign", ""
-    if a and b:
-        for unit, size in _UNITS.items():
-            if unit != "mm" or quantity == "action scale":
-                for ratio in (b / a, a / b):
-                    if abs(ratio / size - 1) < _UNIT_TOLERANCE:
-                        return "unit", unit
+    ratios = (b / a, a / b) if a and b else ()
+    for unit, size in _UNITS.items():
+        near = any(abs(ratio / size - 1) < _UNIT_TOLERANCE for ratio in ratios)
+        if near and (unit != "mm" or quantity == "action scale"):
+            return "unit", unit
     return "", ""
 
 
@@ -280,49 +259,40 @@ def _effects(quantity: str, a: float, b: float) -> tuple[Diagnostic, ...]:
     return ()
 
 
-Side = tuple[Placed, Statement]
-"""A source, and what it states."""
-
-
 def _finding(
-    kind: str,
+    what: str,
     message: Diagnostic,
-    sides: tuple[Side, Side],
-    severity: Severity | None = Severity.ERROR,
+    sides: Sides,
+    kind: Kind,
     *,
-    joints: Sequence[str] = (),
+    joints: Iterable[str] = (),
     slip: str = "",
-    unit: str = "",
     effects: tuple[Diagnostic, ...] = (),
 ) -> Disagreement:
     """Returns the finding that two sides differ."""
-    names, values, places = zip(
-        *((one.source.name, said.value, said.place.path) for one, said in sides), strict=True
-    )
-    return Disagreement(kind, slip, tuple(joints), names, values, unit, severity or Severity.NOTE,
-                        message, places, effects)  # fmt: skip
+    names, values, places = zip(*((one.source, one.value, one.place) for one in sides),
+                                strict=True)  # fmt: skip
+    return Disagreement(what, slip, tuple(filter(None, joints)), names, values, kind.unit,
+                        kind.severity or Severity.NOTE, message, places, effects)  # fmt: skip
 
 
 def _mirrored(
-    quantity: str, kind: Kind, placed: Sequence[Placed], model: RobotModel, joints: tuple[str, ...]
+    quantity: str, kind: Kind, placed: Sequence[Placed], model: Joints
 ) -> Iterator[Disagreement]:
     """Yields where a source has another number left than right: it contradicts itself."""
-    for source in placed:
-        for joint, other in mirror_pairs(joints):
-            one, two = (source.facts.get((quantity, each)) for each in (joint, other))
-            if one is None or two is None or (one.implied and two.implied):
-                continue
-            if one.value is None or two.value is None:
-                continue
-            sign = mirrored_sign(model, joint, other) if kind.mirrored < 0 else 1
-            if like_mirror(one.value, two.value, sign):
-                continue
-            message = diagnose("contract-mirror", subject=("joint", joint), what=Term(quantity),
-                            mirror=other, one=Quantity(one.value, kind.unit),
-                            two=Quantity(two.value, kind.unit), file=source.source.name,
-                            wanted=Quantity(sign * one.value, kind.unit))  # fmt: skip
-            yield _finding(quantity, message, ((source, one), (source, two)), Severity.WARNING,
-                           joints=(joint, other), slip="mirror", unit=kind.unit)  # fmt: skip
+    for source, pair in product(placed, mirror_pairs(model.order)):
+        both = [source.facts.get((quantity, each)) for each in pair]
+        one, two = (None if said is None or said.value is None else said for said in both)
+        if one is None or two is None or (one.implied and two.implied):
+            continue
+        sign = model.mirrored_sign(*pair) if kind.mirrored < 0 else 1
+        if not like_mirror(one.value, two.value, sign):
+            message = diagnose("contract-mirror", subject=("joint", pair[0]), what=Term(quantity),
+                            mirror=pair[1], one=Quantity(one.number, kind.unit),
+                            two=Quantity(two.number, kind.unit), file=one.source,
+                            wanted=Quantity(sign * one.number, kind.unit))  # fmt: skip
+            yield _finding(quantity, message, (one, two), kind._replace(severity=Severity.WARNING),
+                           joints=pair, slip="mirror")  # fmt: skip
 
 
 def _orders(placed: Sequence[Placed]) -> Iterator[Disagreement]:
@@ -331,46 +301,36 @@ def _orders(placed: Sequence[Placed]) -> Iterator[Disagreement]:
     feeding = [one for one in placed if one.source.role is not Role.MODEL and one.order
                and one.how != "assumed" and (one.facts or one.source.motors)]  # fmt: skip
     for first, other in ((feeding[0], one) for one in feeding[1:]):
-        moved = [
-            (one, other.order.index(one))
-            for one, two in zip(first.order, other.order, strict=False)
-            if one != two and one in other.order
-        ]
+        moved = {one: f"{first.order.index(one)} → {other.order.index(one)} ({one})"
+                 for one, two in zip(first.order, other.order, strict=False)
+                 if one != two and one in other.order}  # fmt: skip
         mapped = first.source.motors and other.source.motors
-        if not moved or mapped or set(first.order) != set(other.order):
-            continue
-        words = tuple(f"{first.order.index(joint)} → {there} ({joint})" for joint, there in moved)
-        message = diagnose("contract-order", first=first.source.name, second=other.source.name,
-                        count=len(moved), moved=words[:6],
-                        more=max(0, len(words) - 6) or None)  # fmt: skip
-        places = (one.source.order_place or Place(one.source.path) for one in (first, other))
-        yield _in_order("order", message, (first, other), places, [joint for joint, _ in moved])
+        if moved and not mapped and set(first.order) == set(other.order):
+            message = diagnose("contract-order", first=first.source.name, second=other.source.name,
+                            count=len(moved), moved=tuple(moved.values())[:6],
+                            more=max(0, len(moved) - 6) or None)  # fmt: skip
+            sides = [one.fact(Statement("order", None, one.order_place or Place(one.path)))
+                     for one in (first.source, other.source)]  # fmt: skip
+            yield _finding("order", message, (sides[0], sides[1]), _ORDER, joints=moved,
+                           slip="order")  # fmt: skip
 
 
 def _observations(placed: Sequence[Placed]) -> Iterator[Disagreement]:
     """Yields where two sources observe the same things in another order."""
-    stating = [one for one in placed if one.source.observations]
+    stating = [one.source for one in placed if one.source.observations]
     for first, other in ((stating[0], one) for one in stating[1:]):
-        mine, theirs = observed(first.source), observed(other.source)
-        here = [name for name in mine if name in theirs]
-        there = [name for name in theirs if name in mine]
+        mine, theirs = observed(first), observed(other)
+        here = tuple(name for name in mine if name in theirs)
+        there = tuple(name for name in theirs if name in mine)
         if here != there:
-            message = diagnose("contract-observed-order", one=tuple(here), two=tuple(there),
-                            first=first.source.name, second=other.source.name)  # fmt: skip
-            places = (one.source.observations[0][2] for one in (first, other))
-            yield _in_order("observations", message, (first, other), places)
+            message = diagnose("contract-observed-order", one=here, two=there, first=first.name,
+                            second=other.name)  # fmt: skip
+            sides = [one.fact(Statement("observations", None, one.observations[0][2]))
+                     for one in (first, other)]  # fmt: skip
+            yield _finding("observations", message, (sides[0], sides[1]), _ORDER, slip="order")
 
 
-def _in_order(
-    kind: str,
-    message: Diagnostic,
-    both: tuple[Placed, Placed],
-    places: Iterable[Place],
-    joints: Sequence[str] = (),
-) -> Disagreement:
-    """Returns the finding that two sources differ in an order."""
-    here, there = (Statement(kind, None, place) for place in places)
-    return _finding(kind, message, ((both[0], here), (both[1], there)), joints=joints, slip="order")
+_ORDER = Kind("", Severity.ERROR, 0, whole=True)
 
 
 def pose_effects(
@@ -380,9 +340,9 @@ def pose_effects(
     heights = {pose.source: pose.height for pose in poses}
     done = []
     for one in findings:
-        both = [heights.get(name) for name in one.sources]
-        if one.kind == "default angle" and None not in both and both[0] != both[1]:
-            apart = Quantity(abs((both[0] or 0.0) - (both[1] or 0.0)), "m")
+        both = {heights[name] for name in one.sources if name in heights}
+        if one.kind == "default angle" and len(both) == 2:
+            apart = Quantity(max(both) - min(both), "m")
             message = diagnose("contract-effect-height", height=apart)
             one = replace(one, effects=(*one.effects, message))
         done.append(one)

@@ -21,7 +21,8 @@ _WRITTEN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 def read_marked(path: Path, text: str) -> list[Node]:
     """Returns the documents of a YAML, of which JSON is a part.
 
-    Tags are no types: a list of whatever tag is a list. An alias is what it stands for.
+    Tags are no types: a list of whatever tag is a list. An alias is what it stands for. Weights of
+    networks are left out.
 
     Raises:
         ModelError: If it is none, or holds too much; it tells the line.
@@ -51,7 +52,7 @@ def _node(path: Path, node: yaml.Node, left: list[int]) -> Node:
         for key, value in node.value:
             plain = isinstance(key, yaml.ScalarNode)
             name = str(key.value) if plain else f"? {key.start_mark.index}"
-            made = _node(path, value, left)
+            made = Node([], place) if name == "weights" else _node(path, value, left)
             if key.tag.endswith(":merge"):
                 for part in reversed(made.items):
                     merged |= part.value if isinstance(part.value, dict) else {}

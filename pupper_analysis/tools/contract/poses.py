@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import NoEquilibriumError, PupperAnalysisError
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.verdict import Ending
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import solve_stand, stand_statics
@@ -38,11 +39,12 @@ def stand_poses(
         joints: The joints by which they are ordered.
     """
     stating = {
-        one.source.name: {joint: said for (what, joint), said in one.facts.items()
-                          if what == "default angle" and said.value is not None}
+        one: {joint: said.number for (what, joint), said in one.facts.items()
+              if what == "default angle" and said.value is not None}
         for one in placed
     }  # fmt: skip
-    if not any(len(angles) >= _PART * len(joints) for angles in stating.values()):
+    whole = {one: angles for one, angles in stating.items() if len(angles) >= _PART * len(joints)}
+    if not whole:
         return (), []
     kinds = {path.suffix.lower() == ".urdf": path for path in models}
     try:
@@ -51,20 +53,16 @@ def stand_poses(
         return (), [diagnose("contract-not-stood", why=error.diagnostic)]
     if not robot.floating or not robot.feet:
         return (), []
+    limits = [each for one in placed if (each := _stated(one, "effort", robot))]
+    limits.append(robot.effort_limits.tolist())
     found: dict[str, Pose] = {}
     poses = []
-    for one in placed:
-        angles = stating[one.source.name]
-        if len(angles) < _PART * len(joints):
-            continue
-        values = {joint: said.value or 0.0 for joint, said in angles.items()}
+    for one, angles in whole.items():
         kp, kd, efforts = (_stated(one, what, robot) for what in ("kp", "kd", "effort"))
-        efforts = efforts or next(filter(None, (_stated(each, "effort", robot) for each in placed)),
-                                  robot.effort_limits.tolist())  # fmt: skip
-        key = str((sorted((joint, round(value, 6)) for joint, value in values.items()), kp, kd,
-                   efforts))  # fmt: skip
+        asked = (angles, kp, kd, efforts or limits[0])
+        key = str([sorted((joint, round(angle, 6)) for joint, angle in angles.items()), *asked[1:]])
         if key not in found:
-            found[key] = _stood(robot, one.source.name, values, kp, kd, efforts)
+            found[key] = _stood(robot, one.source.name, *asked)
         poses.append(replace(found[key], source=one.source.name))
     return tuple(poses), []
 
@@ -96,26 +94,18 @@ def _stood(
     height = float(robot.posed(pose)[2]) - float(np.mean(lowest))
     home = np.concatenate([robot.home[:7], pose])
     posed = replace(robot, nominal=pose, home=home, stand_height=height)
+    found = Pose(name, height, None, None, None, None, None)
     try:
         stand = solve_stand(posed)
         held = solve_stand_as_simulated(posed, stand)
         torques = np.abs(stand_statics(posed, held).joint_torques)
         use = float(np.max(torques / np.array(efforts))) or None  # without limits, nothing
+        moved = float(np.max(np.abs(stand.joint_positions(posed) - pose)))
+        found = replace(found, moved=moved, utilisation=use)
+        if kp is not None and kd is not None:  # those of the model are none of this source
+            verdict = judge_stand(posed, stand, kp=kp, kd=kd)
+            found = replace(found, stays=verdict.commands_alone == Ending.HOLDS)
+            found = replace(found, sag=steady_state(posed, held, kp=kp).height_loss)
     except PupperAnalysisError as error:
-        return Pose(name, height, None, None, None, None, error.diagnostic)
-    moved = float(np.max(np.abs(stand.joint_positions(posed) - pose)))
-    problem, sag, stays = None, None, None
-    if kp is None or kd is None:  # those of the model are none of this source
-        return Pose(name, height, moved, None, use, None, None)
-    try:
-        sag = steady_state(posed, held, kp=kp).height_loss
-    except NoEquilibriumError as error:
-        problem = error.diagnostic
-    except PupperAnalysisError as error:
-        return Pose(name, height, moved, None, use, None, error.diagnostic)
-    try:
-        verdict = judge_stand(posed, stand, kp=kp, kd=kd)
-        stays = verdict.commands_alone is not None and verdict.commands_alone.value == "holds"
-    except PupperAnalysisError as error:
-        problem = error.diagnostic
-    return Pose(name, height, moved, sag, use, stays, problem)
+        return replace(found, problem=error.diagnostic)
+    return found

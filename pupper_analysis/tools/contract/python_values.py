@@ -15,6 +15,7 @@ import re
 from collections import ChainMap, UserDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -34,17 +35,38 @@ DEEPEST: Final = 40
 
 
 @dataclass(eq=False)
-class Unknown:
-    """What is no constant.
-
-    Attributes:
-        name: The expression, or a name that is imported from elsewhere.
-    """
+class Named:
+    """What is no plain value, and has a name: an instance's copy has the same ones."""
 
     name: str
 
     def __str__(self) -> str:
         return self.name
+
+    def __deepcopy__(self, _: object) -> Named:
+        return self
+
+
+class Unknown(Named):
+    """What is no constant: an expression, or a name that is imported from elsewhere."""
+
+
+@dataclass(eq=False)
+class Function(Named):
+    """A function, with the names that it knows besides its own; a method with whose it is."""
+
+    node: ast.FunctionDef | ast.Lambda
+    around: Scope
+    own: Node | None = None
+
+
+@dataclass(eq=False)
+class Class(Named):
+    """A class; ``fields`` are its own and its bases', ``ordered`` the names of its annotations."""
+
+    bases: list[Class]
+    fields: dict[str, Node]
+    ordered: list[str]
 
 
 @dataclass(eq=False)
@@ -65,37 +87,12 @@ class Instance:
         return f"{self.kind}(...)"
 
 
-@dataclass(eq=False)
-class Function:
-    """A function, with the names that it knows besides its own; a method with whose it is."""
-
-    node: ast.FunctionDef | ast.Lambda
-    around: Scope
-    own: Node | None = None
-
-    def __str__(self) -> str:
-        return getattr(self.node, "name", "lambda")
-
-
-@dataclass(eq=False)
-class Class:
-    """A class; ``fields`` are its own and its bases', ``ordered`` the names of its annotations."""
-
-    name: str
-    bases: list[Class]
-    fields: dict[str, Node]
-    ordered: list[str]
-
-    def __str__(self) -> str:
-        return self.name
-
-
 class Module(UserDict[str, Node]):
     """The names of a module, which fill as it is read."""
 
     def __init__(self, path: Path, lines: list[str]) -> None:
         super().__init__({"__name__": Node(path.stem, Place(path))})
-        self.path, self.lines = path, lines
+        self.path, self.lines, self.fields = path, lines, self.data
         self.imported: set[str] = set()
 
 
@@ -139,6 +136,7 @@ _PURE: Final[Mapping[str, Callable[..., Any]]] = {
                                               "exp", "log", "atan2", "floor", "ceil")},
     "deg2rad": math.radians, "rad2deg": math.degrees, "float": float, "int": int, "abs": abs,
     "round": round, "min": min, "max": max, "square": lambda x: x * x, "len": len, "range": range,
+    "sorted": sorted,
 }  # fmt: skip
 """Functions of plain values."""
 _ROWS: Final[Mapping[str, Callable[..., Any]]] = {"zip": zip, "enumerate": enumerate}
@@ -149,11 +147,10 @@ _METHODS: Final[Mapping[type, Sequence[str]]] = {
 }
 _CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
 _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
-_AS_IT_IS: Final = ("array", "asarray", "tensor", "list", "tuple", "dict", "sorted", "freeze",
-                    "tolist")  # fmt: skip
-"""Calls that give back the values that they are given."""
-_TABLES: Final = ("dict", "config_dict.create", "ConfigDict")
-"""Calls that give back what they are given by name."""
+_LISTS: Final = ("array", "asarray", "tensor", "list", "tuple", "tolist")
+"""Calls that give back the values that they are given, in another list."""
+_TABLES: Final = ("dict", "freeze", "config_dict.create", "ConfigDict")
+"""Calls that give back the tables that they are given, and what they are given by name."""
 _COPIES: Final = ("copy", "deepcopy", "replace")
 _TYPES: Final = {"dict": dict, "list": list, "tuple": list, "str": str, "float": float, "int": int}
 _PROJECT: Final = ("setup.py", "pyproject.toml", ".git")
@@ -217,14 +214,13 @@ class Evaluator:
     def _lose(self, *_: object) -> None:
         raise Lost
 
-    def _do_assign(self, one: ast.Assign, scope: Scope) -> None:
-        value = self.value(one.value, scope)
-        for target in one.targets:
-            self._put(target, value, scope)
-
-    def _do_annassign(self, one: ast.AnnAssign, scope: Scope) -> None:
+    def _do_assign(self, one: ast.Assign | ast.AnnAssign, scope: Scope) -> None:
         if one.value is not None:
-            self._put(one.target, self.value(one.value, scope), scope)
+            value = self.value(one.value, scope)
+            for target in one.targets if isinstance(one, ast.Assign) else [one.target]:
+                self._put(target, value, scope)
+
+    _do_annassign = _do_assign
 
     def _do_augassign(self, one: ast.AugAssign, scope: Scope) -> None:
         read = ast.copy_location(ast.BinOp(one.target, one.op, one.value), one)
@@ -245,7 +241,7 @@ class Evaluator:
         raise _Next
 
     def _do_if(self, one: ast.If, scope: Scope) -> None:
-        self.run(one.body if self._truth(one.test, scope) else one.orelse, scope)
+        self.run(one.body if self._truth(self.value(one.test, scope)) else one.orelse, scope)
 
     def _do_for(self, one: ast.For, scope: Scope) -> None:
         with suppress(_Leave):
@@ -254,25 +250,23 @@ class Evaluator:
                 with suppress(_Next):
                     self.run(one.body, scope)
 
-    def _do_with(self, one: ast.With, scope: Scope) -> None:
-        self.run(one.body, scope)
+    def _do_try(self, one: ast.Try | ast.With, scope: Scope) -> None:
+        self.run([*one.body, *getattr(one, "orelse", ()), *getattr(one, "finalbody", ())], scope)
 
-    def _do_try(self, one: ast.Try, scope: Scope) -> None:
-        self.run([*one.body, *one.orelse], scope)
+    _do_with = _do_try
 
     def _do_functiondef(self, one: ast.FunctionDef, scope: Scope) -> None:
         # What a method names is not its class's.
         of = scope.get("__class__")
         method = of is not None and scope.maps[0] is of.value.fields
         around = scope.parents if method else scope
-        scope[one.name] = self._node(Function(one, around), one, scope)
+        scope[one.name] = self._node(Function(one.name, one, around), one, scope)
 
     def _do_classdef(self, one: ast.ClassDef, scope: Scope) -> None:
         bases = [self.value(base, scope).value for base in one.bases]
         known = [base for base in bases if isinstance(base, Class)]
-        made = Class(one.name, known, {}, [name for base in known for name in base.ordered])
-        for base in reversed(known):
-            made.fields.update(base.fields)
+        theirs = dict(ChainMap(*(base.fields for base in known)))
+        made = Class(one.name, known, theirs, [name for base in known for name in base.ordered])
         node = self._node(made, one, scope)
         self.run(one.body, scope.new_child({"__class__": node}).new_child(made.fields))
         for each in one.body:
@@ -289,13 +283,13 @@ class Evaluator:
     def _do_importfrom(self, one: ast.ImportFrom, scope: Scope) -> None:
         home: Mapping[str, Node] = self._find(scope, one.module or "", one.level) or {}
         for name in one.names:
-            found = home.get(name.name)
-            if found is None:
-                dotted = f"{one.module}.{name.name}" if one.module else name.name
-                below = None if name.name == "*" else self._find(scope, dotted, one.level)
-                found = self._node(below or Unknown(name.name), one, scope)
-            known = {name.asname or name.name: found}
-            self._import(home if name.name == "*" else known, scope)
+            if name.name == "*":
+                self._import(home, scope)
+                continue
+            below = None if name.name in home else self._find(
+                scope, f"{one.module or ''}.{name.name}", one.level)  # fmt: skip
+            lost = self._node(below or Unknown(name.name), one, scope)
+            self._import({name.asname or name.name: home.get(name.name, lost)}, scope)
 
     def _import(self, names: Mapping[str, Node], scope: Scope) -> None:
         scope.update(names)
@@ -329,22 +323,21 @@ class Evaluator:
             case ast.Name():
                 scope[to.id] = value
             case ast.Tuple() | ast.List():
-                parts = self._listed(value)
-                for number, each in enumerate(to.elts):
-                    self._put(each, self._apply(operator.getitem, parts, number), scope)
+                for each, part in self._apply(zip, to.elts, self._listed(value), strict=True):
+                    self._put(each, part, scope)
             case ast.Attribute():
                 self._owner(to.value, scope)[to.attr] = value
             case ast.Subscript():
                 held = self.value(to.value, scope).value
                 if isinstance(held, list | dict):
                     self._apply(operator.setitem, held, self._key(to.slice, scope), value)
+            case _:
+                raise Lost
 
     def _owner(self, node: ast.expr, scope: Scope) -> dict[str, Node]:
         """Returns the fields that an assignment to an attribute goes to."""
         held = self.value(node, scope).value
-        if isinstance(held, Instance | Class):
-            return held.fields
-        made = Instance("")
+        made = held if isinstance(held, Instance | Class) else Instance("")
         if isinstance(node, ast.Attribute) and isinstance(held, Unknown):
             # A field of a base that was not read.
             self._owner(node.value, scope)[node.attr] = self._node(made, node, scope)
@@ -359,20 +352,15 @@ class Evaluator:
             found = getattr(self, f"_of_{type(one).__name__.lower()}", self._lose)(one, scope)
         except Lost:
             found = Unknown(ast.unparse(one)[:80])
-        if isinstance(found, Node):
-            return Node(found.value, self._place(one, scope), found.decimals)
-        return self._noded(found, one, scope)
+        return self._node(found, one, scope)
 
     def _node(self, value: Any, one: ast.AST, scope: Scope) -> Node:
-        return Node(value, self._place(one, scope))
-
-    def _noded(self, value: Any, one: ast.AST, scope: Scope) -> Node:
-        """Returns a value, and what it holds, at the place of what made it."""
-        if isinstance(value, Node):
-            return value
+        """Returns a value at a place; what it holds is there too, if it has none of its own."""
         if isinstance(value, list | tuple):
-            value = [self._noded(each, one, scope) for each in value]
-        return self._node(value, one, scope)
+            value = [part if isinstance(part, Node) else self._node(part, one, scope)
+                     for part in value]  # fmt: skip
+        known = value if isinstance(value, Node) else Node(value, Place(Path()))
+        return replace(known, place=self._place(one, scope))
 
     def _place(self, one: ast.AST, scope: Scope) -> Place:
         path = module_of(scope).path
@@ -394,11 +382,10 @@ class Evaluator:
             raise Lost
         return made
 
-    def _truth(self, one: ast.expr | Node, scope: Scope) -> bool:
-        value = self.value(one, scope).value if isinstance(one, ast.expr) else one.value
-        if not isinstance(value, bool | int | float | str | list | dict | Instance | None):
+    def _truth(self, node: Node) -> bool:
+        if isinstance(node.value, Named | Module):
             raise Lost
-        return bool(value)
+        return bool(node.value)
 
     def _listed(self, node: Node) -> list[Node]:
         if isinstance(node.value, dict):
@@ -414,6 +401,12 @@ class Evaluator:
             raise Lost
         many = isinstance(node.value, list)
         return [self._plain(one) for one in node.value] if many else node.value
+
+    def _several(self, every: list[ast.expr], scope: Scope) -> list[Node]:
+        """Returns what some expressions are, of which a starred one is as many as it holds."""
+        return [part for one in every for part in (
+                self._listed(self.value(one.value, scope)) if isinstance(one, ast.Starred)
+                else [self.value(one, scope)])]  # fmt: skip
 
     def _key(self, one: ast.expr, scope: Scope) -> Any:
         """Returns a key of a table; of what is not known, what stands there."""
@@ -438,10 +431,7 @@ class Evaluator:
             names: Any = ChainMap(*(base.fields for base in owner.value.bases))
         else:
             node = self.value(one.value, scope)
-            held = node.value
-            numeric = isinstance(held, Unknown) and held.name in _NUMERIC_MODULES
-            other = held if isinstance(held, Module) else _CONSTANTS if numeric else {}
-            names = getattr(held, "fields", other)
+            names = node.table or (_CONSTANTS if str(node.value) in _NUMERIC_MODULES else {})
         found = self._apply(operator.getitem, names, one.attr)
         method = isinstance(found, Node) and isinstance(found.value, Function)
         if method and isinstance(node.value, Instance | Class):
@@ -449,12 +439,7 @@ class Evaluator:
         return found
 
     def _of_tuple(self, one: ast.Tuple, scope: Scope) -> list[Node]:
-        found: list[Node] = []
-        for each in one.elts:
-            starred = isinstance(each, ast.Starred)
-            value = self.value(each.value if starred else each, scope)  # type: ignore[attr-defined]
-            found += self._listed(value) if starred else [value]
-        return found
+        return self._several(one.elts, scope)
 
     _of_list = _of_set = _of_tuple
 
@@ -462,10 +447,7 @@ class Evaluator:
         found: dict[Any, Node] = {}
         for key, value in zip(one.keys, one.values, strict=True):
             held = self.value(value, scope)
-            if key is not None:
-                found[self._key(key, scope)] = held
-            elif isinstance(held.value, dict):
-                found.update(held.value)
+            found |= held.table if key is None else {self._key(key, scope): held}
         return found
 
     def _of_subscript(self, one: ast.Subscript, scope: Scope) -> Any:
@@ -490,7 +472,7 @@ class Evaluator:
 
     def _of_unaryop(self, one: ast.UnaryOp, scope: Scope) -> Any:
         if isinstance(one.op, ast.Not):
-            return not self._truth(one.operand, scope)
+            return not self._truth(self.value(one.operand, scope))
         held = self.value(one.operand, scope)
         if not _number(held.value) or isinstance(one.op, ast.Invert):
             raise Lost
@@ -500,7 +482,7 @@ class Evaluator:
     def _of_boolop(self, one: ast.BoolOp, scope: Scope) -> Node:
         for each in one.values:
             held = self.value(each, scope)
-            if self._truth(held, scope) is isinstance(one.op, ast.Or):
+            if self._truth(held) is isinstance(one.op, ast.Or):
                 break
         return held
 
@@ -511,10 +493,12 @@ class Evaluator:
         return self._apply(_OPERATORS[type(one.ops[0])], *both)
 
     def _of_ifexp(self, one: ast.IfExp, scope: Scope) -> Node:
-        return self.value(one.body if self._truth(one.test, scope) else one.orelse, scope)
+        return self.value(
+            one.body if self._truth(self.value(one.test, scope)) else one.orelse, scope
+        )
 
     def _of_lambda(self, one: ast.Lambda, scope: Scope) -> Function:
-        return Function(one, scope)
+        return Function("lambda", one, scope)
 
     def _of_listcomp(self, one: ast.ListComp, scope: Scope) -> list[Node]:
         return [self.value(one.elt, each) for each in self._rounds(one.generators, scope)]
@@ -533,26 +517,23 @@ class Evaluator:
         for each in self._listed(self.value(loops[0].iter, scope)):
             here = scope.new_child()
             self._put(loops[0].target, each, here)
-            if all(self._truth(test, here) for test in loops[0].ifs):
+            if all(self._truth(self.value(test, here)) for test in loops[0].ifs):
                 yield from self._rounds(loops[1:], here)
 
     # Calls.
 
     def _of_call(self, one: ast.Call, scope: Scope) -> Any:
-        given = [self.value(each, scope) for each in one.args
-                 if not isinstance(each, ast.Starred)]  # fmt: skip
+        given = self._several(one.args, scope)
         named: dict[str, Node] = {}
         for keyword in one.keywords:
             held = self.value(keyword.value, scope)
             if keyword.arg is not None:
-                named[keyword.arg] = Node(held.value, self._place(keyword, scope), held.decimals)
-            elif isinstance(held.value, dict):
-                named.update({str(key): value for key, value in held.value.items()})
+                named[keyword.arg] = replace(held, place=self._place(keyword, scope))
+            else:
+                named.update({str(key): value for key, value in held.table.items()})
         called = self.value(one.func, scope).value
-        if isinstance(called, Function):
+        if isinstance(called, Function | Class):
             return self.call(called, given, named)
-        if isinstance(called, Class):
-            return self.make(called, given, named)
         if isinstance(one.func, ast.Attribute):
             held, name = self.value(one.func.value, scope), one.func.attr
             if name in _METHODS.get(type(held.value), ()):
@@ -572,10 +553,12 @@ class Evaluator:
             return isinstance(self._plain(given[0]), _TYPES[str(given[-1].value)])
         if name in _COPIES and given:
             return self._copied(given[0].value, named)
-        if called in _TABLES and not given:
-            return dict(named)
-        if name in _AS_IT_IS and given:
-            return given[0]
+        if called in _TABLES and all(isinstance(one.value, dict) for one in given):
+            return {key: held for part in (*(one.value for one in given), named)
+                    for key, held in part.items()}  # fmt: skip
+        if name in _LISTS and given:
+            many = isinstance(given[0].value, list | dict)
+            return [*self._listed(given[0])] if many else given[0]
         if name == "field":
             return self._made(named)
         if not name[:1].isupper():
@@ -585,15 +568,12 @@ class Evaluator:
 
     def _made(self, named: dict[str, Node]) -> Any:
         """Returns what a dataclass's field is by default."""
-        factory = named.get("default_factory")
-        if factory is None:
+        if "default_factory" not in named:
             return self._apply(operator.getitem, named, "default")
-        if isinstance(factory.value, Class):
-            return self.make(factory.value, [], {})
-        if isinstance(factory.value, Function):
-            return self.call(factory.value, [], {})
-        name = str(factory.value)
-        return _TYPES[name]() if name in _TYPES else Instance(name)
+        factory = named["default_factory"].value
+        if isinstance(factory, Function | Class):
+            return self.call(factory, [], {})
+        return _TYPES[str(factory)]() if str(factory) in _TYPES else Instance(str(factory))
 
     def _method(self, value: Any, name: str, given: list[Node], named: dict[str, Node]) -> Any:
         """Returns what a call of a table's or a list's method comes to."""
@@ -606,72 +586,58 @@ class Evaluator:
             own = [one.value for one in given]
         return self._apply(getattr(value, name), *own, **named)
 
-    def call(self, function: Function, given: list[Node], named: dict[str, Node]) -> Node:
-        """Returns what a function returns."""
-        arguments, around = function.node.args, function.around
-        given = given if function.own is None else [function.own, *given]
-        first = [*arguments.posonlyargs, *arguments.args]
-        names = [each.arg for each in (*first, *arguments.kwonlyargs)]
+    def call(self, called: Function | Class, given: list[Node], named: dict[str, Node]) -> Node:
+        """Returns what a function returns, or an instance of a class."""
+        if isinstance(called, Class):
+            return self._instance(called, given, named)
         if self.depth >= DEEPEST:
             raise Lost
-        scope = around.new_child({each: self._node(Unknown(each), function.node, around)
-                                  for each in names})  # fmt: skip
-        defaults = [*arguments.defaults, *arguments.kw_defaults]
+        node, around = called.node, called.around
+        first = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
+        names = [*first, *(each.arg for each in node.args.kwonlyargs)]
+        scope = around.new_child({name: self._node(Unknown(name), node, around) for name in names})
+        defaults = [*node.args.defaults, *node.args.kw_defaults]
         for name, default in zip(names[len(names) - len(defaults) :], defaults, strict=True):
             if default is not None:
                 scope[name] = self.value(default, around)
-        scope.update(zip(names[: len(first)], given, strict=False))
-        scope.update(named)
+        given = given if called.own is None else [called.own, *given]
+        others = {key: named[key] for key in named if key not in names}
+        scope.update(zip(first, given, strict=False))
+        scope.update({key: named[key] for key in named if key in names})
+        for rest, held in ((node.args.vararg, given[len(first) :]), (node.args.kwarg, others)):
+            if rest is not None:
+                scope[rest.arg] = self._node(held, node, around)
         self.depth += 1
         try:
-            if isinstance(function.node, ast.Lambda):
-                return self.value(function.node.body, scope)
-            self.run(function.node.body, scope)
+            if isinstance(node, ast.Lambda):
+                return self.value(node.body, scope)
+            self.run(node.body, scope)
         except _Return as done:
             return done.node
         except (_Leave, _Next) as error:
             raise Lost from error
         finally:
             self.depth -= 1
-        return self._node(None, function.node, scope)
+        return self._node(None, node, scope)
 
-    def make(self, made: Class, given: list[Node], named: dict[str, Node]) -> Instance:
+    def _instance(self, of: Class, given: list[Node], named: dict[str, Node]) -> Node:
         """Returns an instance of a class, its fields' defaults made anew."""
-        result: Instance = self._copied(Instance(made.name, made.fields, made), {})
-        order = [name for name in dict.fromkeys(made.ordered)
-                 if name not in made.fields
-                 or not isinstance(made.fields[name].value, Function)]  # fmt: skip
-        result.fields.update(zip(order, given, strict=False))
-        result.fields.update(named)
-        after = made.fields.get("__post_init__")
+        made: Instance = self._copied(Instance(of.name, of.fields, of), {})
+        made.fields.update(zip(dict.fromkeys(of.ordered), given, strict=False), **named)
+        own = Node(made, Place(Path()))
+        after = of.fields.get("__post_init__")
         if after is not None and isinstance(after.value, Function):
             with suppress(Lost):
-                self.call(after.value, [Node(result, after.place)], {})
-        return result
+                self.call(after.value, [own], {})
+        return own
 
     def _copied(self, value: Any, named: dict[str, Node]) -> Any:
-        seen: dict[int, Any] = {}
-        fresh = copied(Node(value, Place(Path())), seen).value
-        self.steps += sum(len(getattr(one, "fields", one)) for one in seen.values())
+        memo: dict[int, Any] = {}
+        fresh = deepcopy(value, memo)
+        self.steps += len(memo)
         if isinstance(fresh, Instance):
             fresh.fields.update(named)
         return fresh
-
-
-def copied(node: Node, seen: dict[int, Any]) -> Node:
-    """Returns a value with what it holds copied, each once."""
-    value = node.value
-    if id(value) not in seen and isinstance(value, list | dict | Instance):
-        made: Any = (
-            Instance(value.kind, {}, value.of) if isinstance(value, Instance) else type(value)()
-        )
-        seen[id(value)] = made
-        if isinstance(value, list):
-            made += [copied(each, seen) for each in value]
-        else:
-            held: Any = getattr(value, "fields", value)
-            getattr(made, "fields", made).update({k: copied(one, seen) for k, one in held.items()})
-    return Node(seen.get(id(value), value), node.place, node.decimals)
 
 
 def _tops(path: Path) -> Iterator[Path]:

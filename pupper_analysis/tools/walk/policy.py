@@ -9,8 +9,7 @@ from typing import Any
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import is_input, read_toml
 from pupper_analysis.tools.contract.facts import Request
-from pupper_analysis.tools.contract.readers import onnx, read_onnx, read_rtneural
-from pupper_analysis.tools.contract.readers import rtneural as rtneural_reader
+from pupper_analysis.tools.contract.readers import onnx, read_onnx, tables
 from pupper_analysis.tools.walk import onnx_file, rtneural, torchscript
 from pupper_analysis.tools.walk.contract import Contract, contract_of, of_rtneural, of_source
 from pupper_analysis.tools.walk.network import Network
@@ -51,8 +50,8 @@ class Policy:
         except InputError as error:
             raise ModelError(error.path, error.cause) from error
         if path.suffix == ".json":
-            values = read_rtneural(path).values
-            network, read = rtneural.network_of(path, values), rtneural_reader.read
+            values = rtneural.read_values(path)
+            network, read = rtneural.network_of(path, values), tables.read
             own = of_rtneural(values, network.inputs, network.outputs)
         elif path.suffix in torchscript.SUFFIXES:  # states nothing but its weights
             network, read, own = torchscript.network_of(path), None, {}

@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import InputError, ModelError
+from pupper_analysis.base.inputs import MOST_FILE, read_input
+from pupper_analysis.models.places import Place, refuse_file, refuse_input
 from pupper_analysis.tools.walk.network import (
     ACTIVATIONS,
     MOST_WEIGHTS,
@@ -26,6 +29,24 @@ Array = NDArray[np.float64]
 
 _ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}
 """How many arrays of weights a layer has."""
+
+
+def read_values(path: Path) -> dict[str, Any]:
+    """Returns what RTNeural's JSON holds.
+
+    Raises:
+        ModelError: If it cannot be read, or has no list of layers.
+    """
+    try:
+        values = orjson.loads(read_input(path, MOST_FILE))
+    except InputError as error:
+        raise refuse_input(path, error) from error
+    except orjson.JSONDecodeError as error:
+        message = diagnose("contract-no-json", problem=error.msg)
+        raise refuse_file(Place(path, error.lineno), message) from error
+    if not isinstance(values, dict) or not isinstance(values.get("layers"), list):
+        raise ModelError(path, diagnose("contract-no-rtneural"))
+    return values
 
 
 def network_of(path: Path, values: Mapping[str, Any]) -> Network:

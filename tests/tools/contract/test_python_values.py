@@ -48,6 +48,14 @@ KNOWN = {
                             "a = A()\na.of.append(2)\nx = A().of\n", [1]),
     "the module's name": ("x = 1\nif __name__ == '__main__':\n    x = 2\n", 1),
     "digits": ("x = 2.50\n", 2.5),
+    "a table and more": ("a = {'kp': 1, 'kd': 2}\nx = dict(a, kp=3)\ny = a\n", {"kp": 3, "kd": 2}),
+    "another list": ("a = [2, 1]\nb = list(a)\nb.append(3)\nx = a + sorted(b)\n", [2, 1, 1, 2, 3]),
+    "starred": ("def f(a, b):\n    return b\nx = f(*[1, 2])\n", 2),
+    "handed on": ("def term(of, *args, **kwargs):\n    return lambda: of(*args, **kwargs)\n"
+                  "def f(a, scale):\n    return [a, scale]\nscale = 7\n"
+                  "def g(**kwargs):\n    return scale\n"
+                  "x = [term(f, 1, scale=2)(), g(scale=3)]\n", [[1, 2], 7]),
+    "at last": ("x = 1\ntry:\n    x = 2\nfinally:\n    x = 3\n", 3),
 }  # fmt: skip
 
 
@@ -65,6 +73,8 @@ LOST = {
     "what may match": ("x = 1\nmatch unknown:\n    case 1:\n        x = 2\n", "<x = 2>"),
     "too large": ("x = 10\nfor n in range(99):\n    x = x * x\n", "<x * x>"),
     "too many": ("x = [0] * 10**12\n", "<[0] * 10 ** 12>"),
+    "too few": ("x, y, z = 1, 1, 1\nx, y, z = [2, 3]\n", "<x, y, z = [2, 3]>"),
+    "the rest": ("x = 1\ny, *x = unknown\n", "<y, *x = unknown>"),
     "that raises": ("def f():\n    raise ValueError\nx = f()\n", "<f()>"),
     "a text's pattern": ("x = '%1000000000d' % 1\n", "<'%1000000000d' % 1>"),
 }  # fmt: skip

@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import (
     gather_fields,
     integers_of,
     read_onnx,
-    read_rtneural,
+    tables,
     text_of,
 )
 from tests.tools.contract.sources import ONNX, field, onnx, tensor
@@ -49,21 +50,14 @@ def test_what_is_no_message_is_refused(tmp_path: Path, data: bytes) -> None:
         read_onnx(tmp_path / "a.onnx")
 
 
-def test_rtneurals_sizes_are_read(tmp_path: Path) -> None:
+def test_rtneurals_sizes_are_read_and_its_weights_are_not(tmp_path: Path) -> None:
+    """With more weights than values are read of a source."""
     path = tmp_path / "policy.json"
-    layers = [{"type": "dense", "shape": [None, 8]}, {"type": "dense", "shape": [None, 12]}]
+    weights = [[[0.5] * 600] * 400]
+    layers = [{"type": "dense", "shape": [None, 8], "weights": weights},
+              {"type": "dense", "shape": [None, 12]}]  # fmt: skip
     path.write_text(json.dumps({"in_shape": [None, 36], "layers": layers, "kp": 5.0}))
-    file = read_rtneural(path)
-    assert (file.inputs, file.outputs, file.values["kp"]) == (36, 12, 5.0)
-
-
-def test_what_is_no_policy_of_rtneural_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "policy.json"
-    path.write_text('{"kp":\n nothing}')
-    with pytest.raises(ModelError, match=r"policy\.json:2: it is no JSON"):
-        read_rtneural(path)
-    path.write_text('{"layers": 3}')
-    with pytest.raises(ModelError, match="no list of layers"):
-        read_rtneural(path)
-    with pytest.raises(ModelError, match="missing"):
-        read_rtneural(tmp_path / "missing.json")
+    (source,) = tables.read(Request(path))
+    said = {one.quantity: one.value for one in source.statements}
+    assert (source.role, said) == (
+        "policy", {"actions": 12, "observed numbers": 36, "kp": 5.0})  # fmt: skip

@@ -203,6 +203,18 @@ def dense(matrix: Any, bias: Any, **more: Any) -> dict[str, Any]:
     return {"type": "dense", "activation": "tanh", "weights": [matrix, bias], **more}
 
 
+def test_what_is_no_policy_of_rtneural_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policy.json"
+    path.write_text('{"kp":\n nothing}')
+    with pytest.raises(ModelError, match=r"policy\.json:2: it is no JSON"):
+        rtneural.read_values(path)
+    path.write_text('{"layers": 3}')
+    with pytest.raises(ModelError, match="no list of layers"):
+        rtneural.read_values(path)
+    with pytest.raises(ModelError, match="missing"):
+        rtneural.read_values(tmp_path / "missing.json")
+
+
 def test_what_does_not_fit_names_its_layer() -> None:
     good = dense([[1.0, 2.0]], [0.0, 0.0])
     assert "layer 2 (dense)" in refused([good, dense([[1.0]], [0.0])])

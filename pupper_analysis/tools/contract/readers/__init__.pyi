@@ -3,5 +3,3 @@ from .onnx import gather_fields as gather_fields
 from .onnx import integers_of as integers_of
 from .onnx import read_onnx as read_onnx
 from .onnx import text_of as text_of
-from .rtneural import RtneuralFile as RtneuralFile
-from .rtneural import read_rtneural as read_rtneural

@@ -15,7 +15,7 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
-from pupper_analysis.models.stated.model import MjcfModel, RobotModel
+from pupper_analysis.models.stated.model import Joint, MjcfModel, RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import drives_by_joint, law_of
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -28,46 +28,47 @@ SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", ".usdz
 
 def read(request: Request) -> Iterator[Source]:
     """Yields what a model file states of its joints, which are in the file's order."""
-    model = read_stated(request)
-    moving = [joint for joint in model.joints.values() if joint.moves]
-    if not moving:
-        return
-    statements = []
+    model = read_stated(request.path)
     compiled = model.mj_model if isinstance(model, MjcfModel) else None
     ids = {} if compiled is None else drives_by_joint(compiled)
     drives = {compiled.joint(one).name: two for one, two in ids.items()} if compiled else {}
-    for joint in moving:
-        for attribute in IN_A_TREE:
-            value = joint.stated.get(attribute.kind)
-            # An effort or velocity of 0 in a URDF is how it says that it states none.
-            placeholder = attribute.kind in ("effort", "velocity") and not value
-            if value is None or placeholder or attribute.kind not in QUANTITIES:
-                continue
-            _, child = model.words(attribute)
-            place = model.file.place("joint", joint.name, child)  # type: ignore[attr-defined]
-            if isinstance(model, MjcfModel):
-                there = model.file.stated("joint", joint.name, attribute.mjcf)
-                driven = drives.get(joint.name) if attribute.kind == "effort" else None
-                place = there or (driven and _of_actuator(model, driven[-1], _RANGES)) or place
-            statements.append(Statement(attribute.kind, float(value), place, joint.name))
+    statements = [one for joint in model.joints.values() if joint.moves
+                  for one in _of_joint(model, joint, drives.get(joint.name, []))]  # fmt: skip
     if isinstance(model, MjcfModel) and compiled is not None:
         for name, driving in drives.items():
             statements += [one for drive in driving for one in _servo(model, drive, name)]
         statements += _keyframe(model, compiled)
     order = depth_first(model)
-    yield Source(request.path.name, request.path, Role.MODEL, tuple(statements), order=order)
+    if order:
+        yield Source(request.path.name, request.path, Role.MODEL, tuple(statements), order=order)
+
+
+def _of_joint(model: RobotModel, joint: Joint, drives: list[int]) -> Iterator[Statement]:
+    for attribute in IN_A_TREE:
+        kind, value = attribute.kind, joint.stated.get(attribute.kind)
+        # An effort or velocity of 0 in a URDF is how it says that it states none.
+        placeholder = kind in ("effort", "velocity") and not value
+        if value is None or placeholder or kind not in QUANTITIES:
+            continue
+        _, child = model.words(attribute)
+        place = model.file.place("joint", joint.name, child)  # type: ignore[attr-defined]
+        if isinstance(model, MjcfModel):
+            there = model.file.stated("joint", joint.name, attribute.mjcf)
+            driven = drives[-1:] if kind == "effort" and not there else []
+            place = there or next((_of_actuator(model, one, _RANGES) for one in driven), place)
+        yield Statement(kind, float(value), place, joint.name)
 
 
 _RANGES = ("ctrlrange", "forcerange")
 
 
-def read_stated(request: Request) -> RobotModel:
+def read_stated(path: Path) -> RobotModel:
     """Returns the robot that a model file states."""
-    reader = reader_of(request.path)
+    reader = reader_of(path)
     with silence_mujoco():
         if reader is not None:
-            return reader.read_model(reader.read_file(request.path))
-        file = read_model(request.path)
+            return reader.read_model(reader.read_file(path))
+        file = read_model(path)
         return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
 
 
@@ -115,11 +116,10 @@ def match_names(
         given: {name: joint of the first}, as the user says; it counts over what is found.
     """
     found, notes = dict[str, str](), list[Diagnostic]()
-    for other in models[1:]:
-        # That which can be read as a URDF, then that which can be read as an MJCF.
-        one, two = sorted((models[0].path, other.path), key=_is_mjcf)
-        if set(other.order) == set(models[0].order):
-            continue
+    for other in (each for each in models if set(each.order) != set(models[0].order)):
+        # That which can be read as a URDF, then that which can be read as an MJCF; a USD as either.
+        one, two = sorted((models[0].path, other.path), key=lambda path: (
+            0 if reader_of(path) else 1 if kind_of(path) == "mjcf" else -1))  # fmt: skip
         known = {old: new for old, new in given.items()
                  if old in other.order and new in models[0].order}  # fmt: skip
         turned = one == models[0].path
@@ -141,8 +141,3 @@ def match_names(
             said = [f"{old} = {new}" for old, new in pairs[:6]]
             notes.append(diagnose("contract-matched", pairs=said, count=len(pairs)))
     return {**found, **given}, notes
-
-
-def _is_mjcf(path: Path) -> int:
-    """Returns -1 of a URDF, 1 of an MJCF, and 0 of what stands for either."""
-    return 0 if reader_of(path) is not None else 1 if kind_of(path) == "mjcf" else -1
