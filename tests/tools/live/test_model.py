@@ -24,7 +24,7 @@ from pupper_analysis.present.scene import Contact
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.command import read_stance
-from pupper_analysis.tools.live.controls import fine_step, ranges_of, round_up
+from pupper_analysis.tools.live.controls import CONTROLS, fine_step, ranges_of, round_up
 from pupper_analysis.tools.live.documents import (
     failure_document,
     refusal_document,
@@ -483,6 +483,8 @@ def test_sliders_hold_what_a_page_opens_with(name: str) -> None:
         assert span.low <= span.value <= span.high
         assert 0 < span.step < span.high - span.low
     assert spans["height"].value == 1e3 * load(name).stand_height
+    for name, axis in (("move_x", "forward"), ("move_y", "to the left")):
+        assert axis in CONTROLS[name].hint("en")
     assert fine_step(100.0) == 0.5
     assert round_up(131.0) == 150.0
 
