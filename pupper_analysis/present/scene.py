@@ -18,7 +18,7 @@ from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.statics.support_polygon import support_polygon
+from pupper_analysis.statics.support_polygon import support_corners, support_polygon
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -126,14 +126,21 @@ class Step:
     Attributes:
         foot: The foot's name.
         height: Above the plane of the ground (m); negative for a pit.
-        centre: (3,) of its box, which has the ground's axes (m); that of a pit ends at its bottom.
+        centre: (3,) of its box (m); that of a pit ends at its bottom.
         half: (3,) half of the box's sides (m).
+        rotation: (3, 3) of the box's axes.
     """
 
     foot: str
     height: float
     centre: Array
     half: Array
+    rotation: Array
+
+    @property
+    def turn(self) -> Array:
+        """The same as a quaternion (w, x, y, z)."""
+        return _quaternion(self.rotation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +150,8 @@ class StandingScene:
     Attributes:
         ground: The plane, through the origin.
         points: (n, 3) where the feet touch it or their steps, which are no softer than rock (m).
-        polygon: (m, 3) the support polygon's corners, each as high as the point that it is (m).
+        polygon: (m, 3) the support polygon's corners, each as high as the point that it is, or
+            where a com is in balance on several planes (m).
         steps: Under the feet.
         com: (3,) the centre of mass (m).
         below: (3,) where its plumb line meets the plane through the points (m).
@@ -171,9 +179,13 @@ class StandingScene:
     @property
     def turn(self) -> Array:
         """The quaternion (w, x, y, z) that takes the level to the ground's plane."""
-        found = np.zeros(4)
-        mujoco.mju_mat2Quat(found, self.ground.rotation().ravel())
-        return found
+        return _quaternion(self.ground.rotation())
+
+
+def _quaternion(rotation: Array) -> Array:
+    found = np.zeros(4)
+    mujoco.mju_mat2Quat(found, rotation.ravel())
+    return found
 
 
 def describe_scene(
@@ -189,13 +201,16 @@ def describe_scene(
     config = Configuration(robot, stand.qpos)
     com = config.center_of_mass() if statics is None else statics.center_of_mass
     ground = stand.task.ground
-    points = _touched(robot, stand)
-    steps = ground.steps(stand.foot_targets)
+    points = np.array(list(stand.contact_points.values()))
+    steps = ground.steps(stand.rigid_targets, robot.contact_radius)
     return StandingScene(
         ground=ground,
         points=points,
-        polygon=polygon_corners(points),
-        steps=tuple(Step(foot, ground.heights[foot], *box) for foot, box in steps.items()),
+        polygon=polygon_corners(points) if not ground.tilts else _balanced(robot, stand, points),
+        steps=tuple(
+            Step(foot, ground.heights.get(foot, 0.0), *box, ground.rotation(foot))
+            for foot, box in steps.items()
+        ),
         com=com,
         below=np.array([com[0], com[1], height_at(points, com)]),
         inside=stand.com_margin >= 0,
@@ -214,15 +229,14 @@ def height_at(points: Array, place: Array) -> float:
     return float(plane @ (place[0], place[1], 1.0))
 
 
-def _touched(robot: Robot, stand: Stand) -> Array:
-    """Returns where the feet touch the ground or their steps (n, 3) (m)."""
-    feet = {point: foot for foot in robot.feet for point in robot.points_of(foot)}
-    return np.array(
-        [
-            [*place[:2], stand.task.ground.height(place, feet.get(point))]
-            for point, place in stand.contact_points.items()
-        ]
+def _balanced(robot: Robot, stand: Stand, points: Array) -> Array:
+    """Returns the corners (m, 3) of where a com is in balance, in the plane through the points."""
+    normals = np.array([*stand.normals.values()])
+    friction = [robot.contacts[foot].sliding_friction for foot in stand.normals if robot.contacts]
+    corners = polygon_corners(
+        np.array([(x, y, 0) for x, y in support_corners(points, normals, friction)])
     )
+    return np.array([(x, y, height_at(points, np.array((x, y)))) for x, y, _ in corners])
 
 
 def polygon_corners(points: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The ground: a slope, and steps on it."""
+"""The ground: a slope, and steps on it, each of which may have a slope of its own."""
 
 from __future__ import annotations
 
@@ -34,65 +34,73 @@ class Ground:
     Attributes:
         slope: Angle against the horizontal (rad), from 0 to less than pi/2.
         uphill: Direction in which the plane rises, about z from x (rad).
-        heights: {foot: height of the step under it, above the plane and parallel to it (m)}.
+        heights: {foot: height of the step under it, above the plane (m)}.
+        tilts: {foot: angle of a step of its own against the horizontal (rad)}, from 0 to pi; those
+            of others are parallel to the plane. Roofs and gutters are made so, walls (pi/2) and
+            ceilings (pi). The foot touches it in its place, at the height of its step.
+        tilt_uphill: {foot: direction in which that rises, as ``uphill`` (rad)}; 0 where not given.
     """
 
     slope: float = _LEVEL
     uphill: float = _LEVEL
     heights: Mapping[str, float] = field(default_factory=FrozenDict)
+    tilts: Mapping[str, float] = field(default_factory=FrozenDict)
+    tilt_uphill: Mapping[str, float] = field(default_factory=FrozenDict)
 
     def __post_init__(self) -> None:
         plain = self.slope is _LEVEL and self.uphill is _LEVEL
-        if plain and type(self.heights) is FrozenDict and not self.heights:
+        of_feet = self.heights, self.tilts, self.tilt_uphill
+        if plain and all(type(one) is FrozenDict and not one for one in of_feet):
             return  # what the class says itself needs no check
         check_fields(self)
-        object.__setattr__(self, "slope", check_finite("slope", self.slope))
+        object.__setattr__(self, "slope", _angle("slope", self.slope))
         object.__setattr__(self, "uphill", check_finite("uphill", self.uphill))
-        if not 0 <= self.slope < math.pi / 2:
-            slope = Quantity(self.slope, "rad")
-            degrees = self.slope if 0 < self.slope < 90 else None
-            message = diagnose("slope-not-valid", slope=slope, degrees=degrees)
-            raise ConfigurationError("slope", message)
-        heights = {foot: check_length(f"heights[{foot}]", h) for foot, h in self.heights.items()}
-        object.__setattr__(self, "heights", FrozenDict(heights))
+        for name, check in (
+            ("heights", check_length), ("tilts", _tilt), ("tilt_uphill", check_finite)
+        ):  # fmt: skip
+            given = getattr(self, name).items()
+            values = {foot: check(f"{name}[{foot}]", value) for foot, value in given}
+            object.__setattr__(self, name, FrozenDict(values))
 
     @property
     def level(self) -> bool:
         """Whether it is the plane z = 0 everywhere."""
-        return self.slope == 0 and not any(self.heights.values())
+        return self.slope == 0 and not any((*self.heights.values(), *self.tilts.values()))
 
-    def normal(self) -> Array:
-        """Returns the direction (3,) out of the ground."""
-        tilt = math.sin(self.slope)
-        return np.array(
-            [-tilt * math.cos(self.uphill), -tilt * math.sin(self.uphill), math.cos(self.slope)]
-        )
+    def _slope(self, foot: str | None) -> tuple[float, float]:
+        """Returns angle and direction uphill (rad) of a foot's step, or of the plane."""
+        if foot is not None and foot in self.tilts:
+            return self.tilts[foot], self.tilt_uphill.get(foot, 0.0)
+        return self.slope, self.uphill
 
-    def rotation(self) -> Array:
+    def normal(self, foot: str | None = None) -> Array:
+        """Returns the direction (3,) out of the ground, or out of a foot's step."""
+        slope, uphill = self._slope(foot)
+        tilt = math.sin(slope)
+        return np.array([-tilt * math.cos(uphill), -tilt * math.sin(uphill), math.cos(slope)])
+
+    def rotation(self, foot: str | None = None) -> Array:
         """Returns the rotation (3, 3) that takes the level to the plane, by the shortest way."""
         turn: Array = pin.Quaternion.FromTwoVectors(
-            np.array([0.0, 0.0, 1.0]), self.normal()
+            np.array([0.0, 0.0, 1.0]), self.normal(foot)
         ).matrix()
         return turn
 
-    def step(
-        self, foot: str, place: Sequence[float] | Array, half_width: float
-    ) -> tuple[Array, Array]:
-        """Returns centre (3,) and half size (3,) of the box that is a foot's step (m).
+    def touched(self, foot: str, centre: Array, radius: float) -> Array:
+        """Returns the point (3,) of the ground, or of a foot's step, below a foot (m).
 
         Args:
             foot: Which foot.
-            place: (x, y, ...) of the foot's centre (m); its height does not matter.
-            half_width: Half of the box's edge (m).
+            centre: (3,) of its sphere, which may be lifted (m).
+            radius: Of the sphere (m).
         """
-        half = np.array(
-            [half_width, half_width, abs(self.heights[foot]) / 2 * math.cos(self.slope)]
-        )
-        top = np.array([place[0], place[1], self.height(place, foot)])
-        return top - half[2] * self.normal(), half
+        x, y, _ = centre - radius * self.normal(foot) if foot in self.tilts else centre
+        return np.array([x, y, self.height((x, y), foot)])
 
     @check_arguments
-    def steps(self, places: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
+    def steps(
+        self, places: Mapping[str, Array], radii: Mapping[str, float]
+    ) -> dict[str, tuple[Array, Array]]:
         """Returns each step's box, {foot: centre (3,) and half size (3,)} (m).
 
         That of a step down is as thick as the step is deep, and its top is the bottom of the pit.
@@ -102,18 +110,40 @@ class Ground:
         Args:
             places: {contact point: (3,) its centre (m)}; the points of a flat foot are called
                 ``foot/1``, ``foot/2``...
+            radii: {contact point: of its sphere (m)}.
         """
         found = {}
-        for foot, height in self.heights.items():
-            own = [p for name, p in places.items() if name == foot or name.startswith(f"{foot}/")]
-            if height and own:
-                middle = np.mean(own, axis=0)
-                reach = float(np.linalg.norm(np.array(own) - middle, axis=1).max())
-                found[foot] = self.step(foot, middle, reach + STEP_HALF_WIDTH)
+        for foot in dict.fromkeys((*self.heights, *self.tilts)):
+            own = [name for name in places if name == foot or name.startswith(f"{foot}/")]
+            if own and (self.heights.get(foot) or foot in self.tilts):
+                top, reach = self.middle(foot, {name: places[name] for name in own}, radii)
+                wide = reach + STEP_HALF_WIDTH
+                thick = abs(self.heights.get(foot, 0.0)) / 2 * math.cos(self.slope)
+                half = np.array([wide, wide, wide / 2 if foot in self.tilts else thick])
+                found[foot] = top - half[2] * self.normal(foot), half
         return found
 
+    def middle(
+        self, foot: str, places: Mapping[str, Array], radii: Mapping[str, float]
+    ) -> tuple[Array, float]:
+        """Returns the point (3,) of the ground below a foot's middle, and how far it reaches (m).
+
+        Args:
+            foot: Which foot.
+            places: {contact point of it: (3,) its centre (m)}.
+            radii: {contact point: of its sphere (m)}.
+        """
+        centres = np.array([*places.values()])
+        centre = centres.mean(axis=0)
+        radius = float(np.mean([radii[name] for name in places]))
+        reach = float(np.linalg.norm(centres - centre, axis=1).max())
+        return self.touched(foot, centre, radius), reach
+
     def height(self, place: Sequence[float] | Array, foot: str | None = None) -> float:
-        """Returns the height (m) of the plane at a place (x, y), or of a foot's step there."""
+        """Returns the height (m) of the plane at a place (x, y), or there of a foot's step.
+
+        Of a step with a slope of its own it is that of its middle, wherever the place is.
+        """
         rise = math.tan(self.slope)
         along = place[0] * math.cos(self.uphill) + place[1] * math.sin(self.uphill)
         return float(rise * along) + (0.0 if foot is None else self.heights.get(foot, 0.0))
@@ -123,11 +153,41 @@ class Ground:
 
         Args:
             foot: Which foot: it may be on a step.
-            place: (x, y) of the centre (m).
+            place: (x, y) of the centre; where it touches a step with a slope of its own (m).
             radius: Of the sphere (m).
         """
         x, y = float(place[0]), float(place[1])
+        if foot in self.tilts:
+            return np.array([x, y, self.height((x, y), foot)]) + radius * self.normal(foot)
         return np.array([x, y, self.height((x, y), foot) + radius / math.cos(self.slope)])
+
+
+def _angle(name: str, value: float) -> float:
+    """Returns an angle against the horizontal (rad), from 0 to less than pi/2.
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
+    angle = check_finite(name, value)
+    if not 0 <= angle < math.pi / 2:
+        degrees = angle if 0 < angle < 90 else None
+        message = diagnose("slope-not-valid", slope=Quantity(angle, "rad"), degrees=degrees)
+        raise ConfigurationError(name, message)
+    return angle
+
+
+def _tilt(name: str, value: float) -> float:
+    """Returns an angle against the horizontal (rad), from 0 to pi.
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
+    angle = check_finite(name, value)
+    if not 0 <= angle <= math.pi:
+        most = Quantity(math.pi, "rad")
+        problem = diagnose("not-between", given=f"{angle} rad", low=0, high=most)
+        raise ConfigurationError(name, problem)
+    return angle
 
 
 STEP_HALF_WIDTH = 0.03

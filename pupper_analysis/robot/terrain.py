@@ -28,7 +28,8 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     Args:
         robot: The robot; its MJCF has a floor.
         ground: The slope and the steps.
-        places: {contact point: (3,) where its centre will be, lifted or not (m)}, for the steps.
+        places: {contact point: (3,) where its centre will be, lifted or not, on rigid ground (m)},
+            for the steps.
 
     Returns:
         The same robot, whose MuJoCo model has the floor turned and a box for each step. The steps
@@ -44,13 +45,13 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
         return robot
     spec = robot.description.mjcf.copy()
     floor = floor_of(spec) or SpecTree(spec).add_floor()
-    quat = pin.Quaternion(ground.rotation()).coeffs()[[3, 0, 1, 2]]
-    turn_floor(floor, quat)
-    steps = ground.steps(places)
+    turn_floor(floor, _quat(ground.rotation()))
+    steps = ground.steps(places, robot.contact_radius)
     soles = [foot for foot in steps if len(robot.feet[foot]) > 1]
     contype, conaffinity = floor.contype, floor.conaffinity
     free = _leave_floor(robot, spec, floor, steps, soles)
     for foot, (centre, half) in steps.items():
+        quat = _quat(ground.rotation(foot))
         box = spec.worldbody.add_geom(
             name=f"step_{foot}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -68,7 +69,7 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
                 name=f"top_{foot}",
                 type=mujoco.mjtGeom.mjGEOM_PLANE,
                 size=(*half[:2], 0.01),
-                pos=centre + half[2] * ground.normal(),
+                pos=centre + half[2] * ground.normal(foot),
                 quat=quat,
                 contype=0,
                 conaffinity=free[foot],
@@ -76,6 +77,12 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
             )
             _like_floor(top, floor)
     return replace(rebuild_robot(robot, mjcf=spec), fingerprint=robot.fingerprint)
+
+
+def _quat(rotation: Array) -> Array:
+    """Returns a rotation (3, 3) as a quaternion (w, x, y, z)."""
+    quat: Array = pin.Quaternion(rotation).coeffs()[[3, 0, 1, 2]]
+    return quat
 
 
 def _like_floor(geom: mujoco.MjsGeom, floor: mujoco.MjsGeom) -> None:

@@ -201,7 +201,7 @@ class _Trial:
         progress: bool,
     ) -> None:
         self.plain, self.stand, self.integrator = robot, stand, integrator
-        self.robot = robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+        self.robot = robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
         self.amplitude, self.frequency, self.progress = amplitude, frequency, progress
         self.timestep = float(robot.mj_model.opt.timestep)
         self.steps = round(duration / self.timestep)

@@ -84,7 +84,7 @@ def begin_stand(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
     drive, torques = model_with_servos(robot, kp, kd, integrator), prediction.joint_torques
     start = place_on_ground(robot, drive, stand, torques)
     ctrl = drive.command(robot, stand.joint_positions(robot), torques if feedforward else None)
@@ -111,7 +111,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     data = mujoco.MjData(model)
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot), torques)
     data.act[:] = settled_activations(model, data.ctrl)
-    normal = stand.task.ground.normal()
+    ground = stand.task.ground
+    normal = ground.normal()
 
     def surplus(drop: float) -> float:
         """Returns by how much the contacts carry more than the weight (N)."""
@@ -123,6 +124,9 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         pushing = data.qfrc_constraint + data.qfrc_passive - data.qfrc_bias
         return float(normal @ pushing[robot.mj_convention.qvel_index[:3]])
 
+    if ground.tilts and any(stand.depths.values()):  # deep enough; walls hold by friction alone
+        surplus(0.0)
+        return full_state(model, data)
     low, high = 0.0, _SHALLOW
     short, over = -math.inf, surplus(high)
     while over <= 0 and high < _DEEP:

@@ -91,7 +91,7 @@ def rest_stability(
     Returns:
         The modes that grow there, and the margin.
     """
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
     drive = model_with_servos(robot, kp, kd, integrator)
     ctrl = drive.command(robot, stand.joint_positions(robot))
     return evaluate_stability(drive, rest_state(robot, drive, pose, ctrl), ctrl, MEETING)

@@ -348,9 +348,9 @@ class ClearanceShapes:
         obstacles: list[tuple[coal.CollisionGeometry, coal.Transform3s]] = [
             (coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
         ]
-        for centre, half in ground.steps(places).values():
+        for foot, (centre, half) in ground.steps(places, self.robot.contact_radius).items():
             box = coal.Box(2 * half)
-            obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
+            obstacles.append((box, coal.Transform3s(ground.rotation(foot), centre)))
         for part in self.parts:
             own = part.shape.solid, where[part.number]
             near = [measure_distance(*own, *one) for one in obstacles]
@@ -397,4 +397,4 @@ def _numbers(pairs: Iterable[tuple[int, int]]) -> IntArray:
 
 def _is_plane(ground: Ground) -> bool:
     """Tells whether no step rises above the slope."""
-    return all(height <= 0 for height in ground.heights.values())
+    return not ground.tilts and all(height <= 0 for height in ground.heights.values())

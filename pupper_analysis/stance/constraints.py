@@ -21,7 +21,7 @@ from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.robot.tendons import TendonRanges, tendon_ranges
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.statics.support_polygon import margin_of_place, polygon_sides
+from pupper_analysis.statics.support_polygon import SIDES, margin_of_place, polygon_sides
 
 Array = NDArray[np.float64]
 
@@ -207,14 +207,18 @@ class SupportMargin(Constraint):
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
-        sides, com = polygon_sides(goal.contacts), np.array(at.com[:2])
+        sides, com = self._sides(goal), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]
         return inside - goal.task.com_margin
 
     def rates(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
-        rates: Array = polygon_sides(goal.contacts)[:, :2] @ at.com_jacobian()[:2]
+        rates: Array = self._sides(goal)[:, :2] @ at.com_jacobian()[:2]
         return rates
+
+    def _sides(self, goal: Goal) -> Array:
+        corners = np.array(goal.corners)  # on several planes of another number, now and then
+        return polygon_sides(corners, SIDES if self._begun.task.ground.tilts else len(corners))
 
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
@@ -289,21 +293,22 @@ class GroundClearance(Constraint):
     @property
     def reads(self) -> frozenset[str]:
         """See ``Constraint``: steps are where feet are."""
-        steps = any(self._begun.task.ground.heights.values())
+        ground = self._begun.task.ground
+        steps = any((*ground.heights.values(), *ground.tilts))
         return self._reads | (_FOOTHOLDS if steps else frozenset())
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
-        heights = self._shapes.heights(at, goal.task.ground, goal.targets, goal.depths)
+        heights = self._shapes.heights(at, goal.task.ground, goal.rigid_targets, goal.depths)
         return np.array(heights) - goal.task.ground_clearance + TOUCHING / 2
 
     def rates(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
-        return self._shapes.height_rates(at, goal.task.ground, goal.targets)
+        return self._shapes.height_rates(at, goal.task.ground, goal.rigid_targets)
 
     def nearest(self, goal: Goal, at: Kinematics) -> Clearance | None:
         """Returns how high the lowest part is; None of a robot without any."""
-        return self._shapes.above_ground(at, goal.task.ground, goal.targets, goal.depths)
+        return self._shapes.above_ground(at, goal.task.ground, goal.rigid_targets, goal.depths)
 
 
 class SelfClearance(Constraint):

@@ -241,8 +241,10 @@ def _rounded(field: Field, number: float, usual: float, asked: float, *, back: b
 
 def round_in_radians(task: StandTask, demands: Sequence[str]) -> StandTask:
     """Returns a task with the angles of some demands as they are reported in radians."""
-    angles = [one for name in demands for one in _FIELDS[name] if one.kind == "angle"]
-    values = {one.name: _short(value) for one in angles for _, value in _values(task, one)}
+    values: dict[str, Any] = {}
+    for field in [one for name in demands for one in _FIELDS[name] if one.kind == "angle"]:
+        short = {foot: _short(value) for foot, value in _values(task, field)}
+        values[field.name] = short if field.per else short[""]
     return task.having(values)
 
 
@@ -269,8 +271,10 @@ def _describe_demand(task: StandTask, demand: str) -> Diagnostic:
     name = Term(demand)
     if demand == "ground":
         slope = Quantity(task.ground.slope, "rad")
-        steps = list(_of_feet(task, FIELDS["heights"]))
-        return diagnose("demanded-ground", field=name, value=slope, cut=_cut(slope), steps=steps)
+        steps, tilts = (list(_of_feet(task, FIELDS[of])) for of in ("heights", "tilts"))
+        return diagnose(
+            "demanded-ground", field=name, value=slope, cut=_cut(slope), steps=steps, tilts=tilts
+        )
     (field,) = _FIELDS[demand]
     if field.per:
         return diagnose("demanded-of-feet", field=name, feet=list(_of_feet(task, field)))
@@ -290,7 +294,8 @@ def _of_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
         if isinstance(message, Vector):
             yield diagnose("demanded-place", field=foot, place=message)
         else:
-            yield diagnose("demanded-of-foot", subject=("foot", foot), value=message)
+            code = "demanded-angle-of-foot" if field.kind == "angle" else "demanded-of-foot"
+            yield diagnose(code, subject=("foot", foot), value=message)
 
 
 def _cut(angle: Quantity) -> Quantity:

@@ -199,16 +199,17 @@ def _buckling_modes(
         that is positive, and none at all if not. None if the stand is not stable without payload.
     """
     robot, feet = config.robot, stand.stance_feet
-    frame = pin.Quaternion.FromTwoVectors(stand.task.ground.normal(), UP).matrix()
+    turns = [pin.Quaternion.FromTwoVectors(stand.normals[foot], UP) for foot in feet]
+    frames = np.array([turn.matrix() for turn in turns])
     centres = config.foot_places(feet)
     held = zip(feet, centres, config.foot_rotations(feet), strict=True)
     anchors = {foot: Anchor(place, turned) for foot, place, turned in held}
     depths = dict(zip(feet, deep.tolist(), strict=True))
-    touch = ContactKinematics(config, anchors, centres, frame, depths)
+    touch = ContactKinematics(config, anchors, centres, frames, depths)
     across = touch.jacobians[:, :2].reshape(-1, robot.nv)
     along = touch.jacobians[:, 2]
     rates = np.array([law.rate(depth) for law, depth in zip(laws, depths.values(), strict=True)])
-    forces, more = (line @ frame.T for line in lines)
+    forces, more = ((frames @ line[:, :, None])[:, :, 0] for line in lines)
     bare = touch.balance_rates(forces)
     softer = bare - touch.balance_rates(forces + more)  # by a payload of 1 kg
     twists, weight = point.twist_jacobian(config)[None], np.zeros((1, 6))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -19,7 +19,7 @@ from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING, judge_constraints
-from pupper_analysis.stance.problem import Goal
+from pupper_analysis.stance.problem import Goal, raise_feet
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -113,6 +113,11 @@ class Stand(Tabular):
             "carries": [foot in self.stance_feet for foot in feet],
             "depth": [self.depths.get(foot, 0.0) for foot in feet],
         }
+
+    @property
+    def rigid_targets(self) -> Mapping[str, Array]:
+        """Where the feet's centres (3,) are on rigid ground (m): over the middle of their steps."""
+        return raise_feet(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     def of_task(self, task: StandTask) -> Stand:
         """Returns the same stand as that of another task, which it satisfies as well."""

@@ -16,10 +16,11 @@ from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict, freeze_arrays
 from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.joints import check_in_range, placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.support_polygon import com_margin
+from pupper_analysis.statics.support_polygon import Corner, margin_of_place, support_corners
 
 Array = NDArray[np.float64]
 
@@ -100,8 +101,9 @@ class Goal:
         contacts: (n, 3) contact points of these.
         touches: {foot that carries: (3,) its contact point}.
         normals: {foot that carries: (3,) out of the ground}.
-        corners: Where the contact points are, seen from above: (x, y) of each.
-        centre: (3,) the mean of these.
+        corners: Between which the com is in balance, seen from above: (x, y) of each.
+        centre: (3,) the mean of the contact points; its height that of those on no slope of their
+            own, if there are any.
         height: z of the base frame.
         turn: Its orientation, a unit quaternion (w, x, y, z).
         place: (2,) of the com, or of the base frame.
@@ -127,6 +129,11 @@ class Goal:
     lower: Array
     upper: Array
     give: Array | None = None
+
+    @property
+    def rigid_targets(self) -> Mapping[str, Array]:
+        """Where the feet's centres (3,) are on rigid ground (m): over the middle of their steps."""
+        return raise_feet(self.task.ground, self.targets, self.depths, self.normals)
 
     @property
     def com_is_free(self) -> bool:
@@ -209,19 +216,23 @@ def _goal_of(
         corners, centre = like.corners, like.centre
     else:
         stance_feet = _stance_feet(robot, task, depths)
-        normal = task.ground.normal()
+        out = ground_normals(robot, task.ground)
         places = place_feet(robot, task)
         contacts = np.array(
-            [places[foot] - robot.contact_radius[foot] * normal for foot in stance_feet]
+            [places[foot] - robot.contact_radius[foot] * out[foot] for foot in stance_feet]
         )
-        if checked:
-            _check_area(robot, contacts, stance_feet)
         deep = FrozenDict({foot: float(depths.get(foot, 0.0)) for foot in stance_feet})
-        targets = freeze_arrays(sink_feet(robot, places, deep, normal))
+        targets = freeze_arrays(sink_feet(robot, places, deep, out))
         touches = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
-        normals = freeze_arrays(dict.fromkeys(stance_feet, normal))
-        corners = tuple([(x, y) for x, y, _ in contacts.tolist()])
+        normals = freeze_arrays({foot: out[foot] for foot in stance_feet})
+        grip = [robot.contacts[foot].sliding_friction for foot in stance_feet if robot.contacts]
+        corners = support_corners(contacts, np.array([*normals.values()]), grip)
+        if checked:
+            _check_area(robot, np.array(corners), stance_feet)
         centre = contacts.mean(axis=0)
+        flat = [robot.foot_of(foot) not in task.ground.tilts for foot in stance_feet]
+        if any(flat) and not all(flat):  # a hand high on a wall lifts no base
+            centre[2] = contacts[flat, 2].mean()
     task = _filled(robot, task, com)
     assert task.height is not None
     assert task.com is not None
@@ -238,7 +249,7 @@ def _goal_of(
         place = like.place
     # The centre, of which no margin is asked, always is inside.
     if checked and not by_base and not (isinstance(task.com, str) and task.com_margin == 0.0):
-        _check_inside(task, place, touches)
+        _check_inside(task, place, corners)
     turn = like.turn if like is not None and _turned_alike(like.task, task) else task.turn()
     return Goal(
         task=task,
@@ -277,9 +288,9 @@ def _joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tuple[Arra
     return lower, upper
 
 
-def _check_inside(task: StandTask, place: Array, points: Mapping[str, Array]) -> None:
+def _check_inside(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:
     """Checks that the com shall be inside the support polygon, with the task's margin."""
-    inside = com_margin(np.append(place, 0.0), points)
+    inside = margin_of_place((float(place[0]), float(place[1])), corners)
     if inside < min(task.com_margin, 0.0):
         there, outside = Vector((place[0], place[1]), "m"), Quantity(-inside, "m")
         problem = diagnose("place-outside-polygon", place=there, distance=outside)
@@ -326,9 +337,9 @@ def _same_feet(one: StandTask, other: StandTask) -> bool:
     )
 
 
-def _check_area(robot: Robot, contacts: Array, stance_feet: Sequence[str]) -> None:
-    """Refuses contact points (n, 3) that are on one line, seen from above."""
-    seen = contacts[:, :2] - contacts[:, :2].mean(axis=0)
+def _check_area(robot: Robot, corners: Array, stance_feet: Sequence[str]) -> None:
+    """Refuses corners (n, 2) of balance that are on one line, seen from above."""
+    seen = corners - corners.mean(axis=0)
     if np.linalg.svd(seen, compute_uv=False)[1] < _LINE:
         raise ConfigurationError(
             "swing" if len(stance_feet) < len(robot.contact_points) else "robot",
@@ -344,7 +355,9 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
     if not robot.gravity[2] < 0:
         gravity = Vector(tuple(robot.gravity), "m/s^2")
         raise ConfigurationError("robot", diagnose("gravity-not-down", gravity=gravity))
-    for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights):
+    ground = task.ground
+    on_steps = *ground.heights, *ground.tilts, *ground.tilt_uphill
+    for foot in (*task.feet, *task.foot_offsets, *task.swing, *on_steps):
         robot.points_of(foot)
     for foot in depths:
         robot.check_foot(foot)
@@ -428,12 +441,18 @@ def place_feet(robot: Robot, task: StandTask) -> dict[str, Array]:
         else:
             sole = np.array([nominal[point] for point in points])
             radii = np.array([robot.contact_radius[point] for point in points])
-            laid = _laid(sole, radii, ground.normal())
-            aside = place - laid[:, :2].mean(axis=0)
-            shift = np.array([*aside, ground.height(aside, foot)])  # along the plane, onto a step
+            out = ground.normal(foot)
+            laid = _laid(sole, radii, out)
+            on = laid.mean(axis=0)
+            floor = ground.height(on)
+            if foot in ground.tilts:  # its place is where it touches
+                on -= radii.mean() * out
+                floor = float(on[2])
+            shift = np.array([*(place - on[:2]), ground.height(place, foot) - floor])
             targets |= dict(zip(points, laid + shift, strict=True))
+        lifted = task.swing.get(foot, 0.0)
         for point in points:
-            targets[point][2] += task.swing.get(foot, 0.0)
+            targets[point] += lifted * (ground.normal(foot) if foot in ground.tilts else UP)
     return {point: targets[point] for point in robot.contact_points}
 
 
@@ -460,20 +479,46 @@ def _upwards(points: Array) -> Array:
     return result
 
 
+def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
+    """Returns the direction {contact point: (3,)} out of the ground under each."""
+    return {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}
+
+
 def sink_feet(
-    robot: Robot, targets: Mapping[str, Array], depths: Mapping[str, float], normal: Array
+    robot: Robot,
+    targets: Mapping[str, Array],
+    depths: Mapping[str, float],
+    normals: Mapping[str, Array],
 ) -> dict[str, Array]:
     """Returns the targets (3,) of contact points that are in the ground by some depths (m).
 
     A sole sinks as a whole and tilts: by the depths' best fit.
     """
-    sunk = {point: targets[point] - depths.get(point, 0.0) * normal for point in targets}
+    sunk = {point: targets[point] - depths.get(point, 0.0) * normals[point] for point in targets}
     for points in robot.feet.values():
         if len(points) > 1 and any(depths.get(point) for point in points):
             before = np.array([targets[point] for point in points])
             after = move_rigidly(before, np.array([sunk[point] for point in points]))
             sunk |= dict(zip(points, after, strict=True))
     return sunk
+
+
+def raise_feet(
+    ground: Ground,
+    targets: Mapping[str, Array],
+    depths: Mapping[str, float],
+    normals: Mapping[str, Array],
+) -> Mapping[str, Array]:
+    """Returns where sunk feet would be on rigid ground; as they are, if no step has a slope.
+
+    (Level steps are under them at any depth. Of a sole the middle is where it would be.)
+    """
+    if not ground.tilts:
+        return targets
+    return {
+        point: place + depths[point] * normals[point] if point in normals else place
+        for point, place in targets.items()
+    }
 
 
 def move_rigidly(before: Array, after: Array) -> Array:

@@ -29,7 +29,6 @@ from pupper_analysis.stance.judge import Stand, evaluate_stand, is_base_in_groun
 from pupper_analysis.stance.problem import Goal, has_spare_joints
 from pupper_analysis.stance.programme import Programme
 from pupper_analysis.stance.solver import Context, Point
-from pupper_analysis.statics.support_polygon import support_polygon
 
 Array = NDArray[np.float64]
 
@@ -442,7 +441,7 @@ def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch
 
 def support_radius(goal: Goal) -> float:
     """Returns how far from the centre a com inside may be (m)."""
-    return float(np.linalg.norm(support_polygon(goal.contacts) - goal.centre[:2], axis=1).max())
+    return float(np.linalg.norm(np.array(goal.corners) - goal.centre[:2], axis=1).max())
 
 
 def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:

@@ -169,7 +169,12 @@ class StandTask:
             if isinstance(value, float | tuple)
         }
         for entry, of, value in self._asked():
-            fields = {**values, "of": of, "value": entry.quantity(value)}
+            beside = {
+                name: FIELDS[name].quantity(every[of]) if of in every else None
+                for name, every in self.values().items()
+                if FIELDS[name].per and of
+            }
+            fields = {**values, **beside, "of": of, "value": entry.quantity(value)}
             parts.append(fill_template(entry.words(language).said, fields, language))
         return _COMMA[language].join(parts)
 

@@ -18,6 +18,7 @@ from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, TangentialMetric
+from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
 
 Array = NDArray[np.float64]
 
@@ -51,6 +52,21 @@ class Contacts:
     def level(self) -> bool:
         """Whether the ground is level under all feet."""
         return bool(np.abs(self.normals - UP).max(initial=0.0) < BALANCE_TOLERANCE)
+
+    def com_margin(self, place: Array, points: Array) -> float:
+        """Returns the distance (m) of a place from the edge of where a com is in balance.
+
+        Args:
+            place: (2,) or (3,), seen from above (m).
+            points: (n, 3) where the contacts are (m).
+
+        Returns:
+            The distance; positive inside; minus infinity if the place is not a number.
+        """
+        x, y, *_ = place.tolist()
+        return margin_of_place(
+            (x, y), support_corners(points, self.normals, self.friction.tolist())
+        )
 
     @functools.cached_property
     def metric(self) -> TangentialMetric:

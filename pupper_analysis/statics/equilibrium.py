@@ -24,7 +24,6 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, TangentialMetric
 from pupper_analysis.statics.contacts import Contacts, make_contacts
-from pupper_analysis.statics.support_polygon import com_margin, margin_of_place
 
 Array = NDArray[np.float64]
 
@@ -417,8 +416,7 @@ def _result(
     ]
     sliding = FrozenDict(zip(carrying.feet, shares, strict=True))
     com = config.center_of_mass()
-    x, y, _ = (com if point is None else point).tolist()
-    corners = tuple([(x, y) for x, y, _ in places.tolist()])
+    over = com if point is None else point
     return GravityCompensation(
         joint_names=robot.joint_names,
         joint_torques=torques,
@@ -437,7 +435,7 @@ def _result(
         ),
         base_wrench=base_wrench,
         center_of_mass=com,
-        com_margin=margin_of_place((x, y), corners) if corners else None,
+        com_margin=carrying.com_margin(over, places) if carrying.feet else None,
         residual_force=math.hypot(*unbalanced[:3]),
         residual_torque=math.hypot(*unbalanced[3:]),
     )
@@ -456,8 +454,7 @@ def explain_infeasibility(
 ) -> StaticsInfeasibleError:
     """Finds out why no forces do; see ``balance_load``."""
     feet, friction = carrying.feet, float(carrying.friction.min())
-    points = dict(zip(feet, carrying.points(config), strict=True))
-    margin = com_margin(point, points)
+    margin = carrying.com_margin(point, carrying.points(config))
     even = carrying.metric
     if problem.minimum_tangential(np.full(len(feet), _NO_SLIDING), even) is not None:
         low, high = 0.0, _NO_SLIDING

@@ -1,13 +1,16 @@
-"""The support polygon, and what is inside it."""
+"""The support polygon, and what is inside it; on several planes, where a com is in balance."""
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pupper_analysis.base.arrays import cross_matrices
+from pupper_analysis.statics.cone_program import Balance
 
 Array = NDArray[np.float64]
 Corner = tuple[float, float]
@@ -104,6 +107,67 @@ def _ring(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
     )
 
 
+SIDES = 48
+"""Directions in which the end of balance is looked for: a circle's area is found to 0.3 %, from
+inside."""
+
+_SQUEEZE = 10.0
+"""Weights with which contacts may press in all: between steep walls a grip carries whatever is put
+anywhere, and no legs press so."""
+
+
+def support_corners(points: Array, normals: Array, friction: Sequence[float]) -> tuple[Corner, ...]:
+    """Returns corners (x, y) of where a com is in balance on contacts, seen from above (m).
+
+    On contacts of one plane that is the convex hull of their projection, whatever their friction,
+    which is asked about elsewhere. On several it is the projection of all coms for which there are
+    forces f_i in the friction cones that carry the weight: sum f_i = m g e_z and
+    sum p_i x f_i = m g com x e_z. The set is convex (Bretl and Lall, "Testing static equilibrium
+    for legged robots", 2008), and its ends are found by cone programmes.
+
+    Args:
+        points: (n, 3) contact points (m).
+        normals: (n, 3) out of the ground.
+        friction: (n,) coefficients; empty if they are not known.
+
+    Returns:
+        The corners; those of the contact points' projection if nothing is in balance.
+    """
+    alike = bool((np.abs(normals - normals[:1]) < _ALIKE).all())
+    found = (
+        None
+        if alike or not len(friction)
+        else _balanced(points.tobytes(), normals.tobytes(), tuple(friction))
+    )
+    return found or tuple([(x, y) for x, y, _ in points.tolist()])
+
+
+_ALIKE = 1e-12
+"""Normals that differ by no more are one plane's."""
+
+
+@functools.lru_cache(maxsize=64)  # a stand's feet stay in place while its com is looked for
+def _balanced(points: bytes, normals: bytes, friction: tuple[float, ...]) -> tuple[Corner, ...]:
+    """Returns the ends of balance in ``SIDES`` directions; none if there is no balance."""
+    places, out = (np.frombuffer(one).reshape(-1, 3) for one in (points, normals))
+    count = len(places)
+    moments = cross_matrices(places).transpose(1, 0, 2).reshape(3, 3 * count)
+    rows = np.vstack([np.tile(np.eye(3), count), moments[2:]])
+    nothing = np.zeros((0, 3 * count))
+    weight = np.array([0.0, 0.0, 1.0, 0.0])
+    problem = Balance(rows, weight, nothing, np.zeros(0), out)
+    com = np.vstack([-moments[1], moments[0]])  # of which the weight has the moment
+    corners = []
+    for angle in 2 * math.pi / SIDES * np.arange(SIDES):
+        towards = np.array([math.cos(angle), math.sin(angle)])
+        forces = problem.farthest(towards @ com, np.array(friction), _SQUEEZE)
+        if forces is None:
+            return ()
+        x, y = (com @ forces).tolist()
+        corners.append((x, y))
+    return tuple(corners)
+
+
 def support_polygon(contacts: Array) -> Array:
     """Returns the corners (n, 2) of the convex hull of contact points (k, 3), counter-clockwise."""
     import shapely  # slow to import
@@ -114,18 +178,19 @@ def support_polygon(contacts: Array) -> Array:
     return corners
 
 
-def polygon_sides(contacts: Array) -> Array:
+def polygon_sides(contacts: Array, count: int = 0) -> Array:
     """Returns the support polygon as (k, 3): a x + b y + c is the distance inside each side (m).
 
     A contact that moves may come to be inside the polygon of the others, and a side is lost: then
     the last one is there again, so that there are always as many.
 
     Args:
-        contacts: (k, 2) or (k, 3) contact points (m).
+        contacts: (k, 2) or (k, 3) contact points, or other corners (m).
+        count: How many rows there are; k by default.
     """
     ring = _ring(tuple([_corner(point) for point in contacts]))
     sides = [
         [-along_y / length, along_x / length, (along_y * x - along_x * y) / length]
         for x, y, along_x, along_y, length in ring
     ]
-    return np.array(sides + sides[-1:] * (len(contacts) - len(sides)))
+    return np.array(sides + sides[-1:] * ((count or len(contacts)) - len(sides)))

@@ -136,8 +136,7 @@ def ground_corners(stand: Stand) -> Array:
 def step_corners(seen: StandingScene) -> list[Array]:
     """Returns the corners (8, 3) of each step's box (m), in the order of ``BOX_FACES``."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    turn = seen.ground.rotation()
-    return [step.centre + (signs * step.half) @ turn.T for step in seen.steps]
+    return [step.centre + (signs * step.half) @ step.rotation.T for step in seen.steps]
 
 
 def draw_ground(axes: Any, stand: Stand, seen: StandingScene) -> None:

@@ -126,7 +126,7 @@ def _stand(scene: StandScene) -> dict[str, Any]:
             {
                 "centre": short_numbers(one.centre),
                 "half": short_numbers(one.half),
-                "quat": short_numbers(seen.turn),
+                "quat": short_numbers(one.turn),
                 "pit": one.height < 0,
             }
             for one in seen.steps

@@ -34,7 +34,7 @@ class Solution:
 
     Attributes:
         qpos: (nq,).
-        forces: {foot that touches: (3,)} in the ground's frame, whose z is its normal (N).
+        forces: {foot that touches: (3,)} in the ground's frame there, whose z is its normal (N).
         residuals: The largest element left after each Newton step (N, N m, m).
     """
 
@@ -64,7 +64,8 @@ class ContactKinematics:
         config: The configuration.
         anchors: {foot that touches: where it did so first}.
         centres: (n, 3) where they are (m).
-        frame: (3, 3) rotation from the world to the ground's frame, whose z is out of the ground.
+        frames: (n, 3, 3) rotations from the world to the frame of the ground under each, whose z is
+            out of it.
         depths: {foot: how deep it is in the ground (m)}, of those that do not touch as well.
 
     Attributes:
@@ -81,25 +82,26 @@ class ContactKinematics:
         config: Configuration,
         anchors: Mapping[str, Anchor],
         centres: Array,
-        frame: Array,
+        frames: Array,
         depths: Mapping[str, float],
     ) -> None:
-        self.config, self._frame, self._normal, self.depths = config, frame, frame[2], depths
+        self.config, self._frames, self._normals = config, frames, frames[:, 2]
+        self.depths = depths
         radius, feet, held = config.robot.contact_radius, tuple(anchors), anchors.values()
         deep = np.array([depths[foot] for foot in feet])
         # MuJoCo has the contact half way into the penetration.
         reach = np.array([radius[foot] for foot in feet]) - deep / 2
-        arms = reach[:, None] * self._normal  # from the contact to the centre
+        arms = reach[:, None] * self._normals  # from the contact to the centre
         self._offsets = cross_matrices(arms)
         self._twists = config.foot_twists(feet)
         self._centre, self.turning = self._twists[:, :3], self._twists[:, 3:]
-        self.jacobians = frame @ (self._centre + self._offsets @ self.turning)
+        self.jacobians = frames @ (self._centre + self._offsets @ self.turning)
         before = np.array([anchor.turned for anchor in held]).reshape(-1, 3, 3)
         self._turned = config.foot_rotations(feet) @ before.transpose(0, 2, 1)
         self._turns = np.array([pin.log3(turned) for turned in self._turned]).reshape(-1, 3)
         begun = np.array([anchor.place for anchor in held]).reshape(-1, 3)
         rolled = (self._offsets @ self._turns[:, :, None])[:, :, 0]
-        self.places = (centres - begun + rolled) @ frame.T
+        self.places = (frames @ (centres - begun + rolled)[:, :, None])[:, :, 0]
         self.places[:, 2] = deep
 
     def place_rates(self) -> Array:
@@ -110,15 +112,15 @@ class ContactKinematics:
         turns = logs.transpose(0, 2, 1) @ self.turning
         rates: Array = self._centre + self._offsets @ turns
         # The arm gets shorter by half of what the foot goes deeper.
-        sideways = cross_matrices(self._turns) @ (self._normal / 2)
-        rates += sideways[:, :, None] * deeper[:, None, :]
-        rates = self._frame @ rates
+        sideways = cross_matrices(self._turns) @ (self._normals / 2)[:, :, None]
+        rates += sideways * deeper[:, None, :]
+        rates = self._frames @ rates
         rates[:, 2] = deeper
         return rates
 
     def _deeper(self) -> Array:
         """Returns the derivative (n, nv) of the depths."""
-        deeper: Array = -(self._normal @ self._centre)
+        deeper: Array = -(self._normals[:, None] @ self._centre)[:, 0]
         return deeper
 
     def push(self, forces: Array) -> Array:
@@ -132,13 +134,13 @@ class ContactKinematics:
         Args:
             forces: (n, 3) in the ground's frame (N), which keep their direction.
         """
-        pushing = forces @ self._frame
+        pushing = (forces[:, None] @ self._frames)[:, 0]
         wrenches = np.empty((len(forces), 6))
         wrenches[:, :3] = pushing
         wrenches[:, 3:] = (pushing[:, None] @ self._offsets)[:, 0]  # pushing x arm
         rates = self.config.pushed_rates(self._twists, wrenches)
         # As a foot goes deeper its contact comes nearer to the centre.
-        nearer = pushing @ (cross_matrices(self._normal[None])[0].T / 2)
+        nearer = (pushing[:, None] @ (cross_matrices(self._normals).transpose(0, 2, 1) / 2))[:, 0]
         moved = (nearer[:, None] @ self.turning)[:, 0]
         change: Array = rates - moved.T @ self._deeper()
         return change

@@ -16,7 +16,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, servo_gains
-from pupper_analysis.stance.problem import can_move_com
+from pupper_analysis.stance.problem import can_move_com, ground_normals
 from pupper_analysis.stance.sag.contact_kinematics import (
     Anchor,
     ContactKinematics,
@@ -127,8 +127,16 @@ class SagEquilibrium:
         used = servo_gains(robot, kp, None if kp is None else 0.0)
         self.lower, self.upper = robot.effort_ranges.T
         self.robot, self.stand, self.feet, self.kp = robot, stand, feet, used.kp
-        self.ground, self.normal = stand.task.ground, stand.task.ground.normal()
-        self.frame = pin.Quaternion.FromTwoVectors(self.normal, UP).matrix()
+        self.frames = {
+            foot: pin.Quaternion.FromTwoVectors(normal, UP).matrix()
+            for foot, normal in ground_normals(robot, stand.task.ground).items()
+        }
+        self._planes = [
+            (robot.contact_radius[foot], *frame[2].tolist(), on.tolist())
+            for (foot, frame), on in zip(
+                self.frames.items(), ground_points(robot, stand).values(), strict=True
+            )
+        ]
         self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.contact_points}
         self._commands = command_ranges(robot).T
         self.command(stand.qpos[7:])
@@ -160,10 +168,10 @@ class SagEquilibrium:
         Args:
             places: (k, 3) the centres of all feet (m).
         """
-        cosine, radius = float(self.normal[2]), self.robot.contact_radius
+        seen = zip(self.frames, self._planes, places.tolist(), strict=True)
         return {
-            foot: radius[foot] - (z - self.ground.height((x, y), self._sole[foot])) * cosine
-            for foot, (x, y, z) in zip(self.robot.contact_points, places.tolist(), strict=True)
+            foot: radius - ((x - on[0]) * a + (y - on[1]) * b + (z - on[2]) * c)
+            for foot, (radius, a, b, c, on), (x, y, z) in seen
         }
 
     def sunk(self, forces: Array) -> Array:
@@ -197,7 +205,8 @@ class SagEquilibrium:
             config, feet = Configuration(self.robot, qpos), self.robot.contact_points
             places = config.foot_places(feet)
             own = places[[feet.index(foot) for foot in self.anchors]].reshape(-1, 3)
-            touch = ContactKinematics(config, self.anchors, own, self.frame, self.depths(places))
+            frames = np.array([self.frames[foot] for foot in self.anchors]).reshape(-1, 3, 3)
+            touch = ContactKinematics(config, self.anchors, own, frames, self.depths(places))
             seen = self._touch = anchors, qpos.copy(), touch
         return seen[2]
 
@@ -214,7 +223,7 @@ class SagEquilibrium:
         """Returns the slips (n, 2, ...) of the feet that touch, those of each sole as one body."""
         feet = tuple(self.anchors)
         if self._rigid[0] != feet:
-            self._rigid = feet, rigid_slips(self.anchors, self._sole, self.frame)
+            self._rigid = feet, rigid_slips(self.anchors, self._sole, self.frames)
         whole = self._rigid[1]
         return slips if whole is None else np.asarray(np.tensordot(whole, slips, 2), dtype=float)
 
@@ -438,6 +447,16 @@ _PLIANT = 2.5e-6
 biped of 10 kg by some micrometre."""
 
 
+def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
+    """Returns a point {contact point: (3,)} of the ground under each (m)."""
+    ground, places = stand.task.ground, stand.rigid_targets
+    found: dict[str, Array] = {}
+    for foot, points in robot.feet.items():
+        own = {point: places[point] for point in points}
+        found |= dict.fromkeys(points, ground.middle(foot, own, robot.contact_radius)[0])
+    return found
+
+
 def contact_compliance(robot: Robot, units: Units) -> tuple[dict[str, float], dict[str, float]]:
     """Returns how far the points of soles give, and all contact points, {point: m/N}.
 
@@ -457,7 +476,7 @@ def contact_compliance(robot: Robot, units: Units) -> tuple[dict[str, float], di
 
 
 def rigid_slips(
-    anchors: Mapping[str, Anchor], soles: Mapping[str, str], frame: Array
+    anchors: Mapping[str, Anchor], soles: Mapping[str, str], frames: Mapping[str, Array]
 ) -> Array | None:
     """Returns the projection (n, 2, n, 2) of slips on those of rigid soles; None without soles.
 
@@ -468,7 +487,7 @@ def rigid_slips(
     Args:
         anchors: {point that touches: where it did so first}.
         soles: {point: the foot that has it}.
-        frame: (3, 3) rotation from the world to the ground's frame.
+        frames: {point: (3, 3) rotation from the world to the frame of the ground under it}.
     """
     rows: dict[str, list[int]] = {}
     for row, point in enumerate(anchors):
@@ -478,7 +497,7 @@ def rigid_slips(
         return None
     size = len(anchors)
     whole: Array = np.eye(2 * size).reshape(size, 2, size, 2)
-    places = np.array([anchor.place for anchor in anchors.values()]) @ frame.T
+    places = np.array([frames[point] @ anchor.place for point, anchor in anchors.items()])
     for own in shared:
         x, y = (places[own, :2] - places[own, :2].mean(axis=0)).T
         directions = np.zeros((len(own), 2, 3))

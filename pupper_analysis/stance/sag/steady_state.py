@@ -234,7 +234,7 @@ class HomotopyPath:
         )
         self.share, self.iterations, self._events, self.crept = 0.0, 0, 0, 0.0
         self._euler = math.inf
-        forces = {f: system.frame @ force for f, force in self.balance.contact_forces.items()}
+        forces = {f: system.frames[f] @ force for f, force in self.balance.contact_forces.items()}
         sunk = system.sunk(np.array(list(forces.values())))
         qpos = stand.qpos.copy()
         qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
@@ -549,7 +549,7 @@ def steady_state(
         NoEquilibriumError: If there is no equilibrium that continues the stand.
     """
     check_request(robot, stand, feet, seconds)
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
     way = HomotopyPath(SagEquilibrium(robot, stand, kp, feet), exact=feedforward)
     pose = follow_to_end(way, feedforward=feedforward, seconds=seconds)
     if pose.failures or math.isinf(lasts := let_creep(way, pose)):
@@ -603,7 +603,7 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
     if not 0 <= seconds <= LONGEST or (seconds and feet == "sliding"):
         problem = diagnose("creep-not-valid", given=f"{seconds} s")
         raise ConfigurationError("seconds", problem)
-    if feet == "sliding" and stand.task.ground.slope:
+    if feet == "sliding" and (stand.task.ground.slope or stand.task.ground.tilts):
         raise ConfigurationError("feet", diagnose("sliding-on-slope"))
     slippery = [foot for foot in robot.contact_points if robot.contacts[foot].sliding_friction <= 0]
     if feet == "pinned" and slippery:
@@ -632,7 +632,7 @@ def release_margin(way: HomotopyPath) -> float:
     """Returns the ``release_margin`` of a ``SteadyState`` at the end of a way."""
     held, now, robot = way.balance.contact_forces, way.solution.forces, way.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)
-    before = np.array([held.get(foot, nothing) for foot in feet]) @ way.system.frame.T
+    before = np.array([way.system.frames[foot] @ held.get(foot, nothing) for foot in feet])
     overshot = 2 * np.array([now.get(foot, nothing) for foot in feet]) - before
     left = [
         robot.contacts[foot].sliding_friction * z - math.hypot(x, y)
@@ -724,7 +724,7 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
         saturated=tuple(names[(torques <= system.lower) | (torques >= system.upper)].tolist()),
         stance_feet=tuple(foot for foot in robot.contact_points if foot in solution.forces),
         contact_forces={
-            foot: system.frame.T @ solution.force(foot) for foot in robot.contact_points
+            foot: system.frames[foot].T @ solution.force(foot) for foot in robot.contact_points
         },
         foot_creep=dict(zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
         height_drift=float(np.linalg.solve(derivative, flow)[2]),

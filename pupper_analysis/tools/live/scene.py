@@ -363,7 +363,7 @@ class Scene:
             rise = float(out @ step.centre) if pit else 0.0
             box = self._node(f"steps/{number}", "add_box", dimensions=tuple(2 * half))
             box.dimensions, box.color = tuple(2 * half), PIT if pit else STONE
-            box.wxyz, box.position = seen.turn, step.centre - rise * out
+            box.wxyz, box.position = step.turn, step.centre - rise * out
 
     def _support(self, seen: StandingScene, *, held: bool) -> None:
         points = seen.polygon + np.array([0.0, 0.0, 0.005 * self._size])

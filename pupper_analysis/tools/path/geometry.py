@@ -23,6 +23,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
+from pupper_analysis.stance.problem import ground_normals
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
@@ -163,7 +164,7 @@ def task_between(
     def between(start: _T, end: _T) -> _T:
         return start + share * (end - start)
 
-    ground, normal = one.ground, one.ground.normal()
+    ground, out = one.ground, ground_normals(robot, one.ground)
     places = {foot: segment.start.feet[foot] for foot in robot.contact_points}
     places |= {foot: p + share * (segment.end.feet[foot] - p) for foot, p in places.items()}
     points = {point: place[:2] + away[point] for point, place in places.items()}
@@ -173,7 +174,7 @@ def task_between(
         feet[foot] = float(x), float(y)
     contacts = {
         point: ground.centre(robot.foot_of(point), points[point], robot.contact_radius[point])
-        - robot.contact_radius[point] * normal
+        - robot.contact_radius[point] * out[point]
         for point in stance_feet
     }
     centre = np.mean(list(contacts.values()), axis=0)
@@ -383,7 +384,7 @@ class _Roll:
         rolling: bool,
     ) -> Stand:
         """Solves a sample; how far the feet roll and the legs' angles determine each other."""
-        robot, normal = self.robot, segment.start.task.ground.normal()
+        robot, out = self.robot, ground_normals(self.robot, segment.start.task.ground)
         away = {foot: place + self.step[foot] for foot, place in self.away.items()}
         for _ in range(_MAX_ITERATIONS):
             task = task_between(robot, segment, stance_feet, share, ik_seed, away)
@@ -394,7 +395,7 @@ class _Roll:
             last, away = away, dict(self.away)
             for foot in stance_feet:
                 turn = pin.log3(rotations[foot] @ self.turned[foot].T)
-                rolled = pin.skew(turn) @ (robot.contact_radius[foot] * normal)
+                rolled = pin.skew(turn) @ (robot.contact_radius[foot] * out[foot])
                 away[foot] = away[foot] + rolled[:2]
             if max(np.abs(away[foot] - last[foot]).max() for foot in away) < _ROLLED:
                 self.step = {foot: away[foot] - self.away[foot] for foot in away}
@@ -426,7 +427,7 @@ def _derivatives(
     turn = pin.rpy.computeRpyJacobian(rpy, pin.LOCAL)
     turn_rate = pin.rpy.computeRpyJacobianTimeDerivative(rpy, change, pin.LOCAL)
     by_base = one.task.offset is not None or two.task.offset is not None
-    normal = one.task.ground.normal()
+    out = ground_normals(robot, one.task.ground)
 
     still = Configuration(robot, qpos)
     rows, wanted = [np.eye(robot.nv)[2:6]], [[two.base[2] - one.base[2]], turn @ change]
@@ -437,7 +438,7 @@ def _derivatives(
         rows.append(still.com_jacobian()[:2])
         wanted.append((two.com - one.com)[:2])
     offsets = {
-        foot: -robot.contact_radius[foot] * normal
+        foot: -robot.contact_radius[foot] * out[foot]
         if rolling and foot in segment.stance_feet
         else np.zeros(3)
         for foot in robot.contact_points

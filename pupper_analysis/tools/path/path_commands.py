@@ -18,6 +18,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import place_on_ground
+from pupper_analysis.stance.problem import ground_normals
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.tools.path.dynamics import joint_resistance
 from pupper_analysis.tools.path.plan import StancePath
@@ -97,7 +98,7 @@ def path_commands(
     if path.joint_names != robot.joint_names or path.qpos.shape[1] != robot.nq:
         raise ConfigurationError("path", diagnose("path-of-another-robot", robot=robot.name))
     first = path.stances[0]
-    robot = on_ground(robot, first.task.ground, first.foot_targets)
+    robot = on_ground(robot, first.task.ground, first.rigid_targets)
     drive = drive_of(robot)
     timestep = (
         _fine_timestep(robot, first, drive) if timestep is None else _checked_timestep(timestep)
@@ -144,15 +145,16 @@ def _on_soft_ground(robot: Robot, path: StancePath) -> tuple[Array, Array]:
     """
     from scipy.interpolate import CubicSpline
 
-    normal = path.stances[0].task.ground.normal()
+    out = ground_normals(robot, path.stances[0].task.ground)
+    normals = np.array([out[foot] for foot in path.feet])
     laws = [GroundLaw.of(robot, foot) for foot in path.feet]
     radius = np.array([robot.contact_radius[foot] for foot in path.feet])
-    pressing = np.maximum(path.forces @ normal, 0.0)
+    pressing = np.maximum((path.forces * normals).sum(axis=-1), 0.0)
     depths = np.array([_depths(*one, path.time) for one in zip(laws, pressing.T, strict=True)]).T
     rows = []
     for qpos, deep in zip(path.qpos, depths, strict=True):
         config = Configuration(robot, qpos)
-        places = config.foot_places(path.feet) - deep[:, None] * normal
+        places = config.foot_places(path.feet) - deep[:, None] * normals
         for _ in range(_STEPS):
             missing = (places - config.foot_places(path.feet)).ravel()
             jacobians = config.foot_jacobians()
@@ -168,7 +170,7 @@ def _on_soft_ground(robot: Robot, path: StancePath) -> tuple[Array, Array]:
     for index, qpos in enumerate(rows):
         config = Configuration(robot, qpos, qvel[index])
         # MuJoCo's contact is half way down.
-        touching = -(radius - depths[index] / 2)[:, None] * normal
+        touching = -(radius - depths[index] / 2)[:, None] * normals
         contacts = config.point_jacobians(path.feet, touching)
         left = config.mass_matrix() @ path.qacc[index] + config.bias_forces() - config.passive()
         left += joint_resistance(robot, qvel[index], qacc[index])

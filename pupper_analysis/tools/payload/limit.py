@@ -396,7 +396,7 @@ class _Search:
         with lend(held.robot, Context) as context:
             shapes = context.shapes
             # As the parts are, which in reach may sink as their own feet do.
-            there = shapes.at(stand.qpos), stand.task.ground, stand.foot_targets
+            there = shapes.at(stand.qpos), stand.task.ground, stand.rigid_targets
             lowest = shapes.above_ground(*there, {})
         if lowest is None:
             return None

@@ -13,7 +13,7 @@ SOLES = {"a/1": "a", "a/2": "a", "b": "b"}
 
 def test_two_points_of_a_sole_cannot_part() -> None:
     anchors = {name: Anchor(np.array(place), np.eye(3)) for name, place in PLACES.items()}
-    whole = rigid_slips(anchors, SOLES, np.eye(3))
+    whole = rigid_slips(anchors, SOLES, dict.fromkeys(PLACES, np.eye(3)))
     assert whole is not None
 
     def left(slips: list[tuple[float, float]]) -> np.ndarray:
@@ -28,4 +28,7 @@ def test_two_points_of_a_sole_cannot_part() -> None:
 
 def test_points_that_are_feet_of_their_own_slip_as_they_like() -> None:
     anchors = {name: Anchor(np.array(place), np.eye(3)) for name, place in PLACES.items()}
-    assert rigid_slips(anchors, {name: name for name in PLACES}, np.eye(3)) is None
+    assert (
+        rigid_slips(anchors, {name: name for name in PLACES}, dict.fromkeys(PLACES, np.eye(3)))
+        is None
+    )

@@ -1,0 +1,239 @@
+"""Feet on slopes of their own: roofs, walls. MuJoCo and linear programmes are the judges."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import optimize
+
+import pupper_analysis as pa
+from pupper_analysis.robot.robot import lend
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.solver import Context
+from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
+from tests.support.variants import load
+
+UP = np.array([0.0, 0.0, 1.0])
+LEFT, RIGHT = math.pi / 2, -math.pi / 2
+
+
+def sideways(degrees: float, *, roof: bool) -> pa.Ground:
+    """Left and right feet on two planes that rise towards the middle (a roof), or away from it."""
+    inwards = {"FL": RIGHT, "RL": RIGHT, "FR": LEFT, "RR": LEFT}
+    uphill = {foot: turn if roof else -turn for foot, turn in inwards.items()}
+    return pa.Ground(tilts=dict.fromkeys(uphill, math.radians(degrees)), tilt_uphill=uphill)
+
+
+def walls(degrees: float) -> pa.Ground:
+    return pa.Ground(
+        tilts={"FR": math.radians(degrees)}, tilt_uphill={"FR": 0.0}, heights={"FR": 0.05}
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "ground"),
+    [
+        ("v3", sideways(30, roof=True)),
+        ("v3", sideways(50, roof=False)),
+        ("original", sideways(20, roof=True)),
+        ("v3", sideways(70, roof=False)),
+    ],
+    ids=["roof", "gutter", "capsules", "steep"],
+)
+def test_mujoco_holds_a_stand_between_two_planes(name: str, ground: pa.Ground) -> None:
+    """Torques and forces as usual: legs press sideways, which no plane asks of them."""
+    robot = load(name)
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=ground))
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, [str(one) for one in found.failures]
+    assert found.torque_error < 1e-5
+    assert found.force_error < 1e-5
+    statics = pa.stance.stand_statics(robot, stand)
+    sideways_forces = [force[1] for force in statics.contact_forces.values()]
+    assert max(map(abs, sideways_forces)) > 1.0  # N
+    total = sum(statics.contact_forces.values())
+    np.testing.assert_allclose(total, -robot.total_mass * robot.gravity, atol=1e-9)
+
+
+def test_a_foot_touches_its_plane_in_its_place() -> None:
+    robot, ground = load("v3"), walls(90)
+    task = pa.StandTask(ground=ground, feet={"FR": (0.14, -0.09)})
+    stand = pa.solve_stand(robot, task)
+    np.testing.assert_allclose(stand.contact_points["FR"], (0.14, -0.09, 0.05), atol=1e-12)
+    np.testing.assert_allclose(stand.normals["FR"], (-1, 0, 0), atol=1e-12)
+    centre = pa.Configuration(robot, stand.qpos).foot_positions()["FR"]
+    radius = robot.contact_radius["FR"]
+    np.testing.assert_allclose(centre, (0.14 - radius, -0.09, 0.05), atol=1e-9)
+    # A hand on a wall lifts no base.
+    assert stand.qpos[2] == pytest.approx(robot.stand_height, abs=1e-9)
+
+
+def test_one_plane_said_of_each_foot_is_the_slope() -> None:
+    """Of the same plane the same stand, torques and sag; only a foot's place is another point."""
+    robot, angle, uphill = load("v3"), 0.2, 0.7
+    slope = pa.Ground(slope=angle, uphill=uphill)
+    one = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=slope))
+    places = {foot: tuple(one.contact_points[foot][:2]) for foot in robot.feet}
+    rises = {foot: slope.height(place) for foot, place in places.items()}
+    each = pa.Ground(
+        tilts=dict.fromkeys(rises, angle),
+        tilt_uphill=dict.fromkeys(rises, uphill),
+        heights=rises,
+    )
+    two = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=each, feet=places))
+    np.testing.assert_allclose(two.qpos, one.qpos, atol=1e-9)
+    assert two.com_margin == pytest.approx(one.com_margin, abs=1e-9)
+    sags = [pa.steady_state(robot, stand) for stand in (one, two)]
+    np.testing.assert_allclose(sags[1].qpos, sags[0].qpos, atol=1e-9)
+    for foot in robot.feet:
+        np.testing.assert_allclose(
+            sags[1].contact_forces[foot], sags[0].contact_forces[foot], atol=1e-7
+        )
+
+
+def test_sag_between_planes_is_mujocos() -> None:
+    """Pinned feet on a gutter, where gravity presses them into their planes."""
+    robot = load("v3")
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=sideways(20, roof=False)))
+    sag = pa.steady_state(robot, stand)
+    found = pa.verify_stand(robot, stand, feedforward=False)
+    assert sag.height_loss == pytest.approx(found.height_loss, rel=0.02)
+    for foot, force in sag.contact_forces.items():
+        out = stand.normals[foot]
+        assert (
+            math.hypot(*np.cross(force, out))
+            <= robot.contacts[foot].sliding_friction * (force @ out) + 1e-9
+        )
+
+
+def in_balance(points: np.ndarray, cones: list[np.ndarray], place: np.ndarray) -> bool:
+    """Whether a com is in balance, by a linear programme on edges of friction cones."""
+    count = len(cones[0])
+    edges = np.vstack(cones).T  # (3, k)
+    at = np.repeat(points, count, axis=0)
+    moments = np.cross(at, edges.T).T
+    wanted = [0, 0, 1, place[1], -place[0], 0]
+    found = optimize.linprog(
+        np.zeros(edges.shape[1]), A_eq=np.vstack([edges, moments]), b_eq=wanted, method="highs"
+    )
+    return bool(found.status == 0)
+
+
+def edges_of(normal: np.ndarray, friction: float, count: int = 24) -> np.ndarray:
+    side = np.cross(normal, UP if abs(normal[2]) < 0.9 else np.array([1.0, 0, 0]))
+    side /= np.linalg.norm(side)
+    other = np.cross(normal, side)
+    turns = 2 * math.pi * np.arange(count) / count
+    return np.array([normal + friction * (math.cos(t) * side + math.sin(t) * other) for t in turns])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_where_a_com_is_in_balance_is_what_a_linear_programme_says(seed: int) -> None:
+    """Cones of 24 edges are within 0.9 % of round ones; corners are of 48 sides, from inside."""
+    random = np.random.default_rng(seed)
+    count, friction = 4, 0.5
+    points = np.column_stack([random.uniform(-0.2, 0.2, (count, 2)), random.uniform(0, 0.1, count)])
+    tilts, turns = random.uniform(0.2, 1.0, count), random.uniform(-math.pi, math.pi, count)
+    normals = np.array(
+        [
+            (-math.sin(a) * math.cos(t), -math.sin(a) * math.sin(t), math.cos(a))
+            for a, t in zip(tilts, turns, strict=True)
+        ]
+    )
+    corners = support_corners(points, normals, [friction] * count)
+    cones = [edges_of(normal, friction) for normal in normals]
+    ends = np.array(corners)
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    size = float((high - low).max())
+    assert np.abs(ends - points[:, None, :2]).min(axis=(0, 2)).max() > 0.01  # not the feet's hull
+    tried = {True: 0, False: 0}
+    for place in random.uniform(low - 0.2 * size, high + 0.2 * size, (60, 2)):
+        margin = margin_of_place((float(place[0]), float(place[1])), corners)
+        if abs(margin) > 0.02 * size:
+            assert in_balance(points, cones, place) is (margin > 0)
+            tried[margin > 0] += 1
+    assert min(tried.values()) > 3
+
+
+def test_on_one_plane_friction_moves_no_corner() -> None:
+    points = np.array([(0.1, 0.1, 0.0), (-0.1, 0.1, 0.02), (0.0, -0.1, 0.01)])
+    normals = np.tile((0.0, -0.6, 0.8), (3, 1))
+    assert support_corners(points, normals, [0.1] * 3) == tuple(map(tuple, points[:, :2]))
+
+
+def test_what_does_not_hold_says_which_friction_would() -> None:
+    robot = load("v3")
+    ground = pa.Ground(
+        tilts=dict.fromkeys(robot.feet, 1.2), tilt_uphill=dict.fromkeys(robot.feet, 0.0)
+    )  # four parallel planes: no leg can press against another
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground, com=None))
+    with pytest.raises(pa.StaticsInfeasibleError, match="friction"):
+        pa.stance.stand_statics(robot, stand)
+
+
+@pytest.mark.parametrize("tilt", [-0.1, 3.2, math.nan, "steep"])
+def test_a_tilt_is_an_angle_between_floor_and_ceiling(tilt: float) -> None:
+    with pytest.raises(pa.ConfigurationError, match=r"tilts"):
+        pa.Ground(tilts={"FR": tilt})
+
+
+def test_a_foot_that_there_is_not_is_refused() -> None:
+    for ground in (pa.Ground(tilts={"X": 0.1}), pa.Ground(tilt_uphill={"X": 0.1})):
+        with pytest.raises(pa.UnknownNameError, match="FR"):
+            pa.solve_stand(load("v3"), pa.StandTask(ground=ground))
+
+
+def test_a_limit_typed_back_holds() -> None:
+    robot = load("v3")
+    task = pa.StandTask(
+        ground=pa.Ground(tilts={"FR": math.pi}, heights={"FR": 0.05})
+    )  # a ceiling, which a foot above the ground cannot reach from below with its knee
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, task)
+    assert caught.value.nearest is not None
+    assert pa.solve_stand(robot, caught.value.nearest.task).solved
+
+
+def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:
+    """Capsules beside the wall's box: MuJoCo's distances, where a part is nearer to it."""
+    robot = load("original")
+    ground = pa.Ground(tilts={"FR": 0.6}, tilt_uphill={"FR": 0.0})
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
+    grounded = on_ground(robot, ground, stand.rigid_targets)
+    model = grounded.mj_model
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(model, data)
+    wall = model.geom("step_FR").id
+    parts = [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] and geom not in grounded.foot_geoms
+    ]
+    walled = [mujoco.mj_geomDistance(model, data, geom, wall, 1.0, None) for geom in parts]
+    with lend(robot, Context) as context:
+        shapes = context.shapes
+        at = shapes.at(stand.qpos)
+        heights = shapes.heights(at, ground, stand.rigid_targets, {})
+        flat = shapes.heights(at, pa.Ground(), {}, {})
+    assert (np.array(walled) < flat).sum() >= 2
+    np.testing.assert_allclose(heights, np.minimum(walled, flat), atol=1e-6)
+    assert stand.ground_clearance is not None
+    assert stand.ground_clearance.distance == pytest.approx(min(heights), abs=1e-12)
+
+
+def test_json_has_the_tilts(tmp_path: object) -> None:
+    stand = pa.solve_stand(load("v3"), pa.StandTask(ground=sideways(20, roof=True)))
+    ground = stand.to_dict()["task"]["ground"]
+    assert set(ground["tilts"]) == {"FL", "FR", "RL", "RR"}
+    assert pa.StandTask.of(stand.to_dict()["task"]).ground == stand.task.ground
+
+
+def test_said_in_words() -> None:
+    task = pa.StandTask(ground=pa.Ground(tilts={"FR": 0.35}, tilt_uphill={"FR": 1.5}))
+    assert "FR on a slope of 20.1 deg" in str(task)
+    assert list(itertools.chain(task.ground.tilts)) == ["FR"]
