@@ -37,7 +37,7 @@ TABLE = Table(
         (Name("knee_1"), Number("-0.1234", -0.1234, share=0.5), text("ok")),
         (Name("hip"), Number("9.9", 9.9, "bad"), text("differs").marked("bad")),
     ),
-    (text("push-directions"),),
+    (text("objections"),),
 )
 MASS, SANK = (tell(problem(one)) for one in ("mass 1 kg", "it sank"))
 PLACES = (FilePlace(Name("a.urdf:5"), Name('<mass value="1"/>'), "models/a.urdf:5"),)
@@ -80,7 +80,7 @@ def test_a_document_is_markdown() -> None:
 | knee\\_1 | -0.1234 | ok |
 | hip | **9.9** | **DIFFERS** |
 
-- Directions about the vertical, of the base: forward 0°, left 90°.
+- Objections
 
 - OK **mass 1 kg**
   - models/a.urdf:5: ` <mass value="1"/> `
