@@ -230,7 +230,8 @@ def _goal_of(
         if checked:
             _check_area(robot, np.array(corners), stance_feet)
         centre = contacts.mean(axis=0)
-        flat = [robot.foot_of(foot) not in task.ground.tilts for foot in stance_feet]
+        tilts = task.ground.tilts
+        flat = [robot.foot_of(foot) not in tilts for foot in stance_feet] if tilts else []
         if any(flat) and not all(flat):  # a hand high on a wall lifts no base
             centre[2] = contacts[flat, 2].mean()
     task = _filled(robot, task, com)
@@ -481,6 +482,8 @@ def _upwards(points: Array) -> Array:
 
 def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
     """Returns the direction {contact point: (3,)} out of the ground under each."""
+    if not ground.tilts:
+        return dict.fromkeys(robot.contact_points, ground.normal())
     return {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}
 
 

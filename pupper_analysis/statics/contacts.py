@@ -64,9 +64,11 @@ class Contacts:
             The distance; positive inside; minus infinity if the place is not a number.
         """
         x, y, *_ = place.tolist()
-        return margin_of_place(
-            (x, y), support_corners(points, self.normals, self.friction.tolist())
-        )
+        if self.level:  # as a rule: nothing else is asked
+            corners = tuple([(a, b) for a, b, _ in points.tolist()])
+        else:
+            corners = support_corners(points, self.normals, self.friction.tolist())
+        return margin_of_place((x, y), corners)
 
     @functools.cached_property
     def metric(self) -> TangentialMetric:
