@@ -578,3 +578,42 @@ def test_armature_of_a_neck_is_no_legs(tmp_path: Path) -> None:
     parts = quadruped() | {"head": neck, "face": nod}
     explanation = explain_differences(robot_of(tmp_path, parts, parts))
     assert not [d for d in explanation.differences if d.kind == "armature"]
+
+
+def test_of_two_legs_one_has_the_armature_of_the_other(tmp_path: Path) -> None:
+    """K1's left knee with ten times the armature: no third leg says which is meant."""
+    sides = {"hip0": "left_hip", "hip1": "right_hip", "knee0": "left_knee", "knee1": "right_knee"}
+    legs = {
+        name: replace(part, joint=sides.get(part.joint, part.joint))
+        for name, part in quadruped().items()
+        if name[-1] not in "23"
+    }
+    assert not explained(tmp_path, legs, legs).differences
+    more = {
+        f"{kind}{n}": Part(
+            f"{kind}{n}",
+            "base",
+            f"{side}_{kind}",
+            position=(0.0, 0.3 - 0.6 * n, height),
+            mass=0.2,
+            armature=0.5,
+        )
+        for kind, height in (("arm", 0.4), ("wing", 0.2))
+        for n, side in enumerate(("left", "right"))
+    }
+    parts = legs | more
+    difference = only(explained(tmp_path, parts, changed(parts, "shank0", armature=0.2)))
+    assert (difference.kind, difference.element) == ("armature", "right_knee")
+    assert (difference.mjcf, "but 0.2 kg m^2" in difference.message) == (0.02, True)
+
+
+@pytest.mark.parametrize(("factor", "said"), [(100.0, 1), (0.01, 1), (5.0, 0)])
+def test_armatures_that_were_identified_one_by_one_differ_by_no_hundred(
+    factor: float, said: int, tmp_path: Path
+) -> None:
+    parts = quadruped()
+    for number, name in enumerate(parts):
+        parts = changed(parts, name, armature=parts[name].armature * (1 + 0.1 * number))
+    odd = changed(parts, "shank2", armature=parts["shank2"].armature * factor)
+    differences = explained(tmp_path, parts, odd).differences
+    assert [one.element for one in differences] == ["knee2"] * said
