@@ -182,12 +182,14 @@ COMPILED: Final = tuple(one for one in JOINT_ATTRIBUTES if one.mujoco or one.of_
 
 @dataclass(frozen=True)
 class ElementAttribute:
-    """A number of an MJCF's geom, contact pair, option or keyframe, none of which a URDF has.
+    """A number of an MJCF that a URDF has none of, and no tree of joints.
 
     Attributes:
-        element: Its element's tag: ``geom``, ``pair``, ``option`` or ``key``.
+        element: Its element's tag, or section: ``geom``, ``pair``, ``option``, ``key``, ``joint``,
+            ``actuator``, ``tendon`` or ``equality``.
         word: The element's attribute; a change is called so, too.
-        mujoco: MuJoCo's array, with a row for each element; of an option the attribute of ``opt``.
+        mujoco: MuJoCo's array, with a row for each element, or for each velocity of a joint
+            (``dof_``); of an option the attribute of ``opt``.
         unit: Of its numbers, where they have one in common.
     """
 
@@ -212,14 +214,37 @@ _OF_OPTIONS: Final = (
 )  # fmt: skip
 _OF_KEYS: Final = ("qpos", "qvel", "act", "ctrl", "mpos", "mquat", "plastic", "time")
 
+_LIMITS: Final = ("solreflimit", "solimplimit", "solreffriction", "solimpfriction", "margin")
+_OF_CONSTRAINTS: Final = {
+    "joint": zip(
+        (*_LIMITS, "actuatorgravcomp"),
+        ("jnt_solref", "jnt_solimp", "dof_solref", "dof_solimp", "jnt_margin", "jnt_actgravcomp"),
+        strict=True,
+    ),
+    "tendon": zip(
+        (*_LIMITS, "actuatorfrcrange"),
+        ("tendon_solref_lim", "tendon_solimp_lim", "tendon_solref_fri", "tendon_solimp_fri",
+         "tendon_margin", "tendon_actfrcrange"),
+        strict=True,
+    ),
+    "equality": (("solref", "eq_solref"), ("solimp", "eq_solimp")),
+    "actuator": (
+        (word, f"actuator_{word}")
+        for word in ("dyntype", "dynprm", "gaintype", "biastype", "actlimited", "actrange",
+                     "actearly", "delay", "history", "cranklength")
+    ),
+}  # fmt: skip
+
 ELEMENT_ATTRIBUTES: Final = (
     *(ElementAttribute("geom", word, f"geom_{word}", _UNITS.get(word, "")) for word in _OF_GEOMS),
     ElementAttribute("pair", "condim", "pair_dim"),
     *(ElementAttribute("pair", word, f"pair_{word}", _UNITS.get(word, "")) for word in _OF_PAIRS),
     *(ElementAttribute("option", word, word, _UNITS.get(word, "")) for word in _OF_OPTIONS),
     *(ElementAttribute("key", word, f"key_{word}") for word in _OF_KEYS),
+    *(ElementAttribute(kind, *both) for kind, rows in _OF_CONSTRAINTS.items() for both in rows),
 )
-"""What decides how a robot touches the world, how MuJoCo steps, and where it begins.
+"""What decides how a robot touches the world, how MuJoCo steps, where it begins, how stiff limits
+and loops are, and what motors do between command and force.
 
 Gravity and the medium are compared with what acts on the robot; shapes and flags are described by
 `robot_model.elements`."""

@@ -60,6 +60,10 @@ FELT = {
     "armature": Edit(SHARED, 'armature="0.0016"', 'armature="0.016"', 34),
     "dry friction": Edit(SHARED, 'frictionloss="0.01"', 'frictionloss="0.1"', 34, "friction"),
     "damping": Edit(SHARED, 'damping="0.01"', 'damping="0.1"', 34, "damping"),
+    "limits' margin": Edit(SHARED, 'damping="0.01"', 'damping="0.01" margin="3"', 34),
+    "dry friction's softness": Edit(
+        SHARED, 'damping="0.01"', 'damping="0.01" solreffriction="0.5 1"', 34
+    ),
     "gravity": Edit(SHARED, "0 0 -9.81", "0 0 -3.7", 5, "gravity"),
 }
 """What each does is seen in two seconds."""
@@ -67,6 +71,7 @@ FELT = {
 HARMLESS = {
     "friction": Edit(SHARED, 'friction="0.8', 'friction="0.3', 40),  # the floor's is 1, the larger
     "gap": Edit(SHARED, _CONTACT, _CONTACT + ' gap="0.001"', 40),
+    "limits' softness": Edit(SHARED, 'damping="0.01"', 'damping="0.01" solreflimit="0.3 1"', 34),
 }
 
 FALLS = ("conaffinity", "floor", "contacts off")

@@ -15,9 +15,10 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
+from pupper_analysis.models.mjcf import equality_name
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.stated.mjcf import read_shape
+from pupper_analysis.models.stated.mjcf import joint_name, read_shape
 from pupper_analysis.models.stated.model import Shape, UrdfModel
 
 Key = tuple[str, str]
@@ -92,10 +93,38 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
     for bit in (*DISABLE_BITS, *ENABLE_BITS):
         enabled = {ENABLED: (float(has_flag(model, bit)),)}
         found["flag", flag_name(bit)] = Element(0, enabled, _at(flags))
+    found |= _bound(file)
     for key in range(model.nkey):
         name = model.key(key).name or f"#{key}"
         found["key", name] = Element(key, _values(model, "key", key), _at(file.place("key", name)))
     return found
+
+
+def _bound(file: MjcfFile) -> dict[Key, Element]:
+    """Returns joints, motors, tendons and equalities, with what no tree of joints has of them."""
+    model, found = file.model, dict[Key, Element]()
+    counts = {
+        "joint": model.njnt,
+        "actuator": model.nactuator,
+        "tendon": model.ntendon,
+        "equality": model.neq,
+    }
+    for kind, number in counts.items():
+        for row in range(number):
+            name = getattr(model, kind)(row).name or f"#{row}"
+            if kind == "joint":
+                name = joint_name(model, row)
+            elif kind == "equality":
+                name = equality_name(model, row)
+            place = partial(_place_of, file, kind, name, row)
+            found[kind, name] = Element(row, _values(model, kind, row), place)
+    return found
+
+
+def _place_of(file: MjcfFile, kind: str, name: str, row: int, word: str) -> Place:
+    if name.startswith("#"):
+        return file.numbered(kind, row)
+    return file.stated(kind, name, (word,)) or file.place(kind, name)
 
 
 def both_of(ends: Iterable[str]) -> str:
@@ -225,7 +254,18 @@ def _values(model: mujoco.MjModel, element: str, row: int) -> dict[str, Value]:
     rows = [one for one in ELEMENT_ATTRIBUTES if one.element == element]
     if element == "option":
         return {one.word: _numbers(getattr(model.opt, one.mujoco)) for one in rows}
-    return {one.word: _numbers(getattr(model, one.mujoco)[row]) for one in rows}
+    return {
+        one.word: _numbers(getattr(model, one.mujoco)[rows_of(model, one.mujoco, row)])
+        for one in rows
+    }
+
+
+def rows_of(model: mujoco.MjModel, array: str, row: int) -> int | slice:
+    """Returns an element's row in one of MuJoCo's arrays; of velocities, all of its joint."""
+    if not array.startswith("dof_"):
+        return row
+    later = model.jnt_dofadr[row + 1] if row + 1 < model.njnt else model.nv
+    return slice(int(model.jnt_dofadr[row]), int(later))
 
 
 def _numbers(value: object) -> Value:

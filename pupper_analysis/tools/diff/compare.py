@@ -241,7 +241,7 @@ class _Comparison:
         if isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
             trial_of_both = SimulatedPair.of(one, two)
         renamed = {self.two.bodies[new]: self.one.bodies[old] for new, old in self.old_name.items()}
-        there = like_before(self.one.elements, self.two.elements, renamed)
+        there = like_before(self.one.elements, self.two.elements, renamed, self.old_name)
         self.differences += changed_elements(self.one.elements, there, trial_of_both)
         combined: tuple[Diagnostic, ...] = ()
         alone = [isinstance(each, ElementDifference) for each in self.differences] == [True]

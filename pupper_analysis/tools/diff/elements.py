@@ -39,8 +39,10 @@ from pupper_analysis.models.stated.elements import (
     Value,
     both_of,
     flag_name,
+    rows_of,
 )
 from pupper_analysis.models.stated.geometry import DIRECTIONS, describe_shape, support_of
+from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import Shape
 from pupper_analysis.robot.compare.differences import VERSIONS, Difference, Effect
 
@@ -102,7 +104,10 @@ def apart(one: Shape, two: Shape) -> float:
 
 
 def like_before(
-    old: Mapping[Key, Element], new: Mapping[Key, Element], bodies: Mapping[str, str]
+    old: Mapping[Key, Element],
+    new: Mapping[Key, Element],
+    bodies: Mapping[str, str],
+    joints: Mapping[str, str],
 ) -> dict[Key, Element]:
     """Returns new elements by what the old file calls those that they are like.
 
@@ -113,6 +118,7 @@ def like_before(
         old: The old file's.
         new: The new one's.
         bodies: {body of the new file: what it is called in the old one}.
+        joints: Likewise.
     """
     found: dict[Key, Element] = {}
     calls: dict[str, str] = {}
@@ -131,6 +137,8 @@ def like_before(
         if kind in ("pair", "exclude"):
             ends = calls if kind == "pair" else bodies
             name = both_of(ends.get(end, end) for end in element.of)
+        elif kind == "joint":
+            name = joints.get(name, name)
         found[kind, name] = element
     return found
 
@@ -232,7 +240,8 @@ def changed_elements(
         if not any(element is not None and element.touches for element in (one, two)):
             continue  # it is seen alone
         if one is None or two is None:
-            alike.setdefault((key[0], "", one is None, key), []).append(key)
+            if key[0] not in _IN_TREES:
+                alike.setdefault((key[0], "", one is None, key), []).append(key)
             continue
         for word, (here, there) in _numbers_of_both(one, two).items():
             if not _same(here, there):
@@ -245,6 +254,10 @@ def changed_elements(
             alike.setdefault((key[0], SHAPE, *_reshaped(one.shape, two.shape)), []).append(key)
     for (kind, word, *_), keys in alike.items():
         yield _change(kind, word, keys, old, new, trial)
+
+
+_IN_TREES: Final = ("joint", "actuator", "tendon", "equality")
+"""Elements that come and go with the trees of joints, and what acts on them."""
 
 
 def _reshaped(one: Shape, two: Shape) -> tuple[object, ...]:
@@ -310,6 +323,9 @@ _CHOICES: Final = {
     "cone": mujoco.mjtCone,
     "solver": mujoco.mjtSolver,
     "jacobian": mujoco.mjtJacobian,
+    "dyntype": mujoco.mjtDyn,
+    "gaintype": mujoco.mjtGain,
+    "biastype": mujoco.mjtBias,
 }
 
 _TERMS: Final = (SHAPE, "friction")
@@ -350,7 +366,7 @@ class _Run:
 
     Attributes:
         seconds: How long it was (s).
-        qpos: (samples, nq); not numbers from where it diverged.
+        qpos: (samples, n) of the joints looked at; not numbers from where it diverged.
         com: (samples,) height of all that moves (m).
         friction: The least coefficient of a contact with the world at the end; None without any.
     """
@@ -413,15 +429,14 @@ class SimulatedPair:
             explained: Whether a change was found; if not, what rounding can do is no effect.
         """
         old, new = self.old, self.new
-        names = [[model.joint(n).name for n in range(model.njnt)] for model in (old, new)]
-        if names[0] != names[1] or (not explained and _image(old) == _image(new)):
+        if not self._common or (not explained and _image(old) == _image(new)):
             return ()
-        before, after = _simulate(old, 0), _simulate(new, 0)
+        before, after = self._simulate(old, 0), self._simulate(new, 0)
         start = old.key(0).name if old.nkey else ""
         effects, messages = self._weigh(before, after, start)
         if explained or not effects:
             return messages if explained else ()
-        nudged, _ = self._weigh(before, _simulate(old, 0, ROUNDING), start)
+        nudged, _ = self._weigh(before, self._simulate(old, 0, ROUNDING), start)
         # A tenth: where both have left their course, they are apart by any part of the way.
         rounding = nudged and nudged[MOTION].deviation > 0.1 * effects[MOTION].deviation
         return () if rounding else messages
@@ -429,6 +444,18 @@ class SimulatedPair:
     @cached_property
     def _unchanged(self) -> dict[int, _Run]:
         return {}
+
+    @cached_property
+    def _common(self) -> list[str]:
+        """The joints that both have: what moves otherwise is in one file alone."""
+        names = [
+            [joint_name(model, n) for n in range(model.njnt)] for model in (self.old, self.new)
+        ]
+        return [name for name in names[0] if name in names[1]]
+
+    def _simulate(self, model: mujoco.MjModel, key: int, nudge: float = 0.0) -> _Run:
+        number = {joint_name(model, n): n for n in range(model.njnt)}
+        return _simulate(model, key, [number[name] for name in self._common], nudge)
 
     def effect(
         self, word: str, elements: Iterable[tuple[Key, Element | None, Element | None]]
@@ -444,8 +471,8 @@ class SimulatedPair:
             elif kind == "key":
                 key = one.row
         if key not in self._unchanged:
-            self._unchanged[key] = _simulate(self.old, key)
-        before, after = self._unchanged[key], _simulate(model, key)
+            self._unchanged[key] = self._simulate(self.old, key)
+        before, after = self._unchanged[key], self._simulate(model, key)
         start = self.old.key(key).name if self.old.nkey else ""
         return self._weigh(before, after, start, joined=joined)
 
@@ -511,11 +538,14 @@ def _apply(
         ]
     if kind == "geom" and word in _OF_BODIES and _touches(model, one) != _touches(new, two):
         return False  # one that touches nothing is not in the trees in which contacts are sought
+    if kind == "actuator" and (model.na, model.nhistory) != (new.na, new.nhistory):
+        return False  # it has a state more, or less
     for array in arrays:
         here, there = getattr(model, array), getattr(new, array)
-        if here[one.row].shape != there[two.row].shape:
+        own, its = rows_of(model, array, one.row), rows_of(new, array, two.row)
+        if here[own].shape != there[its].shape:
             return False
-        here[one.row] = there[two.row]
+        here[own] = there[its]
     if kind == "geom" and word in _OF_BODIES:  # what MuJoCo looks at before it looks at geoms
         body = model.geom_bodyid[one.row]
         geoms = model.geom_bodyid == body
@@ -533,12 +563,13 @@ def _switch(model: mujoco.MjModel, new: mujoco.MjModel, flag: str) -> None:
                 setattr(model.opt, name, here & ~bit.value | there & bit.value)
 
 
-def _simulate(model: mujoco.MjModel, key: int, nudge: float = 0.0) -> _Run:
+def _simulate(model: mujoco.MjModel, key: int, joints: Sequence[int], nudge: float = 0.0) -> _Run:
     """Simulates a model from a keyframe, as MuJoCo leaves it when it is reset to it.
 
     Args:
         model: The model.
         key: The keyframe's number; the model's ``qpos0`` if there is none.
+        joints: Those that are looked at, and the trees that they move.
         nudge: Of all velocities at the start (rad/s, m/s).
     """
     data = mujoco.MjData(model)
@@ -547,8 +578,10 @@ def _simulate(model: mujoco.MjModel, key: int, nudge: float = 0.0) -> _Run:
     data.qvel += nudge
     step = float(model.opt.timestep)
     seconds = min(SECONDS, _MOST_STEPS * step)
-    moving = np.asarray(model.body_weldid != 0)
-    masses = model.body_mass * moving
+    ends = [*model.jnt_qposadr.tolist(), model.nq]
+    places = [place for joint in joints for place in range(ends[joint], ends[joint + 1])]
+    roots = model.body_rootid[model.jnt_bodyid[list(joints)]]
+    masses = model.body_mass * np.isin(model.body_rootid, roots) * (model.body_weldid != 0)
     qpos, com, done = [], [], 0
     with silence_mujoco():
         for sample in range(1, _SAMPLES + 1):
@@ -559,7 +592,7 @@ def _simulate(model: mujoco.MjModel, key: int, nudge: float = 0.0) -> _Run:
                 data.qpos[:] = np.nan
             done = wanted
             lost = not data.time > (wanted - 0.5) * step  # MuJoCo begins anew where it diverges
-            qpos.append(np.full(model.nq, np.nan) if lost else data.qpos.copy())
+            qpos.append(np.full(len(places), np.nan) if lost else data.qpos[places])
             height = float(masses @ data.xipos[:, 2]) / max(float(masses.sum()), 1e-300)
             com.append(np.nan if lost else height)
     return _Run(seconds, np.array(qpos), np.array(com), _least_friction(model, data))

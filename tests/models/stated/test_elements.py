@@ -71,16 +71,37 @@ def test_each_array_of_contacts_and_options_of_mujoco_has_a_row() -> None:
                  "fluid", "plugin"},  # of what acts on the robot
         "pair": {"dim", "geom1", "geom2", "signature"},  # condim; whom it is of
         "key": set(),
+        "joint": {"type", "limited", "actfrclimited", "range", "actfrcrange", "axis", "pos",
+                  "stiffness", "stiffnesspoly", "springyield", "actgravcomp",  # of trees, springs
+                  "bodyid", "qposadr", "dofadr", "actuatorid", "plasticadr",  # made of others
+                  "group", "user"},  # seen
+        "dof": {"armature", "damping", "dampingpoly", "frictionloss",
+                "M0", "Madr", "bodyid", "invweight0", "jntid", "length", "parentid", "simplenum",
+                "treeid"},
+        "tendon": {"stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature",
+                   "frictionloss", "range", "limited", "lengthspring", "actfrclimited",
+                   "springyield", "type",
+                   "actuatorid", "adr", "invweight0", "length0", "num", "plasticadr", "treeid",
+                   "treenum", "group", "matid", "rgba", "user", "width"},
+        "actuator": {"gear", "gainprm", "biasprm", "ctrlrange", "ctrllimited", "forcerange",
+                     "forcelimited", "armature", "damping", "dampingpoly", "trnid", "trntype",
+                     "acc0", "actadr", "actnum", "ctrladr", "ctrlnum", "ctrlspec", "historyadr",
+                     "length0", "lengthrange", "outadr", "outnum", "plugin", "group", "user"},
+        "eq": {"data", "active0", "type", "obj1id", "obj2id", "objtype"},
         "option": {"gravity", "wind", "density", "viscosity",  # of what acts on the robot
                    "disableflags", "enableflags"},  # flags
     }  # fmt: skip
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     for element, others in apart.items():
-        owner, start = (model.opt, "") if element == "option" else (model, f"{element}_")
+        start = {"option": "", "joint": "jnt_"}.get(element, f"{element}_")
+        owner = model.opt if element == "option" else model
         names = {name.removeprefix(start) for name in dir(owner) if name.startswith(start)}
         names = {name for name in names if not name.startswith("_")}
         rows = {
-            row.mujoco.removeprefix(start) for row in ELEMENT_ATTRIBUTES if row.element == element
+            row.mujoco.removeprefix(start)
+            for row in ELEMENT_ATTRIBUTES
+            if (element == "option" and row.element == element)
+            or (element != "option" and row.mujoco.startswith(start))
         }
         assert names == rows | others | (rows & others), element
 

@@ -225,3 +225,30 @@ def test_friction_of_a_foot_that_leaves_it_to_the_ground_is_told(tmp_path: Path)
     (change,) = pa.diff_models(before, after).changes
     assert (change.old, change.new) == (1.0, 0.2)
     assert "simulation-changes" in {one.code for one in change.consequences}
+
+
+def test_another_object_that_falls_on_the_robot_is_told(tmp_path: Path) -> None:
+    """What only one file has moves no joint that can be compared: the robot's do."""
+    folder = copied(tmp_path)
+    scene = folder / "pupper_v3.xml"
+    ball = (
+        '<body name="ball" pos="0 0 0.8"><freejoint/><geom size="0.05" mass="5" contype="1" '
+        'conaffinity="1"/></body>\n  </worldbody>'
+    )
+    scene.write_text(scene.read_text().replace("</worldbody>", ball))
+    diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", scene)
+    assert any(change.old is None and change.new[:2] == ["sphere", 0.05] for change in diff.changes)
+    assert [one.code for one in diff.combined][:1] == ["simulation-changes"]
+
+
+def test_what_motors_do_before_they_pull_is_a_change(tmp_path: Path) -> None:
+    folder = copied(tmp_path)
+    shared = folder / "pupper_v3_shared.xml"
+    motor = '<general biastype="affine"'
+    slow = motor.replace("<general", '<general dyntype="filter" dynprm="0.1 0 0"')
+    shared.write_text(shared.read_text().replace(motor, slow))
+    diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", folder / "pupper_v3.xml")
+    motors = [change for change in diff.changes if change.kind == "actuator"]
+    assert {change.diagnostic.values["what"] for change in motors} == {"dyntype", "dynprm"}
+    assert all(change.new_place.endswith("pupper_v3_shared.xml:33") for change in motors)
+    assert all(len(change.diagnostic.values["others"]) == 11 for change in motors)
