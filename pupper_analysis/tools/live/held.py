@@ -63,7 +63,7 @@ class HeldSession:
         self._simulate = False
         start = find_posture(robot)
         gui, scene = client.gui, client.scene
-        self._numbers = render.dock_panels(gui, say, "solving")
+        self._numbers = render.Numbers(gui, say, "solving")
         self.joints = JointSliders(
             gui, robot, led_joints(robot), start.qpos, lambda _joint, _at: self._asked.set()
         )

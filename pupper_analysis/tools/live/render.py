@@ -152,16 +152,33 @@ def stop_server(server: Any) -> None:
         server.stop()
 
 
-def dock_panels(gui: Any, say: Language, waiting: str, width: int = 380) -> Any:
-    """Docks the controls at the right, and at the left a panel of numbers, which is returned."""
-    left = gui.add_panel()
-    with left.add_tab(say("what-it-takes")):
-        numbers = gui.add_html(render_waiting(text(waiting), say))
-    left.dock_left()
-    left.set_width(width)
-    gui.main_panel.dock_right()
-    gui.main_panel.set_width(360)
-    return numbers
+class Numbers:
+    """A panel of numbers at the left of the controls; on a phone, folded above them."""
+
+    def __init__(self, gui: Any, say: Language, waiting: str, width: int = 380) -> None:
+        left, self._title = gui.add_panel(), say("what-it-takes")
+        with left.add_tab(self._title):
+            self._wide = gui.add_html("")
+        left.dock_left()
+        left.set_width(width)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(360)
+        self._narrow = gui.add_html("")
+        self.content = render_waiting(text(waiting), say)
+
+    @property
+    def content(self) -> str:
+        """What it shows."""
+        return str(self._wide.content)
+
+    @content.setter
+    def content(self, html: str) -> None:
+        self._wide.content = html
+        summary = f"<summary>{escape(self._title)}</summary>"
+        self._narrow.content = f'{_PHONE}<details class="pa-phone">{summary}{html}</details>'
+
+
+_PHONE = "<style>.pa-phone{display:none}@media (max-width:36em){.pa-phone{display:block}}</style>"
 
 
 def asked_for(server: Any, client_id: int) -> tuple[str, str]:

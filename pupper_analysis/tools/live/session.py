@@ -71,7 +71,7 @@ class Panels:
         self.say = say = say or Language()
         gui = client.gui
         robot = model.robot(State())
-        self._numbers = render.dock_panels(gui, say, "solving", 330)
+        self._numbers = render.Numbers(gui, say, "solving", 330)
         self.controls = Controls(gui, robot, model.source.scales, say, acts.changed)
         tabs = gui.add_tab_group()
         with tabs.add_tab(say("stance")):

@@ -57,7 +57,7 @@ class WalkSession:
         self._push: tuple[float, float] | None = None
         self.fall: Diagnostic | None = None
         gui, scene = client.gui, client.scene
-        self._numbers = render.dock_panels(gui, say, "walking-begins")
+        self._numbers = render.Numbers(gui, say, "walking-begins")
         self.sliders = [
             gui.add_slider(
                 say.words(text(f"walking-slider-{name}")), -end, end, 0.01 * end, float(at)

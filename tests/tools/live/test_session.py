@@ -112,6 +112,14 @@ def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
     assert write_link("here:1", last) == page.session._panels._link.value
 
 
+def test_a_phone_has_the_numbers_above_its_controls(server: Any) -> None:
+    numbers = render.Numbers(server.gui, Language(), "solving")
+    numbers.content = "<p>0.47 N m</p>"
+    assert numbers.content == "<p>0.47 N m</p>"
+    assert "<p>0.47 N m</p></details>" in numbers._narrow.content
+    assert "max-width" in numbers._narrow.content
+
+
 def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sag is held back; the page has the torques, and says that it is worked out."""
     go_on = threading.Event()
