@@ -259,6 +259,6 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _source_read(one: Placed) -> SourceRead:
-    seen = tuple(name for name, _, _ in one.source.observations)
-    return SourceRead(one.source.name, str(one.source.path), str(one.source.role), one.order,
-                      one.how, one.unknown, seen)  # fmt: skip
+    source, seen = one.source, tuple(name for name, _, _ in one.source.observations)
+    return SourceRead(source.name, str(source.path), str(source.role), one.order, one.how,
+                      one.unknown, seen)  # fmt: skip

@@ -31,7 +31,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
     message = text("contract-count", findings=len(contract.findings), facts=len(contract.facts),
                 sources=len(contract.sources))  # fmt: skip
     found = bool(contract.findings)
-    agree = text("contract-agree") if not found else text("contract-agree-but")
+    agree = text("contract-agree-but" if found else "contract-agree")
     return doc.Document(
         text("contract"),
         doc.Name(Path(contract.model).name),

@@ -34,9 +34,8 @@ def read_marked(path: Path, text: str) -> list[Node]:
         return [_node(path, one, left) for one in documents if one is not None]
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        message = diagnose(
-            "contract-no-yaml", problem=one_line(error.problem or error.context or "")
-        )
+        problem = one_line(error.problem or error.context or "")
+        message = diagnose("contract-no-yaml", problem=problem)
         raise refuse_file(Place(path, mark.line + 1 if mark else None), message) from error
     except yaml.YAMLError as error:
         raise ModelError(path, diagnose("contract-no-yaml", problem=one_line(error))) from error

@@ -635,8 +635,7 @@ class Evaluator:
         memo: dict[int, Any] = {}
         fresh = deepcopy(value, memo)
         self.steps += len(memo)
-        if isinstance(fresh, Instance):
-            fresh.fields.update(named)
+        getattr(fresh, "fields", {}).update(named)
         return fresh
 
 

@@ -244,10 +244,8 @@ def torque_plot(walk: Walk) -> doc.LinePlot:
         doc.Series(doc.Name(walk.joints[index]), gait.torque_time, gait.torques[:, index])
         for index in most
     ]
-    time, torque = (
-        doc.Axis(text("walk-time"), "s", ".1f"),
-        doc.Axis(text("walk-torque"), "N m", ".1f"),
-    )
+    time = doc.Axis(text("walk-time"), "s", ".1f")
+    torque = doc.Axis(text("walk-torque"), "N m", ".1f")
     return doc.LinePlot(text("walk-torques"), time, torque, lines)
 
 
@@ -319,20 +317,10 @@ def _intervals(found: TrackedIntervals) -> doc.Table:
     ]
     if any(one.measured for one in found.intervals):
         columns += [doc.Column(text("walk-measured")), doc.Column(text("walk-inside"), left=True)]
-    return doc.Table(
-        text("walk-intervals"),
-        tuple(columns),
-        rows,
-        (text("walk-intervals-note"),),
-        (
-            text(
-                "walk-intervals-how",
-                count=found.rollouts,
-                seconds=f"{found.seconds:g}",
-                seeds=len(found.seeds),
-            ),
-        ),
-    )
+    how = text("walk-intervals-how", count=found.rollouts, seconds=f"{found.seconds:g}",
+               seeds=len(found.seeds))  # fmt: skip
+    note = text("walk-intervals-note")
+    return doc.Table(text("walk-intervals"), tuple(columns), rows, (note,), (how,))
 
 
 def _end(one: TrackedInterval, tracked: float, beyond: Array) -> doc.Number:

@@ -143,6 +143,32 @@ def test_settings_in_yaml_are_those_of_legged_gym(sources: dict[str, Path]) -> N
     assert set(finding.joints) == set(JOINTS[2::3])
 
 
+def test_a_trainers_parts_and_tables_of_standing_up_are_no_deployments(
+    sources: dict[str, Path],
+) -> None:
+    """As Booster has them: gains of `prepare` may be others, those in `control` are a part."""
+    trainer, deploy = (sources["deploy.yaml"].with_name(name) for name in ("T1.yaml", "run.yaml"))
+    trainer.write_text(
+        "init_state:\n  default_joint_angles:\n"
+        + "".join(f"    {one}: {at}\n" for one, at in zip(JOINTS, ANGLES, strict=True))
+        + "control:\n  stiffness: {leg: 5.0}\n  action_scale: 0.75\n  decimation: 4\n"
+    )
+    table = "{}:\n  stiffness: {}\n  default_qpos: {}\n"
+    stand = table.format("prepare", listed([9.0] * 12), listed([0.1] * 12))
+    deploy.write_text(table.format("common", listed([5.0] * 12), listed(ANGLES)) + stand)
+    found = contract(trainer, deploy)
+    assert found.findings == ()
+    assert [one.name for one in found.sources if one.role == "trainer"] == ["T1.yaml"]
+    said = {(one.source, one.quantity) for one in found.facts if one.joint == JOINTS[0]}
+    assert said >= {("run.yaml:prepare", "start kp"), ("run.yaml:prepare", "start angle"),
+                    ("run.yaml:common", "kp"), ("run.yaml:common", "default angle")}  # fmt: skip
+    deploy.write_text(
+        deploy.read_text().replace("common", "walk").replace("5.0, 5.0", "6.0, 5.0", 1)
+    )
+    (finding,) = [one for one in contract(trainer, deploy).findings if one.slip != "mirror"]
+    assert (finding.kind, finding.values, finding.joints) == ("kp", (5.0, 6.0), (JOINTS[0],))
+
+
 def test_joints_of_other_names_are_matched_by_structure(
     tmp_path: Path, sources: dict[str, Path]
 ) -> None:

@@ -48,7 +48,9 @@ def read(request: Request) -> Iterator[Source]:
 def _of_document(request: Request, document: Node) -> Iterator[Source]:
     """Yields what a table states, and the tables in it: rl_sar's of a robot, ROS 2's of a node."""
     rate = document.get("controller_manager", "ros__parameters", "update_rate")
-    for key, node in {"": document, **document.value}.items():
+    # What a trainer's settings consist of is no configuration of its own.
+    parts = {} if is_trainer(document) else document.value
+    for key, node in {"": document, **parts}.items():
         own = node.get("ros__parameters")
         table, role = (own, Role.DRIVER) if own.there else (node, Role.DEPLOYMENT)
         if isinstance(table.value, dict) and request.name in ("", key):
@@ -65,7 +67,8 @@ def of_table(
     named, motors = table.first("joints"), table.first("motors")
     indices = _numbers(motors)
     unread = [diagnose("contract-motors-unread", file=name)] if motors.there and not indices else []
-    statements = [*sizes, *_listed(table, named.texts, indices)]
+    up = name.rpartition(":")[2].lower() in NAMES["starting"]
+    statements = [*sizes, *_listed(table, named.texts, indices, up)]
     for action in _below(table.get("actions")):
         statements += _flat("action scale", action.get("scale"))
         statements += _flat("action offset", action.get("offset"))
@@ -90,15 +93,15 @@ def _numbers(motors: Node) -> list[int]:
     return whole if len(set(whole)) == len(numbers) else []
 
 
-def _listed(table: Node, order: tuple[str, ...], motors: list[int]) -> Iterator[Statement]:
+def _listed(table: Node, order: Sequence[str], motors: list[int], up: bool) -> Iterator[Statement]:
     known = set(order) | {"", ".*"}
     # By motor, in the robot's own order: see unitree_rl_lab's articulation.h, "sdk order".
     whole = sorted(motors) == list(range(len(motors)))
     # Source: rl_sar, ReadYaml: a robot's table is for getting up, a policy's counts over it.
-    to_start = table.get("fixed_kp").there and not table.get("rl_kp").there
-    others = {"effort": "", "default angle": "start angle"} if to_start else {}
+    to_start = up or (table.get("fixed_kp").there and not table.get("rl_kp").there)
+    others = {"effort": "", "default angle": "start angle", "kp": "start kp", "kd": "start kd"}
     for word, quantity in _KEYS.items():
-        meant = others.get(quantity, quantity)
+        meant = others.get(quantity, quantity) if to_start else quantity
         for one in _flat(meant, table.get(word)) if meant else ():
             if word in ("stiffness", "damping") and whole and one.index in motors:
                 one = replace(one, index=motors.index(one.index or 0))
