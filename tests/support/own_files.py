@@ -11,7 +11,6 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -39,7 +38,7 @@ def write(folder: Path, text: str) -> None:
     _write_stances(folder, text)
     made: set[str] = set()  # by a command, before it is read
     for before, path, suffix, xacro in re.findall(
-        r"(\S*)[\"'\s=(](?:[\w./]+:)?((?:\w+/)*[\w.-]+)\.(urdf|xml|usda?)\b(\.xacro)?", text
+        r"(\S*)[\"'\s=(](?:[\w./]+:)?(?:\./)?((?:\w+/)*[\w.-]+)\.(urdf|xml|usda?)\b(\.xacro)?", text
     ):
         file = folder / f"{path}.{suffix}{xacro}"
         if before in ("-o", ">"):
@@ -115,6 +114,8 @@ def _leg(suffix: str) -> str:
 def _quadruped(file: Path, text: str) -> str:
     """Pupper v3, with the names and the differences that a block of a page is about."""
     urdf = file.suffix in (".urdf", ".xacro")
+    lines = text.replace("\\\n", " ").splitlines()
+    text = "\n".join(line for line in lines if file.name in line)
     if urdf:
         robot = (ROOT / "urdf/pupper_v3.urdf").read_text()
         robot = robot.replace("../mjcf/meshes", str(ROOT / "mjcf/meshes"))
@@ -298,10 +299,13 @@ def _commit(folder: Path, text: str) -> None:
         (folder / "hopper.xml").write_text(new)
 
 
-def models(folder: Path) -> Iterator[Path]:
-    """Puts a pair of models into a repository's folder, and nothing else."""
+def write_models(folder: Path, text: str) -> None:
+    """Writes the models of a repository, and which are checked, but for `--init`."""
+    pair = '[[pair]]\nname = "v3"\nurdf = "{}v3.urdf"\nmjcf = "{}v3.xml"\n'
+    (folder / "robots").mkdir(exist_ok=True)
     for suffix in (".urdf", ".xml"):
         file = folder / f"robots/v3{suffix}"
-        file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(_quadruped(file, ""), encoding="utf-8")
-        yield file
+    (folder / "robots/pupper-analysis.toml").write_text(pair.replace("{}", ""))
+    if "--init" not in text and not (folder / "pupper-analysis.toml").exists():
+        (folder / "pupper-analysis.toml").write_text(pair.replace("{}", "robots/"))

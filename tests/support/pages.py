@@ -45,10 +45,13 @@ if shutil.which("jq") is None:
     NEVER["| jq"] = "jq is not there"
 """Lines that are run nowhere: {their words: why}."""
 
+HELP_EXITS = {"longer.urdf": 1, "mjcf:effort": 1}
+"""Exit statuses of those that are not 0: {words: status}."""
+
 SPEED = "0.13,0,0"
 """m/s, m/s, rad/s."""
 
-HELP_LONGEST = ("study", "--seeds 20", "--vary", "--orders", "best payload", "fit go2.xml --log")
+HELP_LONGEST = ("study", "--seeds 20", "--vary", "--orders", "best payload", "fit v3 --log")
 """Words of those that take minutes."""
 
 
@@ -63,6 +66,7 @@ class Block:
         text: What is in it.
         marks: {words in the lines that are not run (empty: all): reason}.
         longest: Words in the lines that only the longest tests run (empty: all).
+        exits: {words in the lines that end with another exit status than 0: which}.
         output: Text that is shown below it, in order.
     """
 
@@ -72,6 +76,7 @@ class Block:
     text: str
     marks: dict[str, str] = field(default_factory=dict)
     longest: tuple[str, ...] = ()
+    exits: dict[str, int] = field(default_factory=dict)
     output: list[str] = field(default_factory=list)
 
     def reason(self, line: str = "") -> str:
@@ -87,8 +92,9 @@ class Block:
         for line in self.text.replace("\\\n", " ").splitlines():
             command, _, comment = line.partition("  #")
             if command.strip() and not self.reason(line) and (late or not self.late(line)):
-                status = re.search(r"exits (\d)", comment)
-                yield command.strip(), int(status[1]) if status else 0
+                stated = re.search(r"exits (\d)", comment)
+                other = next((code for words, code in self.exits.items() if words in line), 0)
+                yield command.strip(), int(stated[1]) if stated else other
 
     @property
     def left(self) -> dict[str, str]:
@@ -159,18 +165,18 @@ def blocks_of_help(command: str) -> list[Block]:
     elsewhere = {line for page in pages() for block in blocks_of(page) for line, _ in block.lines()}
     lines = [
         re.sub(r"(?<=\S) {3,}(?=[^\\\s]).*", "", line.strip("\b "))
-        for line in said.replace("\\\n", " ").splitlines()
+        for line in re.sub(r"\\\n\s*", "", said).splitlines()
         if re.match(r"\W*(xacro .*\| )?pupper-analysis ", line)
     ]
     text = "\n".join(line for line in lines if line.strip() not in elsewhere) + "\n"
-    block = Block(f"{command} --help", 0, "sh", text, longest=HELP_LONGEST)
+    block = Block(f"{command} --help", 0, "sh", text, longest=HELP_LONGEST, exits=HELP_EXITS)
     return [block] if text.strip() else []
 
 
 def furnish(folder: Path, block: Block) -> None:
     """Puts what a block names into a folder: the checkout's files, and those of one's own."""
     if "analysis check" in block.text:
-        list(own_files.models(folder))
+        own_files.write_models(folder, block.text)
     else:
         # The URDF names its meshes from its own folder, beside that of the MJCF.
         places = {name: folder / name for name in ("urdf", "mjcf", "examples", "scripts")}

@@ -83,7 +83,7 @@ def command(
     \b
     Examples:
       pupper-analysis crosscheck go1.urdf go1.xml
-      pupper-analysis crosscheck robot.urdf robot.xml --map lf_haa=FL_hip --tolerance mass=1e-3
+      pupper-analysis crosscheck a1.urdf a1.xml --map lf_haa=FL_hip --tolerance mass=1e-3
       pupper-analysis crosscheck robot.urdf robot.xml --strict --format github
       xacro robot.urdf.xacro | pupper-analysis crosscheck - robot.xml
 

@@ -164,8 +164,8 @@ def command(
     Examples:
       pupper-analysis fit v3 --plan 12 -o plan.csv        which stands to take
       pupper-analysis fit v3 --stands stands.csv --weight 3.55kg -o fitted/
-      pupper-analysis fit go2.xml --stands stands.csv --prior kp=0 --report fit.html
-      pupper-analysis fit go2.xml --log hanging.csv --hold-out 0.2
+      pupper-analysis fit v3 --stands stands.csv --prior kp=0 --report fit.html
+      pupper-analysis fit v3 --log hanging.csv --hold-out 0.2
 
     \b
     Exit status: 0 the model explains the measurements, 1 it does not, 2 bad input.
