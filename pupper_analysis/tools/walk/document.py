@@ -135,14 +135,10 @@ def _how(walk: Walk) -> doc.Text:
     gains = text("walk-own-gains")
     if contract.kp is not None and contract.kd is not None:
         gains = text("walk-given-gains", kp=_range(contract.kp), kd=_range(contract.kd))
-    return text(
-        "walk-how",
-        rate=f"{walk.rate:g}",
-        gains=gains,
-        integrator=walk.integrator,
-        timestep=f"{1e3 * walk.timestep:g}",
-        warm_up=f"{walk.warm_up:g}",
-    )
+    same = abs(walk.rate - contract.rate) <= 1e-6 * contract.rate
+    rate = f"{walk.rate:.6g}" if same else f"{walk.rate:.6g} ({contract.rate:g})"
+    return text("walk-how", rate=rate, gains=gains, integrator=walk.integrator,
+                timestep=f"{1e3 * walk.timestep:g}", warm_up=f"{walk.warm_up:g}")  # fmt: skip
 
 
 def _range(values: Array) -> str:

@@ -13,9 +13,11 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.present.document import in_english
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.walk.contract import Term
+from pupper_analysis.tools.walk.document import walk_document
 from pupper_analysis.tools.walk.gait import measure, simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Observer, simulate_cases, stage_of
@@ -134,6 +136,17 @@ def test_what_falls_says_so(still: Policy) -> None:
     assert gait.margin == 0
     assert gait.duration < 4.0
     assert math.isfinite(gait.power)
+
+
+def test_a_rate_is_a_whole_number_of_time_steps_and_both_are_said(still: Policy) -> None:
+    robot = load("v3")
+    for stated, shown in ((50.0, "50 Hz"), (47.0, "45.4545 (47) Hz")):  # 11 steps of 2 ms
+        walk = simulate_walk(robot, still.with_contract(rate=stated), (0, 0, 0), seconds=3.0)
+        steps = 1.0 / (walk.rate * walk.timestep)
+        assert steps == pytest.approx(round(steps))
+        how = [in_english(one) for block in walk_document(walk).blocks
+               for one in getattr(block, "sources", getattr(block, "source", ()))]  # fmt: skip
+        assert any(f"asked at {shown}" in one for one in how), how
 
 
 def test_standing_does_not_track_a_speed(still: Policy) -> None:
