@@ -24,6 +24,9 @@ from pupper_analysis.robot.matching.urdf import urdf_tree
 
 Array = NDArray[np.float64]
 
+_TILTED = 0.7
+"""Cosine of how far from level a base's frame has to be where a file has it, to be told: 45 deg."""
+
 
 def free_base(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Returns a spec in which the base of a robot with two limbs or more is free; what was done.
@@ -129,7 +132,7 @@ def lift_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnosti
         What was done.
     """
     base = next((joint.parent for joint in spec.joints if joint.type == JointKind.FREE), None)
-    if base is None or list(base.frames):
+    if base is None or base.frame is not None:
         return []  # what is in a frame has its place in that
     body = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_BODY, base.name)
     if body >= 0 and body in file.jnt_bodyid[free_joints(file)]:
@@ -142,6 +145,10 @@ def lift_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnosti
         body = model.body(base.name).id
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
+    turn = data.xmat[body].reshape(3, 3)
+    if turn[2, 2] < _TILTED and not spec.keys:
+        tilt = Quantity(float(np.arccos(turn[2, 2])), "rad")
+        return [diagnose("base-frame-tilted", subject=("body", base.name), tilt=tilt)]
     ends = [end for end in limb_ends(model) if end != body]
     below = np.isin(model.body_weldid[model.geom_bodyid], ends)
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -150,17 +157,19 @@ def lift_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnosti
         if data.xpos[body][2] > bottom:
             return []
     up = float(data.xipos[body][2] - data.xpos[body][2])
-    turn = data.xmat[body].reshape(3, 3)
-    hangs = bottom < data.xipos[body][2] - up / 2
+    reach = float(np.linalg.norm(data.xpos[ends] - data.xipos[body], axis=1).max(initial=0.0))
+    hangs = bottom < data.xipos[body][2] - min(up, reach) / 2
     if not hangs or turn[2, 2] < 1 - 1e-9:
         return []
     shift = np.array([0.0, 0.0, up])
     if base.explicitinertial:
         base.ipos = base.ipos - shift
-    for element in (*base.geoms, *base.sites, *base.cameras, *base.lights, *base.bodies):
-        element.pos = element.pos - shift
+    own = (*base.geoms, *base.sites, *base.cameras, *base.lights, *base.bodies, *base.frames)
+    for element in own:
+        if element.frame is None:
+            element.pos = element.pos - shift
     for geom in base.geoms:
-        if np.isfinite(geom.fromto).all():
+        if geom.frame is None and np.isfinite(geom.fromto).all():
             geom.fromto = geom.fromto - np.tile(shift, 2)
     base.pos = base.pos + shift
     place = int(model.jnt_qposadr[model.body_jntadr[body]]) + 2

@@ -309,11 +309,20 @@ def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> Non
     assert len(robot.feet) == 4
 
 
-def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("below", "framed"), [(0.78, False), (0.78, True), (1.7, False)])
+def test_a_base_frame_on_the_ground_between_the_feet(
+    tmp_path: Path, below: float, framed: bool
+) -> None:
     """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been."""
     plain = load(biped(tmp_path))
-    robot = load(from_the_ground(biped(tmp_path), 0.78))
-    assert "raised by 880 mm, to the base's com" in said(robot, "below all limbs")
+    pair = from_the_ground(biped(tmp_path), below)
+    if framed:  # what the base carries, in a frame of its own
+        text = pair.mjcf.read_text().replace('<geom type="box"', '<frame><geom type="box"', 1)
+        text = re.sub(r"(</body>\s*</worldbody>)", r"</frame>\1", text)
+        pair.mjcf.write_text(text)
+    robot = load(pair)
+    raised = f"raised by {1000 * (below + 0.1):.0f} mm, to the base's com"
+    assert raised in said(robot, "below all limbs")
     # The pelvis' com is 0.1 m above the frame that it has otherwise.
     height = plain.stand_height
     one = pa.solve_stand(plain, pa.StandTask(height=height))
@@ -322,6 +331,16 @@ def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
     assert two.qpos[2] - one.qpos[2] == pytest.approx(0.1, abs=1e-9)
     stands(robot)
     assert not [note for note in plain.notes if note.code == "base-frame-lifted"]
+
+
+def test_a_base_frame_that_is_not_level_is_said(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    text = re.sub(r"<keyframe>.*</keyframe>", "", pair.mjcf.read_text(), flags=re.DOTALL)
+    turned = text.replace('<body name="trunk"', '<body name="trunk" quat="0.7 0 0.7 0"', 1)
+    for written, told in ((text, False), (turned, True)):
+        pair.mjcf.write_text(written)
+        codes = {note.code for note in pa.load_robot(pair.mjcf).notes}
+        assert ("base-frame-tilted" in codes) is told
 
 
 def test_preparing_changes_no_file(tmp_path: Path) -> None:
