@@ -294,8 +294,11 @@ def _of_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
         if isinstance(message, Vector):
             yield diagnose("demanded-place", field=foot, place=message)
         else:
-            code = "demanded-angle-of-foot" if field.kind == "angle" else "demanded-of-foot"
-            yield diagnose(code, subject=("foot", foot), value=message)
+            yield diagnose(
+                "demanded-angle-of-foot" if field.kind == "angle" else "demanded-of-foot",
+                subject=("foot", foot),
+                value=message,
+            )
 
 
 def _cut(angle: Quantity) -> Quantity:
