@@ -171,8 +171,12 @@ def _order(
     order = min(wrong, key=wrong.__getitem__)
     if wrong[order] > MOST_UNLIKE:
         return (), "", []
-    code = "contract-order-of-file" if order == model.order else "contract-order-by-depth"
-    return order, "assumed", [diagnose(code, file=source.name, first=order[:3])]
+    told = diagnose(
+        "contract-order-of-file" if order == model.order else "contract-order-by-depth",
+        file=source.name,
+        first=order[:3],
+    )
+    return order, "assumed", [told]
 
 
 MOST_UNLIKE = 1 / 3
