@@ -571,6 +571,15 @@ def test_a_line_is_where_its_values_are() -> None:
     assert grid["3"] - 4 == pytest.approx(y1, abs=0.1)
 
 
+def test_a_plot_whose_values_are_unknown_has_axes_and_no_line() -> None:
+    """Of motors without limits no force on the tool is the greatest."""
+    axis = Axis(Name("x"), "N", ".0f"), Axis(Name("y"), "N", ".0f")
+    drawing = plots.draw_svg(LinePlot(Name("t"), *axis, [Series(Name("a"), [np.nan], [np.nan])]))
+    tags = {mark["tag"] for mark in drawing.marks if mark.get("points") != []}
+    assert "text" in tags
+    assert "polyline" not in tags
+
+
 def test_directions_are_as_seen_from_above() -> None:
     """Forward is up, left is left."""
     around = Series(Name("a"), np.radians([0.0, 90.0, 180.0, 270.0]), [1.11, 2.22, 3.33, 4.44])

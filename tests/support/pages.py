@@ -40,6 +40,9 @@ from tests.support.repository import ROOT
 FOLDERS = ("docs/how-to", "docs/tutorials", "docs/explanation", "docs/zh", "docs/zh/how-to")
 """Of pages whose every block is run, beside the README."""
 
+ELSEWHERE = ("docs/explanation/architecture.md",)
+"""Pages whose blocks are parts of a package: `tests/present/test_new_result.py` runs them."""
+
 NEVER = {"pip install": "it needs the network"}
 if shutil.which("jq") is None:
     NEVER["| jq"] = "jq is not there"
@@ -113,7 +116,8 @@ def late_lines(block: Block) -> int:
 def pages() -> list[Path]:
     """The pages whose blocks are run."""
     found = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
-    return [ROOT / "README.md", *found]
+    shown = [path for path in found if path.relative_to(ROOT).as_posix() not in ELSEWHERE]
+    return [ROOT / "README.md", *shown]
 
 
 def english(page: Path) -> Path:
@@ -307,10 +311,10 @@ def main() -> None:
         run = sum(len(list(block.lines())) for block in blocks if block.language == "sh")
         codes = sum(block.language == "python" and not block.reason() for block in blocks)
         late += sum(map(late_lines, blocks))
-        unrun = {line: why for block in blocks for line, why in block.left.items()}
+        unrun = [each for block in blocks for each in block.left.items()]
         commands, python, left = commands + run, python + codes, left + len(unrun)
         print(f"{name}: {run} commands, {codes} blocks of Python")
-        for line, why in unrun.items():
+        for line, why in unrun:
             print(f"    not run: {' '.join(line.split())} ({why})")
     print(f"{commands} commands and {python} blocks of Python are run", end=" ")
     print(f"({late} of them by the longest tests), {left} are not")

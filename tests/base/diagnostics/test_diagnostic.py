@@ -31,7 +31,7 @@ from pupper_analysis.base.diagnostics import (
     term,
 )
 from pupper_analysis.base.diagnostics.catalogue import word_files
-from pupper_analysis.base.diagnostics.templates import fill_template
+from pupper_analysis.base.diagnostics.templates import fill_template, format_number
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import to_json
 from tests.support.rooms import PACKAGE, trees
@@ -320,3 +320,16 @@ def test_an_error_says_where_it_was_and_carries_its_facts() -> None:
     again = pickle.loads(pickle.dumps(error))
     assert again.diagnostic == error.diagnostic
     assert str(again) == str(error)
+
+
+@pytest.mark.parametrize(
+    ("value", "spec", "written"),
+    [
+        (8192.0, ".3g", "8190"), (-2871.0, "+.3g", "-2870"), (5.2e-5, ".2g", "0.000052"),
+        (3e-16, ".1e", "3.0e-16"), (3e-16, ".2g", "3e-16"), (0.0389, ".2g%", "3.9 %"),
+        (12.0, ".2g%", "1200 %"), (1e6, "+.3g", "+1000000"), (0.1234, ".2f", "0.12"),
+    ],
+)  # fmt: skip
+def test_numbers_are_written_without_exponents(value: float, spec: str, written: str) -> None:
+    assert format_number(value, spec) == written
+    assert fill_template(f"{{value:{spec}}}", {"value": value}, "en") == written
