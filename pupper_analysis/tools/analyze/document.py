@@ -21,7 +21,6 @@ from pupper_analysis.present.documents.simulated import (
     height_plot,
     motions_of,
     run_rows,
-    sweep_blocks,
 )
 from pupper_analysis.present.documents.sources import (
     files_text,
@@ -34,6 +33,7 @@ from pupper_analysis.present.verdict import lines_to_read, verdict_of_files
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.tools.analyze.analysis import Analysis
+from pupper_analysis.tools.analyze.sweep import sweep_blocks
 
 
 @build_document.register(Analysis)
