@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import re
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -95,10 +96,11 @@ def _plan_cells(file: BinaryIO) -> list[str] | None:
     except (ValueError, csv.Error):
         return None
     head = rows[0] if rows else []
-    kinds = [name.partition(".")[0].strip() for name in head]
+    kinds = [re.split(r"[.\[]", name)[0].strip() for name in head]
     if not {"command", "position"} <= set(kinds):
         return None
-    written = ("stand", "swing", "from", "command")
+    loads = ("added", "added_x", "added_y", "added_z")
+    written = ("stand", "swing", "from", "heading", "command", *loads)
     return [
         cell.strip()
         for row in rows[1:]
@@ -122,6 +124,7 @@ PATH_TABLE: Final = Kind("table of a path", _is_path_table)
 PATH_ARRAYS: Final = Kind("file of a path's arrays", _is_path_arrays)
 STAND_TABLE: Final = Kind("table of a stand", _begins("joint,position (rad),torque (N m),"))
 PLAN: Final = Kind("plan of stands", _is_plan, keeps=_is_filled_in)
+RECORD: Final = Kind("table of stands", lambda file: _plan_cells(file) is not None, edits=True)
 OFFSETS: Final = Kind("table of offsets", _begins("joint,offset_rad,offset_deg\n"))
 RANGES: Final = Kind("file of ranges", _begins("# Domain randomization."))
 MODEL: Final = Kind("model")

@@ -13,7 +13,7 @@ from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.modes import refuse_unused
+from pupper_analysis.cli.modes import refuse_alone, refuse_unused
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
@@ -28,11 +28,10 @@ from pupper_analysis.cli.stance_options import GAINS, parse_gain
 from pupper_analysis.prepare.convert.files import RobotFiles
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.tools.fit.measurements.log import Log
+    from pupper_analysis.tools.fit.record.recorder import Recording
     from pupper_analysis.tools.fit.result import Fit
     from pupper_analysis.tools.fit.stands.plan import StandPlan
 
@@ -51,10 +50,12 @@ _ALWAYS = {
         "force",
     ),
 }
+_OF_MEASUREMENTS = ("priors", "kp")
 _USES = {
+    "--record": {*_ALWAYS, "record", "bridge", "speed"} - {*_OF_MEASUREMENTS},
     "--stands": {*_ALWAYS, "stands", "weight", "encoder"},
     "--log": {*_ALWAYS, "logs", "topics", "joints", "hold_out", "kd"},
-    "--plan": {*_ALWAYS, "count", "degrees", "both_sides"},
+    "--plan": {*_ALWAYS, "count", "degrees", "both_sides", "added", "added_at"},
 }
 """{mode: what it uses}."""
 
@@ -101,12 +102,35 @@ _USES = {
 @click.option(
     "--both-sides", is_flag=True, help="Plan to come to each stand from above and from below."
 )
+@click.option(
+    "--added",
+    metavar="MASS",
+    help="Plan a known mass to be put on for some of the stands, e.g. 200g: it tells what kp is.",
+)
+@click.option(
+    "--added-at",
+    metavar="X,Y,Z",
+    help="Where it is put, in the base's frame, or LINK,X,Y,Z in a link's.",
+)
+@shared.file_option("--record", help="CSV of a plan: take its stands, a row of -o for each.")
+@click.option(
+    "--bridge",
+    metavar="NAME",
+    help="The way to the robot: ros2, typed (by a person), or mujoco (one whose numbers are off).",
+)
+@click.option("--speed", metavar="SPEED", help="Of a joint while it is led, at most; 0.5rad/s.")
 @shared.output_option(
     "-o",
     "--output",
-    holds=lambda given: kinds.FIT_FOLDER if given["count"] is None else kinds.PLAN,
-    help="Where to write the plan, as CSV; or the folder that gets the corrected URDF and MJCF, "
-    "fit.json, offsets.csv and ranges.yaml.",
+    holds=lambda given: (
+        kinds.RECORD
+        if given["record"] is not None
+        else kinds.FIT_FOLDER
+        if given["count"] is None
+        else kinds.PLAN
+    ),
+    help="Where to write the plan, or the stands that are recorded, as CSV; or the folder that "
+    "gets the corrected URDF and MJCF, fit.json, offsets.csv and ranges.yaml.",
 )
 @click.option(
     "--prior",
@@ -139,6 +163,11 @@ def command(
     count: int | None,
     degrees: bool,
     both_sides: bool,
+    added: str | None,
+    added_at: str | None,
+    record: Path | None,
+    bridge: str | None,
+    speed: str | None,
     output: Path | None,
     priors: tuple[str, ...],
     weight: str | None,
@@ -163,6 +192,7 @@ def command(
     \b
     Examples:
       pupper-analysis fit v3 --plan 12 -o plan.csv        which stands to take
+      pupper-analysis fit v3 --record plan.csv --bridge ros2 -o stands.csv
       pupper-analysis fit v3 --stands stands.csv --weight 3.55kg -o fitted/
       pupper-analysis fit v3 --stands stands.csv --prior kp=0 --report fit.html
       pupper-analysis fit v3 --log hanging.csv --hold-out 0.2
@@ -173,22 +203,41 @@ def command(
     from pupper_analysis.tools.fit.result import Fit
 
     folder = output if count is None else None
-    if [stands is not None, count is not None, bool(logs)].count(True) != 1:
+    if [stands is not None, count is not None, bool(logs), record is not None].count(True) != 1:
         raise ConfigurationError("--stands", diagnose("fit-of-nothing"))
-    mode = "--plan" if count is not None else "--log" if logs else "--stands"
+    mode = (
+        "--record" if record else "--plan" if count is not None else "--log" if logs else "--stands"
+    )
     refuse_unused(mode, _USES)
     if degrees and output is None:
         raise ConfigurationError("--degrees", diagnose("degrees-of-no-plan"))
     mass = None if weight is None else shared.parse_measure("weight", "mass", weight)
+    load = 0.0 if added is None else shared.parse_measure("added", "mass", added)
+    if not load:
+        refuse_alone(("--added",), "added_at")
     sure = None if encoder is None else shared.parse_measure("encoder", "angle", encoder)
     meant = which.one(words) or "v3"
     robot = robot_from(meant)
     stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
-    result: Fit | StandPlan
-    if count is not None:
-        result = _plan(
-            robot, count, output, priors, stiffness, both_sides=both_sides, degrees=degrees
-        )
+    result: Fit | StandPlan | Recording
+    if record is not None:
+        result = _record(robot, record, output, bridge, speed)
+    elif count is not None:
+        from pupper_analysis.tools.fit.stands.plan import plan_stands, write_plan
+
+        with shared.show_progress("choosing stands among those that the servos hold"):
+            result = plan_stands(
+                robot,
+                count,
+                priors=priors,
+                kp=stiffness,
+                both_sides=both_sides,
+                added=load,
+                added_at=shared.parse_place("added-at", added_at or "0,0,0"),
+            )
+        if output is not None:
+            write_plan(result, output, degrees=degrees)
+            shared.confirm_written(output)
     else:
         from pupper_analysis.tools.fit.fit import fit as fit_numbers
         from pupper_analysis.tools.fit.measurements.stands import read_stands
@@ -211,7 +260,26 @@ def command(
     shared.write_page(report_path, result, [robot])
     if folder is not None and isinstance(result, Fit):
         _write(robot, meant, result, folder)
-    shared.finish_command(json_path, result, passed=not isinstance(result, Fit) or result.explained)
+    passed = getattr(result, "explained", True) and getattr(result, "complete", True)
+    shared.finish_command(json_path, result, passed=passed)
+
+
+def _record(
+    robot: Robot, plan: Path, output: Path | None, bridge: str | None, speed: str | None
+) -> Recording:
+    """Takes the stands of a plan."""
+    from pupper_analysis.tools.fit.record.bridge import open_bridge
+    from pupper_analysis.tools.fit.record.recorder import SPEED, record_stands
+
+    for option, given in (("--bridge", bridge), ("--output", output)):
+        if given is None:
+            raise ConfigurationError(option, diagnose("recording-needs"))
+    assert output is not None
+    fast = SPEED if speed is None else shared.parse_measure("speed", "velocity", speed)
+    if not fast > 0:
+        raise ConfigurationError("--speed", diagnose("not-positive", value=fast))
+    way, person = open_bridge(str(bridge), robot)
+    return record_stands(robot, plan, output, way, person, speed=fast)
 
 
 def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path) -> None:
@@ -243,24 +311,3 @@ def _read_logs(paths: tuple[Path, ...], topics: tuple[str, ...], joints: str | N
     said = dict(shared.parse_assignment("--topic", one) for one in topics)
     names = joints.split(",") if joints else ()
     return [read_log(path, topics=said, joints=names) for path in paths]
-
-
-def _plan(
-    robot: Robot,
-    count: int,
-    output: Path | None,
-    priors: tuple[str, ...],
-    kp: ArrayLike | None,
-    *,
-    both_sides: bool,
-    degrees: bool,
-) -> StandPlan:
-    """Plans stands, and writes them."""
-    from pupper_analysis.tools.fit.stands.plan import plan_stands, write_plan
-
-    with shared.show_progress("choosing stands among those that the servos hold"):
-        plan = plan_stands(robot, count, priors=priors, kp=kp, both_sides=both_sides)
-    if output is not None:
-        write_plan(plan, output, degrees=degrees)
-        shared.confirm_written(output)
-    return plan

@@ -10,6 +10,7 @@ from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS
+from pupper_analysis.tools.fit.record.recorder import Recording
 from pupper_analysis.tools.fit.result import (
     Combination,
     Correlation,
@@ -267,7 +268,9 @@ def _com(com: Sequence[Estimate]) -> doc.Words:
 def _kp_factor(fit: StandFit) -> Iterator[doc.Words]:
     if (factor := fit.kp_factor) is not None:
         values = {"mean": f"{factor.mean:.3f}", "half": f"{factor.high - factor.mean:.3f}"}
-        if fit.weight is None:
+        if any(one.kind == "added" for one in fit.estimates):
+            yield text("kp-factor-by-a-known-mass", **values)
+        elif fit.weight is None:
             yield text("kp-factor", **values)
         else:
             yield text("kp-factor-weighed", **values, weight=f"{fit.weight:.4g}")
@@ -333,17 +336,31 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
                 determined=str(finding),
                 parameters=str(len(plan.expected)),
             ),
+            *_where_added(plan),
             text("how-to-take-stands"),
         ),
     )
 
 
+def _where_added(plan: StandPlan) -> Iterator[doc.Words]:
+    if (place := plan.place) is not None:
+        loaded = [one for one in plan.stands if one.added]
+        x, y, z = (f"{1e3 * value:.1f}" for value in place.offset)
+        mass = f"{max((one.added for one in loaded), default=0.0):.4g}"
+        on = str(len(loaded))
+        yield text("put-it-there", mass=mass, link=doc.Name(place.link), x=x, y=y, z=z, stands=on)
+
+
 def _stands(plan: StandPlan) -> doc.Table:
     joints = list(plan.stands[0].command)
+    turned = any(one.heading for one in plan.stands)
+    loaded = any(one.added for one in plan.stands)
     columns = (
         doc.Column(text("planned-stand"), left=True),
         doc.Column(text("feet-in-the-air"), left=True),
         doc.Column(text("come-from"), left=True),
+        *([doc.Column(text("turned-by"), "deg")] if turned else []),
+        *([doc.Column(text("known-mass-on"), "kg")] if loaded else []),
         doc.Column(text("utilisation"), "%"),
         *(doc.Column(doc.Name(joint), "deg", detail=True) for joint in joints),
     )
@@ -353,6 +370,8 @@ def _stands(plan: StandPlan) -> doc.Table:
             doc.Name(one.name),
             doc.Name(" ".join(one.swing)),
             doc.Name(one.approach),
+            *([doc.number_cell(one.heading, ".0f", scale=factor)] if turned else []),
+            *([doc.number_cell(one.added, ".4g")] if loaded else []),
             doc.number_cell(one.utilisation, ".0f", scale=100.0),
             *(doc.number_cell(one.command[joint], ".2f", scale=factor) for joint in joints),
         )
@@ -384,3 +403,19 @@ def _expected(plan: StandPlan) -> doc.Table:
         doc.Column(text("determined-by"), left=True),
     )
     return doc.Table(text("what-stands-will-tell"), columns, tuple(rows), detail=True)
+
+
+@build_document.register(Recording)
+def recording_document(one: Recording, _: Robot | None = None) -> doc.Document:
+    """Returns which stands were taken; see ``build_document``."""
+    counts = {"taken": len(one.taken), "had": len(one.had), "left": len(one.left)}
+    values = {name: str(count) for name, count in counts.items()}
+    return doc.Document(
+        text("recording-of-stands"),
+        doc.Name(one.name),
+        (),
+        passed=one.complete,
+        verdict=text("recording-complete") if one.complete else text("recording-incomplete"),
+        failures=tuple(doc.tell(finding) for finding in one.findings),
+        findings=(text("stands-taken", file=doc.Name(one.file), **values),),
+    )

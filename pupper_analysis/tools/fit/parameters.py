@@ -77,13 +77,16 @@ KINDS: Mapping[str, ParameterKind] = {
         # What a cable carries of the robot, or adds to it, in parts of its weight. Sideways it
         # would be a slope, which is estimated.
         ParameterKind("pull", "1", width=0.01),
+        # A known mass that was put on, by a kitchen scale; and where, by a ruler.
+        ParameterKind("added", "1", width=0.005, positive=True),
+        ParameterKind("place", "m", width=3e-3),
         # How an IMU is glued to its base.
         ParameterKind("imu", "rad", width=math.radians(1.0)),
     )
 }
 """The kinds, each with what is known before anything is measured, unless a prior says otherwise."""
 
-OF_SURROUNDINGS = ("slope", "softness", "moment", "deadband", "pull", "imu")
+OF_SURROUNDINGS = ("slope", "softness", "moment", "deadband", "pull", "imu", "added", "place")
 """Kinds that are no number of the robot's files."""
 
 

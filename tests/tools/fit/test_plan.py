@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -11,9 +13,15 @@ import pytest
 from pupper_analysis.base.errors import MeasurementError
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.tools.fit.measurements.stands import read_stands
 from pupper_analysis.tools.fit.parameters import bodies_of, parse_prior
 from pupper_analysis.tools.fit.stands import plan
-from pupper_analysis.tools.fit.stands.plan import RandomStands, choose_stands, plan_stands
+from pupper_analysis.tools.fit.stands.plan import (
+    RandomStands,
+    choose_stands,
+    plan_stands,
+    write_plan,
+)
 from pupper_analysis.tools.study.parameters import scale_robot
 
 
@@ -30,6 +38,37 @@ def test_the_chosen_make_the_determinant_largest() -> None:
     best = max(combinations(range(12), 4), key=determinant)
     assert determinant(choose_stands(each, before, 4)) == pytest.approx(determinant(best), rel=0.02)
     assert len(set(choose_stands(each, before, 4))) == 4
+
+
+def test_few_are_chosen_of_those_that_are_rare() -> None:
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=(12, 2, 5))
+    rows[:6] *= 10  # which tell most
+    each, rare = [one.T @ one for one in rows], [True] * 6 + [False] * 6
+    assert sum(place < 6 for place in choose_stands(each, np.eye(5), 6)) > 4
+    assert sum(place < 6 for place in choose_stands(each, np.eye(5), 6, rare, 2)) == 2
+    assert len(set(choose_stands(each, np.eye(5), 9, rare, 2))) == 9  # there are no others
+
+
+def test_a_plan_has_a_known_mass_on_turned_stands_and_few_on_three_feet(tmp_path: Path) -> None:
+    robot = load_variant("v3")
+    at = (0.01, 0.0, 0.05)
+    plan = plan_stands(robot, 6, added=0.2, added_at=at)
+    loaded = [one.added for one in plan.stands]
+    assert 0 < sum(map(bool, loaded)) < 6
+    assert loaded == sorted(loaded)  # it is put on once
+    assert sum(bool(one.swing) for one in plan.stands) <= 2
+    assert {round(math.degrees(one.heading)) for one in plan.stands} == {0, 180}
+    path = tmp_path / "plan.csv"
+    write_plan(plan, path, degrees=True)
+    write_plan(plan, path, degrees=True)  # a plan without readings is replaced
+    read = read_stands(path)
+    np.testing.assert_allclose(read.heading, [one.heading for one in plan.stands], atol=1e-6)
+    masses = [[one.added, *(at if one.added else (0, 0, 0))] for one in plan.stands]
+    np.testing.assert_allclose(read.added["base_link"], masses)
+    told = {one.name: one.after / one.before for one in plan.expected}
+    assert told["kp leg_front_r_3"] < 0.5  # without a known mass, and no scale: 0.72
+    assert told["added base_link"] > 0.9
 
 
 def test_servos_that_are_too_soft_hold_no_stand() -> None:

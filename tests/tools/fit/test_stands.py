@@ -22,6 +22,7 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, own_servos
+from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.steady_state import HomotopyPath, follow_to_end
 from pupper_analysis.stance.stand import solve_stand, stand_statics
@@ -61,10 +62,15 @@ def planted(robot: Robot) -> Robot:
 @pytest.fixture(scope="module")
 def stands(robot: Robot, planted: Robot) -> MeasuredStands:
     """What encoders of 14 bits would read of the planted robot: predicted by other equations."""
-    rng, size = np.random.default_rng(5), robot.stand_height
+    return taken(robot, planted, 10)
+
+
+def taken(robot: Robot, planted: Robot, count: int, seed: int = 5) -> MeasuredStands:
+    """Predicts stands; from the seventh on a hind foot is in the air."""
+    rng, size = np.random.default_rng(seed), robot.stand_height
     command, position, swing = [], [], []
     kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
-    while len(command) < 10:
+    while len(command) < count:
         lifted = {("RL", "RR")[len(command) % 2]: 0.02} if len(command) >= 6 else {}
         task = StandTask(
             height=size * rng.uniform(0.8, 1.0),
@@ -101,6 +107,33 @@ def stands(robot: Robot, planted: Robot) -> MeasuredStands:
         swing=tuple(swing),
         approach=("",) * len(command),
     )
+
+
+def joined(one: MeasuredStands, other: MeasuredStands, **values: object) -> MeasuredStands:
+    """The stands of both."""
+    arrays = {
+        name: np.concatenate([getattr(one, name), getattr(other, name)])
+        for name in ("command", "position", "torque", "tilt", "heading")
+    }
+    return replace(
+        one,
+        names=tuple(map(str, range(len(one) + len(other)))),
+        swing=one.swing + other.swing,
+        approach=one.approach + other.approach,
+        **(arrays | values),
+    )
+
+
+PLACE = (0.02, -0.01, 0.05)
+
+
+@pytest.fixture(scope="module")
+def with_mass(robot: Robot, planted: Robot, stands: MeasuredStands) -> MeasuredStands:
+    """The same robot, on which 250 g were put for eight further stands."""
+    loaded = taken(robot, with_payload(planted, 0.25, PLACE), 8, seed=6)
+    loads = np.zeros((len(stands) + len(loaded), 4))
+    loads[len(stands) :] = (0.25, *PLACE)
+    return joined(stands, loaded, added={robot.base: loads})
 
 
 def equations(robot: Robot, stands: MeasuredStands) -> tuple[StandEquations, ParameterTable]:
@@ -149,6 +182,56 @@ def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
     for place, step in enumerate(1e-6 * np.eye(len(still))):
         found = (rows(truth, step)[0] - rows(truth, -step)[0]) / 2e-6
         np.testing.assert_allclose(by_own[:, place], found, atol=1e-3 * np.abs(found).max() + 1e-6)
+
+
+def test_known_masses_and_turned_stands_have_the_derivatives_of_differences(
+    robot: Robot, stands: MeasuredStands
+) -> None:
+    """Of a mass on a calf, 30 deg about the vertical, on a slope; and forces balance the mass."""
+    link, joint = "leg_front_l_3", robot.joint_names.index("leg_front_l_3")
+    loads = np.tile([0.4, 0.01, 0.02, -0.06], (len(stands), 1))
+    turned = replace(stands, heading=np.full(len(stands), 0.5), added={link: loads})
+    system, table = equations(robot, turned)
+    x = table.stated.copy()
+    x[table.place("slope", "floor", "x")], x[table.place("slope", "floor", "y")] = 3e-5, -2e-5
+    x[table.place("place", link, "y")] = 4e-3
+    own = system._own[0]
+
+    def rows(at: Array) -> list[Array]:
+        system._own[0] = own
+        return [
+            np.concatenate(p)
+            for p in zip(*system._look(0, system._numbers(at)).rows.parts, strict=True)
+        ]
+
+    by_x = rows(x)[1]
+    for kind in ("added", "place", "slope", "offset", "mass"):
+        for place in [at for at, one in enumerate(table) if one.kind == kind]:
+            step = 1e-6 * np.eye(len(table))[place]
+            found = (rows(x + step)[0] - rows(x - step)[0]) / 2e-6
+            np.testing.assert_allclose(
+                by_x[:, place], found, atol=1e-3 * np.abs(found).max() + 1e-6
+            )
+    # By Pinocchio's own gravity, of a robot that has the mass, in the ground's axes.
+    numbers = system._numbers(x).of(system._readings[0], table)
+    pose = system._look(0, system._numbers(x)).config
+    place = np.array([0.01, 0.024, -0.06])
+    heavier = with_payload(robot, 0.4, (link, *place)).structure.model.copy()
+    c, s = math.cos(0.5), math.sin(0.5)
+    one, two, size = 3e-5, -2e-5, np.linalg.norm(robot.gravity)
+    down = size * np.array([one, two, -math.sqrt(1 - one**2 - two**2)])
+    # What points along the ground's x points to the right of a robot that is turned to the left.
+    heavier.gravity.linear = np.array(
+        [c * down[0] + s * down[1], c * down[1] - s * down[0], down[2]]
+    )
+    q = robot.structure.convention.unit_q(pose.qpos)
+    whole = robot.structure.columns(
+        pin.computeGeneralizedGravity(heavier, heavier.createData(), q)[None]
+    )[0]
+    forces = system._regressor.at(pose, numbers)[0]
+    np.testing.assert_allclose(forces, whole, atol=1e-9)
+    bare = system._regressor.at(pose, system._numbers(x))[0]
+    assert abs((forces - bare)[6 + joint]) > 1e-3
 
 
 def test_masses_and_kp_that_are_all_too_small_explain_no_more(
@@ -294,6 +377,53 @@ def test_a_weight_that_makes_all_servos_twice_as_stiff_is_asked_about(
     assert right.kp_factor.std > 0.009
 
 
+def test_a_known_mass_tells_kp_without_a_scale_and_speaks_against_a_wrong_one(
+    robot: Robot, planted: Robot, with_mass: MeasuredStands
+) -> None:
+    fit = fit_stands(robot, with_mass)
+    assert fit.explained
+    assert fit.kp_factor is not None
+    assert fit.kp_factor.low < 1 < fit.kp_factor.high
+    assert fit.kp_factor.std < 0.03
+    assert fit.total_mass.low < planted.total_mass < fit.total_mass.high
+    assert not any(one.ratio for one in fit.combinations)
+    right = fit_stands(robot, with_mass, weight=planted.total_mass)
+    assert right.explained
+    # Weighed before a pack of a tenth was put on: nothing else shows it.
+    wrong = fit_stands(robot, with_mass, weight=planted.total_mass / 1.1)
+    said = next(one for one in wrong.failures if one.code == "known-mass-contradicts-the-scale")
+    assert said.values["mass"].value == pytest.approx(planted.total_mass, rel=0.06)
+    # Half of what was put on: kp would be half.
+    loads = with_mass.added[robot.base] * [0.5, 1, 1, 1]
+    half = fit_stands(robot, replace(with_mass, added={robot.base: loads}))
+    assert half.kp_factor is not None
+    assert half.kp_factor.mean == pytest.approx(0.5, rel=0.1)
+
+
+def test_without_a_scale_a_known_mass_is_said_to_help(robot: Robot, stands: MeasuredStands) -> None:
+    (ratio,) = (one for one in fit_stands(robot, stands).combinations if one.ratio)
+    assert ratio.measurements["put-a-known-mass-on"] > 2
+
+
+def test_stands_that_are_turned_tell_a_slope_from_a_com(robot: Robot, planted: Robot) -> None:
+    """1.2 deg down along the ground's x: turned to the other side, along the base's -x."""
+    size, slope = float(np.linalg.norm(robot.gravity)), math.radians(1.2)
+    runs = []
+    for way in (1, -1):
+        model = planted.pin_model.copy()
+        down = size * np.array([way * math.sin(slope), 0.0, -math.cos(slope)])
+        model.gravity.linear = down
+        tilted = replace(planted, pin_model=model)
+        runs.append(taken(robot, tilted, 6, seed=7 + way))
+    heading = np.repeat([0.0, math.pi], [len(one) for one in runs])
+    fit = fit_stands(robot, joined(*runs, heading=heading), priors=["kp=0"])
+    (said,) = (one for one in fit.failures if one.code == "ground-slopes")
+    assert said.values["axis"] == "x"
+    assert said.values["slope"].value == pytest.approx(slope, rel=0.3)
+    (along,) = (one for one in fit.estimates if one.name == "slope.x floor")
+    assert along.mean > 0
+
+
 @pytest.mark.parametrize(
     ("wrong", "codes"),
     [
@@ -357,7 +487,7 @@ def test_what_is_no_stand_of_the_robot_is_refused(robot: Robot, stands: Measured
     with pytest.raises(UnknownNameError, match="leg_front_r_1"):
         fit_stands(robot, replace(stands, joints=("elbow", *stands.joints[1:])))
     with pytest.raises(MeasurementError, match="2 stands"):
-        fit_stands(robot, part(stands, slice(0, 2)))
+        fit_stands(robot, stands.part([0, 1]))
     with pytest.raises(MeasurementError, match="too few points"):
         fit_stands(robot, replace(stands, swing=(("FR", "FL"), *stands.swing[1:])))
 
@@ -374,12 +504,19 @@ def test_numbers_that_cannot_be_are_refused(robot: Robot, stands: MeasuredStands
             fit_stands(robot, stands, **option)
 
 
-def test_a_foot_that_is_said_to_be_in_the_air_and_carries_is_seen(
-    robot: Robot, stands: MeasuredStands
+def test_a_stand_whose_foot_carries_that_should_not_is_left_out_with_a_note(
+    robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
     wrong = replace(stands, swing=(("FR",), *stands.swing[1:]))
-    with pytest.raises(MeasurementError, match=r"stand 0: foot FR is said to be in the air"):
-        fit_stands(robot, wrong, priors=["kp=0"])
+    fit = fit_stands(robot, wrong, priors=["kp=0"])
+    (said,) = (one for one in fit.diagnostics if one.code == "stand-left-out")
+    assert "stand 0: foot FR is said to be in the air" in str(said)
+    assert fit.stands == len(stands) - 1
+    assert fit.explained
+    assert fit.total_mass.low < planted.total_mass < fit.total_mass.high
+    # Of many that is no slip: no robot explains the others.
+    swing = tuple(("FR",) if row < 4 else own for row, own in enumerate(stands.swing))
+    assert not fit_stands(robot, replace(stands, swing=swing), priors=["kp=0"]).explained
 
 
 def test_links_that_no_shape_bounds_are_named_once(robot: Robot) -> None:
@@ -443,19 +580,6 @@ def test_joints_that_come_slowly_are_held_on_the_side_they_came_from(
     assert np.std(rubbed) < 0.5
 
 
-def part(stands: MeasuredStands, rows: slice) -> MeasuredStands:
-    return replace(
-        stands,
-        names=stands.names[rows],
-        command=stands.command[rows],
-        position=stands.position[rows],
-        torque=stands.torque[rows],
-        tilt=stands.tilt[rows],
-        swing=stands.swing[rows],
-        approach=stands.approach[rows],
-    )
-
-
 def test_an_encoders_step_shows(stands: MeasuredStands) -> None:
     assert quantum_of(stands) == pytest.approx(2 * math.pi / 2**14, rel=1e-3)
     fine = stands.position + np.random.default_rng(0).normal(0, 1e-3, stands.position.shape)
@@ -474,9 +598,25 @@ def test_a_file_is_read_with_units_and_readings_of_one_stand_are_averaged(tmp_pa
     assert once.names == ("one", "two")
     assert once.position[0, 0] == pytest.approx(math.radians(9.05))
     assert once.force["FL"][0] == pytest.approx(0.980665)
+    assert not stands.heading.any()
+    assert not stands.added
     path.write_text(path.read_text().replace("9.1", "11"))
     with pytest.raises(MeasurementError, match="not at rest"):
         read_stands(path).repeated()
+
+
+def test_known_masses_and_headings_are_read_and_a_mass_has_a_place(tmp_path: Path) -> None:
+    path = tmp_path / "stands.csv"
+    head = "heading [deg],added.base [g],added_x.base [mm],added_y.base,added_z.base,"
+    path.write_text(f"{head}command.a,position.a\n180,200,10,0.02,0.03,0,0\n,,,,,0,0\n")
+    stands = read_stands(path)
+    np.testing.assert_allclose(stands.heading, [math.pi, 0])
+    np.testing.assert_allclose(stands.added["base"], [[0.2, 0.01, 0.02, 0.03], [0, 0, 0, 0]])
+    assert stands.part([1]).added["base"].tolist() == [[0, 0, 0, 0]]
+    for cells in ("0,200,,0.02,0.03,0,0", "0,-1,0,0.02,0.03,0,0"):
+        path.write_text(f"{head}command.a,position.a\n{cells}\n")
+        with pytest.raises(MeasurementError, match="where it is does not stand beside it"):
+            read_stands(path)
 
 
 # ------------------------ Logarithms: there and back, their slopes, and a robot that nobody weighed

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,11 @@ COLUMNS = (
     Column("pitch", "position"),
     Column("swing", ""),
     Column("from", ""),
+    Column("heading", "angle"),
+    Column("added.*", "mass"),
+    Column("added_x.*", "length"),
+    Column("added_y.*", "length"),
+    Column("added_z.*", "length"),
 )
 """What may stand in a file of stands."""
 
@@ -52,6 +57,9 @@ class MeasuredStands:
         tilt: (m, 2) roll and pitch of the base against the vertical, as an IMU has them (rad).
         swing: (m,) the feet that are in the air.
         approach: (m,) from which side it was come to rest: ``above``, ``below``, or empty.
+        heading: (m,) how the robot was turned about the vertical (rad); zeros by default.
+        added: {link: (m, 4) known mass that was put on it (kg), and where in its frame (m)}; 0 of
+            none.
     """
 
     source: str
@@ -64,6 +72,12 @@ class MeasuredStands:
     tilt: Array
     swing: tuple[tuple[str, ...], ...]
     approach: tuple[str, ...]
+    heading: Array = field(default_factory=lambda: np.zeros(0))
+    added: Mapping[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.heading.size:
+            object.__setattr__(self, "heading", np.zeros(len(self.names)))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -84,6 +98,9 @@ class MeasuredStands:
         for name in (*self.force, *(foot for feet in self.swing for foot in feet)):
             if name not in robot.feet:
                 raise UnknownNameError(self.source, "foot", name, tuple(robot.feet))
+        for name in self.added:
+            if name not in robot.structure.links:
+                raise UnknownNameError(self.source, "link", name, tuple(robot.structure.links))
         missing = [name for name in robot.joint_names if name not in self.joints]
         if missing:
             raise MeasurementError(self.source, diagnose("joints-not-measured", joints=missing))
@@ -145,7 +162,8 @@ class MeasuredStands:
         Raises:
             MeasurementError: If they are not those of a robot at rest.
         """
-        keys = list(zip(self.names, self.approach, self.swing, strict=True))
+        loads = np.column_stack([self.heading, *self.added.values()]).tolist()
+        keys = list(zip(self.names, self.approach, self.swing, map(tuple, loads), strict=True))
         groups = [np.flatnonzero([one == key for one in keys]) for key in dict.fromkeys(keys)]
         if len(groups) == len(keys):
             return self
@@ -175,6 +193,25 @@ class MeasuredStands:
             tilt=mean(self.tilt),
             swing=tuple(self.swing[row] for row in first),
             approach=tuple(self.approach[row] for row in first),
+            heading=self.heading[first],
+            added={link: own[first] for link, own in self.added.items()},
+        )
+
+    def part(self, rows: Sequence[int]) -> MeasuredStands:
+        """Returns the same of some of the stands, by their rows."""
+        chosen = list(rows)
+        return replace(
+            self,
+            names=tuple(self.names[row] for row in chosen),
+            command=self.command[chosen],
+            position=self.position[chosen],
+            torque=self.torque[chosen],
+            force={foot: values[chosen] for foot, values in self.force.items()},
+            tilt=self.tilt[chosen],
+            swing=tuple(self.swing[row] for row in chosen),
+            approach=tuple(self.approach[row] for row in chosen),
+            heading=self.heading[chosen],
+            added={link: own[chosen] for link, own in self.added.items()},
         )
 
 
@@ -199,7 +236,9 @@ def read_stands(path: str | Path) -> MeasuredStands:
     Columns are ``command.<joint>`` and ``position.<joint>``; there may be ``stand`` (its name: rows
     of one name are readings of one stand), ``torque.<joint>``, ``force.<foot>``, ``roll`` and
     ``pitch`` of the base, ``swing`` (the feet in the air, with blanks between them), ``from``
-    (``above`` or ``below``). Units are SI unless they are said in brackets:
+    (``above`` or ``below``), ``heading`` (how the robot was turned on the spot), and
+    ``added.<link>`` with ``added_x.<link>``, ``added_y.``, ``added_z.`` (a known mass that was put
+    on it, and where in the link's frame). Units are SI unless they are said in brackets:
     ``position.FL_knee [deg]``, ``force.FL [g]``. A cell that is empty is missing.
 
     Args:
@@ -236,7 +275,27 @@ def read_stands(path: str | Path) -> MeasuredStands:
         tilt=np.column_stack(tilt),
         swing=tuple(tuple(words.split()) for words in table.words.get("swing", [""] * len(rows))),
         approach=tuple(_approaches(table)),
+        heading=np.nan_to_num(table.numbers.get("heading", blank)),
+        added=dict(_added(table)),
     )
+
+
+def _added(table: Columns) -> Iterator[tuple[str, Array]]:
+    """Yields the links that known masses were put on: mass and place (m, 4)."""
+    axes = ("added_x", "added_y", "added_z")
+    for kind in axes:
+        for link in table.of(kind):
+            if link not in table.of("added"):
+                finding = diagnose("column-missing", column=f"added.{link}")
+                raise MeasurementError(table.source, finding)
+    for link, masses in table.of("added").items():
+        blank = np.full(len(masses), np.nan)
+        places = np.column_stack([table.of(kind).get(link, blank) for kind in axes])
+        on = np.nan_to_num(masses) != 0
+        for row in np.flatnonzero(on & ((masses < 0) | ~np.isfinite(places).all(axis=1))):
+            finding = diagnose("added-mass-of-nowhere", line=table.lines[row], link=link)
+            raise MeasurementError(table.source, finding)
+        yield link, np.where(on[:, None], np.column_stack([masses, places]), 0.0)
 
 
 def _approaches(table: Columns) -> Iterator[str]:

@@ -82,6 +82,8 @@ class Reading:
         tilt: (2,) rad.
         points: The contact points that carry.
         sides: (nu,) how much of its dry friction holds each joint, on average: 0 if nobody knows.
+        heading: How the robot is turned about the vertical (rad).
+        added: {link: known mass on it (kg), and where in its frame (m)} (4,).
     """
 
     command: Array
@@ -91,6 +93,8 @@ class Reading:
     tilt: Array
     points: tuple[str, ...]
     sides: Array
+    heading: float = 0.0
+    added: Mapping[str, Array] = field(default_factory=dict)
 
 
 def readings_of(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
@@ -109,6 +113,8 @@ def readings_of(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
                 for point in points
             ),
             sides=np.zeros(robot.nu),
+            heading=float(stands.heading[row]),
+            added={link: own[row] for link, own in stands.added.items() if own[row, 0]},
         )
 
 
@@ -299,6 +305,14 @@ class StandRows:
                 by_x[row, at] += sides[joint]
             for at in self._at("deadband", "servos"):
                 by_x[row, at] -= numbers.kp[joint] * self._sides[joint]
+        self._gravity(by_x, by_mass, by_com, by_slope)
+        self._in_positions(residual, by_x, by_own, by_noise)
+
+    def _gravity(
+        self, by_x: Array, by_mass: list[Array], by_com: list[Array], by_slope: list[Array]
+    ) -> None:
+        """Fills in what balance changes by with masses, coms, loads, the slope and a cable."""
+        numbers = self._numbers
         for body, (link, *_) in enumerate(numbers.bodies):
             for at in self._at("mass", link):
                 by_x[:, at] -= by_mass[body]
@@ -306,12 +320,17 @@ class StandRows:
             for axis, name in enumerate(AXES):
                 for at in self._at("com", link, name):
                     by_x[:, at] -= by_com[body][:, axis]
+        for body, one in enumerate(numbers.loads, len(numbers.bodies)):
+            for at in self._at("added", one.link):
+                by_x[:, at] -= one.stated * by_mass[body]
+            for axis, name in enumerate(AXES):
+                for at in self._at("place", one.link, name):
+                    by_x[:, at] -= by_com[body] @ one.turn[:, axis]
         for name, pull in zip("xy", by_slope, strict=True):
             for at in self._at("slope", "floor", name):
                 by_x[:, at] -= pull
         for at in self._at("pull", "cable"):
             by_x[2, at] += numbers.mass * numbers.size
-        self._in_positions(residual, by_x, by_own, by_noise)
 
     def _in_positions(self, residual: Array, by_x: Array, by_own: Array, by_noise: Array) -> None:
         """Takes motors' rows to what a position is off by, times the kp at which noise is taken.
@@ -417,10 +436,32 @@ class StandRows:
 
 
 @dataclass(frozen=True, eq=False)
+class Load:
+    """A known mass that was put on a link.
+
+    Attributes:
+        link: The link.
+        number: Of the joint that moves it.
+        stated: What it weighs by a scale (kg).
+        mass: What it weighs (kg).
+        place: (3,) where it is, in that joint's frame (m).
+        turn: (3, 3) the link's axes there.
+    """
+
+    link: str
+    number: int
+    stated: float
+    mass: float
+    place: Array
+    turn: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Numbers:
     """What a vector of parameters says of a robot and its surroundings.
 
     Attributes:
+        vector: (n,) the parameters.
         robot: The robot, with these masses in Pinocchio's model.
         bodies: (link, number of its joint, mass (kg), com (3,) in its frame (m)) of each.
         kp: (nu,) N m/rad.
@@ -438,8 +479,10 @@ class Numbers:
         heaviness: The mass at which noise is taken (kg), as ``stiff`` is the kp.
         stiff: (nu,) kp, by which an encoder's noise becomes torque.
         rubbing: (nu,) friction, that nobody knows the place in.
+        loads: Known masses that were put on.
     """
 
+    vector: Array
     robot: Robot
     bodies: tuple[tuple[str, int, float, Array], ...]
     kp: Array
@@ -457,6 +500,31 @@ class Numbers:
     heaviness: float
     stiff: Array
     rubbing: Array
+    loads: tuple[Load, ...] = ()
+
+    def of(self, reading: Reading, table: ParameterTable) -> Numbers:
+        """Returns the same as a stand has it: with known masses on, turned about the vertical."""
+        if not reading.added and not reading.heading:
+            return self
+        model, loads = self.robot.pin_model.copy(), []
+        other = self.robot.structure.model  # whose joints the regressor numbers
+        for link, (stated, *place) in reading.added.items():
+            frame = other.frames[other.getFrameId(link, pin.FrameType.BODY)]
+            mass = stated * table.value(self.vector, "added", link, "", 1.0)
+            moved = [table.value(self.vector, "place", link, axis, 0.0) for axis in AXES]
+            at = frame.placement.act(np.array(place) + moved)
+            turn = frame.placement.rotation
+            loads.append(Load(link, frame.parentJoint, float(stated), mass, at, turn))
+            moves = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+            model.inertias[moves] += pin.Inertia(mass, at, np.zeros((3, 3)))
+        back = pin.utils.rotate("z", -reading.heading)
+        return replace(
+            self,
+            robot=replace(self.robot, pin_model=model),
+            down=back @ self.down,
+            tilts=self.tilts @ back.T,
+            loads=tuple(loads),
+        )
 
 
 class GravityRegressor:
@@ -476,7 +544,8 @@ class GravityRegressor:
     ) -> tuple[Array, list[Array], list[Array], list[Array]]:
         """Returns gravity's forces (nv,), and their derivatives.
 
-        By each body's mass (nv,), by its com (nv, 3), and by the slope along x and y (nv,).
+        By each body's mass (nv,), by its com (nv, 3), those of known loads last, and by the slope
+        along x and y (nv,).
         """
         q, found = self._structure.convention.unit_q(config.qpos), []
         for pull in (numbers.down, *numbers.tilts):
@@ -485,20 +554,19 @@ class GravityRegressor:
                 self._model, self._data, q, self._rest, self._rest
             )
             found.append(self._structure.columns(rows.T).T)
-        columns = [10 * (number - 1) + np.arange(4) for _, number, *_ in numbers.bodies]
-        moments = [np.array([m, *(m * com)]) for *_, m, com in numbers.bodies]
+        bodies = [(number, mass, com) for _, number, mass, com in numbers.bodies]
+        bodies += [(one.number, one.mass, one.place) for one in numbers.loads]
+        columns = [10 * (number - 1) + np.arange(4) for number, *_ in bodies]
+        moments = [np.array([mass, *(mass * com)]) for _, mass, com in bodies]
         forces = [
             np.sum([rows[:, at] @ own for at, own in zip(columns, moments, strict=True)], axis=0)
             for rows in found
         ]
         level = [found[0][:, at] for at in columns]
         by_mass = [
-            rows[:, 0] + rows[:, 1:] @ com
-            for rows, (*_, com) in zip(level, numbers.bodies, strict=True)
+            rows[:, 0] + rows[:, 1:] @ com for rows, (*_, com) in zip(level, bodies, strict=True)
         ]
-        by_com = [
-            mass * rows[:, 1:] for rows, (*_, mass, _) in zip(level, numbers.bodies, strict=True)
-        ]
+        by_com = [mass * rows[:, 1:] for rows, (_, mass, _) in zip(level, bodies, strict=True)]
         return forces[0], by_mass, by_com, forces[1:]
 
 
@@ -606,11 +674,11 @@ class StandEquations:
         return Linearised.of(rest @ residual, rest @ by_x, log_noise)
 
     def _look(self, stand: int, numbers: Numbers) -> StandRows:
-        base, forces = self._own[stand]
+        (base, forces), reading = self._own[stand], self._readings[stand]
         return StandRows(
             self.table,
-            numbers,
-            self._readings[stand],
+            numbers.of(reading, self.table),
+            reading,
             self._laws,
             base,
             forces,
@@ -636,6 +704,7 @@ class StandEquations:
         one, two = (table.value(x, "slope", "floor", axis, 0.0) for axis in "xy")
         upright = math.sqrt(1 - one * one - two * two)
         return Numbers(
+            vector=x,
             robot=replace(robot, pin_model=model),
             bodies=tuple(bodies),
             kp=self._per_joint(x, "kp", self._kp),
@@ -784,6 +853,16 @@ class StandEquations:
         return other
 
     @property
+    def count(self) -> int:
+        """How many stands there are."""
+        return len(self._readings)
+
+    @property
+    def loaded(self) -> bool:
+        """Whether a known mass was put on in any of the stands."""
+        return any(reading.added for reading in self._readings)
+
+    @property
     def lifted(self) -> bool:
         """Whether a foot is in the air in any of the stands."""
         every = len(self.robot.contact_points)
@@ -793,6 +872,7 @@ class StandEquations:
         self,
         stands: Sequence[tuple[Array, Array, Mapping[str, Array], tuple[str, ...]]],
         x: Array,
+        added: Sequence[Mapping[str, Array]] | None = None,
     ) -> StandEquations:
         """Returns the same of other stands that servos hold, read as these were.
 
@@ -800,9 +880,11 @@ class StandEquations:
             stands: Configuration (nq,), torques (nu,) (N m), forces on contact points (3,) (N), and
                 the feet in the air, of each.
             x: (n,) parameters.
+            added: {link: known mass on it (kg), and where (m)} (4,) in each; none by default.
         """
         numbers, like, readings, own = self._numbers(x), self._readings[0], [], []
-        for qpos, torque, forces, swing in stands:
+        loads = added or [{}] * len(stands)
+        for (qpos, torque, forces, swing), load in zip(stands, loads, strict=True):
             lead = np.divide(torque, numbers.kp, out=np.zeros_like(torque), where=numbers.kp > 0)
             read = qpos[7:] + numbers.offset
             points = tuple(
@@ -821,6 +903,8 @@ class StandEquations:
                     tilt=np.full(2, np.nan),
                     points=points,
                     sides=np.zeros(self.robot.nu),
+                    heading=0.0,
+                    added=load,
                 )
             )
             own.append((qpos[[3, 4, 5, 6, 2]], np.array([forces[point] for point in points])))

@@ -110,6 +110,7 @@ def describe_stands(
     expected: StandNoise,
     notes: Sequence[Diagnostic],
     weight: float | None,
+    doubts: Sequence[Diagnostic] = (),
 ) -> StandFit:
     """Returns what measurements tell, in numbers with intervals.
 
@@ -121,6 +122,7 @@ def describe_stands(
         expected: The noise that was expected.
         notes: What was found before.
         weight: Of the whole robot by a scale (kg); None if it was not weighed.
+        doubts: What speaks against it.
     """
     found = tuple(describe_parameters(posterior))
     more = dict(further_measurements(equations, posterior, weighed=weight is not None))
@@ -146,6 +148,7 @@ def describe_stands(
         },
         failures=(
             *doubt_scale(robot, posterior, weight),
+            *doubts,
             *doubt_stands(posterior, equations.noise, expected),
         ),
         diagnostics=(*notes, *_findings(posterior)),
@@ -286,6 +289,27 @@ def doubt_scale(
         kp=None if stiffer is None else stiffer.mean,
         mass=total.mean / robot.total_mass,
     )
+
+
+def doubt_weight(robot: Robot, unweighed: Posterior, weight: float) -> Iterator[Diagnostic]:
+    """Yields that a known mass, which was put on, says another weight than the scale.
+
+    Args:
+        robot: The robot.
+        unweighed: What is known of the parameters without the scale.
+        weight: Of the whole robot by the scale (kg).
+    """
+    from scipy import stats  # slow to import
+
+    total, sure = _total_mass(robot, unweighed), WEIGHED * weight
+    off = (total.mean - weight) / math.hypot(total.std, sure)
+    if stats.chi2.sf(off**2, 1) < _CHANCE:
+        yield diagnose(
+            "known-mass-contradicts-the-scale",
+            weight=Quantity(weight, "kg"),
+            mass=Quantity(total.mean, "kg"),
+            half=Quantity(NORMAL_95 * total.std, "kg"),
+        )
 
 
 def _surprise(posterior: Posterior, lines: Array) -> tuple[float, int, Array]:
@@ -467,6 +491,9 @@ def further_measurements(
         yield "come-from-both-sides", _of_first(both, x) - scaled * here
     if (three := on_three_feet(equations, x)) is not None:
         yield "stand-on-three-feet", scaled * three.linearise(x, x).information
+    if (loaded := with_known_mass(equations, x)) is not None:
+        information = loaded.linearise(x, x).information
+        yield "put-a-known-mass-on", scaled * information * equations.count / 2
 
 
 def _of_first(equations: StandEquations, x: Array) -> Array:
@@ -513,6 +540,36 @@ def on_three_feet(equations: StandEquations, x: Array) -> StandEquations | None:
         stands.append((stand.qpos, held.joint_torques, held.contact_forces, (foot,)))
     return equations.of_stands(stands, x) if stands else None
 
+
+def with_known_mass(equations: StandEquations, x: Array) -> StandEquations | None:
+    """Returns equations of the nominal stand with a known mass on the base, and without.
+
+    Args:
+        equations: Of stands.
+        x: (n,) parameters.
+
+    Returns:
+        The equations; None if a mass was on already, or the robot does not stand so.
+    """
+    from pupper_analysis.robot.tool import with_payload
+    from pupper_analysis.stance.stand import solve_stand, stand_statics
+
+    robot, stands = equations.robot, []
+    if equations.loaded:
+        return None
+    mass = KNOWN_MASS * robot.total_mass
+    try:
+        for one in (robot, with_payload(robot, mass)):
+            stand = solve_stand(one)
+            held = stand_statics(one, stand)
+            stands.append((stand.qpos, held.joint_torques, held.contact_forces, ()))
+    except PupperAnalysisError:
+        return None
+    return equations.of_stands(stands, x, [{}, {robot.base: np.array([mass, 0.0, 0.0, 0.0])}])
+
+
+KNOWN_MASS = 0.15
+"""Of the robot's: 500 g on Pupper v3. With 200 g kp is known to 12 to 14 % by it alone."""
 
 _LIFTED, _MARGIN = 0.15, 0.03
 """Of the height: how high a foot is lifted, and how far the com is within the others' triangle. As
@@ -563,9 +620,11 @@ def fit_stands(
         kp: Stiffness of the servos (N m/rad), one or (nu,); the model's own by default.
         encoder: Standard deviation of a position (rad); from the encoders' step by default.
 
+    A stand whose feet cannot be where they are said to be is left out with a note; up to a quarter.
+
     Raises:
         MeasurementError: If they are none of this robot's: joints or feet that it has not, too few
-            stands, one that is not at rest, a foot that would have to pull.
+            stands, one that is not at rest, feet that would have to pull in many.
         ConfigurationError: If a prior says nothing, a weight is none, or the base is fixed.
         FitError: If it does not converge.
     """
@@ -584,17 +643,54 @@ def fit_stands(
         return _Problem.of(robot, given, wanted, weight, kp, encoder).evidence()
 
     try:
-        found = fit(given)
+        found = _without_contradictions(fit, given)
     except (MeasurementError, FitError) as error:
         if wiring := find_wiring(robot, given, evidence, fit):
             raise MeasurementError(given.source, wiring.found) from error
         raise
     # Plugs that are exchanged leave residuals; a scale that is wrong leaves none.
-    if all(one.code == "scale-far-from-the-file" for one in found.failures):
+    if all(one.code in _OF_SCALES for one in found.failures):
         return found
     if wiring := find_wiring(robot, given, evidence, fit):
         return replace(found, failures=(wiring.found, *found.failures))
     return found
+
+
+_OF_SCALES = ("scale-far-from-the-file", "known-mass-contradicts-the-scale")
+
+
+def _without_contradictions(
+    fit: Callable[[MeasuredStands], StandFit], given: MeasuredStands
+) -> StandFit:
+    """Fits stands, without those whose feet are not where they are said to be, one after the other.
+
+    Raises:
+        MeasurementError: If there are many of them: something else is wrong.
+        FitError: If it does not converge.
+    """
+    notes: list[Diagnostic] = []
+    first: MeasurementError | None = None
+    rest = given
+    while True:
+        try:
+            found = fit(rest)
+        except MeasurementError as error:
+            if error.cause.code not in _CONTRADICTIONS:
+                raise
+            first = first or error
+            if len(notes) + 1 > _LEFT_OUT * len(given):
+                raise first from None
+            name = error.cause.values["stand"]
+            notes.append(diagnose("stand-left-out", why=error.cause))
+            rest = rest.part([row for row, own in enumerate(rest.names) if own != name])
+        else:
+            return replace(found, diagnostics=(*notes, *found.diagnostics))
+
+
+_CONTRADICTIONS = ("foot-in-the-air-touches", "foot-would-pull")
+
+_LEFT_OUT = 0.25
+"""Of the stands, at most: where more contradict the model, it is no slip of who took them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -680,9 +776,14 @@ class _Problem:
                 break
             settled = bool((nearer == stopped).all())
             stopped = nearer
+        doubts: list[Diagnostic] = []
+        if self.weight is not None and equations.loaded:
+            unweighed = _estimate(robot, used, equations, _weighed(robot, table, None), known.mean)
+            doubts = list(doubt_weight(robot, unweighed, self.weight))
+            equations.linearise(known.mean, known.mean, _SETTLES)  # the stands' own unknowns again
         equations.table = ParameterTable(known.parameters)
         notes = (*_unused(robot, given, self.stiffness, stopped), *unbounded_coms(robot, table))
-        return describe_stands(robot, used, equations, known, noise, notes, self.weight)
+        return describe_stands(robot, used, equations, known, noise, notes, self.weight, doubts)
 
 
 def _estimate(
@@ -767,6 +868,11 @@ def parameters_of(
     if np.isfinite(stands.command).any():
         yield "deadband", "servos", "", 0.0
     yield "pull", "cable", "", 0.0
+    for link, loads in stands.added.items():
+        if loads[:, 0].any():
+            yield "added", link, "", 1.0
+            for axis in AXES:
+                yield "place", link, axis, 0.0
     if np.isfinite(stands.tilt).any():
         yield "imu", "imu", "roll", 0.0
         yield "imu", "imu", "pitch", 0.0
@@ -911,6 +1017,7 @@ def _check_feet(
     _, offsets = _offsets(robot, equations.table, posterior)
     x = equations.table.stated if posterior is None else posterior.mean
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    found: list[tuple[float, Diagnostic]] = []
     for row, name in enumerate(stands.names):
         for foot, (height, off) in equations.heights_in_the_air(row, x, offsets).items():
             if height < -_TOUCHES * off:
@@ -920,7 +1027,7 @@ def _check_feet(
                     stand=name,
                     height=Quantity(height, "m"),
                 )
-                raise MeasurementError(stands.source, finding)
+                found.append((-height / (_TOUCHES * off), finding))
         for foot, force in equations.normal_forces(row).items():
             if force < -_PULLS * weight:
                 finding = diagnose(
@@ -930,7 +1037,9 @@ def _check_feet(
                     force=Quantity(-force, "N"),
                     swing=list(stands.swing[row]),
                 )
-                raise MeasurementError(stands.source, finding)
+                found.append((-force / (_PULLS * weight), finding))
+    if found:  # the worst one: it may have drawn others
+        raise MeasurementError(stands.source, max(found, key=lambda one: one[0])[1])
 
 
 # Coordinates of parameters in which what is known before is normal: logarithms of what scales.

@@ -22,6 +22,7 @@ from pupper_analysis.base.kinds import PLAN
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, servo_gains
+from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import solve_stand
@@ -64,6 +65,9 @@ class PlannedStand(Result):
         approach: From where it is to be come to, ``above`` or ``below``; empty if it is all one.
         command: {joint: command of its servo (rad)}.
         utilisation: Of the motor that gives most of what it can; None if none has a limit.
+        heading: How the robot is to be turned about the vertical (rad): the slope of the ground
+            changes with it, and a com does not.
+        added: Known mass that is to be put on (kg).
     """
 
     name: str
@@ -71,6 +75,8 @@ class PlannedStand(Result):
     approach: str
     command: Mapping[str, float]
     utilisation: float | None
+    heading: float = 0.0
+    added: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +89,7 @@ class StandPlan(Result):
         expected: Of each parameter, the interval that these stands will leave.
         candidates: Among how many they were chosen.
         gain: Logarithm of by how much the volume of what is not known shrinks.
+        place: Where a known mass is to be put on; None if no stand has one.
     """
 
     name: str
@@ -90,6 +97,7 @@ class StandPlan(Result):
     expected: tuple[Expected, ...]
     candidates: int
     gain: float
+    place: Tool | None = None
 
 
 @check_arguments
@@ -100,6 +108,8 @@ def plan_stands(
     priors: Sequence[Prior | str] = (),
     kp: ArrayLike | None = None,
     both_sides: bool = False,
+    added: float = 0.0,
+    added_at: Place = (0.0, 0.0, 0.0),
     seed: int = 0,
 ) -> StandPlan:
     """Chooses the stands whose measurement tells most of a robot's numbers.
@@ -107,7 +117,9 @@ def plan_stands(
     D-optimal: of random stands that the robot can hold, those are taken, one after the other, that
     make the determinant of what is known largest, and each is then exchanged as long as that
     betters it. They are in reach and balance, clear of themselves, within 60 % of the motors'
-    limits, and their servos hold them with the feed-forward of the file's own masses.
+    limits, and their servos hold them with the feed-forward of the file's own masses. At most a
+    third is on three feet, half of the candidates is turned by 180 degrees, and half has the known
+    mass on, if there is one.
 
     Args:
         robot: The robot, with a free base and feet.
@@ -115,6 +127,8 @@ def plan_stands(
         priors: What is known before; as for ``fit_stands``.
         kp: Stiffness of the servos (N m/rad); the model's own by default.
         both_sides: Come to each from above and from below, so that they tell dry friction.
+        added: Known mass to be put on for some of the stands (kg).
+        added_at: Where, in the base's frame or in that of a link (m).
         seed: Of the random stands.
 
     Raises:
@@ -130,11 +144,21 @@ def plan_stands(
     stiffness = stated_stiffness(robot, robot.name, np.ones(robot.nu, dtype=bool), kp)
     rng = np.random.default_rng(seed)
     known = parse_priors(priors)
-    candidates = RandomStands(robot, rng, kp, known)
-    found = candidates.draw(_CANDIDATES * count)
-    if len(found) < count:
-        raise MeasurementError(robot.name, candidates.explain(count))
-    stands = _predicted(robot, found, kp, both_sides=both_sides)
+    loaded = with_payload(robot, added, added_at)
+    found: list[_Candidate] = []
+    for one in [robot] if loaded is robot else [robot, loaded]:
+        candidates = RandomStands(one, rng, kp, known)
+        share = _CANDIDATES * count if loaded is robot else -(-_CANDIDATES * count // 2)
+        drawn = candidates.draw(share)
+        mass = 0.0 if one is robot else added
+        found += [
+            _Candidate(stand, sagged, math.pi * (at % 2), mass)
+            for at, (stand, sagged) in enumerate(drawn)
+        ]
+        if len(drawn) < min(count, share):
+            raise MeasurementError(robot.name, candidates.explain(count))
+    place = find_place(robot, added_at)
+    stands = _predicted(robot, found, place, kp, both_sides=both_sides)
     rubbing = robot.joint_friction
     table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness, rubbing), known))
     noise, friction = expected_noise(robot, stands, rubbing, None)
@@ -142,7 +166,8 @@ def plan_stands(
     each = equations.informations(table.stated)
     if both_sides:  # the two approaches of a stand are one
         each = [one + other for one, other in zip(each[0::2], each[1::2], strict=True)]
-    chosen = choose_stands(each, table.precision, count)
+    lifted = [bool(one.stand.task.swing) for one in found]
+    chosen = choose_stands(each, table.precision, count, lifted, count // _ON_THREE_AT_MOST)
     whole = table.precision + np.sum([each[place] for place in chosen], axis=0)
     deviation = np.sqrt(np.diag(np.linalg.inv(whole)))
     return StandPlan(
@@ -161,10 +186,31 @@ def plan_stands(
         ),
         candidates=len(found),
         gain=float(_volume(whole) - _volume(table.precision)),
+        place=place if loaded is not robot else None,
     )
 
 
-def choose_stands(each: Sequence[Array], before: Array, count: int) -> tuple[int, ...]:
+_ON_THREE_AT_MOST = 3
+"""One in so many stands is on three feet: which foot carries then, a person must see."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A stand that may be taken: how it is held, turned, and which known mass is on it (kg)."""
+
+    stand: Stand
+    sagged: SteadyState
+    heading: float
+    added: float
+
+
+def choose_stands(
+    each: Sequence[Array],
+    before: Array,
+    count: int,
+    rare: Sequence[bool] = (),
+    most: int = 0,
+) -> tuple[int, ...]:
     """Returns which of some measurements make the determinant of all information largest.
 
     Taken greedily, then exchanged one by one: Fedorov's algorithm, which ends where no exchange
@@ -174,20 +220,29 @@ def choose_stands(each: Sequence[Array], before: Array, count: int) -> tuple[int
         each: Information (n, n) of each.
         before: (n, n) what is known without them.
         count: How many are taken.
+        rare: Of each, whether no more than ``most`` are taken, as long as there are others.
+        most: How many.
     """
     chosen: list[int] = []
+    scarce = set(np.flatnonzero(rare).tolist())
+
+    def open_ones(had: Sequence[int]) -> list[int]:
+        left = [place for place in range(len(each)) if place not in had]
+        full = len(scarce & set(had)) >= most
+        return [place for place in left if not full or place not in scarce] or left
+
     whole = before.copy()
     for _ in range(count):
-        left = [place for place in range(len(each)) if place not in chosen]
-        best = max(left, key=lambda place: _volume(whole + each[place]))
+        best = max(open_ones(chosen), key=lambda place: _volume(whole + each[place]))
         chosen.append(best)
         whole = whole + each[best]
     for _ in range(_EXCHANGES):
         had = list(chosen)
         for slot, place in enumerate(had):
             without = whole - each[place]
-            left = [one for one in range(len(each)) if one not in chosen or one == place]
-            best = max(left, key=lambda one: _volume(without + each[one]))
+            others = [*chosen[:slot], *chosen[slot + 1 :]]
+            allowed = dict.fromkeys([*open_ones(others), place])
+            best = max(allowed, key=lambda one: _volume(without + each[one]))
             chosen[slot], whole = best, without + each[best]
         if chosen == had:
             break
@@ -204,7 +259,8 @@ def _volume(information: Array) -> float:
 
 def _predicted(
     robot: Robot,
-    found: Sequence[tuple[Stand, SteadyState]],
+    found: Sequence[_Candidate],
+    place: Tool,
     kp: ArrayLike | None,
     *,
     both_sides: bool,
@@ -213,17 +269,20 @@ def _predicted(
     times = 2 if both_sides else 1
     rows = [one for one in found for _ in range(times)]
     blank = np.full((len(rows), robot.nu), np.nan)
+    loads = np.array([[one.added, *place.offset] for one in rows])
     return MeasuredStands(
         source=robot.name,
         names=tuple(str(row) for row in range(len(rows))),
         joints=robot.joint_names,
-        command=np.array([_command(robot, sagged, kp) for _, sagged in rows]),
-        position=np.array([sagged.qpos[7:] for _, sagged in rows]),
+        command=np.array([_command(robot, one.sagged, kp) for one in rows]),
+        position=np.array([one.sagged.qpos[7:] for one in rows]),
         torque=blank,
         force={},
         tilt=np.full((len(rows), 2), np.nan),
-        swing=tuple(tuple(stand.task.swing) for stand, _ in rows),
+        swing=tuple(tuple(one.stand.task.swing) for one in rows),
         approach=("above", "below") * len(found) if both_sides else ("",) * len(rows),
+        heading=np.array([one.heading for one in rows]),
+        added={place.link: loads} if loads[:, 0].any() else {},
     )
 
 
@@ -238,27 +297,34 @@ def _command(robot: Robot, sagged: SteadyState, kp: ArrayLike | None) -> Array:
 
 def _plan(
     robot: Robot,
-    found: Sequence[tuple[Stand, SteadyState]],
+    found: Sequence[_Candidate],
     chosen: Sequence[int],
     kp: ArrayLike | None,
     *,
     both_sides: bool,
 ) -> list[PlannedStand]:
-    """Returns the chosen stands: those on all feet first, each group from low to high."""
+    """Returns the chosen stands, with least to do between them.
 
-    def order(place: int) -> tuple[int, float]:
-        stand = found[place][0]
-        return len(stand.task.swing), float(stand.qpos[2])
+    Those without a known mass first; of these those on all feet, as they are turned; from low to
+    high.
+    """
+
+    def order(place: int) -> tuple[float, int, float, float]:
+        one = found[place]
+        return one.added, len(one.stand.task.swing), one.heading, float(one.stand.qpos[2])
 
     planned = []
     for number, place in enumerate(sorted(chosen, key=order), 1):
-        stand, sagged = found[place]
-        share = float((np.abs(sagged.joint_torques) / robot.effort_limits).max())
+        candidate = found[place]
+        command = _command(robot, candidate.sagged, kp).tolist()
+        share = float((np.abs(candidate.sagged.joint_torques) / robot.effort_limits).max())
         one = PlannedStand(
             name=f"s{number:02d}",
-            swing=tuple(stand.task.swing),
+            swing=tuple(candidate.stand.task.swing),
             approach="",
-            command=dict(zip(robot.joint_names, _command(robot, sagged, kp).tolist(), strict=True)),
+            heading=candidate.heading,
+            added=candidate.added,
+            command=dict(zip(robot.joint_names, command, strict=True)),
             utilisation=share if np.isfinite(robot.effort_limits).any() else None,
         )
         sides = ("above", "below") if both_sides else ("",)
@@ -285,14 +351,21 @@ def write_plan(
     joints = list(plan.stands[0].command)
     unit, size = (" [deg]", 180 / math.pi) if degrees else ("", 1.0)
     columns = [f"{kind}.{joint}{unit}" for kind in ("command", "position") for joint in joints]
+    place, loads = plan.place, []
+    if place is not None:
+        loads = [f"added.{place.link}", *(f"added_{axis}.{place.link}" for axis in AXES)]
+    turned = [f"heading{unit}"] if any(one.heading for one in plan.stands) else []
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["stand", "swing", "from", *columns])
+    writer.writerow(["stand", "swing", "from", *turned, *loads, *columns])
     for one in plan.stands:
         commands = [f"{size * one.command[joint]:.6f}" for joint in joints]
-        writer.writerow(
-            [one.name, " ".join(one.swing), one.approach, *commands, *([""] * len(joints))]
-        )
+        heading = [f"{size * one.heading:.6g}" if one.heading else ""] if turned else []
+        on = [""] * len(loads)
+        if place is not None and one.added:
+            on = [f"{value:.6g}" for value in (one.added, *place.offset)]
+        first = [one.name, " ".join(one.swing), one.approach, *heading]
+        writer.writerow([*first, *on, *commands, *([""] * len(joints))])
     with whole_file(Path(path), PLAN, force=force) as file:
         file.write(text.getvalue().encode())
 

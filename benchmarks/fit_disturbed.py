@@ -1,0 +1,479 @@
+"""Fits to stands of robots that have what no fit has: stiction, backlash, cables, swapped plugs.
+
+    python benchmarks/fit_disturbed.py [--robot v3] [--kp 60] [--only none --only stiction-0.1]
+        [--seeds 2] [--csv docs/data/fit-disturbances.csv]
+
+Stands are planned by ``fit --plan``, and taken in bare MuJoCo: the MJCF's own bodies and contacts,
+with masses (15 %), coms (10 mm), zeros of encoders (1.5 deg) and kp (15 %, half of it common) that
+are off, and ``noslip``. Servos are explicit torques, and dry friction is a bristle: a spring to a
+point that is dragged along where it would give more than the friction (MuJoCo's own creeps until no
+friction is left). Each stand is set down from 1 cm and read after 4 s by an encoder of 14 bits. A
+person says which feet carry; stands in which fewer than three do, or that do not rest, are not
+taken. Then the stands are fitted as a person would: default priors, ``--weight``.
+
+Of each disturbance it is counted how many fits are EXPLAINED, and how many intervals that the
+measurements determine hold the truth there; what the other fits name; and which are refused.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import sys
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from fit_stands import Planted, plant
+
+import pupper_analysis as pa
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import model_with_servos, servo_gains
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.stands.fit import StandFit, fit_stands
+from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, plan_stands
+from pupper_analysis.tools.study.parameters import scale_robot
+
+V3_TORQUE = 3.17 * 9.81 * 0.158
+"""Weight times height of Pupper v3 (N m): friction is scaled by it to other robots."""
+
+BRISTLE = 2e-3
+"""rad: by so much a joint moves before its friction is whole."""
+
+RUBBER = (1e-3, 2e-4)
+"""m: torsional and rolling friction of a foot."""
+
+STEP = 1e-3
+"""s of a simulation."""
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What the robot and its stands have, and the fit does not know.
+
+    Attributes:
+        stiction: Dry friction that holds (N m on v3); what files state is taken away.
+        deadband: Error for which servos give nothing (rad).
+        cable: Force on the base, in parts of the weight: backwards and up.
+        pack: Mass that is put on the base once the robot was weighed, in parts of its own.
+        weight: Factor on what the scale shows.
+        backlash: Play of the gears (rad): the encoder is on the motor's side.
+        plate: How high what the first foot stands on is (m).
+        slope: Of the ground (rad).
+        swapped: Whether two plugs are exchanged.
+        negated: Whether a joint has the other sign.
+        soft: Factor on one servo's kp.
+        calf: Factor on the length of one leg's last link.
+        calves: The same of all legs.
+        lean: Force on the base to one side, in parts of the weight.
+        drop: From how high stands are set down (m).
+        bits: Of encoders.
+        seconds: After which they are read.
+        added: Known mass that is put on for some stands, in parts of the robot's.
+    """
+
+    stiction: float = 0.02
+    deadband: float = 0.0
+    cable: tuple[float, float] = (0.0, 0.0)
+    pack: float = 0.0
+    weight: float = 1.0
+    backlash: float = 0.0
+    plate: float = 0.0
+    slope: float = 0.0
+    swapped: bool = False
+    negated: bool = False
+    soft: float = 1.0
+    calf: float = 1.0
+    calves: float = 1.0
+    lean: float = 0.0
+    drop: float = 0.01
+    bits: int = 14
+    seconds: float = 4.0
+    added: float = 0.0
+
+
+PLAIN = Disturbance()
+DISTURBANCES: Mapping[str, Disturbance] = {
+    "none": PLAIN,
+    "none, known mass": replace(PLAIN, added=0.07),
+    "dead band 0.3 deg": replace(PLAIN, deadband=math.radians(0.3)),
+    "cable carries 5 %": replace(PLAIN, cable=(0.0, 0.05)),
+    "cable carries 5 %, known mass": replace(PLAIN, cable=(0.0, 0.05), added=0.07),
+    "cable back 2 %, up 3 %": replace(PLAIN, cable=(0.02, 0.03)),
+    "pack of 10 % after weighing": replace(PLAIN, pack=0.1),
+    "pack of 10 % after weighing, known mass": replace(PLAIN, pack=0.1, added=0.07),
+    "weight 2.15 times": replace(PLAIN, weight=2.15),
+    "weight 2.15 times, known mass": replace(PLAIN, weight=2.15, added=0.07),
+    "stiction 0.05 N m": replace(PLAIN, stiction=0.05),
+    "stiction 0.1 N m": replace(PLAIN, stiction=0.1),
+    "stiction 0.2 N m": replace(PLAIN, stiction=0.2),
+    "backlash 0.5 deg": replace(PLAIN, backlash=math.radians(0.5)),
+    "foot on 2 mm": replace(PLAIN, plate=2e-3),
+    "slope 0.5 deg": replace(PLAIN, slope=math.radians(0.5)),
+    "slope 1 deg": replace(PLAIN, slope=math.radians(1.0)),
+    "slope 1.5 deg": replace(PLAIN, slope=math.radians(1.5)),
+    "swapped plugs": replace(PLAIN, swapped=True),
+    "wrong sign": replace(PLAIN, negated=True),
+    "one kp -30 %": replace(PLAIN, soft=0.7),
+    "one calf 4 % longer": replace(PLAIN, calf=1.04),
+    "all calves 4 % longer": replace(PLAIN, calves=1.04),
+    "leans by 2 %": replace(PLAIN, lean=0.02),
+    "dropped from 3 cm": replace(PLAIN, drop=0.03),
+    "12 bits": replace(PLAIN, bits=12),
+    "read after 2 s": replace(PLAIN, seconds=2.0),
+}
+
+
+class Rig:
+    """A robot in bare MuJoCo, with servos and friction of its own.
+
+    Args:
+        planted: What is true of the robot.
+        other: What else it has.
+    """
+
+    def __init__(self, planted: Planted, other: Disturbance) -> None:
+        stated, self.other = planted.stated, other
+        factors = {}
+        last = [stated.joint_names[j] for j in last_joints(stated)]
+        if other.calf != 1:
+            factors[f"length:{last[0]}"] = other.calf
+        if other.calves != 1:
+            factors |= {f"length:{name}": other.calves for name in last}
+        true = scale_robot(planted.robot, factors) if factors else planted.robot
+        self.robot, self.planted = true, planted
+        self.kp = planted.kp.copy()
+        self.kp[last_joints(stated)[-1]] *= other.soft
+        drive = model_with_servos(true, self.kp, servo_gains(stated, self.kp, None).kd)
+        self.model = drive.model
+        at = true.mj_convention
+        self.qpos, self.dofs = at.qpos_index[7:], at.qvel_index[6:]
+        self.every = at.qpos_index
+        self.model.opt.timestep = STEP
+        self.model.opt.noslip_iterations = 20
+        self.model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self.model.actuator_gainprm[:] = self.model.actuator_biasprm[:] = 0  # torques are our own
+        self.model.dof_frictionloss[:] = 0
+        # Feet of rubber: a patch of some millimetres turns and rolls. (With the 10 cm of v3's file
+        # feet that grip would carry moments of 12 mm of their force.)
+        self.model.geom_friction[:, 1:] = np.minimum(self.model.geom_friction[:, 1:], RUBBER)
+        self.model.pair_friction[:, 2:] = np.minimum(
+            self.model.pair_friction[:, 2:], [RUBBER[0], RUBBER[1], RUBBER[1]]
+        )
+        self.model.dof_damping[self.dofs] += drive.kd
+        self.weight = true.total_mass * float(np.linalg.norm(true.gravity))
+        scale = self.weight * stated.stand_height / V3_TORQUE
+        self.friction = other.stiction * scale
+        self.base = int(self.model.jnt_bodyid[self.model.jnt_type.argmin()])
+        if other.plate:
+            geom = next(g for g, f in true.foot_geoms.items() if f == next(iter(true.feet)))
+            self.model.geom_margin[geom] += other.plate
+        if other.pack:
+            self.add(other.pack * true.total_mass, np.array([0.3, 0.0, 0.3]) * stated.stand_height)
+        self.limits = np.where(np.isfinite(true.effort_limits), true.effort_limits, 1e6)
+        self.wiring, self.signs = np.arange(true.nu), np.ones(true.nu)
+        if other.swapped:
+            one, two = last_joints(stated)[:2]
+            self.wiring[[one, two]] = two, one
+        if other.negated:
+            self.signs[last_joints(stated)[1]] = -1.0
+
+    def add(self, mass: float, place: np.ndarray) -> None:
+        """Puts a point mass on the base (kg, m)."""
+        model, body = self.model, self.base
+        had, com = float(model.body_mass[body]), model.body_ipos[body].copy()
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+        turn = turn.reshape(3, 3)
+        whole = (had * com + mass * place) / (had + mass)
+        inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
+        for m, at in ((had, com - whole), (mass, place - whole)):
+            inertia += m * (at @ at * np.eye(3) - np.outer(at, at))
+        values, axes = np.linalg.eigh(inertia)
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        model.body_mass[body], model.body_ipos[body] = had + mass, whole
+        model.body_inertia[body] = values
+        mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    def take(
+        self, one: PlannedStand, place: np.ndarray
+    ) -> tuple[np.ndarray, tuple[str, ...]] | None:
+        """Returns what encoders read (nu,) of a stand, and which feet are in the air."""
+        model = self.model
+        had = {
+            n: getattr(model, n).copy()
+            for n in ("body_mass", "body_ipos", "body_inertia", "body_iquat")
+        }
+        if one.added:
+            self.add(one.added, place)
+        try:
+            return self._take(one)
+        finally:
+            for name, values in had.items():
+                getattr(model, name)[:] = values
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    def _take(self, one: PlannedStand) -> tuple[np.ndarray, tuple[str, ...]] | None:
+        other, true, model = self.other, self.robot, self.model
+        offset = self.planted.offsets
+        said = np.array([one.command[name] for name in true.joint_names])
+        command = (self.signs * said)[self.wiring] - offset  # of each motor, true
+        data = mujoco.MjData(model)
+        data.qpos[self.every] = self._above(command, one.swing, other.drop)
+        size, along = float(np.linalg.norm(true.gravity)), math.sin(other.slope)
+        c, s = math.cos(one.heading), math.sin(one.heading)
+        model.opt.gravity[:] = size * np.array([c * along, -s * along, -math.cos(other.slope)])
+        data.xfrc_applied[self.base, :3] = self.weight * np.array(
+            [-other.cable[0], other.lean, other.cable[1]]
+        )
+        limits, kp = self.limits, self.kp
+        bristle, friction = data.qpos[self.qpos].copy(), self.friction
+        side = np.zeros(true.nu)
+        for _ in range(int(other.seconds / STEP)):
+            q = data.qpos[self.qpos]
+            motor = q + other.backlash / 2 * side
+            error = command - motor
+            error = np.sign(error) * np.maximum(np.abs(error) - other.deadband, 0.0)
+            torque = np.clip(kp * error, -limits, limits)
+            side += 0.02 * (np.clip(torque / (0.05 * friction + 1e-9), -1, 1) - side)
+            stretch = q - bristle
+            held = np.clip(stretch / BRISTLE, -1, 1)
+            bristle = q - BRISTLE * held
+            data.qfrc_applied[self.dofs] = torque - friction * held
+            mujoco.mj_step(model, data)
+        if not np.isfinite(data.qpos).all() or np.abs(data.qvel).max() > 0.02:
+            return None
+        carry, force = Counter[str](), np.zeros(6)
+        for number in range(data.ncon):
+            contact = data.contact[number]
+            mujoco.mj_contactForce(model, data, number, force)
+            feet = {true.foot_geoms.get(int(geom)) for geom in contact.geom} - {None}
+            if not feet:  # it lies on something else
+                return None
+            carry[feet.pop()] += force[0]
+        on = {foot for foot, value in carry.items() if value > 0.005 * self.weight}
+        if len(on) < 3:
+            return None
+        q = data.qpos[self.qpos] + other.backlash / 2 * side
+        step = 2 * math.pi / 2**other.bits
+        read = np.round((q + offset) / step) * step
+        back = np.empty_like(read)
+        back[self.wiring] = read
+        return self.signs * back, tuple(foot for foot in true.feet if foot not in on)
+
+    def _above(self, q: np.ndarray, swing: tuple[str, ...], drop: float) -> np.ndarray:
+        """Returns qpos with the carrying feet level, so high above the ground."""
+        robot = self.robot
+        qpos = robot.posed(q)
+        data, model = mujoco.MjData(self.model), self.model
+        geoms = [g for g, foot in robot.foot_geoms.items() if foot not in swing]
+        every = list(robot.foot_geoms)
+        for _ in range(3):
+            data.qpos[self.every] = qpos
+            mujoco.mj_kinematics(model, data)
+            at = data.geom_xpos[geoms]
+            (a, b, _c), *_ = np.linalg.lstsq(
+                np.column_stack([at[:, :2], np.ones(len(at))]), at[:, 2], rcond=None
+            )
+            normal = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
+            axis = np.cross(normal, [0, 0, 1.0])
+            turn, new = np.array([1 + normal[2], *axis]), np.zeros(4)
+            mujoco.mju_mulQuat(new, turn / np.linalg.norm(turn), qpos[3:7])
+            qpos[3:7] = new
+        data.qpos[self.every] = qpos
+        mujoco.mj_kinematics(model, data)
+        low = (data.geom_xpos[every, 2] - model.geom_rbound[every]).min()
+        qpos[2] += drop - low
+        return qpos
+
+
+def last_joints(robot: Robot) -> list[int]:
+    """Returns the joint of each leg that is next to its foot, by its number."""
+    from pupper_analysis.robot.joints import leg_joints
+
+    points = [own[0] for own in robot.feet.values()]
+    return [robot.joint_names.index(leg_joints(robot, point)[-1]) for point in points]
+
+
+def truth_of(rig: Rig) -> dict[str, float]:
+    """Returns what is true by the estimates' names."""
+    truth, robot = dict(rig.planted.truth), rig.planted.stated
+    truth |= {f"kp {n}": float(k) for n, k in zip(robot.joint_names, rig.kp, strict=True)}
+    truth["mass"] = rig.robot.total_mass
+    base = robot.base
+    if rig.other.pack:
+        pack = rig.other.pack * rig.robot.total_mass
+        had = truth[f"mass {base}"]
+        at = np.array([0.3, 0.0, 0.3]) * robot.stand_height
+        for axis, place in zip("xyz", at, strict=True):
+            own = truth[f"com.{axis} {base}"]
+            truth[f"com.{axis} {base}"] = (had * own + pack * place) / (had + pack)
+        truth[f"mass {base}"] = had + pack
+        truth["mass"] += pack
+    for name in [
+        one
+        for one in truth
+        if one.partition(" ")[0] in ("slope.x", "slope.y", "friction", "imu.roll", "imu.pitch")
+    ]:
+        del truth[name]
+    return truth
+
+
+def stands_of(rig: Rig, plan: StandPlan) -> MeasuredStands | None:
+    """Returns what was measured of the planned stands that stood; None of fewer than five."""
+    place = np.zeros(3) if plan.place is None else plan.place.offset
+    taken = [(one, found) for one in plan.stands if (found := rig.take(one, place)) is not None]
+    if len(taken) < 5:
+        return None
+    names, robot = rig.robot.joint_names, rig.robot
+    blank = np.full((len(taken), robot.nu), np.nan)
+    loads = np.array([[one.added, *place] if one.added else [0.0] * 4 for one, _ in taken])
+    return MeasuredStands(
+        source="rig",
+        names=tuple(one.name for one, _ in taken),
+        joints=names,
+        command=np.array([[one.command[n] for n in names] for one, _ in taken]),
+        position=np.array([read for _, (read, _) in taken]),
+        torque=blank,
+        force={},
+        tilt=blank[:, :2],
+        swing=tuple(swing for _, (_, swing) in taken),
+        approach=("",) * len(taken),
+        heading=np.array([one.heading for one, _ in taken]),
+        added={robot.base: loads} if loads.any() else {},
+    )
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of one fit."""
+
+    robot: str
+    disturbance: str
+    seed: int
+    stands: int
+    outcome: str
+    codes: str
+    held: int
+    told: int
+    kp: float
+    kp_said: float
+
+
+def rows(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -> Iterator[Row]:
+    """Yields what comes of each fit."""
+    plans: dict[float, StandPlan] = {}
+    for seed in range(given.first, given.first + given.seeds):
+        for title, other in DISTURBANCES.items():
+            if given.only and title not in given.only:
+                continue
+            rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+            if other.added not in plans:
+                plans[other.added] = plan_stands(
+                    robot, given.stands, kp=kp, added=other.added * robot.total_mass
+                )
+            planted = plant(robot, rng, 0.0)
+            rig = Rig(replace(planted, robot=level(planted.robot, robot)), other)
+            stands = stands_of(rig, plans[other.added])
+            if stands is None:
+                yield Row(name, title, seed, 0, "does not stand", "", 0, 0, math.nan, math.nan)
+                continue
+            if given.keep:
+                keep(stands, given.keep / f"{name}-{title.replace(' ', '_')}-{seed}.npz")
+            yield fitted(name, title, seed, robot, rig, stands, kp)
+
+
+def keep(stands: MeasuredStands, path: Path) -> None:
+    """Writes what was measured, for other fits of the same."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {f"added.{link}": own[:, 0] for link, own in stands.added.items()}
+    for link, own in stands.added.items():
+        arrays |= {f"added_{a}.{link}": own[:, 1 + at] for at, a in enumerate("xyz")}
+    np.savez(
+        path,
+        stand=np.array(stands.names),
+        swing=np.array([" ".join(feet) for feet in stands.swing]),
+        joints=np.array(stands.joints),
+        command=stands.command,
+        position=stands.position,
+        heading=stands.heading,
+        **arrays,
+    )
+
+
+def level(planted: Robot, robot: Robot) -> Robot:
+    """Returns the planted robot on the ground of the file: slopes are disturbances here."""
+    model = planted.pin_model.copy()
+    model.gravity.linear = robot.pin_model.gravity.linear
+    return replace(planted, pin_model=model)
+
+
+def fitted(
+    name: str,
+    title: str,
+    seed: int,
+    robot: Robot,
+    rig: Rig,
+    stands: MeasuredStands,
+    kp: float | None,
+) -> Row:
+    """Fits, and counts the intervals that hold the truth."""
+    truth = truth_of(rig)
+    weight = rig.robot.total_mass * rig.other.weight
+    try:
+        fit: StandFit = fit_stands(robot, stands, weight=weight, kp=kp)
+    except pa.PupperAnalysisError as error:
+        code = getattr(getattr(error, "cause", None), "code", type(error).__name__)
+        return Row(name, title, seed, len(stands), "refused", code, 0, 0, math.nan, math.nan)
+    whole = replace(fit.total_mass, name="mass")
+    told = [
+        one for one in (whole, *fit.estimates) if one.name in truth and one.determined == "data"
+    ]
+    held = sum(one.low <= truth[one.name] <= one.high for one in told)
+    said = "EXPLAINED" if fit.explained else "named"
+    codes = " ".join(dict.fromkeys(one.code for one in fit.failures))
+    if not fit.explained and set(codes.split()) <= {"residuals-too-large", "far-from-the-file"}:
+        said = "NOT EXPLAINED"
+    stated = servo_gains(robot, kp, None if kp is None else 0.0).kp
+    factor = float(np.exp(np.log(rig.kp / stated).mean()))
+    off, half = math.nan, math.nan
+    if fit.kp_factor is not None:
+        off, half = fit.kp_factor.mean / factor - 1, 1.96 * fit.kp_factor.std / factor
+    return Row(name, title, seed, len(stands), said, codes, held, len(told), off, half)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--robot", default="v3", help="a variant, or a file")
+    parser.add_argument("--kp", type=float, help="of the servos, where the file states none")
+    parser.add_argument("--only", action="append", help="a disturbance; may be repeated")
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="seed")
+    parser.add_argument("--stands", type=int, default=16)
+    parser.add_argument("--keep", type=Path, help="a folder for the measurements")
+    parser.add_argument("--csv", type=Path, help="a file to add rows to")
+    given = parser.parse_args()
+    known = given.robot in pa.VARIANTS
+    robot = pa.load_variant(given.robot) if known else pa.load_robot(given.robot)
+    for row in rows(Path(given.robot).stem, robot, given.kp, given):
+        cells = list(vars(row).values())
+        print(*cells, sep=" | ", flush=True)
+        if given.csv:
+            new = not given.csv.exists()
+            with given.csv.open("a", newline="") as file:
+                writer = csv.writer(file, lineterminator="\n")
+                if new:
+                    writer.writerow(vars(row))
+                writer.writerow(cells)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Takes planned stands with a robot, and writes down what its encoders show."""

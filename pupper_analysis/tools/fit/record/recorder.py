@@ -1,0 +1,367 @@
+"""Takes planned stands one after the other: ramps to each, waits for rest, averages, asks, writes.
+
+The robot holds what it was commanded last, whenever this ends: at the plan's end, by a key, by a
+message that does not come, by a servo that does not follow. A row is in the file before the next
+stand begins, and stands that are there are not taken again.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError, MeasurementError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import RECORD
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.statics.support_polygon import com_margin
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, read_stands
+from pupper_analysis.tools.fit.record.bridge import Bridge, Person
+from pupper_analysis.tools.fit.stands.plan import PlannedStand
+
+Array = NDArray[np.float64]
+
+SPEED = 0.5
+"""rad/s, at most: from one stand of a plan to the next it takes two seconds."""
+
+_TICK = 0.02
+"""s between two commands of a ramp."""
+
+_LOST = 0.3
+"""s without a position: no message, or a controller that has stopped."""
+
+_BEHIND = 0.5
+"""rad: a position that is so far from its command is of a servo that gives nothing."""
+
+_ASKED, _FOLLOWS = 0.25, 0.25
+"""A joint that was led so far (rad) and went less than that part of it does not follow."""
+
+_STILL, _WINDOW, _PATIENCE = 1e-3, 1.0, 20.0
+"""rad within which positions stay over so many seconds, at rest; and how long that may take (s)."""
+
+_EDGE = 0.02
+"""Of the stand's height: how far within the carrying feet the com is, at least, by the file."""
+
+
+@dataclass(frozen=True)
+class Recording(Result):
+    """What was taken of a plan.
+
+    Attributes:
+        name: The robot's name.
+        file: Where the rows are.
+        taken: Stands that were taken now.
+        had: Stands that were in the file before.
+        left: Stands that are still to be taken.
+        findings: Why stands were left out, or it ended.
+    """
+
+    name: str
+    file: str
+    taken: tuple[str, ...]
+    had: tuple[str, ...]
+    left: tuple[str, ...]
+    findings: tuple[Diagnostic, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether no stand is left."""
+        return not self.left
+
+
+class _EndError(Exception):
+    """The recording ends here, and the robot holds."""
+
+    def __init__(self, finding: Diagnostic) -> None:
+        super().__init__(finding)
+        self.finding = finding
+
+
+def record_stands(
+    robot: Robot,
+    plan: str | Path,
+    output: str | Path,
+    bridge: Bridge,
+    person: Person,
+    *,
+    speed: float = SPEED,
+) -> Recording:
+    """Takes the stands of a plan, and adds a row for each to a file.
+
+    Args:
+        robot: The robot, as its files have it.
+        plan: A file of ``write_plan``.
+        output: The file; stands whose names it has are not taken again.
+        bridge: The way to the robot.
+        person: Who lifts it, and sees which feet carry.
+        speed: Of a joint, at most (rad/s).
+
+    Raises:
+        ConfigurationError: If the file is the plan itself.
+        MeasurementError: If a command is beyond a joint's limits, or a stand out of balance, by the
+            robot's file: before anything moves; or the file is of another plan.
+        OutputError: If it cannot be written.
+    """
+    if Path(output).exists() and Path(output).samefile(plan):
+        raise ConfigurationError("output", diagnose("recording-into-the-plan"))
+    planned = read_stands(plan).ordered(robot)
+    _check(robot, planned)
+    path = Path(output)
+    had = _names_in(path, planned)
+    rows = [row for row, name in enumerate(planned.names) if _key(planned, row) not in had]
+    taken: list[str] = []
+    findings: list[Diagnostic] = []
+    before: PlannedStand | None = None
+    session = _Session(robot, bridge, person, speed)
+    try:
+        for row in rows:
+            stand = _stand(planned, row)
+            loads = {link: own[row] for link, own in planned.added.items() if own[row, 0]}
+            try:
+                read, up = session.take(stand, loads, before)
+            except _LeftOutError as error:
+                findings.append(error.finding)
+                before = stand
+                continue
+            _append(path, planned, row, read, up)
+            taken.append(stand.name)
+            before = stand
+    except _EndError as error:
+        findings.append(error.finding)
+    except KeyboardInterrupt:
+        findings.append(diagnose("recording-stopped"))
+    finally:
+        session.hold()
+        bridge.close()
+    left = [planned.names[row] for row in rows if planned.names[row] not in taken]
+    names = tuple(name for name in planned.names if any(name == one for one, _ in had))
+    return Recording(robot.name, str(path), tuple(taken), names, tuple(left), tuple(findings))
+
+
+class _LeftOutError(Exception):
+    """This stand is not taken; the next may be."""
+
+    def __init__(self, finding: Diagnostic) -> None:
+        super().__init__(finding)
+        self.finding = finding
+
+
+class _Session:
+    """A robot that is led from stand to stand."""
+
+    def __init__(self, robot: Robot, bridge: Bridge, person: Person, speed: float) -> None:
+        self._robot, self._bridge, self._person, self._speed = robot, bridge, person, speed
+        self._command: Array | None = None
+
+    def hold(self) -> None:
+        """Commands again what was commanded last."""
+        if self._command is not None:
+            self._bridge.send(self._command)
+
+    def take(
+        self, stand: PlannedStand, loads: Mapping[str, Array], before: PlannedStand | None
+    ) -> tuple[Array, Sequence[str]]:
+        """Returns positions at rest (nu,), and the feet in the air."""
+        target = np.array([stand.command[name] for name in self._robot.joint_names])
+        if self._bridge.ramps:
+            self._ramp(stand, target)
+        else:
+            self._bridge.send(target)
+        if not self._person.prepare(stand, loads, list(_todo(stand, loads, before))):
+            raise _LeftOutError(diagnose("recording-left-out", stand=stand.name))
+        read = self._rest(stand) if self._bridge.ramps else self._bridge.read()[1]
+        up = self._person.feet_up(tuple(self._robot.feet), stand.swing)
+        if up is None:
+            raise _LeftOutError(diagnose("recording-left-out", stand=stand.name))
+        return read, up
+
+    def _ramp(self, stand: PlannedStand, target: Array) -> None:
+        if self._command is None:  # where it is, and not where anybody thinks that it is
+            self._command = self._positions(stand)
+            self._bridge.send(self._command)
+        begin, first = self._command, self._positions(stand)
+        steps = max(1, math.ceil(np.abs(target - begin).max() / (self._speed * _TICK)))
+        for step in range(1, steps + 1):
+            self._command = begin + step / steps * (target - begin)
+            self._bridge.send(self._command)
+            self._bridge.wait(_TICK)
+            self._watch(stand, begin, first)
+
+    def _watch(self, stand: PlannedStand, begin: Array, first: Array) -> None:
+        """Looks whether it may go on: servos follow from where they were, and no key is pressed."""
+        assert self._command is not None
+        read = self._positions(stand)
+        off, asked = np.abs(read - self._command), np.abs(self._command - begin)
+        idle = (asked > _ASKED) & (np.abs(read - first) < _FOLLOWS * asked)
+        if (idle | (off > _BEHIND)).any():
+            joint = int(np.where(idle | (off > _BEHIND), off, 0.0).argmax())
+            finding = diagnose(
+                "servo-does-not-follow",
+                joint=self._robot.joint_names[joint],
+                stand=stand.name,
+                off=Quantity(float(off[joint]), "rad"),
+            )
+            raise _EndError(finding)
+        if self._person.stops():
+            raise _EndError(diagnose("recording-stopped"))
+
+    def _positions(self, stand: PlannedStand) -> Array:
+        begin = self._bridge.now()
+        while True:
+            at, read = self._bridge.read()
+            if self._bridge.now() - at <= _LOST and np.isfinite(read).all():
+                return read
+            if self._bridge.now() - begin > _LOST:
+                raise _EndError(diagnose("positions-lost", stand=stand.name))
+            self._bridge.wait(_TICK)
+
+    def _rest(self, stand: PlannedStand) -> Array:
+        """Returns the average of positions (nu,) once they stay."""
+        count = round(_WINDOW / _TICK)
+        window: list[Array] = []
+        end = self._bridge.now() + _PATIENCE
+        while self._bridge.now() < end:
+            self._bridge.wait(_TICK)
+            window = [*window[-count + 1 :], self._positions(stand)]
+            if self._person.stops():
+                raise _EndError(diagnose("recording-stopped"))
+            if len(window) == count and np.ptp(window, axis=0).max() < _STILL:
+                mean: Array = np.mean(window, axis=0)
+                return mean
+        moves = int(np.ptp(window, axis=0).argmax())
+        joint = self._robot.joint_names[moves]
+        raise _LeftOutError(diagnose("stand-does-not-rest", stand=stand.name, joint=joint))
+
+
+def _todo(
+    stand: PlannedStand, loads: Mapping[str, Array], before: PlannedStand | None
+) -> Iterator[str]:
+    """Yields what the person does."""
+    if before is None or before.heading != stand.heading:
+        heading = Quantity(stand.heading, "rad")
+        yield str(diagnose("turn-the-robot", stand=stand.name, heading=heading))
+    if (0.0 if before is None else before.added) != stand.added:
+        yield from _moved(stand, loads)
+    yield str(diagnose("set-the-robot-down", stand=stand.name, swing=list(stand.swing)))
+
+
+def _moved(stand: PlannedStand, loads: Mapping[str, Array]) -> Iterator[str]:
+    if not loads:
+        yield str(diagnose("take-the-mass-off", stand=stand.name))
+    for link, (mass, *place) in loads.items():
+        at = ", ".join(f"{1e3 * value:.4g}" for value in place)
+        said = diagnose(
+            "put-the-mass-on", stand=stand.name, mass=Quantity(mass, "kg"), link=link, place=at
+        )
+        yield str(said)
+
+
+def _check(robot: Robot, planned: MeasuredStands) -> None:
+    """Checks all stands by the robot's file, before anything moves.
+
+    Raises:
+        MeasurementError: If one is beyond a limit, or out of balance.
+    """
+    for row, name in enumerate(planned.names):
+        command = planned.command[row]
+        for joint, value in enumerate(command.tolist()):
+            low, high = robot.lower_limits[joint], robot.upper_limits[joint]
+            if not low <= value <= high:
+                finding = diagnose(
+                    "stand-beyond-limits",
+                    stand=name,
+                    joint=robot.joint_names[joint],
+                    position=Quantity(value, "rad"),
+                    low=Quantity(float(low), "rad"),
+                    high=Quantity(float(high), "rad"),
+                )
+                raise MeasurementError(planned.source, finding)
+        margin = _margin(robot, command, planned.swing[row])
+        if margin < _EDGE * robot.stand_height:
+            finding = diagnose("stand-out-of-balance", stand=name, margin=Quantity(margin, "m"))
+            raise MeasurementError(planned.source, finding)
+
+
+def _margin(robot: Robot, command: Array, swing: Sequence[str]) -> float:
+    """Returns how far the com is within the feet that carry, of a robot on them (m)."""
+    config = Configuration(robot, robot.posed(command))
+    points = [p for foot, own in robot.feet.items() if foot not in swing for p in own]
+    places = config.foot_places(points)
+    plane = np.column_stack([places[:, :2], np.ones(len(points))])
+    a, b, _ = np.linalg.lstsq(plane, places[:, 2])[0]
+    up = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
+    level = pin.Quaternion.FromTwoVectors(up, np.array([0.0, 0.0, 1.0])).matrix()
+    at = dict(zip(points, places @ level.T, strict=True))
+    return com_margin(level @ config.center_of_mass(), at)
+
+
+# The file: a row more each time, and never one less.
+
+
+def _key(stands: MeasuredStands, row: int) -> tuple[str, str]:
+    return stands.names[row], stands.approach[row]
+
+
+def _names_in(path: Path, planned: MeasuredStands) -> set[tuple[str, str]]:
+    """Returns the stands that a file has.
+
+    Raises:
+        MeasurementError: If they are not those of the plan.
+    """
+    if not path.exists():
+        return set()
+    found = read_stands(path)
+    for row in range(len(found)):
+        rows = [at for at in range(len(planned)) if _key(planned, at) == _key(found, row)]
+        same = rows and np.allclose(found.command[row], planned.command[rows[0]], atol=_SAME)
+        if found.joints != planned.joints or not same:
+            finding = diagnose("recording-of-another-plan", stand=found.names[row])
+            raise MeasurementError(str(path), finding)
+    return {_key(found, row) for row in range(len(found))}
+
+
+_SAME = 2e-6
+"""rad: what six digits round."""
+
+
+def _stand(planned: MeasuredStands, row: int) -> PlannedStand:
+    loads = [own[row, 0] for own in planned.added.values()]
+    return PlannedStand(
+        name=planned.names[row],
+        swing=planned.swing[row],
+        approach=planned.approach[row],
+        heading=float(planned.heading[row]),
+        added=float(sum(loads)),
+        command=dict(zip(planned.joints, planned.command[row].tolist(), strict=True)),
+        utilisation=None,
+    )
+
+
+def _append(path: Path, planned: MeasuredStands, row: int, read: Array, up: Sequence[str]) -> None:
+    """Adds a row: the whole file is written anew beside it, and takes its place at once."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    loads = [f"added{one}.{link}" for link in planned.added for one in ("", "_x", "_y", "_z")]
+    if not path.exists():
+        kinds = [f"{kind}.{name}" for kind in ("command", "position") for name in planned.joints]
+        writer.writerow(["stand", "swing", "from", "heading", *loads, *kinds])
+    on = [f"{value:.6g}" for own in planned.added.values() for value in own[row].tolist()]
+    first = [planned.names[row], " ".join(up), planned.approach[row], f"{planned.heading[row]:.6g}"]
+    numbers = [f"{value:.6f}" for value in (*planned.command[row].tolist(), *read.tolist())]
+    writer.writerow([*first, *on, *numbers])
+    had = path.read_bytes() if path.exists() else b""
+    if had and not had.endswith(b"\n"):
+        had += b"\n"
+    with whole_file(path, RECORD) as file:
+        file.write(had + text.getvalue().encode())

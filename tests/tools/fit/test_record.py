@@ -1,0 +1,222 @@
+"""A simulated robot is led through a plan: rows are what it is, and faults lose none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pupper_analysis.base.errors import ConfigurationError, MeasurementError
+from pupper_analysis.pupper.variant_files import load_variant
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.tool import find_place
+from pupper_analysis.stance.stand import solve_stand, stand_statics
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.fit.measurements.stands import read_stands
+from pupper_analysis.tools.fit.record.bridge import open_bridge
+from pupper_analysis.tools.fit.record.recorder import SPEED, record_stands
+from pupper_analysis.tools.fit.record.ros import Topics
+from pupper_analysis.tools.fit.record.simulated import SimulatedRobot
+from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, write_plan
+
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_variant("v3")
+
+
+@pytest.fixture(scope="module")
+def plan(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four stands on all feet, the last with 200 g on the base."""
+    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+    stands = []
+    for number, (height, roll, pitch) in enumerate(
+        [(0.95, 0.0, 0.0), (0.7, 0.1, 0.0), (0.95, 0.0, -0.1), (0.7, -0.1, 0.0)]
+    ):
+        task = StandTask(height=height * robot.stand_height, roll=roll, pitch=pitch)
+        stand = solve_stand(robot, task)
+        command = stand.qpos[7:] + stand_statics(robot, stand).joint_torques / kp
+        named = dict(zip(robot.joint_names, command.tolist(), strict=True))
+        mass = 0.2 if number == 3 else 0.0
+        turned = math.pi * (number % 2)
+        stands.append(PlannedStand(f"s{number}", (), "", named, None, turned, mass))
+    path = tmp_path_factory.mktemp("plan") / "plan.csv"
+    place = find_place(robot, (0.0, 0.0, 0.05))
+    write_plan(StandPlan("v3", tuple(stands), (), 4, 0.0, place), path)
+    return path
+
+
+def test_rows_are_what_encoders_show_of_a_robot_at_rest(
+    robot: Robot, plan: Path, tmp_path: Path
+) -> None:
+    """Its joints are where statics of the true robot has them; and no joint was led too fast."""
+    path, one = tmp_path / "stands.csv", SimulatedRobot(robot, 3)
+    found = record_stands(robot, plan, path, one, one)
+    assert found.complete
+    assert found.taken == ("s0", "s1", "s2", "s3")
+    read, planned = read_stands(path).ordered(robot), read_stands(plan)
+    np.testing.assert_allclose(read.command, planned.command)
+    np.testing.assert_allclose(read.heading, planned.heading)
+    np.testing.assert_allclose(read.added["base_link"], planned.added["base_link"])
+    # Servos carry it: virtual work of all joints, if it is let down on level feet, is its weight's.
+    config = Configuration(one.robot, one.robot.posed(read.position[0] - one.offset))
+    feet = config.foot_twists(tuple(robot.contact_points))[:, :3].reshape(-1, robot.nv)
+    rates = np.linalg.lstsq(feet[:, 6:], feet[:, 2])[0]  # of joints, as the base comes down by 1
+    torque = one.kp * (read.command - read.position)[0]
+    way = np.concatenate([[0.0, 0.0, -1.0, 0.0, 0.0, 0.0], rates])
+    assert torque @ rates == pytest.approx(config.gravity() @ way, rel=0.05)
+    led = np.abs(np.diff(one.sent, axis=0)).max()
+    assert led <= SPEED * 0.02 * (1 + 1e-9)
+    # The same command goes on with nothing, and writes nothing.
+    before = path.read_bytes()
+    again = SimulatedRobot(robot, 3)
+    assert record_stands(robot, plan, path, again, again).taken == ()
+    assert path.read_bytes() == before
+
+
+def stuck(one: SimulatedRobot) -> None:
+    one.faults.stuck = 5, 8.0
+
+
+def lost(one: SimulatedRobot) -> None:
+    one.faults.lost = 8.0, math.inf
+
+
+def key(one: SimulatedRobot) -> None:
+    one.faults.key = 8.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "code"),
+    [(stuck, "servo-does-not-follow"), (lost, "positions-lost"), (key, "recording-stopped")],
+)
+def test_it_holds_where_something_fails_and_goes_on_later(
+    robot: Robot,
+    plan: Path,
+    tmp_path: Path,
+    fault: Callable[[SimulatedRobot], None],
+    code: str,
+) -> None:
+    path, one = tmp_path / "stands.csv", SimulatedRobot(robot, 3)
+    fault(one)
+    found = record_stands(robot, plan, path, one, one)
+    assert not found.complete
+    assert [finding.code for finding in found.findings] == [code]
+    assert 0 < len(found.taken) < 4
+    rows = path.read_text().splitlines()
+    assert len(rows) == 1 + len(found.taken)
+    # What was commanded last is commanded again, and nothing else.
+    np.testing.assert_array_equal(one.sent[-1], one.sent[-2])
+    whole = SimulatedRobot(robot, 3)
+    later = record_stands(robot, plan, path, whole, whole)
+    assert later.had == found.taken
+    assert later.taken == found.left
+    assert later.complete
+    assert path.read_text().splitlines()[: len(rows)] == rows
+
+
+def test_a_message_that_comes_late_is_waited_for(robot: Robot, plan: Path, tmp_path: Path) -> None:
+    one = SimulatedRobot(robot, 3)
+    one.faults.lost = 8.0, 8.2
+    assert record_stands(robot, plan, tmp_path / "stands.csv", one, one).complete
+
+
+def test_what_the_robot_cannot_do_is_refused_before_anything_is_sent(
+    robot: Robot, plan: Path, tmp_path: Path
+) -> None:
+    one = SimulatedRobot(robot, 3)
+    sent, text, other = len(one.sent), plan.read_text(), tmp_path / "other.csv"
+    header, first, *rest = text.splitlines()
+    at = header.split(",").index("command.leg_front_r_1")
+    cells = first.split(",")
+    cells[at] = "3.5"
+    other.write_text("\n".join([header, ",".join(cells), *rest]) + "\n")
+    with pytest.raises(MeasurementError, match="s0: leg_front_r_1"):
+        record_stands(robot, other, tmp_path / "stands.csv", one, one)
+    cells = first.split(",")
+    cells[1] = "FR FL"  # on two feet
+    other.write_text("\n".join([header, ",".join(cells), *rest]) + "\n")
+    with pytest.raises(MeasurementError, match="s0: by the robot's file its centre of mass"):
+        record_stands(robot, other, tmp_path / "stands.csv", one, one)
+    with pytest.raises(ConfigurationError, match="another file"):
+        record_stands(robot, plan, plan, one, one)
+    other.write_text(text.replace("s1,", "t1,").replace("position", "position"))
+    with pytest.raises(MeasurementError, match="stand t1"):
+        record_stands(robot, plan, other, one, one)
+    assert len(one.sent) == sent
+
+
+def test_bridges_are_found_by_name(robot: Robot) -> None:
+    bridge, person = open_bridge("mujoco:5", robot)
+    assert bridge is person
+    with pytest.raises(ConfigurationError, match="there are mujoco, ros2, typed"):
+        open_bridge("smoke", robot)
+    with pytest.raises(ConfigurationError, match="SEED"):
+        open_bridge("mujoco:five", robot)
+
+
+# ---------------------------------------------- ROS 2: a stub has what is assumed of its messages
+
+
+class Stub:
+    """``rclpy`` as it is used: a node, one subscription, one publisher, and messages by hand."""
+
+    def __init__(self) -> None:
+        self.waiting: list[Any] = []
+        self.published: list[tuple[str, list[float]]] = []
+        self.topic, self.hear, self.begun = "", lambda _: None, False
+
+    def ok(self) -> bool:
+        return self.begun
+
+    def init(self) -> None:
+        self.begun = True
+
+    def create_node(self, _: str) -> Stub:
+        return self
+
+    def create_subscription(self, kind: type, topic: str, hear: Any, depth: int) -> None:
+        self.topic, self.hear = topic, hear
+
+    def create_publisher(self, kind: type, topic: str, depth: int) -> Any:
+        return SimpleNamespace(
+            publish=lambda message: self.published.append((topic, list(message.data)))
+        )
+
+    def spin_once(self, node: Any, timeout_sec: float) -> None:
+        if self.waiting:
+            self.hear(self.waiting.pop(0))
+
+    def destroy_node(self) -> None:
+        self.begun = False
+
+
+def test_topics_have_joints_by_name_and_commands_in_the_controllers_order(robot: Robot) -> None:
+    ros, names = Stub(), robot.joint_names
+    order = tuple(reversed(names))
+    message = type("Float64MultiArray", (), {})
+    one = Topics(robot, ros, (object, message), "/state", "/command", order)
+    assert ros.topic == "/state"
+    assert one.read()[0] == -math.inf  # nothing was heard
+    half = len(names) // 2
+    for part in (names[half:], names[:half]):  # a joint that is of no interest among them
+        values = [0.1 * names.index(name) for name in part]
+        ros.waiting.append(SimpleNamespace(name=["gripper", *part], position=[9.0, *values]))
+    one.read()
+    at, read = one.read()
+    np.testing.assert_allclose(read, 0.1 * np.arange(len(names)))
+    assert one.now() - at < 5.0
+    one.send(np.arange(len(names), dtype=float))
+    assert ros.published == [("/command", [float(n) for n in reversed(range(len(names)))])]
+    with pytest.raises(ConfigurationError, match="elbow"):
+        Topics(robot, ros, (object, message), order=("elbow", *names[1:]))
