@@ -50,6 +50,7 @@ def test_few_are_chosen_of_those_that_are_rare() -> None:
     assert len(set(choose_stands(each, np.eye(5), 9, rare, 2))) == 9  # there are no others
 
 
+@pytest.mark.longest
 def test_a_plan_has_a_known_mass_on_turned_stands_and_few_on_three_feet(tmp_path: Path) -> None:
     robot = load_variant("v3")
     at = (0.01, 0.0, 0.05)

@@ -377,6 +377,7 @@ def test_a_weight_that_makes_all_servos_twice_as_stiff_is_asked_about(
     assert right.kp_factor.std > 0.009
 
 
+@pytest.mark.longest
 def test_a_known_mass_tells_kp_without_a_scale_and_speaks_against_a_wrong_one(
     robot: Robot, planted: Robot, with_mass: MeasuredStands
 ) -> None:
@@ -400,11 +401,13 @@ def test_a_known_mass_tells_kp_without_a_scale_and_speaks_against_a_wrong_one(
     assert half.kp_factor.mean == pytest.approx(0.5, rel=0.1)
 
 
+@pytest.mark.longest
 def test_without_a_scale_a_known_mass_is_said_to_help(robot: Robot, stands: MeasuredStands) -> None:
     (ratio,) = (one for one in fit_stands(robot, stands).combinations if one.ratio)
     assert ratio.measurements["put-a-known-mass-on"] > 2
 
 
+@pytest.mark.longest
 def test_stands_that_are_turned_tell_a_slope_from_a_com(robot: Robot, planted: Robot) -> None:
     """1.2 deg down along the ground's x: turned to the other side, along the base's -x."""
     size, slope = float(np.linalg.norm(robot.gravity)), math.radians(1.2)
@@ -504,6 +507,7 @@ def test_numbers_that_cannot_be_are_refused(robot: Robot, stands: MeasuredStands
             fit_stands(robot, stands, **option)
 
 
+@pytest.mark.longest
 def test_a_stand_whose_foot_carries_that_should_not_is_left_out_with_a_note(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
