@@ -16,8 +16,8 @@ from tests.support.slips import standing
 REFUSED = {
     "timestep 0": ("<option ", '<option timestep="0" ', '<option timestep="0">'),
     "timestep -0.002": ("<option ", '<option timestep="-0.002" ', 'timestep="-0.002"'),
-    "timestep 1e-9": ("<option ", '<option timestep="1e-9" ', "from 1e-05 to 0.1 s"),
-    "timestep 1e-300": ("<option ", '<option timestep="1e-300" ', "1e-05 to 0.1 s"),
+    "timestep 1e-9": ("<option ", '<option timestep="1e-9" ', "from 0.00001 to 0.1 s"),
+    "timestep 1e-300": ("<option ", '<option timestep="1e-300" ', "0.00001 to 0.1 s"),
     "timestep 10": ("<option ", '<option timestep="10" ', 'timestep="10"'),
     "impratio -1": ("<option ", '<option impratio="-1" ', "it must be positive"),
     "iterations 0": ("<option ", '<option iterations="0" ', "needs at least one"),

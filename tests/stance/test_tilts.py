@@ -187,6 +187,7 @@ def test_a_foot_that_there_is_not_is_refused() -> None:
             pa.solve_stand(load("v3"), pa.StandTask(ground=ground))
 
 
+@pytest.mark.longest
 def test_a_limit_typed_back_holds() -> None:
     robot = load("v3")
     task = pa.StandTask(
