@@ -43,7 +43,10 @@ FOLDERS = ("docs/how-to", "docs/tutorials", "docs/explanation", "docs/zh", "docs
 ELSEWHERE = ("docs/explanation/architecture.md",)
 """Pages whose blocks are parts of a package: `tests/present/test_new_result.py` runs them."""
 
-NEVER = {"pip install": "it needs the network"}
+NEVER = {
+    "pip install": "it needs the network",
+    "--bridge ros2": "it needs a robot's own computer",
+}
 if shutil.which("jq") is None:
     NEVER["| jq"] = "jq is not there"
 """Lines that are run nowhere: {their words: why}."""

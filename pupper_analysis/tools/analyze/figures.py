@@ -22,10 +22,10 @@ from pupper_analysis.present.documents.loads import torque_plot
 from pupper_analysis.present.documents.simulated import height_plot
 from pupper_analysis.present.figures import style
 from pupper_analysis.present.figures.drawing import write_plots
+from pupper_analysis.tools.analyze.sweep import deviation_table
 
 if TYPE_CHECKING:
-    from pupper_analysis.tools.analyze.sweep import deviation_table
-from pupper_analysis.tools.analyze.analysis import Analysis
+    from pupper_analysis.tools.analyze.analysis import Analysis
 
 _COLUMNS = 3
 """Panels beside each other."""

@@ -116,16 +116,16 @@ class Opened:
         box.press("Enter")
 
     def words(self) -> str:
-        return str(self.page.locator(".pa").first.inner_text())
+        return str(self.page.locator(".pa:visible").first.inner_text())
 
     def says(self, what: str) -> None:
         wait_for(lambda: what in " ".join(self.all_words()), f"{what!r} is not said")
 
     def all_words(self) -> list[str]:
-        return [str(text) for text in self.page.locator(".pa").all_inner_texts()]
+        return [str(text) for text in self.page.locator(".pa:visible").all_inner_texts()]
 
     def torques(self) -> list[float]:
-        cells = self.page.locator("table.barred td:nth-child(2)").all_inner_texts()
+        cells = self.page.locator("table.barred:visible td:nth-child(2)").all_inner_texts()
         return [float(text) for text in cells]
 
     def takes(self, stand: pa.Stand, robot: pa.Robot | None = None) -> None:

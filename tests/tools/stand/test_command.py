@@ -98,7 +98,13 @@ def test_every_option_reaches_the_task(capfd: pytest.CaptureFixture[str], tmp_pa
     assert task["com"] == [0.005, -0.004]
     assert (task["com_margin"], task["joint_margin"]) == (0.02, 0.05)
     assert task["foot_offsets"] == {"RL": [-0.01, 0.02]}
-    assert task["ground"] == {"slope": 0.02, "uphill": 1.5, "heights": {"FR": 0.01}}
+    assert task["ground"] == {
+        "slope": 0.02,
+        "uphill": 1.5,
+        "heights": {"FR": 0.01},
+        "tilts": {},
+        "tilt_uphill": {},
+    }
 
 
 def test_failure_in_simulation_is_exit_status_1(
