@@ -126,9 +126,9 @@ def place_source(source: Source, model: Joints, others: Sequence[Source]) -> Pla
         many = replace(many, quantity="policy step", unit=step.unit, decimals=None,
                        value=step.number * many.number)  # fmt: skip
         facts.setdefault(("policy step", ""), many)
-    size = len(order) or len(model.order)
     notes = [diagnose("contract-list-unread", file=source.name, what=Term(quantity), count=count,
-                      joints=size) for quantity, count in unread.items()]  # fmt: skip
+                      joints=len(order) or len(model.order))
+             for quantity, count in unread.items()]  # fmt: skip
     unknown = tuple(name for name in names if name not in known)
     return Placed(source, facts, order, how, known, unknown, (*assumed, *notes))
 
@@ -150,8 +150,6 @@ def _order(
         return tuple(known.get(name, "") for name in source.order), "named", []
     lists = {one.count for one in source.statements if one.index is not None}
     sizes = {len(source.motors)} if source.motors else lists
-    if not sizes:
-        return (), "", []
     motors = next(filter(None, map(_motor_names, others)), {})
     if source.motors and set(source.motors) <= set(motors):
         names = model.named(list(motors.values()))
@@ -171,12 +169,9 @@ def _order(
     order = min(wrong, key=wrong.__getitem__)
     if wrong[order] > MOST_UNLIKE:
         return (), "", []
-    told = diagnose(
-        "contract-order-of-file" if order == model.order else "contract-order-by-depth",
-        file=source.name,
-        first=order[:3],
-    )
-    return order, "assumed", [told]
+    of_file = diagnose("contract-order-of-file", file=source.name, first=order[:3])
+    by_depth = diagnose("contract-order-by-depth", file=source.name, first=order[:3])
+    return order, "assumed", [of_file if order == model.order else by_depth]
 
 
 MOST_UNLIKE = 1 / 3
