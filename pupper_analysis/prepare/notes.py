@@ -71,7 +71,7 @@ def tell_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
     values = {}
     for kind, names in kinds.items():
         if kind == "round":
-            why = diagnose("balls-for-round-meshes", feet=names)
+            why = diagnose("balls-for-round-feet", feet=names)
         elif kind == "soles":
             why = diagnose("balls-for-soles", feet=names)
         else:
