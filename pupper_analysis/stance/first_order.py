@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy import linalg
 
+from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
@@ -205,7 +206,8 @@ def _buckling_modes(
     held = zip(feet, centres, config.foot_rotations(feet), strict=True)
     anchors = {foot: Anchor(place, turned) for foot, place, turned in held}
     depths = dict(zip(feet, deep.tolist(), strict=True))
-    touch = ContactKinematics(config, anchors, centres, frames, depths)
+    crosses = cross_matrices(frames[:, 2])
+    touch = ContactKinematics(config, anchors, centres, frames, crosses, depths)
     across = touch.jacobians[:, :2].reshape(-1, robot.nv)
     along = touch.jacobians[:, 2]
     rates = np.array([law.rate(depth) for law, depth in zip(laws, depths.values(), strict=True)])

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.configuration import Configuration
 
 Array = NDArray[np.float64]
@@ -66,6 +66,7 @@ class ContactKinematics:
         centres: (n, 3) where they are (m).
         frames: (n, 3, 3) rotations from the world to the frame of the ground under each, whose z is
             out of it.
+        crosses: (n, 3, 3) what takes x to z x x, of these z in the world.
         depths: {foot: how deep it is in the ground (m)}, of those that do not touch as well.
 
     Attributes:
@@ -83,16 +84,16 @@ class ContactKinematics:
         anchors: Mapping[str, Anchor],
         centres: Array,
         frames: Array,
+        crosses: Array,
         depths: Mapping[str, float],
     ) -> None:
         self.config, self._frames, self._normals = config, frames, frames[:, 2]
-        self.depths = depths
+        self.depths, self._crosses = depths, crosses
         radius, feet, held = config.robot.contact_radius, tuple(anchors), anchors.values()
         deep = np.array([depths[foot] for foot in feet])
         # MuJoCo has the contact half way into the penetration.
-        reach = np.array([radius[foot] for foot in feet]) - deep / 2
-        arms = reach[:, None] * self._normals  # from the contact to the centre
-        self._offsets = cross_matrices(arms)
+        self._reach = (np.array([radius[foot] for foot in feet]) - deep / 2)[:, None]
+        self._offsets = self._reach[:, None] * crosses  # arms from the contact to the centre
         self._twists = config.foot_twists(feet)
         self._centre, self.turning = self._twists[:, :3], self._twists[:, 3:]
         self.jacobians = frames @ (self._centre + self._offsets @ self.turning)
@@ -100,26 +101,27 @@ class ContactKinematics:
         self._turned = config.foot_rotations(feet) @ before.transpose(0, 2, 1)
         self._turns = np.array([pin.log3(turned) for turned in self._turned]).reshape(-1, 3)
         begun = np.array([anchor.place for anchor in held]).reshape(-1, 3)
-        rolled = (self._offsets @ self._turns[:, :, None])[:, :, 0]
+        self._leant = crosses @ self._turns[:, :, None]  # normal x turn
+        rolled = self._reach * self._leant[:, :, 0]
         self.places = (frames @ (centres - begun + rolled)[:, :, None])[:, :, 0]
         self.places[:, 2] = deep
 
     def place_rates(self) -> Array:
         """Returns the derivative (n, 3, nv) of ``places`` by a step in the directions of qvel."""
-        deeper = self._deeper()
+        deeper = self._deeper
         # What rotates a foot changes its rotation vector by the inverse of the left Jacobian.
         logs = np.array([pin.Jlog3(turned) for turned in self._turned]).reshape(-1, 3, 3)
         turns = logs.transpose(0, 2, 1) @ self.turning
         rates: Array = self._centre + self._offsets @ turns
         # The arm gets shorter by half of what the foot goes deeper.
-        sideways = cross_matrices(self._turns) @ (self._normals / 2)[:, :, None]
-        rates += sideways * deeper[:, None, :]
+        rates -= self._leant / 2 * deeper[:, None, :]
         rates = self._frames @ rates
         rates[:, 2] = deeper
         return rates
 
+    @cached_property
     def _deeper(self) -> Array:
-        """Returns the derivative (n, nv) of the depths."""
+        """The derivative (n, nv) of the depths."""
         deeper: Array = -(self._normals[:, None] @ self._centre)[:, 0]
         return deeper
 
@@ -137,10 +139,10 @@ class ContactKinematics:
         pushing = (forces[:, None] @ self._frames)[:, 0]
         wrenches = np.empty((len(forces), 6))
         wrenches[:, :3] = pushing
-        wrenches[:, 3:] = (pushing[:, None] @ self._offsets)[:, 0]  # pushing x arm
+        across = (pushing[:, None] @ self._crosses)[:, 0]  # pushing x normal
+        wrenches[:, 3:] = self._reach * across
         rates = self.config.pushed_rates(self._twists, wrenches)
         # As a foot goes deeper its contact comes nearer to the centre.
-        nearer = (pushing[:, None] @ (cross_matrices(self._normals).transpose(0, 2, 1) / 2))[:, 0]
-        moved = (nearer[:, None] @ self.turning)[:, 0]
-        change: Array = rates - moved.T @ self._deeper()
+        moved = (across[:, None] @ self.turning)[:, 0]
+        change: Array = rates + moved.T @ (self._deeper / 2)
         return change

@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lapack
 
+from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
@@ -153,6 +154,8 @@ class SagEquilibrium:
         self._giving, self._softer = any(self._give.values()), 1.0
         self._touch: tuple[object, Array, ContactKinematics] | None = None
         self._rigid: tuple[tuple[str, ...], Array | None] = (), None
+        nothing = np.zeros((0, 3, 3))
+        self._under: tuple[tuple[str, ...], list[int], Array, Array] = (), [], nothing, nothing
         self._sunk: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
         self._creeps = robot.mj_model.opt.noslip_iterations == 0  # with that solver feet stay
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
@@ -204,9 +207,14 @@ class SagEquilibrium:
         if seen is None or seen[0] != anchors or not (seen[1] == qpos).all():
             config, feet = Configuration(self.robot, qpos), self.robot.contact_points
             places = config.foot_places(feet)
-            own = places[[feet.index(foot) for foot in self.anchors]].reshape(-1, 3)
-            frames = np.array([self.frames[foot] for foot in self.anchors]).reshape(-1, 3, 3)
-            touch = ContactKinematics(config, self.anchors, own, frames, self.depths(places))
+            if self._under[0] != (held := tuple(self.anchors)):
+                frames = np.array([self.frames[foot] for foot in held]).reshape(-1, 3, 3)
+                rows = [feet.index(foot) for foot in held]
+                self._under = held, rows, frames, cross_matrices(frames[:, 2])
+            _, rows, frames, crosses = self._under
+            touch = ContactKinematics(
+                config, self.anchors, places[rows], frames, crosses, self.depths(places)
+            )
             seen = self._touch = anchors, qpos.copy(), touch
         return seen[2]
 
