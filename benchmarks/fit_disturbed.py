@@ -37,7 +37,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
-from pupper_analysis.tools.fit.stands.fit import StandFit, fit_stands
+from pupper_analysis.tools.fit.stands.fit import KNOWN_MASS, StandFit, fit_stands
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, plan_stands
 from pupper_analysis.tools.study.parameters import scale_robot
 
@@ -102,15 +102,15 @@ class Disturbance:
 PLAIN = Disturbance()
 DISTURBANCES: Mapping[str, Disturbance] = {
     "none": PLAIN,
-    "none, known mass": replace(PLAIN, added=0.07),
+    "none, known mass": replace(PLAIN, added=KNOWN_MASS),
     "dead band 0.3 deg": replace(PLAIN, deadband=math.radians(0.3)),
     "cable carries 5 %": replace(PLAIN, cable=(0.0, 0.05)),
-    "cable carries 5 %, known mass": replace(PLAIN, cable=(0.0, 0.05), added=0.07),
+    "cable carries 5 %, known mass": replace(PLAIN, cable=(0.0, 0.05), added=KNOWN_MASS),
     "cable back 2 %, up 3 %": replace(PLAIN, cable=(0.02, 0.03)),
     "pack of 10 % after weighing": replace(PLAIN, pack=0.1),
-    "pack of 10 % after weighing, known mass": replace(PLAIN, pack=0.1, added=0.07),
+    "pack of 10 % after weighing, known mass": replace(PLAIN, pack=0.1, added=KNOWN_MASS),
     "weight 2.15 times": replace(PLAIN, weight=2.15),
-    "weight 2.15 times, known mass": replace(PLAIN, weight=2.15, added=0.07),
+    "weight 2.15 times, known mass": replace(PLAIN, weight=2.15, added=KNOWN_MASS),
     "stiction 0.05 N m": replace(PLAIN, stiction=0.05),
     "stiction 0.1 N m": replace(PLAIN, stiction=0.1),
     "stiction 0.2 N m": replace(PLAIN, stiction=0.2),
@@ -334,7 +334,6 @@ def stands_of(rig: Rig, plan: StandPlan) -> MeasuredStands | None:
     if len(taken) < 5:
         return None
     names, robot = rig.robot.joint_names, rig.robot
-    blank = np.full((len(taken), robot.nu), np.nan)
     loads = np.array([[one.added, *place] if one.added else [0.0] * 4 for one, _ in taken])
     return MeasuredStands(
         source="rig",
@@ -342,11 +341,8 @@ def stands_of(rig: Rig, plan: StandPlan) -> MeasuredStands | None:
         joints=names,
         command=np.array([[one.command[n] for n in names] for one, _ in taken]),
         position=np.array([read for _, (read, _) in taken]),
-        torque=blank,
-        force={},
-        tilt=blank[:, :2],
+        tilt=np.full((len(taken), 2), np.nan),
         swing=tuple(swing for _, (_, swing) in taken),
-        approach=("",) * len(taken),
         heading=np.array([one.heading for one, _ in taken]),
         added={robot.base: loads} if loads.any() else {},
     )

@@ -54,10 +54,6 @@ of it a robot that is put on its feet slides, or lifts one: so stiff a robot is 
 TILT, SCALE = math.radians(0.2), 0.002
 """Noise of the IMU (rad), of a scale (of the weight)."""
 
-MOBILISED, SPREAD, FAST = 0.9, 0.3, 0.2
-"""Of dry friction, on average: how much of it holds a joint that came slowly from a known side, if
-it moved as fast as that, in parts of the fastest. (Simulated with friction that does not creep.)"""
-
 LEAST = 5
 KINDS = ("mass", "com", "offset", "kp", "friction", "slope", "imu")
 
@@ -152,32 +148,15 @@ def plant(robot: Robot, rng: np.random.Generator, slope: float) -> Planted:
     return Planted(robot, true, stiffness, offsets, imu, truth)
 
 
-def held_back(
-    robot: Robot, stand: Stand, side: str, rng: np.random.Generator, otherwise: np.ndarray
-) -> np.ndarray:
-    """Returns shares (nu,) of dry friction where a robot came to a stand from a side."""
-    higher = replace(stand.task, height=1.01 * stand.task.height)
-    try:
-        moved = pa.solve_stand(robot, higher).qpos[7:] - stand.qpos[7:]
-    except pa.PupperAnalysisError:
-        return otherwise
-    share = np.clip(MOBILISED + SPREAD * rng.normal(size=robot.nu), -1, 1) * np.sign(moved)
-    fast = np.abs(moved) > FAST * np.abs(moved).max()
-    return np.where(fast, share if side == "above" else -share, otherwise)
-
-
 def predict(
     planted: Planted,
     commanded: Commanded,
-    side: str,
     rng: np.random.Generator,
     given: argparse.Namespace,
 ) -> np.ndarray | None:
-    """Returns qpos at rest: dry friction anywhere in its band, or of a side; steps under feet."""
+    """Returns qpos at rest: dry friction anywhere in its band, steps under feet."""
     (stand, command), true, kp = commanded, planted.robot, planted.kp
     rubbing, share = true.joint_friction, rng.uniform(-1, 1, true.nu)
-    if side:
-        share = held_back(planted.stated, stand, side, rng, share)
     heights = {foot: float(rng.normal(0, given.uneven)) for foot in true.feet}
     on_steps = replace(stand, task=replace(stand.task, ground=Ground(heights=heights)))
     end = command - planted.offsets + share * rubbing / kp
@@ -225,29 +204,26 @@ def simulate(
 
 def measure(
     planted: Planted,
-    rows: list[tuple[Commanded, str, np.ndarray]],
+    rows: list[tuple[Commanded, np.ndarray]],
     given: argparse.Namespace,
     rng: np.random.Generator,
 ) -> MeasuredStands:
     """Returns what encoders and an IMU read of stands (qpos)."""
     robot = planted.robot
     step, shape = 2 * math.pi / 2**given.bits, (len(rows), robot.nu)
-    read = np.array([qpos[7:] for *_, qpos in rows]) + planted.offsets
+    read = np.array([qpos[7:] for _, qpos in rows]) + planted.offsets
     read += given.shakes * rng.normal(size=shape)
     up = -robot.gravity / np.linalg.norm(robot.gravity)
-    ups = [Configuration(robot, qpos).base_rotation().T @ up for *_, qpos in rows]
+    ups = [Configuration(robot, qpos).base_rotation().T @ up for _, qpos in rows]
     tilt = np.array([[math.atan2(y, z), -math.asin(x)] for x, y, z in ups]) + planted.imu
     return MeasuredStands(
         source="planted",
         names=tuple(str(row) for row in range(len(rows))),
         joints=robot.joint_names,
-        command=np.array([command for (_, command), *_ in rows]),
+        command=np.array([command for (_, command), _ in rows]),
         position=np.round(read / step) * step,
-        torque=np.full(shape, np.nan),
-        force={},
         tilt=tilt + TILT * rng.normal(size=tilt.shape),
-        swing=tuple(tuple(stand.task.swing) for (stand, _), *_ in rows),
-        approach=tuple(side for _, side, _ in rows),
+        swing=tuple(tuple(stand.task.swing) for (stand, _), _ in rows),
     )
 
 
@@ -256,19 +232,17 @@ def fits(
 ) -> Iterator[tuple[int, Planted, StandFit | None, float]]:
     """Yields seed, what is true, the fit (None: none, or too few stands), and seconds."""
     pool = random_stands(robot, np.random.default_rng(0), 3 * given.stands)
-    rubs = bool(robot.joint_friction.any())
     for seed in range(given.first, given.first + given.seeds):
         rng = np.random.default_rng([seed, zlib.crc32(robot.name.encode()), given.simulated])
         planted = plant(robot, rng, math.radians(given.slope))
-        rows: list[tuple[Commanded, str, np.ndarray]] = []
+        rows: list[tuple[Commanded, np.ndarray]] = []
         for number in rng.permutation(len(pool)):
-            side = ("above", "below")[len(rows) % 2] if given.sides and rubs else ""
             if given.simulated:
                 found = simulate(planted, pool[number], given)
             else:
-                found = predict(planted, pool[number], side, rng, given)
+                found = predict(planted, pool[number], rng, given)
             if found is not None:
-                rows.append((pool[number], side, found))
+                rows.append((pool[number], found))
             if len(rows) == given.stands:
                 break
         if len(rows) < LEAST:  # with these errors its feet slide, or it falls
@@ -276,7 +250,6 @@ def fits(
             continue
         stands = measure(planted, rows, given, rng)
         priors = (*PRIORS, f"offset={offset_of(robot)}rad")
-        priors += ("friction=30%",) if given.sides and rubs else ()
         weight = planted.robot.total_mass * (1 + SCALE * rng.normal())
         encoder = math.hypot(2 * math.pi / 2**given.bits / math.sqrt(12), given.shakes)
         kp, begun = servo_gains(robot).kp, time.process_time()
@@ -338,7 +311,6 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=12.0, help="that MuJoCo simulates")
     parser.add_argument("--grip", action="store_true", help="MuJoCo's feet do not creep")
     parser.add_argument("--drop", type=float, default=0.0, help="set down from so high (m)")
-    parser.add_argument("--sides", action="store_true", help="come from above and from below")
     parser.add_argument("--uneven", type=float, default=3e-4, help="of the ground (m)")
     parser.add_argument("--unweighed", action="store_true", help="no scale weighs the robot")
     parser.add_argument("--bits", type=int, default=12, help="of encoders")

@@ -14,7 +14,7 @@ from pupper_analysis.present.html.write import write_report
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, write_plan
 from pupper_analysis.tools.fit.write import write_randomisation
 
-STAND = PlannedStand("s01", ("FL",), "above", {"hip": 0.5, "knee": -1.0}, 0.2)
+STAND = PlannedStand("s01", ("FL",), {"hip": 0.5, "knee": -1.0}, 0.2)
 PLAN = StandPlan("robot", (STAND,), (), 1, 0.0)
 
 WRITERS: dict[str, Callable[..., object]] = {
@@ -62,14 +62,14 @@ def test_a_picture_of_others_is_no_figure(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("typed", "where"),
-    [("0.51", 5), ("0", 6), ("nan", 6), ("2.5", 7)],
+    [("0.51", 4), ("0", 5), ("nan", 5), ("2.5", 6)],
 )
 def test_a_plan_with_readings_is_never_replaced(typed: str, where: int, tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     write_plan(PLAN, path)
     header, row = (line.split(",") for line in path.read_text().splitlines())
     if where == len(row):
-        header, row = [*header, "force.FL"], [*row, ""]
+        header, row = [*header, "roll"], [*row, ""]
     row[where] = typed
     for comment in ("", "\ufeff"):  # as spreadsheets write it
         filled = f"{comment}{','.join(header)}\r\n{','.join(row)}\r\n"

@@ -135,8 +135,8 @@ def test_each_option_reaches_what_a_mode_calls_or_is_refused(
             refused.append(name)
     expected = {
         "fit --plan": {"weight", "encoder", "hold_out", "topics", "joints", "kd"},
-        "fit --stands": {"hold_out", "topics", "joints", "kd", "degrees", "both_sides"},
-        "fit --log": {"weight", "encoder", "degrees", "both_sides"},
+        "fit --stands": {"hold_out", "topics", "joints", "kd", "degrees"},
+        "fit --log": {"weight", "encoder", "degrees"},
     }
     assert expected.get(mode, set()) <= set(refused)
     if mode.startswith("fit"):

@@ -55,7 +55,7 @@ _USES = {
     "--record": {*_ALWAYS, "record", "bridge", "speed"} - {*_OF_MEASUREMENTS},
     "--stands": {*_ALWAYS, "stands", "weight", "encoder"},
     "--log": {*_ALWAYS, "logs", "topics", "joints", "hold_out", "kd"},
-    "--plan": {*_ALWAYS, "count", "degrees", "both_sides", "added", "added_at"},
+    "--plan": {*_ALWAYS, "count", "degrees", "added", "added_at"},
 }
 """{mode: what it uses}."""
 
@@ -100,17 +100,15 @@ _USES = {
 )
 @click.option("--degrees", is_flag=True, help="Write the plan in degrees.")
 @click.option(
-    "--both-sides", is_flag=True, help="Plan to come to each stand from above and from below."
-)
-@click.option(
     "--added",
     metavar="MASS",
-    help="Plan a known mass to be put on for some of the stands, e.g. 200g: it tells what kp is.",
+    help="Known mass to be put on for half of the stands: it tells what kp is. By default 15 % of "
+    "the robot's; 0kg plans none.",
 )
 @click.option(
     "--added-at",
     metavar="X,Y,Z",
-    help="Where it is put, in the base's frame, or LINK,X,Y,Z in a link's.",
+    help="Where it is put, in the base's frame, or LINK,X,Y,Z in a link's; by default on top.",
 )
 @shared.file_option("--record", help="CSV of a plan: take its stands, a row of -o for each.")
 @click.option(
@@ -162,7 +160,6 @@ def command(
     joints: str | None,
     count: int | None,
     degrees: bool,
-    both_sides: bool,
     added: str | None,
     added_at: str | None,
     record: Path | None,
@@ -182,8 +179,8 @@ def command(
     """Fit a robot's numbers to measurements: masses, centres of mass, zeros of encoders, kp.
 
     A soft servo is a torque sensor: tau = kp (command - position). A file of stands has a row for
-    each: command.<joint> and position.<joint> (rad, or [deg] in the header), and if they were read
-    torque.<joint>, force.<foot>, roll and pitch, swing (feet in the air), from (above or below).
+    each: command.<joint> and position.<joint> (rad, or [deg] in the header), swing (feet in the
+    air), and if they were read roll and pitch.
     A log is of a robot that hangs or is bolted down: time, position.<joint>, command.<joint>.
 
     Every number comes with its interval; what the measurements cannot tell is named, with what else
@@ -212,8 +209,8 @@ def command(
     if degrees and output is None:
         raise ConfigurationError("--degrees", diagnose("degrees-of-no-plan"))
     mass = None if weight is None else shared.parse_measure("weight", "mass", weight)
-    load = 0.0 if added is None else shared.parse_measure("added", "mass", added)
-    if not load:
+    load = None if added is None else shared.parse_measure("added", "mass", added)
+    if load == 0:
         refuse_alone(("--added",), "added_at")
     sure = None if encoder is None else shared.parse_measure("encoder", "angle", encoder)
     meant = which.one(words) or "v3"
@@ -231,9 +228,8 @@ def command(
                 count,
                 priors=priors,
                 kp=stiffness,
-                both_sides=both_sides,
                 added=load,
-                added_at=shared.parse_place("added-at", added_at or "0,0,0"),
+                added_at=None if added_at is None else shared.parse_place("added-at", added_at),
             )
         if output is not None:
             write_plan(result, output, degrees=degrees)

@@ -358,7 +358,6 @@ def _stands(plan: StandPlan) -> doc.Table:
     columns = (
         doc.Column(text("planned-stand"), left=True),
         doc.Column(text("feet-in-the-air"), left=True),
-        doc.Column(text("come-from"), left=True),
         *([doc.Column(text("turned-by"), "deg")] if turned else []),
         *([doc.Column(text("known-mass-on"), "kg")] if loaded else []),
         doc.Column(text("utilisation"), "%"),
@@ -369,7 +368,6 @@ def _stands(plan: StandPlan) -> doc.Table:
         (
             doc.Name(one.name),
             doc.Name(" ".join(one.swing)),
-            doc.Name(one.approach),
             *([doc.number_cell(one.heading, ".0f", scale=factor)] if turned else []),
             *([doc.number_cell(one.added, ".4g")] if loaded else []),
             doc.number_cell(one.utilisation, ".0f", scale=100.0),

@@ -74,9 +74,10 @@ KINDS: Mapping[str, ParameterKind] = {
         ParameterKind("moment", "m", width=3e-4),
         # Servos that give nothing for an error below it: that of hobby servos' data sheets.
         ParameterKind("deadband", "rad", width=math.radians(0.1)),
-        # What a cable carries of the robot, or adds to it, in parts of its weight. Sideways it
-        # would be a slope, which is estimated.
-        ParameterKind("pull", "1", width=0.01),
+        # What stands on the feet and no scale has shown, in parts of the weight: a pack that was
+        # put on later; less, if a cable carries. A pack of a tenth is within that, and nothing but
+        # a known mass speaks against it. Sideways it would be a slope, which is estimated.
+        ParameterKind("load", "1", width=0.06),
         # A known mass that was put on, by a kitchen scale; and where, by a ruler.
         ParameterKind("added", "1", width=0.005, positive=True),
         ParameterKind("place", "m", width=3e-3),
@@ -86,7 +87,7 @@ KINDS: Mapping[str, ParameterKind] = {
 }
 """The kinds, each with what is known before anything is measured, unless a prior says otherwise."""
 
-OF_SURROUNDINGS = ("slope", "softness", "moment", "deadband", "pull", "imu", "added", "place")
+OF_SURROUNDINGS = ("slope", "softness", "moment", "deadband", "load", "imu", "added", "place")
 """Kinds that are no number of the robot's files."""
 
 
@@ -96,7 +97,7 @@ class Parameter:
 
     Attributes:
         kind: One of ``KINDS``.
-        subject: The link or joint; ``floor``, ``imu``, ``servos`` or ``cable`` of the surroundings.
+        subject: The link or joint; ``floor``, ``imu``, ``servos`` or ``scale`` of the surroundings.
         component: ``x``, ``y`` or ``z``, or ``roll`` or ``pitch``; empty of a scalar.
         stated: The model's value, about which the prior is (in the kind's unit).
         width: The prior's standard deviation (likewise).

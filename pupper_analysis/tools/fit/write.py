@@ -25,7 +25,6 @@ from pupper_analysis.base.kinds import FIT_FOLDER, RANGES
 from pupper_analysis.base.provenance import marked_json
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.tools.fit.consistency import make_consistent
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import AXES as COMPONENTS
 from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
@@ -64,12 +63,11 @@ class FitFiles:
 
     Attributes:
         models: The corrected URDF and MJCF.
-        vector: (n,) the parameters as they are written: consistent, and of as many digits as are
-            known.
+        vector: (n,) the parameters as they are written, of as many digits as are known.
         contents: {name in the folder: content}: ``fit.json``, ``offsets.csv`` if there are any,
             ``samples.csv``.
         spreads: {factor of studies: {"normal": (mean, standard deviation)}}, on these models.
-        diagnostics: What holds estimates, and what is in no model.
+        diagnostics: What is in no model.
     """
 
     models: WrittenNumbers
@@ -97,14 +95,15 @@ def fit_files(
         packages: {ROS package: its folder}, for ``package://`` paths.
 
     Raises:
-        FitError: If no bodies can be near the estimate.
         ModelError: If not all numbers can be written.
     """
-    vector, held = make_consistent(robot, posterior)
-    vector = _rounded(vector, posterior)
+    least = [
+        _LEAST * one.stated if KINDS[one.kind].factor else -np.inf for one in posterior.parameters
+    ]
+    vector = _rounded(np.maximum(posterior.mean, least), posterior)
     numbers, left = _numbers(robot, posterior, vector)
     models = write_numbers(robot, numbers, files=files, packages=packages)
-    finding = (*held, *left, *models.notes)
+    finding = (*left, *models.notes)
     contents = {Path("fit.json"): _json(posterior, vector, models, finding, fit)}
     offsets = [
         (one.subject, value)
@@ -344,7 +343,6 @@ def write_fit(
         What was written.
 
     Raises:
-        FitError: If no bodies can be near the estimate.
         ModelError: If not all numbers can be written.
         OutputError: If a file cannot be or must not be replaced, or is one that the robot was
             loaded from.

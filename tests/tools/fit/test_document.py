@@ -117,8 +117,8 @@ def stand_plan() -> StandPlan:
     return StandPlan(
         name="dog",
         stands=(
-            PlannedStand("s01", (), "above", {"knee": 0.5, "hip": -0.1}, 0.25),
-            PlannedStand("s02", ("FL",), "below", {"knee": 0.6, "hip": -0.2}, 0.5),
+            PlannedStand("s01", (), {"knee": 0.5, "hip": -0.1}, 0.25),
+            PlannedStand("s02", ("FL",), {"knee": 0.6, "hip": -0.2}, 0.5),
         ),
         expected=(Expected("offset knee", "rad", 0.0, 0.07, 0.01, Determined.PARTLY),),
         candidates=72,

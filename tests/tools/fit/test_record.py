@@ -49,7 +49,7 @@ def plan(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
         named = dict(zip(robot.joint_names, command.tolist(), strict=True))
         mass = 0.2 if number == 3 else 0.0
         turned = math.pi * (number % 2)
-        stands.append(PlannedStand(f"s{number}", (), "", named, None, turned, mass))
+        stands.append(PlannedStand(f"s{number}", (), named, None, turned, mass))
     path = tmp_path_factory.mktemp("plan") / "plan.csv"
     place = find_place(robot, (0.0, 0.0, 0.05))
     write_plan(StandPlan("v3", tuple(stands), (), 4, 0.0, place), path)

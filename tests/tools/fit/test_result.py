@@ -65,7 +65,7 @@ def test_a_remedy_narrows_what_is_open_by_what_it_would_tell() -> None:
     found = fitted((MASS, KP), np.array([[2.0, -1.0]]), np.array([0.0]), noise)
     (both,) = find_combinations(
         found,
-        {"weigh-the-robot": np.diag([1 / scale**2, 0.0]), "measure-torques": np.zeros((2, 2))},
+        {"weigh-the-robot": np.diag([1 / scale**2, 0.0]), "read-an-imu": np.zeros((2, 2))},
     )
     whole = np.eye(2) + 4 / noise**2 * np.array([[1, -1], [-1, 1]]) + np.diag([100.0, 0.0])
     after = np.linalg.inv(whole).sum() / 2

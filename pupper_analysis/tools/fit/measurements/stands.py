@@ -21,12 +21,9 @@ COLUMNS = (
     Column("stand", ""),
     Column("command.*", "position"),
     Column("position.*", "position"),
-    Column("torque.*", "torque"),
-    Column("force.*", "force"),
     Column("roll", "position"),
     Column("pitch", "position"),
     Column("swing", ""),
-    Column("from", ""),
     Column("heading", "angle"),
     Column("added.*", "mass"),
     Column("added_x.*", "length"),
@@ -34,8 +31,6 @@ COLUMNS = (
     Column("added_z.*", "length"),
 )
 """What may stand in a file of stands."""
-
-APPROACHES = ("above", "below")
 
 _AT_REST = 5e-3
 """rad: readings of one stand that are further apart are of a robot that moves, or was moved. An
@@ -52,11 +47,8 @@ class MeasuredStands:
         joints: (n,) whose columns follow.
         command: (m, n) commanded joint positions, as the servos have them (rad).
         position: (m, n) measured joint positions, as the encoders have them (rad).
-        torque: (m, n) measured motor torques (N m).
-        force: {foot: (m,)} normal force under a foot (N).
         tilt: (m, 2) roll and pitch of the base against the vertical, as an IMU has them (rad).
         swing: (m,) the feet that are in the air.
-        approach: (m,) from which side it was come to rest: ``above``, ``below``, or empty.
         heading: (m,) how the robot was turned about the vertical (rad); zeros by default.
         added: {link: (m, 4) known mass that was put on it (kg), and where in its frame (m)}; 0 of
             none.
@@ -67,11 +59,8 @@ class MeasuredStands:
     joints: tuple[str, ...]
     command: Array
     position: Array
-    torque: Array
-    force: Mapping[str, Array]
     tilt: Array
     swing: tuple[tuple[str, ...], ...]
-    approach: tuple[str, ...]
     heading: Array = field(default_factory=lambda: np.zeros(0))
     added: Mapping[str, Array] = field(default_factory=dict)
 
@@ -95,7 +84,7 @@ class MeasuredStands:
         for name in self.joints:
             if name not in robot.joint_names:
                 raise UnknownNameError(self.source, "joint", name, robot.joint_names)
-        for name in (*self.force, *(foot for feet in self.swing for foot in feet)):
+        for name in (foot for feet in self.swing for foot in feet):
             if name not in robot.feet:
                 raise UnknownNameError(self.source, "foot", name, tuple(robot.feet))
         for name in self.added:
@@ -110,7 +99,6 @@ class MeasuredStands:
             joints=robot.joint_names,
             command=self.command[:, order],
             position=self.position[:, order],
-            torque=self.torque[:, order],
         )
 
     def checked(self, robot: Robot) -> MeasuredStands:
@@ -163,7 +151,7 @@ class MeasuredStands:
             MeasurementError: If they are not those of a robot at rest.
         """
         loads = np.column_stack([self.heading, *self.added.values()]).tolist()
-        keys = list(zip(self.names, self.approach, self.swing, map(tuple, loads), strict=True))
+        keys = list(zip(self.names, self.swing, map(tuple, loads), strict=True))
         groups = [np.flatnonzero([one == key for one in keys]) for key in dict.fromkeys(keys)]
         if len(groups) == len(keys):
             return self
@@ -188,11 +176,8 @@ class MeasuredStands:
             names=tuple(self.names[row] for row in first),
             command=mean(self.command),
             position=mean(self.position),
-            torque=mean(self.torque),
-            force={foot: mean(values) for foot, values in self.force.items()},
             tilt=mean(self.tilt),
             swing=tuple(self.swing[row] for row in first),
-            approach=tuple(self.approach[row] for row in first),
             heading=self.heading[first],
             added={link: own[first] for link, own in self.added.items()},
         )
@@ -205,11 +190,8 @@ class MeasuredStands:
             names=tuple(self.names[row] for row in chosen),
             command=self.command[chosen],
             position=self.position[chosen],
-            torque=self.torque[chosen],
-            force={foot: values[chosen] for foot, values in self.force.items()},
             tilt=self.tilt[chosen],
             swing=tuple(self.swing[row] for row in chosen),
-            approach=tuple(self.approach[row] for row in chosen),
             heading=self.heading[chosen],
             added={link: own[chosen] for link, own in self.added.items()},
         )
@@ -234,12 +216,11 @@ def read_stands(path: str | Path) -> MeasuredStands:
     """Reads stands at rest from a CSV file or an ``.npz``, one a row.
 
     Columns are ``command.<joint>`` and ``position.<joint>``; there may be ``stand`` (its name: rows
-    of one name are readings of one stand), ``torque.<joint>``, ``force.<foot>``, ``roll`` and
-    ``pitch`` of the base, ``swing`` (the feet in the air, with blanks between them), ``from``
-    (``above`` or ``below``), ``heading`` (how the robot was turned on the spot), and
+    of one name are readings of one stand), ``roll`` and ``pitch`` of the base, ``swing`` (the feet
+    in the air, with blanks between them), ``heading`` (how the robot was turned on the spot), and
     ``added.<link>`` with ``added_x.<link>``, ``added_y.``, ``added_z.`` (a known mass that was put
     on it, and where in the link's frame). Units are SI unless they are said in brackets:
-    ``position.FL_knee [deg]``, ``force.FL [g]``. A cell that is empty is missing.
+    ``position.FL_knee [deg]``, ``added.base [g]``. A cell that is empty is missing.
 
     Args:
         path: The file.
@@ -249,18 +230,17 @@ def read_stands(path: str | Path) -> MeasuredStands:
     """
     table = read_columns(path, COLUMNS)
     position, command = table.of("position"), table.of("command")
-    if not position or not (command or table.of("torque")):
+    if not position or not command:
         missing = "position.<joint>" if not position else "command.<joint>"
         raise MeasurementError(table.source, diagnose("column-missing", column=missing))
     joints, blank = tuple(position), np.full(len(table.lines), np.nan)
-    for kind in ("command", "torque"):
-        for joint in table.of(kind):
-            if joint not in position:
-                finding = diagnose("column-without-position", column=f"{kind}.{joint}", joint=joint)
-                raise MeasurementError(table.source, finding)
+    for joint in command:
+        if joint not in position:
+            finding = diagnose("column-without-position", column=f"command.{joint}", joint=joint)
+            raise MeasurementError(table.source, finding)
     columns = {
         kind: np.column_stack([table.of(kind).get(joint, blank) for joint in joints])
-        for kind in ("command", "position", "torque")
+        for kind in ("command", "position")
     }
     tilt = [table.numbers.get(name, blank) for name in ("roll", "pitch")]
     rows = [str(row + 1) for row in range(len(blank))]
@@ -270,11 +250,8 @@ def read_stands(path: str | Path) -> MeasuredStands:
         joints=joints,
         command=columns["command"],
         position=columns["position"],
-        torque=columns["torque"],
-        force=table.of("force"),
         tilt=np.column_stack(tilt),
         swing=tuple(tuple(words.split()) for words in table.words.get("swing", [""] * len(rows))),
-        approach=tuple(_approaches(table)),
         heading=np.nan_to_num(table.numbers.get("heading", blank)),
         added=dict(_added(table)),
     )
@@ -296,16 +273,6 @@ def _added(table: Columns) -> Iterator[tuple[str, Array]]:
             finding = diagnose("added-mass-of-nowhere", line=table.lines[row], link=link)
             raise MeasurementError(table.source, finding)
         yield link, np.where(on[:, None], np.column_stack([masses, places]), 0.0)
-
-
-def _approaches(table: Columns) -> Iterator[str]:
-    for line, word in zip(
-        table.lines, table.words.get("from", [""] * len(table.lines)), strict=True
-    ):
-        if word and word not in APPROACHES:
-            finding = diagnose("approach-unknown", line=line, word=word, known=APPROACHES)
-            raise MeasurementError(table.source, finding)
-        yield word
 
 
 def quantum_of(stands: MeasuredStands) -> float:

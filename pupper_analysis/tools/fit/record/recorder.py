@@ -119,7 +119,7 @@ def record_stands(
     _check(robot, planned)
     path = Path(output)
     had = _names_in(path, planned)
-    rows = [row for row, name in enumerate(planned.names) if _key(planned, row) not in had]
+    rows = [row for row, name in enumerate(planned.names) if planned.names[row] not in had]
     taken: list[str] = []
     findings: list[Diagnostic] = []
     before: PlannedStand | None = None
@@ -145,7 +145,7 @@ def record_stands(
         session.hold()
         bridge.close()
     left = [planned.names[row] for row in rows if planned.names[row] not in taken]
-    names = tuple(name for name in planned.names if any(name == one for one, _ in had))
+    names = tuple(name for name in planned.names if name in had)
     return Recording(robot.name, str(path), tuple(taken), names, tuple(left), tuple(findings))
 
 
@@ -309,11 +309,7 @@ def _margin(robot: Robot, command: Array, swing: Sequence[str]) -> float:
 # The file: a row more each time, and never one less.
 
 
-def _key(stands: MeasuredStands, row: int) -> tuple[str, str]:
-    return stands.names[row], stands.approach[row]
-
-
-def _names_in(path: Path, planned: MeasuredStands) -> set[tuple[str, str]]:
+def _names_in(path: Path, planned: MeasuredStands) -> set[str]:
     """Returns the stands that a file has.
 
     Raises:
@@ -323,12 +319,12 @@ def _names_in(path: Path, planned: MeasuredStands) -> set[tuple[str, str]]:
         return set()
     found = read_stands(path)
     for row in range(len(found)):
-        rows = [at for at in range(len(planned)) if _key(planned, at) == _key(found, row)]
+        rows = [at for at, name in enumerate(planned.names) if name == found.names[row]]
         same = rows and np.allclose(found.command[row], planned.command[rows[0]], atol=_SAME)
         if found.joints != planned.joints or not same:
             finding = diagnose("recording-of-another-plan", stand=found.names[row])
             raise MeasurementError(str(path), finding)
-    return {_key(found, row) for row in range(len(found))}
+    return set(found.names)
 
 
 _SAME = 2e-6
@@ -340,7 +336,6 @@ def _stand(planned: MeasuredStands, row: int) -> PlannedStand:
     return PlannedStand(
         name=planned.names[row],
         swing=planned.swing[row],
-        approach=planned.approach[row],
         heading=float(planned.heading[row]),
         added=float(sum(loads)),
         command=dict(zip(planned.joints, planned.command[row].tolist(), strict=True)),
@@ -355,9 +350,9 @@ def _append(path: Path, planned: MeasuredStands, row: int, read: Array, up: Sequ
     loads = [f"added{one}.{link}" for link in planned.added for one in ("", "_x", "_y", "_z")]
     if not path.exists():
         kinds = [f"{kind}.{name}" for kind in ("command", "position") for name in planned.joints]
-        writer.writerow(["stand", "swing", "from", "heading", *loads, *kinds])
+        writer.writerow(["stand", "swing", "heading", *loads, *kinds])
     on = [f"{value:.6g}" for own in planned.added.values() for value in own[row].tolist()]
-    first = [planned.names[row], " ".join(up), planned.approach[row], f"{planned.heading[row]:.6g}"]
+    first = [planned.names[row], " ".join(up), f"{planned.heading[row]:.6g}"]
     numbers = [f"{value:.6f}" for value in (*planned.command[row].tolist(), *read.tolist())]
     writer.writerow([*first, *on, *numbers])
     had = path.read_bytes() if path.exists() else b""

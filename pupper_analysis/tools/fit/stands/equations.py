@@ -16,8 +16,8 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.estimate import Linearised
-from pupper_analysis.tools.fit.measurements.stands import APPROACHES, MeasuredStands
-from pupper_analysis.tools.fit.parameters import AXES, KINDS, ParameterTable, bodies_of, give_widths
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.parameters import AXES, KINDS, ParameterTable, bodies_of
 
 Array = NDArray[np.float64]
 
@@ -40,10 +40,6 @@ _UNKNOWN = 1e3
 _TURNS_ROUND = 1e-3
 """rad: where an error is no larger, which side of a servo's dead band it is on is not sure."""
 
-_MOBILISED = 0.35
-"""Of dry friction: standard deviation of how much of it holds a joint that came slowly from a known
-side: 0.3 to 0.4, simulated in MuJoCo of v3 and Go2. (One that came from nowhere: 0.58.)"""
-
 
 @dataclass(frozen=True)
 class StandNoise:
@@ -56,8 +52,6 @@ class StandNoise:
         flatness: Of the ground's height under a foot, and of the links' lengths (m).
         friction: Factor on the stated dry friction of joints, of which nobody knows where in its
             band a joint came to rest.
-        torque: Of a measured torque, in parts of the motor's limit.
-        force: Of a force under a foot (N).
         tilt: Of an IMU's roll and pitch (rad).
     """
 
@@ -65,8 +59,6 @@ class StandNoise:
     moment: float = KINDS["moment"].width
     flatness: float = 3e-4
     friction: float = 1.0
-    torque: float = 0.02
-    force: float = 0.1
     tilt: float = math.radians(0.2)
 
 
@@ -77,22 +69,16 @@ class Reading:
     Attributes:
         command: (nu,) rad.
         position: (nu,) rad.
-        torque: (nu,) N m.
-        force: {foot: N}.
         tilt: (2,) rad.
         points: The contact points that carry.
-        sides: (nu,) how much of its dry friction holds each joint, on average: 0 if nobody knows.
         heading: How the robot is turned about the vertical (rad).
         added: {link: known mass on it (kg), and where in its frame (m)} (4,).
     """
 
     command: Array
     position: Array
-    torque: Array
-    force: dict[str, float]
     tilt: Array
     points: tuple[str, ...]
-    sides: Array
     heading: float = 0.0
     added: Mapping[str, Array] = field(default_factory=dict)
 
@@ -103,8 +89,6 @@ def readings_of(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
         yield Reading(
             command=stands.command[row],
             position=stands.position[row],
-            torque=stands.torque[row],
-            force={foot: float(weighed[row]) for foot, weighed in stands.force.items()},
             tilt=stands.tilt[row],
             points=tuple(
                 point
@@ -112,7 +96,6 @@ def readings_of(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
                 if foot not in stands.swing[row]
                 for point in points
             ),
-            sides=np.zeros(robot.nu),
             heading=float(stands.heading[row]),
             added={link: own[row] for link, own in stands.added.items() if own[row, 0]},
         )
@@ -235,22 +218,16 @@ class StandRows:
         self.jacobians = linear - cross_matrices(self._arms) @ turning
         known = np.isfinite(reading.command)
         lead = np.where(known, reading.command - reading.position, 0.0)
-        self._sides = lead / np.hypot(lead, _TURNS_ROUND)
-        self._lead = lead - numbers.deadband * self._sides
+        self._signs = lead / np.hypot(lead, _TURNS_ROUND)
+        self._lead = lead - numbers.deadband * self._signs
         self._stiff = np.where(known, numbers.stiff, 0.0)
         self._known = known
-        self._measured = np.isfinite(reading.torque)
         self._scale = robot.total_mass * float(np.linalg.norm(robot.gravity))
-        limits = robot.effort_limits
-        full = np.where(np.isfinite(limits), limits, self._scale * robot.stand_height)
-        self._sensor = noise.torque * full
         pressed = np.maximum(forces[:, 2], 0.0)
         sources = np.append([noise.encoder] * robot.nu, noise.moment * np.repeat(pressed, 3))
         self.rows = Rows((len(table), 3 + 3 * len(points)), sources)
         self._balance()
         self._contact()
-        self._torques()
-        self._weighed()
         self._tilt()
 
     def _at(self, kind: str, subject: str, component: str = "") -> list[int]:
@@ -265,15 +242,12 @@ class StandRows:
         wrenches = np.hstack([self._forces, np.cross(self._arms, self._forces) + kept])
         stiffness = self.config.pushed_rates(self._twists, wrenches)
         gravity, by_mass, by_com, by_slope = self._regressor.at(self.config, numbers)
-        sides = self._reading.sides
-        by_sensor = self._measured & ~self._known
-        torque = numbers.kp * self._lead + np.where(by_sensor, self._reading.torque, 0.0)
         residual = self.config.passive() - gravity
-        residual[2] += numbers.pull * numbers.mass * numbers.size
+        residual[2] -= numbers.load * numbers.mass * numbers.size
         residual += np.einsum("pij,pi->j", self.jacobians, self._forces)
-        residual[6:] += torque + sides * numbers.friction
+        residual[6:] += numbers.kp * self._lead
         residual += np.einsum("pij,pi->j", self._twists[:, 3:], kept)
-        by_x, by_own, by_noise = self.rows.add(residual, self._unsure(sides, by_sensor))
+        by_x, by_own, by_noise = self.rows.add(residual, self._unsure())
         by_own[:, :3] = -stiffness[:, _TURNS_AND_HEIGHT]
         by_own[:, 3:] = self.jacobians.reshape(-1, nv).T
         # What a foot sinks further brings its contact nearer to its centre by half of that.
@@ -301,22 +275,20 @@ class StandRows:
                 by_x[:, at] += stiffness[:, row]
             for at in self._at("kp", name):
                 by_x[row, at] += self._lead[joint]
-            for at in self._at("friction", name):
-                by_x[row, at] += sides[joint]
             for at in self._at("deadband", "servos"):
-                by_x[row, at] -= numbers.kp[joint] * self._sides[joint]
+                by_x[row, at] -= numbers.kp[joint] * self._signs[joint]
         self._gravity(by_x, by_mass, by_com, by_slope)
         self._in_positions(residual, by_x, by_own, by_noise)
 
     def _gravity(
         self, by_x: Array, by_mass: list[Array], by_com: list[Array], by_slope: list[Array]
     ) -> None:
-        """Fills in what balance changes by with masses, coms, loads, the slope and a cable."""
+        """Fills in what balance changes by with masses, coms, loads, and the slope."""
         numbers = self._numbers
         for body, (link, *_) in enumerate(numbers.bodies):
             for at in self._at("mass", link):
                 by_x[:, at] -= by_mass[body]
-                by_x[2, at] += numbers.pull * numbers.size
+                by_x[2, at] -= numbers.load * numbers.size
             for axis, name in enumerate(AXES):
                 for at in self._at("com", link, name):
                     by_x[:, at] -= by_com[body][:, axis]
@@ -329,8 +301,8 @@ class StandRows:
         for name, pull in zip("xy", by_slope, strict=True):
             for at in self._at("slope", "floor", name):
                 by_x[:, at] -= pull
-        for at in self._at("pull", "cable"):
-            by_x[2, at] += numbers.mass * numbers.size
+        for at in self._at("load", "scale"):
+            by_x[2, at] -= numbers.mass * numbers.size
 
     def _in_positions(self, residual: Array, by_x: Array, by_own: Array, by_noise: Array) -> None:
         """Takes motors' rows to what a position is off by, times the kp at which noise is taken.
@@ -353,15 +325,12 @@ class StandRows:
         for rows in (residual, by_x.T, by_own.T, by_noise.T):
             rows *= share
 
-    def _unsure(self, sides: Array, by_sensor: NDArray[np.bool_]) -> Array:
+    def _unsure(self) -> Array:
         """Returns the standard deviations (nv,) of balance, but for what encoders' noise does."""
-        robot = self._robot
-        length, rubbing = robot.stand_height, self._noise.friction * self._numbers.rubbing
-        spread = np.where(sides == 0, rubbing / math.sqrt(3.0), _MOBILISED * rubbing)
-        sensor = np.where(by_sensor, self._sensor, 0.0)
-        torque = np.sqrt((_LINEAR * self._scale * length) ** 2 + spread**2 + sensor**2)
-        known = self._known | by_sensor
-        torque = np.where(known, torque, _UNKNOWN * self._scale * length)
+        length, rubbing = self._robot.stand_height, self._noise.friction * self._numbers.rubbing
+        # A joint rests anywhere in its band of dry friction.
+        torque = np.hypot(_LINEAR * self._scale * length, rubbing / math.sqrt(3.0))
+        torque = np.where(self._known, torque, _UNKNOWN * self._scale * length)
         base = _BALANCE * self._scale * np.array([1.0, 1.0, 1.0, length, length, length])
         return np.concatenate([base, torque])
 
@@ -382,29 +351,6 @@ class StandRows:
             by_own[point, 3 + 3 * point + 2] += self._softness[point] / self._rates[point]
             for at in self._at("softness", foot):
                 by_x[point, at] += self._deep[point]
-
-    def _torques(self) -> None:
-        """Tau = measured torque, of motors whose command is known as well."""
-        chosen = np.flatnonzero(self._measured & self._known)
-        if not chosen.size:
-            return
-        off = (self._numbers.kp * self._lead - self._reading.torque)[chosen]
-        by_x, _, by_noise = self.rows.add(off, self._sensor[chosen])
-        by_noise[:, chosen] = np.diag(self._stiff[chosen])
-        for row, joint in enumerate(chosen):
-            for at in self._at("kp", self._names[joint]):
-                by_x[row, at] = self._lead[joint]
-            for at in self._at("deadband", "servos"):
-                by_x[row, at] = -self._numbers.kp[joint] * self._sides[joint]
-
-    def _weighed(self) -> None:
-        """Sum of f_z of a foot's points = what the scale under it shows."""
-        for foot, weighed in self._reading.force.items():
-            if math.isfinite(weighed):
-                on = [point for point, own in enumerate(self._feet) if own == foot]
-                residual = np.array([self._forces[on, 2].sum() - weighed])
-                _, by_own, _ = self.rows.add(residual, np.array([self._noise.force]))
-                by_own[0, [3 + 3 * point + 2 for point in on]] = 1.0
 
     def _tilt(self) -> None:
         """Roll and pitch against the vertical, plus the IMU's own = what it shows.
@@ -465,7 +411,6 @@ class Numbers:
         robot: The robot, with these masses in Pinocchio's model.
         bodies: (link, number of its joint, mass (kg), com (3,) in its frame (m)) of each.
         kp: (nu,) N m/rad.
-        friction: (nu,) N m.
         offset: (nu,) rad.
         softness: {foot: factor on how far it sinks}.
         moment: {foot: (3,) moment on it, in parts of the force on it (m)}.
@@ -473,7 +418,7 @@ class Numbers:
         tilts: (2, 3) its derivatives by the slope.
         imu: (2,) roll and pitch of the IMU in the base (rad).
         deadband: Error for which a servo gives nothing (rad).
-        pull: What is carried of the robot by something else than its feet, in parts of its weight.
+        load: What stands on the feet beyond the masses, in parts of these.
         size: Of gravity (m/s^2).
         mass: Of the whole robot (kg).
         heaviness: The mass at which noise is taken (kg), as ``stiff`` is the kp.
@@ -486,7 +431,6 @@ class Numbers:
     robot: Robot
     bodies: tuple[tuple[str, int, float, Array], ...]
     kp: Array
-    friction: Array
     offset: Array
     softness: dict[str, float]
     moment: dict[str, Array]
@@ -494,7 +438,7 @@ class Numbers:
     tilts: Array
     imu: Array
     deadband: float
-    pull: float
+    load: float
     size: float
     mass: float
     heaviness: float
@@ -576,15 +520,6 @@ _SHOWS = 1.0
 _LOOKS = 2
 """Steps of a stand's own unknowns for each of the parameters': equations are linear in forces."""
 
-_HARDLY_MOVES = 0.2
-"""Of the fastest joint's: a joint that moves no faster may have come from either side. Of v3, which
-is let down slowly in MuJoCo, on friction that does not creep, joints between 0.05 and 0.2 have 0.4
-of their friction on the side that this says, with a standard deviation of 0.8."""
-
-_MOVED_MOBILISED = 0.9
-"""Of dry friction: how much of it holds a joint that came slowly from a known side, on average:
-0.94 and 0.88 of v3 with its own kp and with four times that, 0.8 of Go2."""
-
 
 class StandEquations:
     """Balance of forces, contact with the ground, and what else was measured, of every stand.
@@ -594,10 +529,10 @@ class StandEquations:
 
         S tau - g(q; masses, coms) + passive + sum J_p^T f_p = 0          (nv)
         z_p(q) - r_p + softness depth(f_p) = 0                            (one a contact point)
-        tau = measured torque,  sum of f_z = scale's force,  tilt = IMU's    (where measured)
+        tilt = IMU's                                                      (where measured)
 
-    with q = position - offset, tau = kp (command - position - dead band) + friction, and what a
-    cable carries beside the feet. The encoder's noise acts by both. The unknowns of a stand are
+    with q = position - offset, tau = kp (command - position - dead band), and what no
+    scale has shown on the feet. The encoder's noise acts by both. The unknowns of a stand are
     eliminated: what is left of its equations are those combinations that no contact force, and no
     motion of the base, changes.
 
@@ -626,14 +561,8 @@ class StandEquations:
         self._bodies = [(link, at, model.inertias[at].copy()) for link, at in bodies_of(robot)]
         self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
         self._regressor = GravityRegressor(robot)
-        readings = list(readings_of(robot, stands))
-        self._own = [self._begin(reading) for reading in readings]
-        self._readings = [
-            replace(reading, sides=self._sides(reading, base, approach))
-            for reading, (base, _), approach in zip(
-                readings, self._own, stands.approach, strict=True
-            )
-        ]
+        self._readings = list(readings_of(robot, stands))
+        self._own = [self._begin(reading) for reading in self._readings]
 
     def linearise(self, x: Array, about: Array, evaluations: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of all stands; see ``estimate_parameters``.
@@ -708,7 +637,6 @@ class StandEquations:
             robot=replace(robot, pin_model=model),
             bodies=tuple(bodies),
             kp=self._per_joint(x, "kp", self._kp),
-            friction=self._per_joint(x, "friction", self._friction),
             offset=self._per_joint(x, "offset", np.zeros(robot.nu)),
             softness={foot: table.value(x, "softness", foot, "", 1.0) for foot in robot.feet},
             moment={
@@ -719,7 +647,7 @@ class StandEquations:
             tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
             imu=np.array([table.value(x, "imu", "imu", axis, 0.0) for axis in ("roll", "pitch")]),
             deadband=table.value(x, "deadband", "servos", "", 0.0),
-            pull=table.value(x, "pull", "cable", "", 0.0),
+            load=table.value(x, "load", "scale", "", 0.0),
             size=size,
             mass=self._mass(x),
             heaviness=self._heaviness,
@@ -757,23 +685,6 @@ class StandEquations:
         forces = np.zeros((len(points), 3))
         forces[:, 2] = robot.total_mass * float(np.linalg.norm(robot.gravity)) / len(points)
         return np.array([turn.w, turn.x, turn.y, turn.z, height]), forces
-
-    def _sides(self, reading: Reading, base: Array, approach: str) -> Array:
-        """Returns how much of its dry friction holds each joint (nu,), on average.
-
-        Against the motion that brought the base to where it is, on feet that stay. It is taken
-        where encoders have it: joints that change sides from step to step would let no fit end.
-        """
-        robot = self.robot
-        if not approach:
-            return np.zeros(robot.nu)
-        qpos = robot.posed(reading.position)
-        qpos[2], qpos[3:7] = base[4], base[:4]
-        rates = Configuration(robot, qpos).foot_twists(reading.points)[:, :3].reshape(-1, robot.nv)
-        motion, *_ = np.linalg.lstsq(rates[:, 6:], rates[:, 2])  # base down: J_j v = J_z
-        fast = np.abs(motion) > _HARDLY_MOVES * np.abs(motion).max(initial=0.0)
-        against = np.where(fast, -_MOVED_MOBILISED * np.sign(motion), 0.0)
-        return against if approach == "above" else -against
 
     def informations(self, x: Array) -> list[Array]:
         """Returns what each stand tells (n, n), where the priors' widths are the units."""
@@ -898,11 +809,8 @@ class StandEquations:
                     like,
                     position=read,
                     command=np.where(np.isfinite(like.command), read + lead, np.nan),
-                    torque=np.where(np.isfinite(like.torque), torque, np.nan),
-                    force={},
                     tilt=np.full(2, np.nan),
                     points=points,
-                    sides=np.zeros(self.robot.nu),
                     heading=0.0,
                     added=load,
                 )
@@ -910,47 +818,14 @@ class StandEquations:
             own.append((qpos[[3, 4, 5, 6, 2]], np.array([forces[point] for point in points])))
         return self.reading(readings, own)
 
-    def from_both_sides(self, x: Array) -> StandEquations | None:
-        """Returns the same with each stand from above and from below; None if a side is known.
-
-        Dry friction is then estimated, too: its parameters follow the others in the table. Servos
-        are commanded what holds them there.
-        """
-        if any(reading.sides.any() for reading in self._readings):
+    def with_tilts(self, x: Array) -> StandEquations | None:
+        """Returns the same with the tilts that an IMU should show; None if some were read."""
+        if any(np.isfinite(reading.tilt).any() for reading in self._readings):
             return None
-        names, kp = self.robot.joint_names, self._numbers(x).kp
-        stated = zip(names, self._friction.tolist(), strict=True)
-        rubbing = give_widths(("friction", name, "", own) for name, own in stated)
-        readings = []
-        for approach in APPROACHES:
-            for reading, (base, _) in zip(self._readings, self._own, strict=True):
-                sides = self._sides(reading, base, approach)
-                lead = np.divide(sides * self._friction, kp, out=np.zeros_like(kp), where=kp > 0)
-                readings.append(replace(reading, sides=sides, command=reading.command - lead))
-        other = self.reading(readings, [*self._own, *self._own])
-        other.table = ParameterTable((*self.table, *rubbing))
-        return other
-
-    def further_readings(self, x: Array) -> dict[str, list[Reading]]:
-        """Returns what else could be read of the stands, as it should be: {what: readings}."""
-        numbers, robot = self._numbers(x), self.robot
-        torques, forces, tilts = [], [], []
-        for stand, one in enumerate(self._readings):
-            torque = numbers.kp * np.nan_to_num(one.command - one.position)
-            torques.append(replace(one, torque=torque))
-            forces.append(replace(one, force=self.normal_forces(stand)))
-            rows = self._look(stand, numbers)
-            tilts.append(replace(one, tilt=rows.tilt))
-        had = self._readings
-        return {
-            what: readings
-            for what, readings, lacking in (
-                ("measure-torques", torques, not any(np.isfinite(r.torque).any() for r in had)),
-                ("weigh-the-feet", forces, not any(r.force for r in had)),
-                ("read-an-imu", tilts, not any(np.isfinite(r.tilt).any() for r in had)),
-            )
-            if lacking and robot.feet
-        }
+        numbers = self._numbers(x)
+        tilts = [self._look(stand, numbers).tilt for stand in range(self.count)]
+        read = [replace(one, tilt=tilt) for one, tilt in zip(self._readings, tilts, strict=True)]
+        return self.reading(read)
 
     def _move(self, stand: int, step: Array) -> None:
         base, forces = self._own[stand]

@@ -21,7 +21,6 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servo_gains
-from pupper_analysis.tools.fit.consistency import unbounded_coms
 from pupper_analysis.tools.fit.estimate import (
     NORMAL_95,
     Linearised,
@@ -110,7 +109,6 @@ def describe_stands(
     expected: StandNoise,
     notes: Sequence[Diagnostic],
     weight: float | None,
-    doubts: Sequence[Diagnostic] = (),
 ) -> StandFit:
     """Returns what measurements tell, in numbers with intervals.
 
@@ -122,7 +120,6 @@ def describe_stands(
         expected: The noise that was expected.
         notes: What was found before.
         weight: Of the whole robot by a scale (kg); None if it was not weighed.
-        doubts: What speaks against it.
     """
     found = tuple(describe_parameters(posterior))
     more = dict(further_measurements(equations, posterior, weighed=weight is not None))
@@ -148,7 +145,6 @@ def describe_stands(
         },
         failures=(
             *doubt_scale(robot, posterior, weight),
-            *doubts,
             *doubt_stands(posterior, equations.noise, expected),
         ),
         diagnostics=(*notes, *_findings(posterior)),
@@ -291,27 +287,6 @@ def doubt_scale(
     )
 
 
-def doubt_weight(robot: Robot, unweighed: Posterior, weight: float) -> Iterator[Diagnostic]:
-    """Yields that a known mass, which was put on, says another weight than the scale.
-
-    Args:
-        robot: The robot.
-        unweighed: What is known of the parameters without the scale.
-        weight: Of the whole robot by the scale (kg).
-    """
-    from scipy import stats  # slow to import
-
-    total, sure = _total_mass(robot, unweighed), WEIGHED * weight
-    off = (total.mean - weight) / math.hypot(total.std, sure)
-    if stats.chi2.sf(off**2, 1) < _CHANCE:
-        yield diagnose(
-            "known-mass-contradicts-the-scale",
-            weight=Quantity(weight, "kg"),
-            mass=Quantity(total.mean, "kg"),
-            half=Quantity(NORMAL_95 * total.std, "kg"),
-        )
-
-
 def _surprise(posterior: Posterior, lines: Array) -> tuple[float, int, Array]:
     """Returns how much some combinations of parameters surprise: chi^2, its freedom, and how far.
 
@@ -335,15 +310,17 @@ def _surprise(posterior: Posterior, lines: Array) -> tuple[float, int, Array]:
 
 
 def _findings(posterior: Posterior) -> Iterator[Diagnostic]:
-    """Yields what the stands show of servos that no file can state."""
+    """Yields what the stands show of servos, and of loads, that no file can state."""
+    loaded = any(one.kind == "added" for one in posterior.parameters)
     for place, one in enumerate(posterior.parameters):
-        off, half = abs(posterior.mean[place]), NORMAL_95 * posterior.std[place]
-        if one.kind == "deadband" and off > half:
-            yield diagnose(
-                "servos-have-a-dead-band",
-                angle=Quantity(float(posterior.mean[place]), "rad"),
-                half=Quantity(float(half), "rad"),
-            )
+        mean, half = float(posterior.mean[place]), float(NORMAL_95 * posterior.std[place])
+        if abs(mean) < half or (one.kind == "load" and not loaded):
+            continue
+        if one.kind == "deadband":
+            angle, wide = Quantity(mean, "rad"), Quantity(half, "rad")
+            yield diagnose("servos-have-a-dead-band", angle=angle, half=wide)
+        elif one.kind == "load":
+            yield diagnose("more-stands-there", load=100 * mean, half=100 * half)
 
 
 _CHANCE = 0.002
@@ -361,7 +338,7 @@ _NOISY = 5.0
 _FAR = 4.5
 """Standard deviations: of a hundred numbers that are as was said, none is so far off."""
 
-_DOUBTED = ("slope", "softness", "imu")
+_DOUBTED = ("slope", "softness", "imu", "load")
 """Of the surroundings: kinds that somebody says something of."""
 
 _NEVER_NOTHING, _NOTHING = ("mass", "kp"), 0.01
@@ -432,9 +409,10 @@ def doubt_surroundings(
     """
     from scipy import stats  # slow to import
 
+    loaded = any(one.kind == "added" for one in posterior.parameters)
     for kind in _DOUBTED:
         places = [at for at, one in enumerate(posterior.parameters) if one.kind == kind]
-        if not places:
+        if not places or (kind == "load" and not loaded):
             continue
         chosen = [posterior.parameters[at] for at in places]
         width = np.array([one.width for one in chosen])
@@ -445,6 +423,9 @@ def doubt_surroundings(
         free = width * far
         message = np.maximum(1 - posterior.shares[places], _LEAST_TOLD)
         each = np.abs(posterior.moved[places]) / np.sqrt(message)
+        if kind == "load":
+            yield diagnose("known-mass-contradicts-the-scale", load=100 * float(free[0]))
+            continue
         if kind == "slope":
             most = chosen[int(np.abs(free).argmax())]
             slope = Quantity(float(math.hypot(*free)), "rad")
@@ -484,29 +465,13 @@ def further_measurements(
         line = np.array([float(one.kind == "mass") for one in table])
         yield "weigh-the-robot", scaled * np.outer(line, line) / (WEIGHED * robot.total_mass) ** 2
     here = equations.linearise(x, x).information
-    for what, read in equations.further_readings(x).items():
-        there = equations.reading(read).linearise(x, x).information
-        yield what, scaled * (there - here)
-    if (both := equations.from_both_sides(x)) is not None:
-        yield "come-from-both-sides", _of_first(both, x) - scaled * here
+    if (tilted := equations.with_tilts(x)) is not None:
+        yield "read-an-imu", scaled * (tilted.linearise(x, x).information - here)
     if (three := on_three_feet(equations, x)) is not None:
         yield "stand-on-three-feet", scaled * three.linearise(x, x).information
     if (loaded := with_known_mass(equations, x)) is not None:
         information = loaded.linearise(x, x).information
         yield "put-a-known-mass-on", scaled * information * equations.count / 2
-
-
-def _of_first(equations: StandEquations, x: Array) -> Array:
-    """Returns the information about the first parameters (n, n), whatever the others of a table.
-
-    In the priors' widths.
-    """
-    table, n = equations.table, len(x)
-    whole = np.concatenate([x, table.stated[n:]])
-    finding = np.outer(table.width, table.width) * equations.linearise(whole, whole).information
-    others = finding[n:, n:] + table.precision[n:, n:]
-    found: Array = finding[:n, :n] - finding[:n, n:] @ np.linalg.solve(others, finding[n:, :n])
-    return found
 
 
 def on_three_feet(equations: StandEquations, x: Array) -> StandEquations | None:
@@ -648,7 +613,7 @@ def fit_stands(
         if wiring := find_wiring(robot, given, evidence, fit):
             raise MeasurementError(given.source, wiring.found) from error
         raise
-    # Plugs that are exchanged leave residuals; a scale that is wrong leaves none.
+    # Plugs that are exchanged leave residuals; a wrong scale, or a slope by itself, leave none.
     if all(one.code in _OF_SCALES for one in found.failures):
         return found
     if wiring := find_wiring(robot, given, evidence, fit):
@@ -656,7 +621,7 @@ def fit_stands(
     return found
 
 
-_OF_SCALES = ("scale-far-from-the-file", "known-mass-contradicts-the-scale")
+_OF_SCALES = ("scale-far-from-the-file", "known-mass-contradicts-the-scale", "ground-slopes")
 
 
 def _without_contradictions(
@@ -736,7 +701,7 @@ class _Problem:
         commanded = np.isfinite(given.command).sum(axis=0) > 0
         stiffness = stated_stiffness(robot, given.source, commanded, kp)
         rubbing = robot.joint_friction
-        stated = parameters_of(robot, given, stiffness, rubbing)
+        stated = parameters_of(robot, given, stiffness)
         noise, friction = expected_noise(robot, given, rubbing, encoder)
         table = ParameterTable(give_widths(stated, priors))
         return _Problem(robot, given, stiffness, friction, table, noise, weight)
@@ -776,14 +741,9 @@ class _Problem:
                 break
             settled = bool((nearer == stopped).all())
             stopped = nearer
-        doubts: list[Diagnostic] = []
-        if self.weight is not None and equations.loaded:
-            unweighed = _estimate(robot, used, equations, _weighed(robot, table, None), known.mean)
-            doubts = list(doubt_weight(robot, unweighed, self.weight))
-            equations.linearise(known.mean, known.mean, _SETTLES)  # the stands' own unknowns again
         equations.table = ParameterTable(known.parameters)
-        notes = (*_unused(robot, given, self.stiffness, stopped), *unbounded_coms(robot, table))
-        return describe_stands(robot, used, equations, known, noise, notes, self.weight, doubts)
+        notes = tuple(_unused(robot, given, self.stiffness, stopped))
+        return describe_stands(robot, used, equations, known, noise, notes, self.weight)
 
 
 def _estimate(
@@ -837,7 +797,7 @@ def expected_noise(
 
 
 def parameters_of(
-    robot: Robot, stands: MeasuredStands, kp: Array, friction: Array
+    robot: Robot, stands: MeasuredStands, kp: Array
 ) -> Iterator[tuple[str, str, str, float]]:
     """Yields kind, subject, component and stated value of what stands may tell.
 
@@ -845,7 +805,6 @@ def parameters_of(
         robot: The robot.
         stands: Its stands.
         kp: (nu,) stated stiffness (N m/rad).
-        friction: (nu,) stated dry friction (N m).
     """
     model = robot.structure.model
     for link, number in bodies_of(robot):
@@ -857,8 +816,6 @@ def parameters_of(
         yield "offset", name, "", 0.0
         if np.isfinite(stands.command[:, joint]).any():
             yield "kp", name, "", float(kp[joint])
-        if len(set(stands.approach) - {""}) > 1:
-            yield "friction", name, "", float(friction[joint])
     for axis in "xy":
         yield "slope", "floor", axis, 0.0
     for foot in robot.feet:
@@ -867,7 +824,7 @@ def parameters_of(
             yield "moment", foot, axis, 0.0
     if np.isfinite(stands.command).any():
         yield "deadband", "servos", "", 0.0
-    yield "pull", "cable", "", 0.0
+    yield "load", "scale", "", 0.0
     for link, loads in stands.added.items():
         if loads[:, 0].any():
             yield "added", link, "", 1.0
@@ -957,8 +914,8 @@ def _unused(
 ) -> Iterator[Diagnostic]:
     """Yields which commands are not used, and why."""
     commanded = np.isfinite(stands.command)
-    if not commanded.any() and not np.isfinite(stands.torque).any():
-        yield diagnose("stands-without-torques")
+    if not commanded.any():
+        yield diagnose("stands-without-commands")
     if (stopped & commanded).any():
         where, names = _places(robot, stands, stopped & commanded)
         yield diagnose("stands-at-stops", stands=where, joints=names)

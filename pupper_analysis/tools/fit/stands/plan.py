@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,7 @@ from pupper_analysis.base.errors import ConfigurationError, MeasurementError, Pu
 from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.kinds import PLAN
 from pupper_analysis.base.results import Result
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, servo_gains
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
@@ -40,6 +42,7 @@ from pupper_analysis.tools.fit.parameters import (
 from pupper_analysis.tools.fit.result import Expected, determined_by
 from pupper_analysis.tools.fit.stands.equations import StandEquations
 from pupper_analysis.tools.fit.stands.fit import (
+    KNOWN_MASS,
     SURE,
     expected_noise,
     parameters_of,
@@ -62,7 +65,6 @@ class PlannedStand(Result):
     Attributes:
         name: Its name.
         swing: The feet in the air.
-        approach: From where it is to be come to, ``above`` or ``below``; empty if it is all one.
         command: {joint: command of its servo (rad)}.
         utilisation: Of the motor that gives most of what it can; None if none has a limit.
         heading: How the robot is to be turned about the vertical (rad): the slope of the ground
@@ -72,7 +74,6 @@ class PlannedStand(Result):
 
     name: str
     swing: tuple[str, ...]
-    approach: str
     command: Mapping[str, float]
     utilisation: float | None
     heading: float = 0.0
@@ -107,9 +108,8 @@ def plan_stands(
     *,
     priors: Sequence[Prior | str] = (),
     kp: ArrayLike | None = None,
-    both_sides: bool = False,
-    added: float = 0.0,
-    added_at: Place = (0.0, 0.0, 0.0),
+    added: float | None = None,
+    added_at: Place | None = None,
     seed: int = 0,
 ) -> StandPlan:
     """Chooses the stands whose measurement tells most of a robot's numbers.
@@ -126,9 +126,9 @@ def plan_stands(
         count: How many stands.
         priors: What is known before; as for ``fit_stands``.
         kp: Stiffness of the servos (N m/rad); the model's own by default.
-        both_sides: Come to each from above and from below, so that they tell dry friction.
-        added: Known mass to be put on for some of the stands (kg).
-        added_at: Where, in the base's frame or in that of a link (m).
+        added: Known mass to be put on for some of the stands (kg); by default 15 % of the robot's,
+            to two digits.
+        added_at: Where, in the base's frame or in that of a link (m); by default on top of it.
         seed: Of the random stands.
 
     Raises:
@@ -144,7 +144,10 @@ def plan_stands(
     stiffness = stated_stiffness(robot, robot.name, np.ones(robot.nu, dtype=bool), kp)
     rng = np.random.default_rng(seed)
     known = parse_priors(priors)
-    loaded = with_payload(robot, added, added_at)
+    if added is None:
+        added = float(f"{KNOWN_MASS * robot.total_mass:.2g}")
+    place = find_place(robot, (0.0, 0.0, _top(robot)) if added_at is None else added_at)
+    loaded = with_payload(robot, added, (place.link, *place.offset))
     found: list[_Candidate] = []
     for one in [robot] if loaded is robot else [robot, loaded]:
         candidates = RandomStands(one, rng, kp, known)
@@ -157,22 +160,19 @@ def plan_stands(
         ]
         if len(drawn) < min(count, share):
             raise MeasurementError(robot.name, candidates.explain(count))
-    place = find_place(robot, added_at)
-    stands = _predicted(robot, found, place, kp, both_sides=both_sides)
+    stands = _predicted(robot, found, place, kp)
     rubbing = robot.joint_friction
-    table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness, rubbing), known))
+    table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness), known))
     noise, friction = expected_noise(robot, stands, rubbing, None)
     equations = StandEquations(robot, stands, table, stiffness, friction, noise)
     each = equations.informations(table.stated)
-    if both_sides:  # the two approaches of a stand are one
-        each = [one + other for one, other in zip(each[0::2], each[1::2], strict=True)]
     lifted = [bool(one.stand.task.swing) for one in found]
     chosen = choose_stands(each, table.precision, count, lifted, count // _ON_THREE_AT_MOST)
     whole = table.precision + np.sum([each[place] for place in chosen], axis=0)
     deviation = np.sqrt(np.diag(np.linalg.inv(whole)))
     return StandPlan(
         name=robot.name,
-        stands=tuple(_plan(robot, found, chosen, kp, both_sides=both_sides)),
+        stands=tuple(_plan(robot, found, chosen, kp)),
         expected=tuple(
             Expected(
                 name=one.name,
@@ -188,6 +188,24 @@ def plan_stands(
         gain=float(_volume(whole) - _volume(table.precision)),
         place=place if loaded is not robot else None,
     )
+
+
+def _top(robot: Robot) -> float:
+    """Returns how high shapes of the base reach above its frame's origin (m)."""
+    model, data, config = (
+        robot.mj_model,
+        mujoco.MjData(robot.mj_model),
+        Configuration(robot, robot.home),
+    )
+    robot.mj_convention.set_state(data, config.qpos)
+    mujoco.mj_kinematics(model, data)
+    geoms = np.flatnonzero(model.geom_bodyid == model.body(robot.mj_base).id)
+    turns = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    middle, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+    up = config.frame_rotation(robot.base)[:, 2]
+    along = np.einsum("gji,j->gi", turns, up)
+    high = data.geom_xpos[geoms] @ up + (along * middle + np.abs(along) * half).sum(axis=1)
+    return float((high - config.frame_position(robot.base) @ up).max(initial=0.0))
 
 
 _ON_THREE_AT_MOST = 3
@@ -262,26 +280,18 @@ def _predicted(
     found: Sequence[_Candidate],
     place: Tool,
     kp: ArrayLike | None,
-    *,
-    both_sides: bool,
 ) -> MeasuredStands:
     """Returns what would be measured of stands, if the robot were as its files have it."""
-    times = 2 if both_sides else 1
-    rows = [one for one in found for _ in range(times)]
-    blank = np.full((len(rows), robot.nu), np.nan)
-    loads = np.array([[one.added, *place.offset] for one in rows])
+    loads = np.array([[one.added, *place.offset] for one in found])
     return MeasuredStands(
         source=robot.name,
-        names=tuple(str(row) for row in range(len(rows))),
+        names=tuple(str(row) for row in range(len(found))),
         joints=robot.joint_names,
-        command=np.array([_command(robot, one.sagged, kp) for one in rows]),
-        position=np.array([one.sagged.qpos[7:] for one in rows]),
-        torque=blank,
-        force={},
-        tilt=np.full((len(rows), 2), np.nan),
-        swing=tuple(tuple(one.stand.task.swing) for one in rows),
-        approach=("above", "below") * len(found) if both_sides else ("",) * len(rows),
-        heading=np.array([one.heading for one in rows]),
+        command=np.array([_command(robot, one.sagged, kp) for one in found]),
+        position=np.array([one.sagged.qpos[7:] for one in found]),
+        tilt=np.full((len(found), 2), np.nan),
+        swing=tuple(tuple(one.stand.task.swing) for one in found),
+        heading=np.array([one.heading for one in found]),
         added={place.link: loads} if loads[:, 0].any() else {},
     )
 
@@ -300,8 +310,6 @@ def _plan(
     found: Sequence[_Candidate],
     chosen: Sequence[int],
     kp: ArrayLike | None,
-    *,
-    both_sides: bool,
 ) -> list[PlannedStand]:
     """Returns the chosen stands, with least to do between them.
 
@@ -318,17 +326,16 @@ def _plan(
         candidate = found[place]
         command = _command(robot, candidate.sagged, kp).tolist()
         share = float((np.abs(candidate.sagged.joint_torques) / robot.effort_limits).max())
-        one = PlannedStand(
-            name=f"s{number:02d}",
-            swing=tuple(candidate.stand.task.swing),
-            approach="",
-            heading=candidate.heading,
-            added=candidate.added,
-            command=dict(zip(robot.joint_names, command, strict=True)),
-            utilisation=share if np.isfinite(robot.effort_limits).any() else None,
+        planned.append(
+            PlannedStand(
+                name=f"s{number:02d}",
+                swing=tuple(candidate.stand.task.swing),
+                heading=candidate.heading,
+                added=candidate.added,
+                command=dict(zip(robot.joint_names, command, strict=True)),
+                utilisation=share if np.isfinite(robot.effort_limits).any() else None,
+            )
         )
-        sides = ("above", "below") if both_sides else ("",)
-        planned += [replace(one, approach=side) for side in sides]
     return planned
 
 
@@ -357,14 +364,14 @@ def write_plan(
     turned = [f"heading{unit}"] if any(one.heading for one in plan.stands) else []
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["stand", "swing", "from", *turned, *loads, *columns])
+    writer.writerow(["stand", "swing", *turned, *loads, *columns])
     for one in plan.stands:
         commands = [f"{size * one.command[joint]:.6f}" for joint in joints]
         heading = [f"{size * one.heading:.6g}" if one.heading else ""] if turned else []
         on = [""] * len(loads)
         if place is not None and one.added:
             on = [f"{value:.6g}" for value in (one.added, *place.offset)]
-        first = [one.name, " ".join(one.swing), one.approach, *heading]
+        first = [one.name, " ".join(one.swing), *heading]
         writer.writerow([*first, *on, *commands, *([""] * len(joints))])
     with whole_file(Path(path), PLAN, force=force) as file:
         file.write(text.getvalue().encode())

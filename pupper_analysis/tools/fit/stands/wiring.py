@@ -45,7 +45,6 @@ class Wiring:
             stands,
             command=signs * stands.command[:, order],
             position=signs * stands.position[:, order],
-            torque=signs * stands.torque[:, order],
         )
 
 
