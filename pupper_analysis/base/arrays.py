@@ -52,6 +52,12 @@ def rotation_from_quaternion(quaternion: Array) -> Array:
     return rotation
 
 
+def quaternion_from_rotation(rotation: Array) -> Array:
+    """Returns the unit quaternion (w, x, y, z) of a rotation (3, 3)."""
+    x, y, z, w = pin.Quaternion(rotation).coeffs()
+    return np.array([w, x, y, z])
+
+
 def placement_of(quaternion: Array, position: Array) -> pin.SE3:
     """Returns the placement of a unit quaternion (w, x, y, z) and a position (3,)."""
     return pin.SE3(rotation_from_quaternion(quaternion), np.array(position))

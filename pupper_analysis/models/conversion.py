@@ -21,7 +21,12 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import inertia_of, placement_of, rotation_from_quaternion
+from pupper_analysis.base.arrays import (
+    inertia_of,
+    placement_of,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models import mjcf
@@ -126,7 +131,7 @@ def _take_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[Tre
     model.body_mass[ids] = [body.mass for body in bodies]
     model.body_ipos[ids] = [body.com for body in bodies]
     model.body_inertia[ids] = moments
-    model.body_iquat[ids] = [_quaternion(rotation) for rotation in axes]
+    model.body_iquat[ids] = [quaternion_from_rotation(rotation) for rotation in axes]
     total = np.array(model.body_mass)
     for body in range(model.nbody - 1, 0, -1):  # children have higher numbers
         total[model.body_parentid[body]] += total[body]
@@ -136,7 +141,7 @@ def _take_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[Tre
 def _take_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[TreeJoint]) -> None:
     bodies, dofs = model.jnt_bodyid[ids], model.jnt_dofadr[ids]
     model.body_pos[bodies] = [joint.position for joint in joints]
-    model.body_quat[bodies] = [_quaternion(joint.rotation) for joint in joints]
+    model.body_quat[bodies] = [quaternion_from_rotation(joint.rotation) for joint in joints]
     model.jnt_axis[ids] = [joint.axis for joint in joints]
     ends = np.array([(joint.lower, joint.upper) for joint in joints])
     model.jnt_limited[ids] = np.isfinite(ends).all(axis=1)
@@ -148,11 +153,6 @@ def _take_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[Tre
     for one in JOINT_ATTRIBUTES:
         if one.mujoco:
             getattr(model, one.mujoco)[dofs] = [getattr(joint, one.field) for joint in joints]
-
-
-def _quaternion(rotation: Array) -> Array:
-    x, y, z, w = pin.Quaternion(rotation).coeffs()
-    return np.array([w, x, y, z])
 
 
 _ROOT = "__root__"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from pupper_analysis.models.mjcf import free_joints
+from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.prepare.soles import (
     BALL,
     TILT,
@@ -40,7 +41,10 @@ _JOINTS_OF_A_SOLE = 5
 _LEAST_JOINTS_OF_A_SOLE = 4
 """Legs of four joints may lay a foot flat: not everywhere, but at any height."""
 
-_ROUND = 24  # points on the rim of a cylinder, and on each circle of an ellipsoid
+_AROUND = np.linspace(0, 2 * math.pi, 24, endpoint=False)
+_CIRCLE = np.column_stack([np.cos(_AROUND), np.sin(_AROUND)])  # the rim of a cylinder
+_UPWARD = np.linspace(-math.pi / 2, math.pi / 2, 12)
+_GLOBE = np.array([(*math.cos(up) * point, math.sin(up)) for up in _UPWARD for point in _CIRCLE])
 
 _APEX = 1.0  # m above a sole's points: so that even coplanar ones have a hull in space
 
@@ -109,51 +113,14 @@ def _outline(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> Iterator[tuple[Array, float]]:
     """Yields spheres, (3,) in the world and a radius, whose hull is that of a geom (m)."""
-    kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
-    turn, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
-    kinds = mujoco.mjtGeom
-    radius = 0.0
-    circle = np.linspace(0, 2 * math.pi, _ROUND, endpoint=False)
-    if kind == kinds.mjGEOM_SPHERE or (kind == kinds.mjGEOM_ELLIPSOID and np.ptp(size) == 0):
-        local, radius = np.zeros((1, 3)), float(size[0])
-    elif kind == kinds.mjGEOM_CAPSULE:
-        local, radius = np.array([[0, 0, -size[1]], [0, 0, size[1]]]), float(size[0])
-    elif kind == kinds.mjGEOM_BOX:
-        local = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
-    elif kind == kinds.mjGEOM_CYLINDER:
-        rim = size[0] * np.column_stack([np.cos(circle), np.sin(circle)])
-        local = np.vstack([np.column_stack([rim, np.full(_ROUND, z)]) for z in (-size[1], size[1])])
-    elif kind == kinds.mjGEOM_ELLIPSOID:
-        ups = np.linspace(-math.pi / 2, math.pi / 2, _ROUND // 2)
-        unit = [
-            (math.cos(u) * math.cos(c), math.cos(u) * math.sin(c), math.sin(u))
-            for u in ups
-            for c in circle
-        ]
-        tip = -size * turn[2] / np.linalg.norm(size * turn[2])  # no point of the grid is lowest
-        local = np.array([*unit, tip]) * size
-    elif kind == kinds.mjGEOM_MESH:
-        local = _hull_of(model, int(model.geom_dataid[geom]))
-    else:
+    shape, up = read_shape(model, geom, data), np.array([0.0, 0.0, 1.0])
+    points = shape.outline(_CIRCLE, _GLOBE)
+    if points is None or shape.terms is None:
         return
-    for point in local:
-        yield place + turn @ point, radius
-
-
-def _hull_of(model: mujoco.MjModel, mesh: int) -> Array:
-    """Returns the vertices (n, 3) of a mesh's convex hull, which are what touches (m).
-
-    Meshes of published robots have up to 200,000 vertices; their hulls some thousand.
-    """
-    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    vertices = np.array(model.mesh_vert[first : first + count], dtype=float)
-    graph = int(model.mesh_graphadr[mesh])
-    if graph < 0:  # none that collides
-        return vertices
-    on = int(model.mesh_graph[graph])
-    begin = graph + 2 + on  # after two counts, and an address for each vertex
-    hull: Array = vertices[model.mesh_graph[begin : begin + on]]
-    return hull
+    for point in points:
+        yield point, shape.terms.ball
+    if len(shape.terms.radii) == 3:  # no point of the globe is lowest
+        yield shape.lowest((np.eye(3), np.zeros(3)), up), 0.0
 
 
 def _tip(
@@ -170,7 +137,7 @@ def _tip(
     outline = list(_outline(model, data, geom))
     place, radius = min(outline, key=lambda sphere: float(sphere[0][2]) - sphere[1])
     if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value:
-        place, radius = osculating_sphere(model, data, geom, down)
+        place, radius = osculating_sphere(read_shape(model, geom, data), down)
     elif not radius and len(outline) > 3:
         points = np.array([point for point, _ in outline])
         place, radius = fit_sphere(points, place, down)
@@ -178,9 +145,13 @@ def _tip(
             on = points[(place - points) @ down < _FLAT]
             radius = BALL
             place = place + (on.mean(axis=0) - place) * (1, 1, 0) - radius * down
-    own = int(model.geom_bodyid[geom])
-    center = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
-    return (ContactPoint(geom, center, radius),)
+    return (_point(data, geom, place, radius),)
+
+
+def _point(data: mujoco.MjData, geom: int, place: Array, radius: float) -> ContactPoint:
+    """Returns a contact point of a place (3,) in the world."""
+    own = int(data.model.geom_bodyid[geom])
+    return ContactPoint(geom, data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own]), radius)
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> float:
@@ -315,10 +286,8 @@ def _cornered(
     level = max(float(point @ down) for _, point in surface)
     for number in sole_corners(np.array([point for _, point in surface]), down, 2 * _PRESSED):
         geom, point = surface[number]
-        own = int(model.geom_bodyid[geom])
         place = point + (level - float(point @ down) - BALL) * down
-        middle = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
-        found.append(ContactPoint(geom, middle, BALL))
+        found.append(_point(data, geom, place, BALL))
     return tuple(found)
 
 
@@ -361,9 +330,7 @@ def _pressed(
             half = model.geom_size[geom, 1] * data.geom_xmat[geom].reshape(3, 3)[:, 2]
             ends = (data.geom_xpos[geom] - half, data.geom_xpos[geom] + half)
             place = min(ends, key=lambda end: float(np.linalg.norm((end - place)[:2])))
-        own = int(model.geom_bodyid[geom])
-        center = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
-        found.append(ContactPoint(geom, center, radius))
+        found.append(_point(data, geom, place, radius))
     return tuple(found)
 
 

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.spatial import ConvexHull, QhullError
 
+from pupper_analysis.models.shapes import Shape
+
 Array = NDArray[np.float64]
 
 BALL = 2e-3
@@ -112,21 +114,19 @@ _BALL = 0.1
 """A foot is a ball if no point of that cap is off the sphere by more than this part of it."""
 
 
-def osculating_sphere(
-    model: mujoco.MjModel, data: mujoco.MjData, geom: int, down: Array
-) -> tuple[Array, float]:
+def osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
     """Returns centre (3,) and radius of the sphere that an ellipsoid is like where it is lowest.
 
     With half axes S, it reaches h = |S d| in a direction d, at S^2 d / h. The radii of its
     curvature there are the eigenvalues of the second derivative of h across d, which is
     S^2 / h - S^2 d d^T S^2 / h^3. The sphere has their mean.
     """
-    turn, squares = data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom] ** 2
+    turn, squares = shape.pose.rotation, np.array(shape.size) ** 2
     local = turn.T @ down
     reach = math.sqrt(float(local @ (squares * local)))
     tip = squares * local / reach
     radius = float((squares.sum() - tip @ tip) / reach) / 2  # d itself has the eigenvalue 0
-    return data.geom_xpos[geom] + turn @ tip - radius * down, radius
+    return shape.pose.position + turn @ tip - radius * down, radius
 
 
 def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:

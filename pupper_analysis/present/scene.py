@@ -13,6 +13,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from pupper_analysis.base.arrays import quaternion_from_rotation
+from pupper_analysis.models.shapes import CONVEX, Mesh, Shape, read_mesh, read_shape
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
@@ -23,15 +25,6 @@ from pupper_analysis.statics.support_polygon import support_corners, support_pol
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-KINDS = {
-    int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): "ellipsoid",
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
-    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
-    int(mujoco.mjtGeom.mjGEOM_MESH): "mesh",
-}
-
 SHOWN_GROUPS = 3
 """MuJoCo's viewer shows the geoms of groups 0 to 2, and keeps the others for collisions."""
 
@@ -40,39 +33,20 @@ _FEWEST = 100  # triangles of a mesh, however many the robot has
 
 
 @dataclass(frozen=True, eq=False)
-class SceneShape:
+class SeenShape:
     """A geom that is shown.
 
     Attributes:
-        kind: Of ``KINDS``.
         body: The number of its body in MuJoCo's model.
-        size: (3,) MuJoCo's ``geom_size`` (m).
-        position: (3,) in the body's frame (m).
-        quaternion: (4,) w, x, y, z in the body's frame.
+        form: The shape, in the body's frame.
         colour: (4,) red, green, blue and opacity, 0 to 1.
         mesh: The number of its mesh in MuJoCo's model; None if it is none.
     """
 
-    kind: str
     body: int
-    size: Array
-    position: Array
-    quaternion: Array
+    form: Shape
     colour: Array
     mesh: int | None
-
-
-@dataclass(frozen=True, eq=False)
-class Mesh:
-    """A mesh's triangles.
-
-    Attributes:
-        vertices: (n, 3) in the shape's frame (m).
-        faces: (m, 3) numbers of vertices.
-    """
-
-    vertices: Array
-    faces: Integers
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +114,7 @@ class Step:
     @property
     def turn(self) -> Array:
         """The same as a quaternion (w, x, y, z)."""
-        return _quaternion(self.rotation)
+        return quaternion_from_rotation(self.rotation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,13 +153,7 @@ class StandingScene:
     @property
     def turn(self) -> Array:
         """The quaternion (w, x, y, z) that takes the level to the ground's plane."""
-        return _quaternion(self.ground.rotation())
-
-
-def _quaternion(rotation: Array) -> Array:
-    found = np.zeros(4)
-    mujoco.mju_mat2Quat(found, rotation.ravel())
-    return found
+        return quaternion_from_rotation(self.ground.rotation())
 
 
 def describe_scene(
@@ -282,7 +250,7 @@ def joint_axes(
     return found
 
 
-def shapes_of(model: mujoco.MjModel, most_faces: int) -> tuple[list[SceneShape], dict[int, Mesh]]:
+def shapes_of(model: mujoco.MjModel, most_faces: int) -> tuple[list[SeenShape], dict[int, Mesh]]:
     """Returns the robot's shapes, and the meshes that they have.
 
     Args:
@@ -292,18 +260,10 @@ def shapes_of(model: mujoco.MjModel, most_faces: int) -> tuple[list[SceneShape],
     seen = shown_geoms(model)
     shapes = []
     for geom in seen:
-        kind, material = KINDS[int(model.geom_type[geom])], int(model.geom_matid[geom])
-        shapes.append(
-            SceneShape(
-                kind=kind,
-                body=int(model.geom_bodyid[geom]),
-                size=model.geom_size[geom],
-                position=model.geom_pos[geom],
-                quaternion=model.geom_quat[geom],
-                colour=model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom],
-                mesh=int(model.geom_dataid[geom]) if kind == "mesh" else None,
-            )
-        )
+        form, material = read_shape(model, geom), int(model.geom_matid[geom])
+        colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+        mesh = int(model.geom_dataid[geom]) if form.kind == "mesh" else None
+        shapes.append(SeenShape(int(model.geom_bodyid[geom]), form, colour, mesh))
     numbers = sorted({shape.mesh for shape in shapes if shape.mesh is not None})
     total = sum(int(model.mesh_facenum[mesh]) for mesh in numbers)
     share = min(1.0, most_faces / max(total, 1))
@@ -315,30 +275,26 @@ def shown_geoms(model: mujoco.MjModel) -> list[int]:
     own = [
         geom
         for geom in range(model.ngeom)
-        if model.geom_bodyid[geom] and int(model.geom_type[geom]) in KINDS
+        if model.geom_bodyid[geom] and read_shape(model, geom).kind in CONVEX
     ]
     return [geom for geom in own if model.geom_group[geom] < SHOWN_GROUPS] or own
 
 
 def _mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
     """Returns a mesh with about ``share`` of its faces."""
-    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    start, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    vertices = np.asarray(model.mesh_vert[first : first + count], dtype=float)
-    faces = np.asarray(model.mesh_face[start : start + number], dtype=np.int64)
-    wanted, cells = max(int(share * number), _FEWEST), _COARSEST
-    while len(faces) > wanted and cells > 4:
-        vertices, faces = coarsen_mesh(vertices, faces, cells)
+    found = read_mesh(model, mesh)
+    wanted, cells = max(int(share * len(found.faces)), _FEWEST), _COARSEST
+    while len(found.faces) > wanted and cells > 4:
+        found = coarsen_mesh(found, cells)
         cells = int(0.75 * cells)
-    return Mesh(vertices, faces)
+    return found
 
 
-def coarsen_mesh(vertices: Array, triangles: Integers, cells: int) -> tuple[Array, Integers]:
+def coarsen_mesh(mesh: Mesh, cells: int) -> Mesh:
     """Returns a mesh whose vertices within a cell of a grid are one.
 
     Args:
-        vertices: (n, 3) (m).
-        triangles: (m, 3) their vertices.
+        mesh: The mesh.
         cells: How many of them the longest side of the mesh's box has.
 
     Returns:
@@ -347,15 +303,12 @@ def coarsen_mesh(vertices: Array, triangles: Integers, cells: int) -> tuple[Arra
     Source: Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes",
     1993: vertex clustering.
     """
-    low = vertices.min(axis=0)
+    vertices, low = mesh.vertices, mesh.vertices.min(axis=0)
     size = float(np.ptp(vertices, axis=0).max()) / cells
     keys = np.floor((vertices - low) / size).astype(np.int64)
     _, cell = np.unique(keys, axis=0, return_inverse=True)
     cell = cell.ravel()
     count = np.bincount(cell)
     merged = np.column_stack([np.bincount(cell, vertices[:, axis]) / count for axis in range(3)])
-    moved = cell[triangles]
-    whole = (
-        (moved[:, 0] != moved[:, 1]) & (moved[:, 1] != moved[:, 2]) & (moved[:, 2] != moved[:, 0])
-    )
-    return merged, moved[whole]
+    moved = cell[mesh.faces]
+    return Mesh(merged, moved[(moved != np.roll(moved, 1, axis=1)).all(axis=1)])

@@ -33,7 +33,7 @@ from pupper_analysis.models.transmission import drives_by_joint
 from pupper_analysis.robot.closure import Closure, closure_of
 from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
-from pupper_analysis.robot.shapes import ContactShape, shapes_of
+from pupper_analysis.robot.shapes import CarriedShape, shapes_of
 from pupper_analysis.robot.structure import Structure
 
 Array = NDArray[np.float64]
@@ -283,7 +283,7 @@ class Robot:
         return closure_of(self.mj_model, self.mj_convention, self.joint_names)
 
     @cached_property
-    def shapes(self) -> tuple[ContactShape, ...]:
+    def shapes(self) -> tuple[CarriedShape, ...]:
         """The shapes with which MuJoCo has it touch, feet included."""
         return shapes_of(
             self.mj_model,

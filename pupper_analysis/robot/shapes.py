@@ -7,11 +7,9 @@ simulation finds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import coal  # comes with pin
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -19,32 +17,24 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Term, diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.shapes import CONVEX, Pose, Shape, read_shape
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.structure import Structure
 
 Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-_G = mujoco.mjtGeom
-_CONVEX = (_G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_ELLIPSOID, _G.mjGEOM_CYLINDER)
-_KINDS = (*_CONVEX, _G.mjGEOM_BOX, _G.mjGEOM_MESH)
 
 
 @dataclass(frozen=True, eq=False)
-class ContactShape:
-    """A geom that touches things, in the frame of the link that carries it.
+class CarriedShape:
+    """A geom that touches things, and the link that carries it.
 
     Attributes:
         geom: Its id in ``mj_model``.
         body: The body that it belongs to (its id).
         link: The URDF's link that moves with it.
         joint: The joint that moves it; empty for the base.
-        kind: MuJoCo's type: a sphere, capsule, ellipsoid, cylinder, box or mesh.
-        size: (3,) MuJoCo's size (m).
-        place: Where it is in the link's frame.
-        hull: (n, 3) corners of a mesh's convex hull, in the geom's frame (m); (0, 3) of others.
-        faces: (m, 3) which corners make its triangles.
+        form: The shape, in the link's frame.
         on_ground: Whether MuJoCo lets it touch the ground.
     """
 
@@ -52,31 +42,8 @@ class ContactShape:
     body: int
     link: str
     joint: str
-    kind: mujoco.mjtGeom
-    size: Array
-    place: pin.SE3
-    hull: Array = field(repr=False)
-    faces: IntArray = field(repr=False)
+    form: Shape
     on_ground: bool
-
-    @cached_property
-    def solid(self) -> coal.CollisionGeometry:
-        """The shape in coal."""
-        x, y, z = self.size.tolist()
-        if self.kind == _G.mjGEOM_SPHERE:
-            return coal.Sphere(x)
-        if self.kind == _G.mjGEOM_CAPSULE:
-            return coal.Capsule(x, 2 * y)
-        if self.kind == _G.mjGEOM_CYLINDER:
-            return coal.Cylinder(x, 2 * y)
-        if self.kind == _G.mjGEOM_ELLIPSOID:
-            return coal.Ellipsoid(x, y, z)
-        if self.kind == _G.mjGEOM_BOX:
-            return coal.Box(2 * x, 2 * y, 2 * z)
-        corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-        corners.extend(list(self.hull))
-        triangles.extend([coal.Triangle(*face) for face in self.faces.tolist()])
-        return coal.Convex(corners, triangles)
 
 
 def shapes_of(
@@ -86,7 +53,7 @@ def shapes_of(
     bases: tuple[str, str],
     neutral: Array,
     source: Path,
-) -> tuple[ContactShape, ...]:
+) -> tuple[CarriedShape, ...]:
     """Returns the shapes of a robot's moving bodies that touch anything, in MuJoCo's order.
 
     Feet included. Where a body is in its link's frame is found at zero angles, at which both models
@@ -116,33 +83,23 @@ def shapes_of(
         moving = int(model.body_weldid[body])
         if not touches or moving not in carriers.joints:
             continue
-        kind = _G(int(model.geom_type[geom]))
-        if kind not in _KINDS:
+        form = read_shape(model, geom, data)
+        if form.kind not in CONVEX:
             problem = diagnose(
                 "geom-without-distances",
-                geom=model.geom(geom).name,
+                geom=form.name,
                 body=model.body(body).name,
-                kind=Term(kind.name.removeprefix("mjGEOM_").lower()),
+                kind=Term(form.kind),
             )
             raise ModelError(source, problem)
         link, place = carriers.link(model.body(body).name, moving)
-        there = pin.SE3(data.geom_xmat[geom].reshape(3, 3), np.array(data.geom_xpos[geom]))
-        hull, faces = (
-            _hull(model, int(model.geom_dataid[geom]))
-            if kind == _G.mjGEOM_MESH
-            else (np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-        )
         found.append(
-            ContactShape(
+            CarriedShape(
                 geom=geom,
                 body=body,
                 link=link,
                 joint=carriers.joints[moving],
-                kind=kind,
-                size=np.array(model.geom_size[geom]),
-                place=place.actInv(there),
-                hull=hull,
-                faces=faces,
+                form=replace(form, pose=Pose.of(place.actInv(form.pose.placed))),
                 on_ground=ground is not None and may_touch(model, geom, ground),
             )
         )
@@ -200,9 +157,8 @@ def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
             return True
     bits, floor = model.geom_contype, model.geom_conaffinity
     met = (bits[geom] & floor[ground]) or (bits[ground] & floor[geom])
-    bodies = sorted((int(model.geom_bodyid[geom]), int(model.geom_bodyid[ground])))
-    excluded = (bodies[0] << 16) + bodies[1] in set(model.exclude_signature.tolist())
-    return bool(met) and not excluded
+    bodies = frozenset(model.geom_bodyid[[geom, ground]].tolist())
+    return bool(met) and bodies not in excluded_pairs(model)
 
 
 def excluded_pairs(model: mujoco.MjModel) -> set[frozenset[int]]:
@@ -211,25 +167,3 @@ def excluded_pairs(model: mujoco.MjModel) -> set[frozenset[int]]:
         frozenset((int(signature) >> 16, int(signature) & 0xFFFF))
         for signature in model.exclude_signature
     }
-
-
-def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, IntArray]:
-    """Returns corners (n, 3) (m) and triangles (m, 3) of the convex hull of a mesh.
-
-    MuJoCo's own: its collisions know no more of a mesh. See the compiler's ``mesh_graph``: numbers
-    of corners and faces, where each corner's edges begin, the corners' numbers in the mesh, the
-    edges, and the faces by numbers in the mesh.
-    """
-    begin, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    points = np.array(model.mesh_vert[begin : begin + count], dtype=float)
-    graph = int(model.mesh_graphadr[mesh])
-    if graph < 0:  # it has none where no collision asks for it
-        begin, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-        return points, np.array(model.mesh_face[begin : begin + count], dtype=np.int64)
-    corners, faces = model.mesh_graph[graph : graph + 2].tolist()
-    numbers = model.mesh_graph[graph + 2 + corners : graph + 2 + 2 * corners]
-    at = graph + 2 + 3 * corners + 3 * faces
-    triangles = model.mesh_graph[at : at + 3 * faces].reshape(-1, 3)
-    order = np.full(len(points), -1, dtype=np.int64)
-    order[numbers] = np.arange(corners)
-    return points[numbers], order[triangles]

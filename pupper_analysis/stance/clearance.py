@@ -4,29 +4,25 @@ from __future__ import annotations
 
 import bisect
 import functools
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import coal  # comes with pin
-import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.shapes import Direction
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.shapes import ContactShape, excluded_pairs
-from pupper_analysis.robot.structure import Kinematics, Place
+from pupper_analysis.robot.shapes import CarriedShape, excluded_pairs
+from pupper_analysis.robot.structure import Kinematics
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Direction = tuple[float, float, float]
-
-_G = mujoco.mjtGeom
 
 _UP = (0.0, 0.0, 1.0)  # most grounds' normal
 
@@ -44,118 +40,17 @@ class Clearance(Result):
     links: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """A shape in its link's frame, as the sum of a point, bars, an ellipse, a ball and a hull (m).
-
-    Attributes:
-        link: Its link.
-        centre: Its centre.
-        bars: Half of each: a box is the sum of three, a capsule that of one and a ball.
-        radii: Those of an ellipse, two at right angles, or of an ellipsoid, three; () without one.
-        ball: The ball's radius.
-        hull: (n, 3) corners of a convex hull, from the centre; None without one.
-    """
-
-    link: str
-    centre: Direction
-    bars: tuple[Direction, ...]
-    radii: tuple[Direction, ...]
-    ball: float
-    hull: Array | None
-
-    def height(self, link: Place, normal: Direction) -> float:
-        """Returns how high its lowest point is above a plane through the origin (m).
-
-        A shape reaches below its centre by its support function, which of a sum of convex sets is
-        the sum of theirs, and of a hull that of its corners.
-
-        Args:
-            link: Where its link is.
-            normal: Of the plane, a unit vector.
-        """
-        turn, place = link
-        a, b, c = normal
-        # The normal in the link's axes, and the height of the link's origin.
-        if a == 0.0 and b == 0.0:
-            (u, v, w), height = turn[2].tolist(), place.item(2)
-        else:
-            (xx, xy, xz), (yx, yy, yz), (u, v, w) = turn.tolist()
-            at_x, at_y, height = place.tolist()
-            u, v, w = a * xx + b * yx + c * u, a * xy + b * yy + c * v, a * xz + b * yz + c * w
-            height = a * at_x + b * at_y + c * height
-        x, y, z = self.centre
-        height += u * x + v * y + w * z - self.ball
-        for x, y, z in self.bars:
-            height -= abs(u * x + v * y + w * z)
-        if self.radii:
-            height -= math.hypot(*[u * x + v * y + w * z for x, y, z in self.radii])
-        if self.hull is not None:
-            height += self.hull.dot((u, v, w)).min()
-        return float(height)
-
-    def lowest(self, link: Place, normal: Array) -> Array:
-        """Returns the point (3,) in the world that is lowest above a plane; see ``height`` (m)."""
-        turn, place = link
-        own = turn.T @ normal
-        point = np.array(self.centre) - self.ball * own
-        for bar in self.bars:
-            point -= math.copysign(1.0, own @ bar) * np.array(bar)
-        if self.radii:
-            radii = np.array(self.radii)
-            reach = radii @ own
-            point -= radii.T @ reach / max(float(np.linalg.norm(reach)), 1e-300)
-        if self.hull is not None:
-            point += self.hull[(self.hull @ own).argmin()]
-        lowest: Array = turn @ point + place
-        return lowest
-
-
-def to_part(shape: ContactShape) -> Part:
-    """Returns a shape as a sum."""
-    bars: tuple[int, ...] = ()
-    radii: tuple[int, ...] = ()
-    ball, size = 0.0, shape.size.tolist()
-    if shape.kind == _G.mjGEOM_BOX:
-        bars = (0, 1, 2)
-    elif shape.kind == _G.mjGEOM_SPHERE:
-        ball = size[0]
-    elif shape.kind == _G.mjGEOM_ELLIPSOID:
-        radii = (0, 1, 2)
-    elif shape.kind == _G.mjGEOM_CYLINDER:  # MuJoCo's sizes: the radius, and half of the length
-        bars, radii, size = (2,), (0, 1), [size[0], size[0], size[1]]
-    elif shape.kind == _G.mjGEOM_CAPSULE:
-        bars, ball, size = (2,), size[0], [0.0, 0.0, size[1]]
-    turn, mesh = shape.place.rotation, shape.kind == _G.mjGEOM_MESH
-
-    def along(axis: int) -> Direction:
-        x, y, z = (size[axis] * turn[:, axis]).tolist()
-        return x, y, z
-
-    x, y, z = shape.place.translation.tolist()
-    return Part(
-        link=shape.link,
-        centre=(x, y, z),
-        bars=tuple(along(axis) for axis in bars),
-        radii=tuple(along(axis) for axis in radii),
-        ball=ball,
-        hull=np.ascontiguousarray(shape.hull @ turn.T) if mesh else None,
-    )
-
-
 class OffGround(NamedTuple):
     """A shape that is no foot, and shall be above the ground.
 
     Attributes:
         number: Which of the robot's shapes.
         shape: The shape.
-        form: The same in closed form.
         sunk: The foot into whose sphere it reaches, if it does.
     """
 
     number: int
-    shape: ContactShape
-    form: Part
+    shape: CarriedShape
     sunk: str | None
 
 
@@ -196,7 +91,7 @@ class ClearanceShapes:
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.kinematics = robot, Kinematics(robot.structure)
-        self.shapes: tuple[ContactShape, ...] = robot.shapes
+        self.shapes: tuple[CarriedShape, ...] = robot.shapes
         self.parts = [*self._not_feet()]
 
     def at(self, qpos: ArrayLike) -> Kinematics:
@@ -224,7 +119,7 @@ class ClearanceShapes:
                 never.add(links[one, other])
         looked = [both for both in every if links[both] in able - never]
         for shape in shapes:
-            shape.solid.computeLocalAABB()  # the balls round them
+            shape.form.collision.computeLocalAABB()  # the balls round them
         near = self._nearest(self.robot.home, _numbers(looked), len(looked))
         never |= {links[pair.one, pair.other] for pair in near if pair.distance <= 0}
         return _numbers(both for both in looked if links[both] not in never)
@@ -245,7 +140,7 @@ class ClearanceShapes:
 
         Balls round the shapes tell that most pairs are too far apart to be looked at.
         """
-        solids, at = [shape.solid for shape in self.shapes], self._places(self.at(qpos))
+        solids, at = [one.form.collision for one in self.shapes], self._places(self.at(qpos))
         centres = np.array(
             [place.transform(one.aabb_center) for place, one in zip(at, solids, strict=True)]
         )
@@ -263,10 +158,10 @@ class ClearanceShapes:
 
     def _places(self, at: Kinematics) -> list[coal.Transform3s]:
         """Returns where the shapes are."""
-        links = [at.links[shape.link] for shape in self.shapes]
+        links = [(at.links[shape.link], shape.form.pose) for shape in self.shapes]
         return [
-            coal.Transform3s(turn @ shape.place.rotation, turn @ shape.place.translation + place)
-            for (turn, place), shape in zip(links, self.shapes, strict=True)
+            coal.Transform3s(turn @ pose.rotation, turn @ pose.position + place)
+            for (turn, place), pose in links
         ]
 
     def distance_rates(self, at: Configuration, most: int) -> Array:
@@ -313,7 +208,8 @@ class ClearanceShapes:
         """
         if _is_plane(ground):
             normal: Direction = tuple(ground.normal().tolist()) if ground.slope else _UP
-            heights = [part.form.height(at.links[part.form.link], normal) for part in self.parts]
+            shapes = [part.shape for part in self.parts]
+            heights = [one.form.height(at.links[one.link], normal) for one in shapes]
         else:
             heights = [float(near.min_distance) for near in self._above_steps(at, ground, places)]
         return [
@@ -329,8 +225,8 @@ class ClearanceShapes:
         there = self.at(at.qpos)
         if _is_plane(ground):
             normal = ground.normal()
-            forms = [part.form for part in self.parts]
-            ends = [(form.lowest(there.links[form.link], normal), normal) for form in forms]
+            shapes = [part.shape for part in self.parts]
+            ends = [(one.form.lowest(there.links[one.link], normal), normal) for one in shapes]
         else:
             steps = self._above_steps(there, ground, places)
             ends = [(near.getNearestPoint1(), -near.normal) for near in steps]
@@ -352,7 +248,7 @@ class ClearanceShapes:
             box = coal.Box(2 * half)
             obstacles.append((box, coal.Transform3s(ground.rotation(foot), centre)))
         for part in self.parts:
-            own = part.shape.solid, where[part.number]
+            own = part.shape.form.collision, where[part.number]
             near = [measure_distance(*own, *one) for one in obstacles]
             yield min(near, key=lambda found: float(found.min_distance))
 
@@ -378,17 +274,17 @@ class ClearanceShapes:
             sunk = feet.get(shape.joint)
             if sunk is not None and not self._reaches_into(shape, sunk):
                 sunk = None
-            yield OffGround(index, shape, to_part(shape), sunk)
+            yield OffGround(index, shape, sunk)
 
-    def _reaches_into(self, shape: ContactShape, foot: str) -> bool:
+    def _reaches_into(self, shape: CarriedShape, foot: str) -> bool:
         """Whether a shape on the link of a foot reaches into the foot's sphere."""
         self.kinematics.move(self.robot.neutral())
         turn, place = self.kinematics.links[shape.link]
         centre = turn.T @ (np.array(self.kinematics.feet[foot]) - place)
         ball = coal.Sphere(self.robot.contact_radius[foot])
         there = coal.Transform3s(np.eye(3), centre)
-        own = coal.Transform3s(shape.place.rotation, shape.place.translation)
-        return bool(measure_distance(shape.solid, own, ball, there).min_distance < 0)
+        own = coal.Transform3s(shape.form.pose.rotation, shape.form.pose.position)
+        return bool(measure_distance(shape.form.collision, own, ball, there).min_distance < 0)
 
 
 def _numbers(pairs: Iterable[tuple[int, int]]) -> IntArray:

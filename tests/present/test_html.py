@@ -19,6 +19,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
+from pupper_analysis.models.shapes import Mesh
 from pupper_analysis.present import document
 from pupper_analysis.present import scene as scenes
 from pupper_analysis.present.document import (
@@ -500,7 +501,8 @@ def test_a_coarser_sphere_is_a_sphere() -> None:
     a, b, c = (places[faces.simplices[:, index]] for index in range(3))
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
     triangles = np.where(inwards[:, None], faces.simplices[:, ::-1], faces.simplices)
-    vertices, fewer = coarsen_mesh(places, triangles.astype(np.int64), 16)
+    coarse = coarsen_mesh(Mesh(places, triangles.astype(np.int64)), 16)
+    vertices, fewer = coarse.vertices, coarse.faces
     assert len(fewer) < 0.6 * len(triangles)
     assert np.linalg.norm(vertices, axis=1) == pytest.approx(np.ones(len(vertices)), abs=0.03)
     assert volume(vertices, fewer) == pytest.approx(4 / 3 * np.pi, rel=0.05)

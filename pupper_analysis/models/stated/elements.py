@@ -18,8 +18,9 @@ from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
 from pupper_analysis.models.mjcf import equality_name
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.stated.mjcf import joint_name, read_shape
-from pupper_analysis.models.stated.model import Shape, UrdfModel
+from pupper_analysis.models.shapes import Shape, read_shape
+from pupper_analysis.models.stated.mjcf import joint_name
+from pupper_analysis.models.stated.model import UrdfModel
 
 Key = tuple[str, str]
 """An element's tag and name."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
@@ -21,7 +21,7 @@ from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.stated.geometry import hull_points
+from pupper_analysis.models.shapes import Pose, read_shape
 from pupper_analysis.models.stated.model import (
     BALL,
     FREE,
@@ -33,8 +33,6 @@ from pupper_analysis.models.stated.model import (
     Joint,
     Link,
     MjcfModel,
-    Pose,
-    Shape,
 )
 from pupper_analysis.models.stated.urdf import half_digit
 
@@ -64,7 +62,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
     data = mujoco.MjData(model)
     data.qpos[:] = zero_configuration(model)
     mujoco.mj_kinematics(model, data)
-    to_base = _world_pose(data, base).inverse()
+    to_base = Pose.of_body(data, base).inverse()
     stated = {
         copied.id: original
         for original, copied in zip(file.spec.bodies, spec.bodies, strict=True)
@@ -81,7 +79,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
     bodies = {}
     for body in range(1, model.nbody):
         parent = int(model.body_parentid[body])
-        pose = to_base * _world_pose(data, body)
+        pose = to_base * Pose.of_body(data, body)
         bodies[names[body]] = Link(
             name=names[body],
             parent=names[parent] if parent else None,
@@ -155,10 +153,6 @@ def _range(first: int, count: int) -> range:
     return range(int(first), int(first) + int(count))
 
 
-def _world_pose(data: mujoco.MjData, body: int) -> Pose:
-    return Pose(data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy())
-
-
 def _joint(
     file: MjcfFile,
     model: mujoco.MjModel,
@@ -223,39 +217,6 @@ def _inertial(model: mujoco.MjModel, body: int, stated: mujoco.MjsBody | None) -
     if model.body_mass[body] == 0:
         return None
     return Inertial.of(inertia_of_body(model, body), stated=False)
-
-
-_SHAPES = {
-    mujoco.mjtGeom.mjGEOM_SPHERE.value: ("sphere", 1),
-    mujoco.mjtGeom.mjGEOM_BOX.value: ("box", 3),
-    mujoco.mjtGeom.mjGEOM_ELLIPSOID.value: ("ellipsoid", 3),
-    mujoco.mjtGeom.mjGEOM_CYLINDER.value: ("cylinder", 2),
-    mujoco.mjtGeom.mjGEOM_CAPSULE.value: ("capsule", 2),
-    mujoco.mjtGeom.mjGEOM_MESH.value: ("mesh", 0),
-}
-
-
-def read_shape(model: mujoco.MjModel, geom: int) -> Shape:
-    """Returns the shape of a geom, in its body's frame."""
-    kind, count = _SHAPES.get(int(model.geom_type[geom]), ("other", 0))
-    pose = Pose(np.array(model.geom_pos[geom]), rotation_from_quaternion(model.geom_quat[geom]))
-    return Shape(
-        name=model.geom(geom).name,
-        kind=kind,
-        pose=pose,
-        size=tuple(float(value) for value in model.geom_size[geom][:count]),
-        collides=bool(model.geom_contype[geom] or model.geom_conaffinity[geom]),
-        vertices=_vertices(model, int(model.geom_dataid[geom])) if kind == "mesh" else lambda: None,
-    )
-
-
-def _vertices(model: mujoco.MjModel, mesh: int) -> Callable[[], Array | None]:
-    def vertices() -> Array | None:
-        start = int(model.mesh_vertadr[mesh])
-        count = int(model.mesh_vertnum[mesh])
-        return hull_points(np.array(model.mesh_vert[start : start + count], dtype=float))
-
-    return vertices
 
 
 MUJOCO_ERRORS = (ValueError, RuntimeError, TypeError, OSError, MemoryError)

@@ -5,8 +5,8 @@ Unlike in an engine's model, links that are fixed to others are kept apart, as i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import mujoco
@@ -19,63 +19,13 @@ from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.shapes import Pose, Shape
 from pupper_analysis.models.urdf_file import UrdfFile
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """A pose: x = position + rotation x'.
-
-    Attributes:
-        position: (3,) (m).
-        rotation: (3, 3).
-    """
-
-    position: Array = field(default_factory=lambda: np.zeros(3))
-    rotation: Array = field(default_factory=lambda: np.eye(3))
-
-    def __mul__(self, other: Pose) -> Pose:
-        return Pose(self.point(other.position), self.rotation @ other.rotation)
-
-    def point(self, local: Array) -> Array:
-        """Returns a point (3,), or points (n, 3), given in this pose's frame, in the outer one."""
-        moved: Array = local @ self.rotation.T + self.position
-        return moved
-
-    @property
-    def placed(self) -> pin.SE3:
-        """The same, as Pinocchio has it."""
-        return pin.SE3(self.rotation, self.position)
-
-    def inverse(self) -> Pose:
-        """Returns the pose of the outer frame in this one."""
-        return Pose(-self.rotation.T @ self.position, self.rotation.T)
-
-
 HINGE, SLIDE, BALL, FREE, FIXED = "hinge", "slide", "ball", "free", "fixed"
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """A shape that is drawn or touches things.
-
-    Attributes:
-        name: Its name, "" if it has none.
-        kind: ``sphere``, ``box``, ``cylinder``, ``capsule``, ``ellipsoid``, ``mesh`` or another.
-        pose: In its body's frame.
-        size: Radius; radius and half length; or three half sizes (m).
-        collides: Whether it can touch things.
-        vertices: Returns a mesh's (n, 3) in the shape's frame (m); None if unknown.
-    """
-
-    name: str
-    kind: str
-    pose: Pose
-    size: tuple[float, ...]
-    collides: bool
-    vertices: Callable[[], Array | None] = lambda: None
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from decimal import Decimal, InvalidOperation
+from functools import partial
 
 import numpy as np
 from lxml import etree
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.stated.geometry import mesh_vertices
+from pupper_analysis.models.shapes import Mesh, Pose, Shape
+from pupper_analysis.models.stated.meshes import mesh_hull
 from pupper_analysis.models.stated.model import (
     FIXED,
     FREE,
     HINGE,
     SLIDE,
-    Array,
     Inertial,
     Joint,
     Link,
-    Pose,
-    Shape,
     UrdfModel,
 )
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -48,8 +46,7 @@ def read_urdf_model(file: UrdfFile) -> UrdfModel:
 
 def _placed(element: etree._Element) -> Pose:
     """Returns the pose that an element's ``<origin>`` states."""
-    placed = origin_of(element)
-    return Pose(np.array(placed.translation), np.array(placed.rotation))
+    return Pose.of(origin_of(element))
 
 
 def _number(element: etree._Element | None, attribute: str, default: float) -> float:
@@ -132,17 +129,12 @@ def _shape(
             size = (_number(tag, "radius", 0.0), _number(tag, "length", 0.0) / 2)
         case _:
             size = ()
-    vertices = _mesh(file, tag) if kind == "mesh" else lambda: None
-    return Shape(name, kind, pose, size, collides, vertices)
+    read = partial(_read_mesh, file, tag) if kind == "mesh" else lambda: None
+    return Shape(name, kind, pose, size, collides, read)
 
 
-def _mesh(file: UrdfFile, tag: etree._Element) -> Callable[[], Array | None]:
-    filename = tag.get("filename", "")
+def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
+    path = file.resolve_mesh(tag.get("filename", ""))
+    found = None if path is None else mesh_hull(path)
     scale = parse_numbers(tag.get("scale"), "1 1 1")
-
-    def vertices() -> Array | None:
-        path = file.resolve_mesh(filename)
-        points = None if path is None else mesh_vertices(path)
-        return None if points is None else points * scale
-
-    return vertices
+    return None if found is None else Mesh(found.vertices * scale, found.faces)

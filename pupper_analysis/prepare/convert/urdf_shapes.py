@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import placement_of
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.models.urdf_tree import set_origin
 from pupper_analysis.models.xml import (
     DIGITS,
@@ -82,29 +83,24 @@ class UrdfShapes:
 
     def _geometries(self, geom: int) -> list[Geometry]:
         """Returns what a geom is made of in a URDF, with its placement in the body's frame."""
-        model = self.model
-        kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-        size = np.array(model.geom_size[geom])
-        placed = placement_of(model.geom_quat[geom], model.geom_pos[geom])
-        if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-            return [("sphere", {"radius": write_numbers(size[0])}, placed)]
-        if kind == mujoco.mjtGeom.mjGEOM_BOX:
-            return [("box", {"size": write_numbers(2 * size)}, placed)]
-        round_ = {"radius": write_numbers(size[0]), "length": write_numbers(2 * size[1])}
-        if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return [("cylinder", round_, placed)]
-        if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:  # a URDF has none: their sum is the same
-            ends = [
-                placed * pin.SE3(np.eye(3), np.array([0.0, 0.0, side * size[1]]))
-                for side in (-1.0, 1.0)
-            ]
-            balls = [("sphere", {"radius": write_numbers(size[0])}, end) for end in ends]
-            return [("cylinder", round_, placed), *balls]
-        if kind == mujoco.mjtGeom.mjGEOM_MESH:
-            return self._mesh(geom, placed)
-        name = model.geom(geom).name or f"{geom}"
-        what = Term(kind.name.removeprefix("mjGEOM_").lower())
-        self.left.append(diagnose("shape-not-in-urdf", subject=("geom", name), kind=what))
+        shape = read_shape(self.model, geom)
+        placed, size = shape.pose.placed, np.array(shape.size)
+        match shape.kind:
+            case "sphere":
+                return [("sphere", {"radius": write_numbers(size[0])}, placed)]
+            case "box":
+                return [("box", {"size": write_numbers(2 * size)}, placed)]
+            case "cylinder" | "capsule":  # a URDF has no capsule: their sum is the same
+                radius = write_numbers(size[0])
+                tube = {"radius": radius, "length": write_numbers(2 * size[1])}
+                ends = (-size[1], size[1]) if shape.kind == "capsule" else ()
+                balls = [placed * pin.SE3(np.eye(3), np.array([0.0, 0.0, end])) for end in ends]
+                caps = [("sphere", {"radius": radius}, ball) for ball in balls]
+                return [("cylinder", tube, placed), *caps]
+            case "mesh":
+                return self._mesh(geom, placed)
+        subject = ("geom", shape.name or f"{geom}")
+        self.left.append(diagnose("shape-not-in-urdf", subject=subject, kind=Term(shape.kind)))
         return []
 
     def _mesh(self, geom: int, placed: pin.SE3) -> list[Geometry]:

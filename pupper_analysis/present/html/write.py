@@ -22,12 +22,14 @@ import orjson
 
 from pupper_analysis import __version__
 from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.kinds import PAGE
 from pupper_analysis.base.provenance import find_provenance
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.shapes import Mesh
 from pupper_analysis.present.document import (
     Block,
     Document,
@@ -53,7 +55,7 @@ from functools import singledispatch
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import PupperAnalysisError
@@ -62,7 +64,6 @@ from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.present.document import Motion, MotionScene, OverlayScene, StandScene
 from pupper_analysis.present.scene import (
     JointAxis,
-    Mesh,
     describe_scene,
     joint_axes,
     shapes_of,
@@ -207,9 +208,9 @@ def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
     }
 
 
-def short_numbers(values: Array) -> list[Any]:
+def short_numbers(values: ArrayLike) -> list[Any]:
     """Returns numbers to a hundredth of a millimetre: a view shows no more."""
-    return np.round(values, 5).tolist()  # type: ignore[no-any-return]
+    return np.round(np.asarray(values), 5).tolist()  # type: ignore[no-any-return]
 
 
 def extent_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
@@ -255,11 +256,11 @@ def geoms_of(model: mujoco.MjModel) -> tuple[list[dict[str, Any]], dict[str, dic
     shapes, meshes = shapes_of(model, MOST_FACES)
     geoms = [
         {
-            "shape": shape.kind,
+            "shape": shape.form.kind,
             "body": shape.body - 1,
-            "size": short_numbers(shape.size),
-            "pos": short_numbers(shape.position),
-            "quat": short_numbers(shape.quaternion),
+            "size": short_numbers(shape.form.size),
+            "pos": short_numbers(shape.form.pose.position),
+            "quat": short_numbers(quaternion_from_rotation(shape.form.pose.rotation)),
             "colour": np.round(shape.colour, 3).tolist(),
             **({} if shape.mesh is None else {"mesh": str(shape.mesh)}),
         }

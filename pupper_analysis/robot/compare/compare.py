@@ -36,11 +36,11 @@ from pupper_analysis.models.mjcf import silence_mujoco, start_data
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.shapes import DIRECTIONS, Pose, Shape, read_shape
 from pupper_analysis.models.sides import OF_LEGS
 from pupper_analysis.models.stated.elements import place_of_geom, touching_geoms
-from pupper_analysis.models.stated.geometry import DIRECTIONS, describe_shape, support_of
-from pupper_analysis.models.stated.mjcf import read_mjcf_model, read_shape
-from pupper_analysis.models.stated.model import Pose, RobotModel, Shape
+from pupper_analysis.models.stated.mjcf import read_mjcf_model
+from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -103,10 +103,6 @@ class _Placed:
     shape: Shape
     world: Shape
     place: Callable[[], Place]
-
-    def reach(self, directions: Array) -> Array | None:
-        """Returns its support function (n,) in the world (m)."""
-        return support_of(self.world, directions)
 
 
 def compare_collisions(
@@ -174,7 +170,7 @@ def _of_limb(
     # At zero angles, from the base's frame to the body's: in it the URDF's links are placed.
     to_body = (two.links[str(ends[0])].pose.inverse() * two.links[body].pose).inverse()
     to_base = one.links[str(ends[1])].pose.inverse()
-    place = _pose(data, carrier) * to_body * to_base
+    place = Pose.of_body(data, carrier) * to_body * to_base
     urdf = tuple(
         _placed_shape(
             place * part.pose, shape, partial(urdf_file.nth, part.name, "collision", number)
@@ -185,7 +181,7 @@ def _of_limb(
     moving = model.body_weldid[model.geom_bodyid] == model.body_weldid[carrier]
     mjcf = tuple(
         _placed_shape(
-            _pose(data, int(model.geom_bodyid[geom])),
+            Pose.of_body(data, int(model.geom_bodyid[geom])),
             read_shape(model, geom),
             partial(place_of_geom, mjcf_file, geom, "shape"),
         )
@@ -193,17 +189,13 @@ def _of_limb(
         if moving[geom]
     )
     points = any(not any(one.shape.size) and one.shape.kind != "mesh" for one in urdf)
-    if points or any(placed.reach(DIRECTIONS[:1]) is None for placed in (*urdf, *mjcf)):
+    if points or any(placed.world.support(DIRECTIONS[:1]) is None for placed in (*urdf, *mjcf)):
         return None
     return urdf, mjcf
 
 
-def _pose(data: mujoco.MjData, body: int) -> Pose:
-    return Pose(data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy())
-
-
 def _placed_shape(pose: Pose, shape: Shape, place: Callable[[], Place]) -> _Placed:
-    return _Placed(shape, replace(shape, pose=pose * shape.pose), place)
+    return _Placed(shape, shape.placed_in(pose), place)
 
 
 def _touching_the_world(model: mujoco.MjModel) -> list[int]:
@@ -220,7 +212,7 @@ def _feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> lis
     model = data.model
     last = limb_ends(model)
     ends = {
-        name: min(float(-one.reach(_DOWN)[0]) for one in (*urdf, *mjcf))  # type: ignore[index]
+        name: min(float(-one.world.support(_DOWN)[0]) for one in (*urdf, *mjcf))  # type: ignore[index]
         for name, (urdf, mjcf) in limbs.items()
         if model.body_weldid[model.body(matched.mjcf_body[name]).id] in last and (urdf or mjcf)
     }
@@ -277,7 +269,7 @@ def _of_feet(
 
 def _reach(shapes: Sequence[_Placed], directions: Array) -> Array:
     """Returns the support function of several shapes together."""
-    reaches = [reach for shape in shapes if (reach := shape.reach(directions)) is not None]
+    reaches = [reach for shape in shapes if (reach := shape.world.support(directions)) is not None]
     return np.asarray(np.max(reaches, axis=0))
 
 
@@ -308,7 +300,7 @@ def _lowest(shapes: Sequence[_Placed]) -> tuple[float, Diagnostic | Term, _Place
         return math.nan, Term("none"), None
     heights = [float(-_reach([shape], _DOWN)[0]) for shape in shapes]
     first = int(np.argmin(heights))
-    return heights[first], describe_shape(shapes[first].shape), shapes[first]
+    return heights[first], shapes[first].shape.diagnostic, shapes[first]
 
 
 def _of_others(limbs: Mapping[str, Limb]) -> Iterator[Diagnostic]:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.compare.engines import CrossCheck, cross_check
 from pupper_analysis.robot.configuration import Configuration
@@ -208,13 +207,12 @@ def thigh_shape_length(robot: Robot) -> float | None:
     along = along / np.linalg.norm(along)
     meshes = []
     for geom in np.flatnonzero(model.geom_bodyid == thigh):
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE.value:
-            return float(2 * model.geom_size[geom, 1])
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:
-            mesh = int(model.geom_dataid[geom])
-            first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-            rotation = rotation_from_quaternion(model.geom_quat[geom])
-            meshes.append(np.ptp(model.mesh_vert[first : first + count] @ rotation.T @ along))
+        shape = read_shape(model, geom)
+        if shape.kind == "capsule":
+            return 2 * shape.size[1]
+        ends = shape.support(np.array([along, -along])) if shape.kind == "mesh" else None
+        if ends is not None:
+            meshes.append(ends.sum())
     return float(max(meshes)) if meshes else None
 
 

@@ -29,6 +29,7 @@ from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
 from pupper_analysis.models.mjcf import compile_spec, has_free_joint, silence_mujoco, start_data
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.shapes import DIRECTIONS, Shape
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.elements import (
     DISABLE_BITS,
@@ -41,9 +42,7 @@ from pupper_analysis.models.stated.elements import (
     flag_name,
     rows_of,
 )
-from pupper_analysis.models.stated.geometry import DIRECTIONS, describe_shape, support_of
 from pupper_analysis.models.stated.mjcf import joint_name
-from pupper_analysis.models.stated.model import Shape
 from pupper_analysis.robot.compare.differences import VERSIONS, Difference, Effect
 
 Array = NDArray[np.float64]
@@ -91,7 +90,7 @@ def apart(one: Shape, two: Shape) -> float:
     Of shapes without extents (planes, missing meshes) their places and sizes are compared: infinite
     if they differ.
     """
-    first, second = (support_of(shape, DIRECTIONS) for shape in (one, two))
+    first, second = (shape.support(DIRECTIONS) for shape in (one, two))
     if first is not None and second is not None:
         return float(np.abs(first - second).max())
     ends = [(shape.pose.position, shape.pose.rotation, shape.size) for shape in (one, two)]
@@ -265,7 +264,7 @@ def _reshaped(one: Shape, two: Shape) -> tuple[object, ...]:
     ends = [(shape.pose.position, shape.pose.rotation) for shape in (one, two)]
     if all(np.array_equal(here, there) for here, there in zip(*ends, strict=True)):
         return one.kind, tuple(one.size), two.kind, tuple(two.size)
-    return str(describe_shape(one)), str(describe_shape(two))
+    return str(one.diagnostic), str(two.diagnostic)
 
 
 def _same(one: Value, two: Value) -> bool:
@@ -335,10 +334,10 @@ def _value(element: Element | None, word: str) -> object:
     if element is None:
         return Term("none")
     if not word:
-        return Term("there") if element.shape is None else describe_shape(element.shape)
+        return Term("there") if element.shape is None else element.shape.diagnostic
     if word == SHAPE:
         assert element.shape is not None
-        return describe_shape(element.shape)
+        return element.shape.diagnostic
     numbers = element.values.get(word, ())
     if word in _CHOICES and numbers:
         return _CHOICES[word](int(numbers[0])).name.split("_", 1)[1].lower()

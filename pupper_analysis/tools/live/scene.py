@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +11,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.base.arrays import quaternion_from_rotation
+from pupper_analysis.models.shapes import Mesh, Shape
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.present.scene import (
     Contact,
@@ -69,73 +69,50 @@ def to_css(colour: Colour) -> str:
 
 # A robot's shapes as triangles, each on its body.
 
-Integers = NDArray[np.int64]
 Colour = tuple[int, int, int]
 
 MOST_FACES = 40_000
 """Of all meshes of a robot together: half a megabyte, which is sent when a page opens."""
 
 
-@dataclass(frozen=True, eq=False)
-class ShapePart:
-    """All of a body's shapes that have one colour.
-
-    Attributes:
-        body: Number of the body in MuJoCo's model.
-        vertices: (n, 3) in the body's frame (m).
-        faces: (m, 3) numbers of vertices.
-        colour: Red, green, blue, 0 to 255.
-    """
-
-    body: int
-    vertices: Array
-    faces: Integers
-    colour: Colour
+Parts = dict[tuple[int, Colour], Mesh]
+"""{number of a body in MuJoCo's model, colour: its shapes of that colour, in its frame}."""
 
 
-def parts_of(model: mujoco.MjModel) -> list[ShapePart]:
+def parts_of(model: mujoco.MjModel) -> Parts:
     """Returns a robot's shapes, those of one body and colour together."""
     shapes, meshes = shapes_of(model, MOST_FACES)
-    found: dict[tuple[int, Colour], list[tuple[Array, Integers]]] = {}
+    found: dict[tuple[int, Colour], list[Mesh]] = {}
     for shape in shapes:
-        if shape.mesh is None:
-            vertices, faces = mesh_of_primitive(shape.kind, shape.size)
-        else:
-            vertices, faces = meshes[shape.mesh].vertices, meshes[shape.mesh].faces
-        turn = rotation_from_quaternion(shape.quaternion)
+        mesh = triangles_of(shape.form) if shape.mesh is None else meshes[shape.mesh]
         red, green, blue = (round(255 * float(value)) for value in shape.colour[:3])
-        placed = vertices @ turn.T + shape.position, faces
+        placed = Mesh(shape.form.pose.point(mesh.vertices), mesh.faces)
         found.setdefault((shape.body, (red, green, blue)), []).append(placed)
-    return [ShapePart(body, *_joined(parts), colour) for (body, colour), parts in found.items()]
+    return {key: _joined(meshes) for key, meshes in found.items()}
 
 
-def _joined(shapes: list[tuple[Array, Integers]]) -> tuple[Array, Integers]:
-    firsts = np.cumsum([0, *(len(vertices) for vertices, _ in shapes)])
-    faces = [faces + first for (_, faces), first in zip(shapes, firsts, strict=False)]
-    return np.concatenate([vertices for vertices, _ in shapes]), np.concatenate(faces)
+def _joined(meshes: list[Mesh]) -> Mesh:
+    firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]
+    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
-def mesh_of_primitive(name: str, size: Array) -> tuple[Array, Integers]:
-    """Returns a shape of MuJoCo's as triangles, along z about its centre.
-
-    Args:
-        name: ``sphere``, ``capsule``, ``ellipsoid``, ``cylinder`` or ``box``.
-        size: (3,) MuJoCo's ``geom_size`` (m).
-    """
+def triangles_of(shape: Shape) -> Mesh:
+    """Returns a shape that is no mesh as triangles, along z about its centre."""
     from trimesh import creation  # comes with viser
 
-    a, b, c = (float(value) for value in size)
-    made: Any
-    if name == "box":
-        made = creation.box(extents=(2 * a, 2 * b, 2 * c))
-    elif name == "cylinder":
-        made = creation.cylinder(radius=a, height=2 * b, sections=24)
-    elif name == "capsule":
-        made = creation.capsule(radius=a, height=2 * b, count=(16, 16))
-    else:
-        made = creation.icosphere(subdivisions=2)
-        made.apply_scale((a, a, a) if name == "sphere" else (a, b, c))
-    return np.asarray(made.vertices, dtype=float), np.asarray(made.faces, dtype=np.int64)
+    size, made = shape.size, None
+    match shape.kind:
+        case "box":
+            made = creation.box(extents=2 * np.array(size))
+        case "cylinder":
+            made = creation.cylinder(radius=size[0], height=2 * size[1], sections=24)
+        case "capsule":
+            made = creation.capsule(radius=size[0], height=2 * size[1], count=(16, 16))
+        case _:
+            made = creation.icosphere(subdivisions=2)
+            made.apply_scale(np.broadcast_to(size, 3))
+    return Mesh(np.asarray(made.vertices, dtype=float), np.asarray(made.faces, dtype=np.int64))
 
 
 GHOST: Colour = (110, 130, 150)
@@ -175,7 +152,7 @@ class Figure:
         scene: Any,
         name: str,
         robot: Robot,
-        parts: list[ShapePart],
+        parts: Parts,
         colour: Colour | None = None,
         opacity: float | None = None,
     ) -> None:
@@ -183,17 +160,17 @@ class Figure:
         self._data = mujoco.MjData(robot.mj_model)
         self._root = scene.add_frame(name, show_axes=False)
         self._bodies: dict[int, Any] = {}
-        for number, part in enumerate(parts):
-            at = f"{name}/{part.body}"
-            if part.body not in self._bodies:
-                self._bodies[part.body] = scene.add_frame(at, show_axes=False)
+        for number, ((body, own), mesh) in enumerate(parts.items()):
+            at = f"{name}/{body}"
+            if body not in self._bodies:
+                self._bodies[body] = scene.add_frame(at, show_axes=False)
             scene.add_mesh_simple(
                 f"{at}/{number}",
-                part.vertices,
-                part.faces,
-                color=colour or part.colour,
+                mesh.vertices,
+                mesh.faces,
+                color=colour or own,
                 opacity=opacity,
-                flat_shading=len(part.faces) < 2000,
+                flat_shading=len(mesh.faces) < 2000,
                 cast_shadow=opacity is None,
                 receive_shadow=False,
             )
@@ -229,7 +206,7 @@ class Scene:
     def __init__(self, scene: Any) -> None:
         self._scene = scene
         self._robot: Robot | None = None
-        self._parts: list[ShapePart] = []
+        self._parts: Parts = {}
         self._figures: dict[str, Figure] = {}
         self._nodes: dict[str, Any] = {}
         self._joints: dict[str, Any] = {}
@@ -348,7 +325,7 @@ class Scene:
             shadow_opacity=0.25,
         )
         turn = ground.rotation()
-        grid.wxyz = to_quaternion(turn)
+        grid.wxyz = quaternion_from_rotation(turn)
         grid.position = -1e-3 * turn[:, 2]  # beneath what lies on it
 
     def _steps(self, seen: StandingScene) -> None:
@@ -461,10 +438,3 @@ def quaternion_along(axis: Array) -> Array:
     turn = np.array([1.0 + z, -y, x, 0.0])
     unit: Array = turn / np.linalg.norm(turn)
     return unit
-
-
-def to_quaternion(turn: Array) -> Array:
-    """Returns the quaternion (w, x, y, z) of a rotation (3, 3)."""
-    found = np.zeros(4)
-    mujoco.mju_mat2Quat(found, turn.ravel())
-    return found

@@ -13,13 +13,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from pupper_analysis.models.shapes import Pose
 from pupper_analysis.models.stated.model import (
     BALL,
     FIXED,
     FREE,
     HINGE,
     SLIDE,
-    Pose,
 )
 from pupper_analysis.tools.usd.shapes import (
     AXES,

@@ -21,7 +21,7 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.places import Place, refuse_file
-from pupper_analysis.models.stated.geometry import Solid
+from pupper_analysis.models.shapes import Pose, Solid
 from pupper_analysis.models.stated.model import (
     FIXED,
     FREE,
@@ -32,7 +32,6 @@ from pupper_analysis.models.stated.model import (
     Inertial,
     Joint,
     Link,
-    Pose,
     RobotModel,
 )
 from pupper_analysis.tools.usd.file import UsdFile

@@ -15,11 +15,13 @@ import mujoco
 import numpy as np
 from lxml import etree
 
+from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import Diagnostic, Vector, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refuse_file
+from pupper_analysis.models.shapes import Pose
 from pupper_analysis.models.spec_tree import (
     NARROW,
     SpecTree,
@@ -33,11 +35,9 @@ from pupper_analysis.models.stated.model import (
     FREE,
     HINGE,
     SLIDE,
-    Array,
     Inertial,
     Joint,
     Link,
-    Pose,
 )
 from pupper_analysis.models.urdf_file import ENDLESS_SLIDE, UrdfFile, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -229,7 +229,9 @@ def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
         above = bodies.get(link.parent or "", spec.worldbody)
         outer = model.links[link.parent].pose if link.parent else model.mount.inverse()
         pose = outer.inverse() * link.pose
-        body = above.add_body(name=name, pos=pose.position, quat=_quaternion(pose.rotation))
+        body = above.add_body(
+            name=name, pos=pose.position, quat=quaternion_from_rotation(pose.rotation)
+        )
         bodies[name] = body
         inertial = inertials.get(name)
         if inertial is not None:
@@ -350,20 +352,13 @@ def _close(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> None:
         if weld:
             between = edge.frames[0] * edge.frames[1].inverse()
             equality.data[3:6] = between.position
-            equality.data[6:10] = _quaternion(between.rotation)
+            equality.data[6:10] = quaternion_from_rotation(between.rotation)
         else:
             equality.data[:3] = edge.frames[0].point(end)
 
 
 _HINGE = 0.1
 """m: a hinge that closes a loop is two points of its axis, so far apart."""
-
-
-def _quaternion(rotation: Array) -> Array:
-    """Returns the quaternion (w, x, y, z) of a rotation (3, 3)."""
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
-    return quaternion
 
 
 def notes_of(model: UsdModel) -> Iterator[Diagnostic]:

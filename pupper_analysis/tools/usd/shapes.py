@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,8 +14,7 @@ import numpy as np
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.models.places import Place, refuse_file
-from pupper_analysis.models.stated.geometry import Solid, solid_of
-from pupper_analysis.models.stated.model import Array, Pose, Shape
+from pupper_analysis.models.shapes import Array, Mesh, Pose, Shape, Solid
 from pupper_analysis.tools.usd.file import UsdFile
 
 SCALE_ROUNDING: Final = 1e-6
@@ -209,17 +208,17 @@ class UsdShape(Shape):
     Attributes:
         prim: Its `pxr.Usd.Prim`.
         scale: (3,) What the prim's own lengths are multiplied by, in m.
-        hull: Whether the engine takes a mesh's convex hull.
+        convex: Whether the engine takes a mesh's convex hull.
     """
 
     prim: Any = None
     scale: Any = None
-    hull: bool = False
+    convex: bool = False
 
     @cached_property
     def solid(self) -> Solid | None:
         """What it would weigh; None where that is not known: a mesh that is not closed."""
-        return _mesh_solid(self) if self.kind == "mesh" else solid_of(self.kind, self.size)
+        return _mesh_solid(self) if self.kind == "mesh" else super().solid
 
 
 def shapes_of(
@@ -284,41 +283,43 @@ def _shape(prim: Any, local: Pose, collides: bool) -> UsdShape:
             radius = number_of(prim, "radius", 0.5 if kind == "capsule" else 1.0)
             size = (float(radius * scale[0]), float(half * scale[2]))
         case "mesh":
-            points = value_of(prim, "points", "list")
             approximation = str(value_of(prim, "physics:approximation", "text") or "none")
 
-            def vertices() -> Array | None:
-                values = np.array(points or (), dtype=float).reshape(-1, 3)
-                return values @ local.rotation.T if len(values) else None
-
+            read = partial(_read_mesh, prim, local.rotation)
             place = Pose(local.position, np.eye(3))
-            name, hull = prim.GetName(), approximation == "convexHull"
-            return UsdShape(name, kind, place, (), collides, vertices, prim, own, hull)
+            name, convex = prim.GetName(), approximation == "convexHull"
+            return UsdShape(name, kind, place, (), collides, read, prim, own, convex)
         case _:
             kind = "plane" if prim.IsA(UsdGeom.Plane) else "other"
     return UsdShape(prim.GetName(), kind, pose, size, collides, prim=prim, scale=own)
+
+
+def _read_mesh(prim: Any, turn: Array) -> Mesh | None:
+    """Returns a mesh, its faces as triangles; without faces where they name other points."""
+    points = np.array(value_of(prim, "points", "list") or (), dtype=float).reshape(-1, 3)
+    counts = np.array(value_of(prim, "faceVertexCounts", "list") or (), dtype=int)
+    indices = np.array(value_of(prim, "faceVertexIndices", "list") or (), dtype=int)
+    if not len(points):
+        return None
+    known = counts.sum() == len(indices) and np.isin(indices, np.arange(len(points))).all()
+    faces = [
+        (indices[start], indices[start + k], indices[start + k + 1])
+        for start, count in zip(np.cumsum(counts) - counts, counts, strict=True)
+        for k in range(1, count - 1)
+        if known
+    ]
+    return Mesh(points @ turn.T, np.array(faces, dtype=np.int64).reshape(-1, 3))
 
 
 def _mesh_solid(shape: UsdShape) -> Solid | None:
     """Returns the volume and second moments of a mesh, or of its convex hull."""
     import trimesh  # slow to import; yourdfpy depends on it
 
-    points = shape.vertices()
-    counts = np.array(value_of(shape.prim, "faceVertexCounts", "list") or (), dtype=int)
-    indices = np.array(value_of(shape.prim, "faceVertexIndices", "list") or (), dtype=int)
-    if points is None or counts.sum() != len(indices) or not np.isfinite(points).all():
+    if shape.mesh is None or not np.isfinite(shape.mesh.vertices).all():
         return None
-    if len(indices) and (indices.min() < 0 or indices.max() >= len(points)):
-        return None
-    starts = np.cumsum(counts) - counts
-    faces = [
-        (indices[start], indices[start + k], indices[start + k + 1])
-        for start, count in zip(starts, counts, strict=True)
-        for k in range(1, count - 1)
-    ]
     try:
-        mesh = trimesh.Trimesh(points, faces)
-        mesh = mesh.convex_hull if shape.hull else mesh
+        mesh = trimesh.Trimesh(shape.mesh.vertices, shape.mesh.faces)
+        mesh = mesh.convex_hull if shape.convex else mesh
         if not mesh.is_watertight or not abs(mesh.volume) > 0:
             return None
         if mesh.volume < 0:

@@ -5,14 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import mujoco
-import numpy as np
-import pytest
 
 from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.stated.elements import ENABLED, list_elements
-from pupper_analysis.models.stated.geometry import shape_points, support_of
-from pupper_analysis.models.stated.model import Pose, Shape
 
 TEXT = """<mujoco>
   <option timestep="0.003" cone="elliptic">
@@ -104,36 +100,3 @@ def test_each_array_of_contacts_and_options_of_mujoco_has_a_row() -> None:
             or (element != "option" and row.mujoco.startswith(start))
         }
         assert names == rows | others | (rows & others), element
-
-
-@pytest.mark.parametrize(
-    ("kind", "size"),
-    [
-        ("sphere", (0.1,)),
-        ("box", (0.1, 0.2, 0.3)),
-        ("ellipsoid", (0.1, 0.2, 0.3)),
-        ("cylinder", (0.1, 0.3)),
-        ("capsule", (0.1, 0.3)),
-    ],
-)
-def test_a_support_function_bounds_the_shape_and_is_reached(
-    kind: str, size: tuple[float, ...]
-) -> None:
-    """Along its axes MuJoCo's own sizes say how far a shape reaches; no point of it is beyond."""
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    shape = Shape("", kind, Pose(np.array([1.0, 2.0, 3.0]), turn), size, collides=True)
-    directions = np.random.default_rng(5).normal(size=(200, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = shape_points(shape)
-    assert points is not None
-    far = (directions @ points.T).max(axis=1)
-    reach = support_of(shape, directions)
-    assert reach is not None
-    assert (far <= reach + 1e-12).all()
-    half = {"sphere": size[0], "capsule": sum(size)}.get(kind, size[-1])
-    along = support_of(shape, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))
-    assert along is not None
-    sideways = (
-        size[1] if kind in ("box", "ellipsoid") else size[0]
-    )  # x of the body is y of the shape
-    assert along == pytest.approx([3 + half, 1 + sideways])

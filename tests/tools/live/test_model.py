@@ -19,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
+from pupper_analysis.models.shapes import Pose, Shape
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.present.scene import Contact
 from pupper_analysis.simulation.verdict import VerdictCode
@@ -46,9 +47,9 @@ from pupper_analysis.tools.live.scene import (
     UNLIMITED,
     colour_of,
     force_arrows,
-    mesh_of_primitive,
     parts_of,
     to_css,
+    triangles_of,
 )
 from pupper_analysis.tools.live.state import (
     LiveVariants,
@@ -444,24 +445,24 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[ty
     ("name", "size", "expected"),
     [
         ("box", (1.0, 2.0, 3.0), 48.0),
-        ("sphere", (1.0, 0.0, 0.0), 4 / 3 * np.pi),
+        ("sphere", (1.0,), 4 / 3 * np.pi),
         ("ellipsoid", (1.0, 2.0, 3.0), 8 * np.pi),
-        ("cylinder", (1.0, 2.0, 0.0), 4 * np.pi),
-        ("capsule", (1.0, 2.0, 0.0), 4 * np.pi + 4 / 3 * np.pi),
+        ("cylinder", (1.0, 2.0), 4 * np.pi),
+        ("capsule", (1.0, 2.0), 4 * np.pi + 4 / 3 * np.pi),
     ],
 )
 def test_shapes_have_their_volumes(name: str, size: tuple[float, ...], expected: float) -> None:
     pytest.importorskip("trimesh")
-    vertices, faces = mesh_of_primitive(name, np.array(size))
-    assert volume(vertices, faces) == pytest.approx(expected, rel=0.06)
-    assert vertices.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
+    mesh = triangles_of(Shape("", name, Pose(), size, collides=True))
+    assert volume(mesh.vertices, mesh.faces) == pytest.approx(expected, rel=0.06)
+    assert mesh.vertices.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
 
 
 def test_a_robots_shapes_are_where_mujoco_has_them() -> None:
     pytest.importorskip("trimesh")
     model = load("v3").mj_model
     parts = parts_of(model)
-    assert {part.body for part in parts} == {
+    assert {body for body, _ in parts} == {
         int(body) for body, group in zip(model.geom_bodyid, model.geom_group, strict=True)
         if body and group < 3
     }  # fmt: skip
@@ -471,8 +472,8 @@ def test_a_robots_shapes_are_where_mujoco_has_them() -> None:
     turn = np.zeros(9)
     __import__("mujoco").mju_quat2Mat(turn, model.geom_quat[geom])
     place = turn.reshape(3, 3) @ model.mesh_vert[first] + model.geom_pos[geom]
-    near = [np.linalg.norm(part.vertices - place, axis=1).min() for part in parts
-            if part.body == model.geom_bodyid[geom]]  # fmt: skip
+    near = [np.linalg.norm(mesh.vertices - place, axis=1).min() for (body, _), mesh in parts.items()
+            if body == model.geom_bodyid[geom]]  # fmt: skip
     assert min(near) < 1e-6
 
 

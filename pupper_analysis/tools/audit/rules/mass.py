@@ -18,12 +18,6 @@ from pupper_analysis.models.loading import Found
 from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.sides import OF_LEGS
-from pupper_analysis.models.stated.geometry import (
-    extent_points,
-    known_points,
-    link_points,
-    outside_hull,
-)
 from pupper_analysis.models.stated.mjcf import joint_name, line_of
 from pupper_analysis.models.stated.model import (
     FREE,
@@ -33,6 +27,12 @@ from pupper_analysis.models.stated.model import (
     Link,
     MjcfModel,
     RobotModel,
+)
+from pupper_analysis.tools.audit.extents import (
+    extent_points,
+    known_points,
+    link_points,
+    outside_hull,
 )
 from pupper_analysis.tools.audit.registry import rule
 

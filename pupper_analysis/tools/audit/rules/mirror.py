@@ -21,7 +21,6 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.loading import Found
 from pupper_analysis.models.sides import mirror_pairs, unlike_pairs
-from pupper_analysis.models.stated.geometry import known_points
 from pupper_analysis.models.stated.model import (
     HINGE,
     Array,
@@ -33,6 +32,7 @@ from pupper_analysis.models.stated.model import (
 )
 from pupper_analysis.robot.contact import ContactParameters, combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
+from pupper_analysis.tools.audit.extents import known_points
 from pupper_analysis.tools.audit.registry import rule
 
 

@@ -15,13 +15,9 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.loading import Found
-from pupper_analysis.models.stated.geometry import extent_points, known_points, link_points
-from pupper_analysis.models.stated.model import (
-    Array,
-    Link,
-    RobotModel,
-    Shape,
-)
+from pupper_analysis.models.shapes import Shape
+from pupper_analysis.models.stated.model import Array, Link, RobotModel
+from pupper_analysis.tools.audit.extents import extent_points, known_points, link_points
 from pupper_analysis.tools.audit.registry import rule
 
 TOLERANCE = 1e-3

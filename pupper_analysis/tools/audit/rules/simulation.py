@@ -16,8 +16,8 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.loading import Found
-from pupper_analysis.models.stated.geometry import solid_of
-from pupper_analysis.models.stated.model import MjcfModel, Shape, UrdfModel
+from pupper_analysis.models.shapes import Shape
+from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
 from pupper_analysis.robot.stability import servo_stability
@@ -273,6 +273,6 @@ def massless_link_collides(robot: UrdfModel) -> Iterator[Found]:
 
 def _water(shapes: Sequence[Shape]) -> float | None:
     """Returns the mass of shapes full of water (kg); None if one is a mesh."""
-    solids = [solid_of(shape.kind, shape.size) for shape in shapes]
+    solids = [shape.solid for shape in shapes]
     known = [solid.volume for solid in solids if solid is not None]
     return WATER * sum(known) if len(known) == len(solids) else None
