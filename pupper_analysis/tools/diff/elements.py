@@ -31,19 +31,18 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import DIRECTIONS, Shape
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.models.stated.elements import (
+from pupper_analysis.models.stated.elements import Value, rows_of
+from pupper_analysis.models.stated.mjcf import joint_name
+from pupper_analysis.robot.compare.differences import VERSIONS, Difference, Effect
+from pupper_analysis.tools.diff.listing import (
     DISABLE_BITS,
     ENABLE_BITS,
     ENABLED,
     Element,
     Key,
-    Value,
     both_of,
     flag_name,
-    rows_of,
 )
-from pupper_analysis.models.stated.mjcf import joint_name
-from pupper_analysis.robot.compare.differences import VERSIONS, Difference, Effect
 
 Array = NDArray[np.float64]
 

@@ -21,12 +21,6 @@ from pupper_analysis.models.mjcf import JointKind, compile_spec, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.stated.elements import (
-    Element,
-    Key,
-    list_collisions,
-    list_elements,
-)
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import actuator_gear
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -41,6 +35,7 @@ from pupper_analysis.robot.matching.urdf import (
     urdf_tree,
     without_shapes,
 )
+from pupper_analysis.tools.diff.listing import Element, Key, list_collisions, list_elements
 
 
 @dataclass(frozen=True, eq=False)
