@@ -206,7 +206,6 @@ def _print_first_difference(robot: Robot) -> None:
     """Prints what makes a robot's files those of two robots, as far as one thing does."""
     from pupper_analysis.base.errors import ModelError
     from pupper_analysis.present.document import tell
-    from pupper_analysis.present.documents.comparison import by_cause, first_to_mend
     from pupper_analysis.present.terminal import make_console
     from pupper_analysis.present.terminal import print_notes as print_lines
     from pupper_analysis.robot.compare.compare import compare_models
@@ -216,8 +215,8 @@ def _print_first_difference(robot: Robot) -> None:
         comparison = compare_models(files.urdf_source, files.mjcf_source)
     except ModelError:
         return  # they are not comparable as they are; the verdict has said enough
-    cause = first_to_mend(comparison, *by_cause(comparison))
-    print_lines(make_console(), [tell(diagnose("first-difference-of-files", cause=cause))])
+    first = diagnose("first-difference-of-files", cause=comparison.first_to_mend)
+    print_lines(make_console(), [tell(first)])
 
 
 def robot_and_task(command: Command) -> Command:

@@ -18,7 +18,6 @@ from pupper_analysis.models.additions import (
     Addition,
     Options,
     Servo,
-    Start,
 )
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -177,16 +176,6 @@ def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
     return made, messages
 
 
-def with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Gives a robot whose base is held position servos where it has none."""
-    kp, kd = held_gains_of(robot)
-    timestep = float(robot.mj_model.opt.timestep)
-    given = robot.description.given(*servos_of(robot, kp, kd, timestep))
-    stated = {limit.joint: limit for limit in robot.efforts}
-    built = rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
-    return _tell_made(robot, built, mjcf, kp, kd)
-
-
 def held_gains_of(
     robot: Robot, sag: float | None = None, damping_ratio: float | None = None
 ) -> tuple[Array, Array]:
@@ -199,31 +188,14 @@ def held_gains_of(
     return kp[order], kd[order]
 
 
-def retuned(robot: Robot, kp: Array, kd: Array, stand: Stand | None = None) -> tuple[Addition, ...]:
-    """Returns what a robot was given, with other gains of the servos.
-
-    Args:
-        robot: The robot.
-        kp: (nu,) their stiffness (N m/rad).
-        kd: (nu,) their damping (N m s/rad).
-        stand: As it rests; None: it has no pose to start from.
-    """
-    added = robot.description.added
-    servos = {each.joint for each in added if isinstance(each, Servo)}
-    own = own_servos(robot).keys() - servos
+def with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
+    """Gives a robot whose base is held position servos where it has none."""
+    kp, kd = held_gains_of(robot)
     timestep = float(robot.mj_model.opt.timestep)
-    kept = [each for each in added if not isinstance(each, Servo | Start) and not _steps(each)]
-    starts = [
-        start.start_of(robot, stand, each.reason, kp, kd)
-        for each in added
-        if isinstance(each, Start) and stand is not None
-    ]
-    return (*kept, *servos_of(robot, kp, kd, timestep, own), *starts)
-
-
-def _steps(added: Addition) -> bool:
-    """Tells whether something is how MuJoCo steps, as servos ask for it."""
-    return isinstance(added, Options) and "integrator" in added.values
+    given = robot.description.given(*servos_of(robot, kp, kd, timestep))
+    stated = {limit.joint: limit for limit in robot.efforts}
+    built = rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
+    return _tell_made(robot, built, mjcf, kp, kd)
 
 
 def _tell_made(

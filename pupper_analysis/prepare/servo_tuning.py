@@ -22,10 +22,8 @@ from scipy import linalg
 
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 Gains = tuple[Array, Array]
@@ -178,36 +176,6 @@ def suggested_gains(
     return kp, np.array([_two_digits(value) for value in damping * _DAMPING_TIME * kp])
 
 
-def stand_gains(
-    robot: Robot, stand: Stand, sag: float | None, damping_ratio: float | None
-) -> Gains:
-    """Computes the gains of a robot that stands, and has servos.
-
-    With damping in proportion to stiffness, each mode of the robot on its servos has the damping
-    ratio z = (kd / kp) w / 2 (Rayleigh); w is that of the mode in which it bounces.
-
-    Args:
-        robot: The robot, with servos.
-        stand: How it stands.
-        sag: What the joint that holds most gives way (rad); None: as its servos let it.
-        damping_ratio: Of the bounce; None: kd keeps its ratio to kp.
-
-    Returns:
-        kp (nu,) (N m/rad), kd (nu,) (N m s/rad).
-    """
-    drive = model_with_servos(robot)
-    kp, kd = drive.kp.copy(), drive.kd.copy()
-    if sag is not None:
-        torques = stand_statics(robot, stand).joint_torques
-        required = Requirement.of_stand(robot, stand.qpos, torques)
-        new = np.array([_three_digits(value) for value in required.stiffness(sag)])
-        kd *= new / kp
-        kp = new
-    if damping_ratio is not None:
-        kd = kp * 2 * damping_ratio / bounce_frequency(robot, stand, kp)
-    return kp, np.array([_three_digits(value) for value in kd])
-
-
 def held_gains(model: mujoco.MjModel, sag: float | None, damping_ratio: float | None) -> Gains:
     """Computes the gains of a robot that is held: an arm, or one that cannot stand.
 
@@ -224,28 +192,7 @@ def held_gains(model: mujoco.MjModel, sag: float | None, damping_ratio: float | 
     required = Requirement.of_held(model)
     kp = required.stiffness(sag or SAG)
     kd = 2 * (damping_ratio or 1.0) * np.sqrt(kp * required.inertia)
-    return np.array([_three_digits(v) for v in kp]), np.array([_three_digits(v) for v in kd])
-
-
-def bounce_frequency(robot: Robot, stand: Stand, kp: Array) -> float:
-    """Returns the angular frequency (rad/s) with which a robot bounces on its servos, undamped.
-
-    Feet are pinned, and the ground is hard: the modes are those of K x = w^2 M x in the motions
-    that leave the contact points in place. Of them the one is meant that a vertical jolt excites
-    most, by its participation factor x^T M e_z (x of unit modal mass).
-    """
-    config = Configuration(robot, stand.qpos)
-    offsets = [
-        contact_offset(robot.contact_radius[foot], stand.normals[foot], stand.depths[foot])
-        for foot in stand.stance_feet
-    ]
-    points = config.point_jacobians(stand.stance_feet, np.array(offsets))
-    free = linalg.null_space(points.reshape(-1, robot.nv))
-    mass = config.mass_matrix()
-    stiffness = np.concatenate([np.zeros(robot.nv - robot.nu), kp])
-    squares, modes = linalg.eigh(free.T @ (stiffness[:, None] * free), free.T @ mass @ free)
-    up = int(np.argmax(np.abs(modes.T @ free.T @ mass[:, 2])))
-    return math.sqrt(float(squares[up]))
+    return np.array([three_digits(v) for v in kp]), np.array([three_digits(v) for v in kd])
 
 
 def felt_inertia(robot: Robot, qpos: Array) -> Array:
@@ -267,6 +214,6 @@ def _two_digits(value: float) -> float:
     return math.floor(value * 10.0**digits + 1e-9) / 10.0**digits
 
 
-def _three_digits(value: float) -> float:
+def three_digits(value: float) -> float:
     """Rounds to three digits, to be read in a file."""
     return float(f"{value:.3g}")

@@ -1,3 +1,5 @@
+from ..tools.analyze.gain_sweep import GainSweep as GainSweep
+from ..tools.analyze.gain_sweep import sweep_gains as sweep_gains
 from ..tools.path.tracking import PathTracking as PathTracking
 from ..tools.path.tracking import track_path as track_path
 from ..tools.payload.trial import PayloadTrial as PayloadTrial
@@ -5,7 +7,5 @@ from ..tools.payload.trial import simulate_payload as simulate_payload
 from ..tools.push.recovery import PushRecovery as PushRecovery
 from ..tools.push.trial import PushTrial as PushTrial
 from ..tools.push.trial import simulate_push as simulate_push
-from .gain_sweep import GainSweep as GainSweep
-from .gain_sweep import sweep_gains as sweep_gains
 from .stability import stand_stability as stand_stability
 from .verify import StandVerification as StandVerification

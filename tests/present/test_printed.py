@@ -11,13 +11,13 @@ import pytest
 
 from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.present.document import Document, LinePlot, Table, in_english
-from pupper_analysis.present.documents.comparison import comparison_document
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.tools.analyze import comparison
 from pupper_analysis.tools.analyze.document import analysis_document
 from pupper_analysis.tools.best.document import best_document
 from pupper_analysis.tools.best.search import Objective
+from pupper_analysis.tools.crosscheck.document import comparison_document
 from pupper_analysis.tools.path.document import path_document
 from pupper_analysis.tools.payload.document import payload_document
 from pupper_analysis.tools.payload.limit import PayloadLimit

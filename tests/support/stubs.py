@@ -16,9 +16,8 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.present.document import Document, Name, Report, text
-from pupper_analysis.present.documents.base_workspace import workspace_document
-from pupper_analysis.present.documents.comparison import comparison_document
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
+from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.stance.task import StandTask
@@ -414,7 +413,7 @@ def files() -> Any:
         "extras (MJCF)": 6.6e-6,
     }
     quantity = Stub(name="mass matrix", edges=sides, passed=False, where="knee, #3")
-    return Stub(
+    found: Any = Stub(
         urdf="a.urdf",
         mjcf="b.xml",
         agree=False,
@@ -443,6 +442,9 @@ def files() -> Any:
         only_urdf=("tail",),
         only_mjcf=("head",),
     )
+    for name in ("unexplained", "first_to_mend"):
+        setattr(found, name, vars(Comparison)[name].fget(found))
+    return found
 
 
 def _variants() -> Report:
@@ -482,8 +484,8 @@ REPORTS = {
     "stance": lambda: _alone(tool("stand.document").stance_document(stance())),
     "payload": lambda: _alone(tool("payload.document").payload_document(loaded("hip"))),
     "best": lambda: _alone(tool("best.document").best_document(best())),
-    "workspace": lambda: _alone(workspace_document(workspace())),
+    "workspace": lambda: _alone(tool("workspace.document").workspace_document(workspace())),
     "path": lambda: _alone(tool("path.document").path_document(there())),
-    "files": lambda: _alone(comparison_document(files())),
+    "files": lambda: _alone(tool("crosscheck.document").comparison_document(files())),
 }
 """{golden document: what makes its report}."""

@@ -15,7 +15,6 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.attributes import FLOOR, PASSIVE
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.places import refusal_at
@@ -314,20 +313,3 @@ def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
         diaginertia=" ".join(texts[:3]) if diagonal else None,
         fullinertia=None if diagonal else " ".join(texts),
     )
-
-
-def check_joints(urdf: UrdfFile, names: dict[str, float]) -> None:
-    """Refuses armatures that are negative, or of joints that a URDF does not have.
-
-    Raises:
-        ConfigurationError: If one is negative, or no number.
-        ModelError: If a joint is not there; the message lists those that are.
-    """
-    known = list(urdf.tree.joints)
-    for name, value in names.items():
-        if name not in known:
-            raise UnknownNameError(urdf.path, "joint", name, known)
-        if not 0 <= value < float("inf"):
-            inertia = Quantity(value, "kg m^2")
-            problem = diagnose("armature-not-valid", subject=("joint", name), armature=inertia)
-            raise ConfigurationError("armature", problem)

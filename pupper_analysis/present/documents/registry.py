@@ -1,15 +1,14 @@
 """Which result is shown how: the builder of its type makes its document.
 
-A builder is registered by the type of its result (``@build_document.register``): of a tool's
-result in the tool's module ``document``, of one of the core in the module here that has the type's
-name in small letters: that of a ``Comparison`` stands in ``comparison``. The module is imported
-when such a result is shown for the first time, so that an audit loads no stance. Of a result
-without a builder its fields are shown, with what they mean.
+A builder is registered by the type of its result (``@build_document.register``), in the module
+``document`` of the tool that has the result, or, of one of the core, of the tool that shows it:
+that of a ``Comparison`` stands in ``tools/crosscheck``. The module is imported when such a result
+is shown for the first time, so that an audit loads no stance. Of a result without a builder its
+fields are shown, with what they mean.
 """
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
@@ -21,6 +20,7 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import LANGUAGES, meaning
 from pupper_analysis.base.results import Result, Tabular, shorten
+from pupper_analysis.base.tools import own_tools
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import (
     Block,
@@ -122,7 +122,7 @@ def fields_of(result: Result) -> doc.Document:
     return doc.Document(text("result"), doc.Name(""), tuple(blocks), passed=passed, verdict=verdict)
 
 
-_HOUSE, _HERE = "pupper_analysis", "pupper_analysis.present.documents"
+_HOUSE = "pupper_analysis"
 
 MOST_NAMES = 6
 """Of robots or files in a title: what fits on two lines."""
@@ -211,7 +211,9 @@ def _load_builder(kind: type) -> None:
                 import_module(f"{package}.document")
                 return
             package = package.rpartition(".")[0]
-        name = re.sub(r"(?<!^)(?=[A-Z])", "_", one.__name__).lower()
-        if find_spec(f"{_HERE}.{name}") is not None:
-            import_module(f"{_HERE}.{name}")
-            return
+        registered = f"@build_document.register({one.__name__})"
+        for tool in own_tools().values():
+            shown = tool.folder / "document.py"
+            if shown.is_file() and registered in shown.read_text(encoding="utf-8"):
+                import_module(f"{tool.package}.document")
+                return

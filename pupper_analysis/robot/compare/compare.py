@@ -464,6 +464,34 @@ class Comparison(Tabular):
     agree: bool
     same_robot: bool
 
+    @property
+    def unexplained(self) -> list[list[Difference]]:
+        """The differences that no cause explains, those of one kind and the same values in one."""
+        explained = {number for cause in self.causes for number in cause.differences}
+        groups: dict[tuple[str, str, str], list[Difference]] = {}
+        for number, one in enumerate(self.differences):
+            if number not in explained:
+                groups.setdefault((one.kind, str(one.urdf), str(one.mjcf)), []).append(one)
+        return list(groups.values())
+
+    @property
+    def first_to_mend(self) -> Diagnostic:
+        """What is to be mended first."""
+        causes, groups = self.causes, self.unexplained
+        if causes and causes[0].leads:
+            return causes[0].diagnostic
+        if self.parts:
+            return self.parts[0]
+        if causes and (causes[0].differences[0] == 0 or not groups):
+            return causes[0].diagnostic
+        if groups:
+            return groups[0][0].diagnostic
+        if self.objections:
+            return self.objections[0]
+        if self.agree and self.mount is not None:
+            return diagnose("agree-but-tilted", tilt=self.mount.diagnostic)
+        return diagnose("agree" if self.agree else "joints-not-the-same")
+
     def _columns(self) -> dict[str, list[object]]:
         names = ("kind", "element", "urdf", "mjcf", "unit", "message", "urdf_place", "mjcf_place")
         return {name: [getattr(found, name) for found in self.differences] for name in names}

@@ -23,7 +23,6 @@ from pupper_analysis.robot.joints import (
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
-from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
@@ -34,6 +33,7 @@ from pupper_analysis.statics.equilibrium import (
     GravityCompensation,
     gravity_compensation,
 )
+from pupper_analysis.tools.analyze.gain_sweep import GainSweep, sweep_gains
 
 Array = NDArray[np.float64]
 

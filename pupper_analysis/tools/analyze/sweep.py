@@ -9,7 +9,7 @@ import numpy as np
 
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
-from pupper_analysis.simulation.gain_sweep import GainSweep
+from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
 
 def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:

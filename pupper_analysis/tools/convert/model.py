@@ -7,9 +7,16 @@ from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+import mujoco
+
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError, OutputError, PupperAnalysisError
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import (
+    ConfigurationError,
+    OutputError,
+    PupperAnalysisError,
+    UnknownNameError,
+)
 from pupper_analysis.base.files import Writing, check_writable, write_together
 from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.results import Result
@@ -18,11 +25,10 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
-from pupper_analysis.prepare.convert.conversion import ConversionDraft, KeyframeRun, keyframe_run
-from pupper_analysis.prepare.convert.from_urdf import check_joints
+from pupper_analysis.prepare.convert.conversion import ConversionDraft
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.prepare.convert.repair import Repair
-from pupper_analysis.prepare.convert.to_mjcf import MjcfOptions, mjcf_draft
+from pupper_analysis.prepare.convert.to_mjcf import MjcfOptions
 from pupper_analysis.prepare.convert.to_urdf import urdf_draft
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.load import Feet, robot_of
@@ -30,10 +36,15 @@ from pupper_analysis.present.verdict import published_clauses
 from pupper_analysis.robot.alike import limbs_without_feet
 from pupper_analysis.robot.compare.compare import Comparison, compare_models
 from pupper_analysis.robot.compare.differences import OF_INERTIALS
+from pupper_analysis.robot.stability import LASTING, Stability, step_stability
+from pupper_analysis.simulation.causes import find_instability
+from pupper_analysis.simulation.nudge import Nudge, measure_response, simulate_nudge
+from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import solve_stand
+from pupper_analysis.tools.convert.draft import mjcf_draft
 from pupper_analysis.tools.sync.models import FINE
 
 
@@ -226,3 +237,59 @@ class Conversion(Result):
     failures: tuple[Diagnostic, ...]
     agree: bool
     passed: bool
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeRun(Result):
+    """What an MJCF does from its own keyframe when it is nudged.
+
+    Attributes:
+        keyframe: Its name.
+        stability: Of where it settles.
+        nudge: What becomes of a nudge that is given at once.
+        failures: Why it does not stay there.
+    """
+
+    keyframe: str
+    stability: Stability
+    nudge: Nudge
+    failures: tuple[Diagnostic, ...]
+
+
+def keyframe_run(path: Path, duration: float = LASTING) -> KeyframeRun | None:
+    """Simulates a file from its first keyframe, with nothing added and nothing changed.
+
+    Args:
+        path: The MJCF, as it was written.
+        duration: s.
+
+    Returns:
+        What it does; None if it has no keyframe.
+    """
+    model = mujoco.MjModel.from_xml_path(str(path))
+    if not model.nkey:
+        return None
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    start = full_state(model, data)
+    nudge = measure_response(model, start, simulate_nudge(model, start, data.ctrl.copy(), duration))
+    stability = step_stability(model, data)
+    failures = tuple(find_instability(stability, nudge))
+    return KeyframeRun(model.key(0).name, stability, nudge, failures)
+
+
+def check_joints(urdf: UrdfFile, names: dict[str, float]) -> None:
+    """Refuses armatures that are negative, or of joints that a URDF does not have.
+
+    Raises:
+        ConfigurationError: If one is negative, or no number.
+        ModelError: If a joint is not there; the message lists those that are.
+    """
+    known = list(urdf.tree.joints)
+    for name, value in names.items():
+        if name not in known:
+            raise UnknownNameError(urdf.path, "joint", name, known)
+        if not 0 <= value < float("inf"):
+            inertia = Quantity(value, "kg m^2")
+            problem = diagnose("armature-not-valid", subject=("joint", name), armature=inertia)
+            raise ConfigurationError("armature", problem)

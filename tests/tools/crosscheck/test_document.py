@@ -8,14 +8,14 @@ from xml.etree import ElementTree
 
 import pytest
 
-from pupper_analysis.present.documents.comparison import (
-    comparison_cases,
-    comparison_remarks,
-)
 from pupper_analysis.present.formats import write_github, write_junit
 from pupper_analysis.robot.compare import mjcf_only as extras
 from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.tools.crosscheck.document import (
+    comparison_cases,
+    comparison_remarks,
+)
 from tests.support.printing import printed
 from tests.support.robots import (
     FEET,

@@ -34,40 +34,7 @@ from pupper_analysis.robot.compare.engines import (
     URDF_READ,
     URDF_YOURDFPY,
 )
-from pupper_analysis.robot.compare.patterns import PatternCause
 from pupper_analysis.robot.robot import Robot
-
-
-def by_cause(comparison: Comparison) -> tuple[tuple[PatternCause, ...], list[list[Difference]]]:
-    """Returns the causes, and in groups the differences that none explains."""
-    explained = {number for cause in comparison.causes for number in cause.differences}
-    rest = [
-        difference
-        for number, difference in enumerate(comparison.differences)
-        if number not in explained
-    ]
-    return comparison.causes, _groups(rest)
-
-
-def first_to_mend(
-    comparison: Comparison, causes: Sequence[PatternCause], groups: Sequence[Sequence[Difference]]
-) -> Diagnostic:
-    """Returns what is to be mended first."""
-    if causes and causes[0].leads:
-        return causes[0].diagnostic
-    if comparison.parts:
-        return comparison.parts[0]
-    if causes and (causes[0].differences[0] == 0 or not groups):
-        return causes[0].diagnostic
-    if groups:
-        return groups[0][0].diagnostic
-    if comparison.objections:
-        return comparison.objections[0]
-    if comparison.agree and comparison.mount is not None:
-        return diagnose("agree-but-tilted", tilt=comparison.mount.diagnostic)
-    if comparison.agree:
-        return diagnose("agree")
-    return diagnose("joints-not-the-same")
 
 
 def matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
@@ -84,15 +51,6 @@ def matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
         if joints:
             taken_off = bool(comparison.parts)
             yield diagnose("joints-in-one-file", file=file, joints=joints, taken_off=taken_off)
-
-
-def _groups(differences: Iterable[Difference]) -> list[list[Difference]]:
-    """Combines differences of one kind with the same two values."""
-    groups: dict[tuple[str, str, str], list[Difference]] = {}
-    for difference in differences:
-        key = (difference.kind, str(difference.urdf), str(difference.mjcf))
-        groups.setdefault(key, []).append(difference)
-    return list(groups.values())
 
 
 _WHOLE = 1.005
@@ -217,7 +175,6 @@ GROUPED = 4
 @build_document.register(Comparison)
 def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.Document:
     """Returns what makes two files disagree; see ``build``."""
-    causes, groups = by_cause(comparison)
     agree, same = comparison.agree, comparison.same_robot
     said = (*matching_notes(comparison), *comparison.check.notes)
     notes: list[doc.Words] = list(map(doc.tell, said))
@@ -233,7 +190,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         verdict=text("agree") if agree else differ,
         warned=same and not agree,
         findings=(
-            doc.tell(first_to_mend(comparison, causes, groups)),
+            doc.tell(comparison.first_to_mend),
             text("1-difference")
             if len(comparison.differences) == 1
             else text("count-differences", count=len(comparison.differences)),
@@ -249,7 +206,7 @@ def _file(path: str) -> doc.Name:
 
 def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
     """Yields what differs, what is to be mended first, first; then how much that explains."""
-    causes, groups = by_cause(comparison)
+    causes, groups = comparison.causes, comparison.unexplained
     files = {"urdf-file": comparison.urdf, "mjcf-file": comparison.mjcf}
     named = tuple(text(said, file=doc.Name(file)) for said, file in files.items())
     yield doc.Lines(named, detail=True)

@@ -1,0 +1,386 @@
+"""A URDF as a new MJCF file: with feet, servos, a floor and a keyframe in which it stands."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ModelError, PupperAnalysisError, StanceUnreachableError
+from pupper_analysis.models.additions import Addition, Ball, Floor, Options, Servo, Start, put_all
+from pupper_analysis.models.mjcf_xml import MjcfXml
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.xml import new_file_text, write_numbers
+from pupper_analysis.prepare.contact_points import lowest_point
+from pupper_analysis.prepare.convert.conversion import ConversionDraft
+from pupper_analysis.prepare.convert.from_urdf import WORLD, UrdfBodies
+from pupper_analysis.prepare.convert.to_mjcf import LIMBS, BareMjcf, MjcfOptions
+from pupper_analysis.prepare.drives import held_gains_of, servos_of
+from pupper_analysis.prepare.load import robot_of
+from pupper_analysis.prepare.notes import describe_span
+from pupper_analysis.prepare.passes import ground_of_urdf
+from pupper_analysis.prepare.servo_tuning import Requirement, three_digits
+from pupper_analysis.prepare.start import start_of
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.contact import contact_offset, limb_ends
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import model_with_servos, own_servos
+from pupper_analysis.stance.judge import Stand
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
+from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.tools.convert.defaults import put_defaults
+
+Array = NDArray[np.float64]
+
+_READ = ("link", "joint", "material")
+"""What is read of a <robot>: <transmission>, <gazebo>, <mujoco> ... are other programs'."""
+
+
+class _LeglessError(Exception):
+    """A robot has fewer feet than legs make.
+
+    Attributes:
+        reason: What was found.
+    """
+
+    def __init__(self, reason: Diagnostic) -> None:
+        self.reason = reason
+        super().__init__(str(reason))
+
+
+def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
+    """Makes the MJCF of a URDF.
+
+    Args:
+        urdf: The file.
+        output: Where the MJCF shall be: the paths of its meshes start there.
+        options: What the URDF does not say.
+
+    Raises:
+        ModelError: If MuJoCo cannot have the robot, or it does not stand.
+    """
+    try:
+        return _made(urdf, output, options)
+    except _LeglessError as error:
+        # Nothing said that it is free but its number of limbs: a hand or a torso has as many.
+        held = _made(urdf, output, replace(options, fixed_base=True))
+        message = diagnose("base-fixed-as-it-does-not-stand", why=error.reason)
+        return replace(held, notes=(*held.notes, message))
+
+
+def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
+    """Makes the MJCF of a URDF, whose base may turn out to have no legs."""
+    said = None if options.fixed_base is None else not options.fixed_base
+    bare = BareMjcf.of(urdf, output, options, free=said)
+    mjcf, meshes = bare.mjcf, bare.meshes
+    left = [*bare.bodies.notes, *meshes.notes, *_unsaid(urdf)]
+    notes, failure, on_balls = list(bare.notes), None, frozenset[str]()
+    if bare.free:
+        notes += [diagnose("free-joint-added", subject=("body", bare.bodies.root))]
+        found, failure, on_balls = _put_stand(bare, options)
+        notes = [*dict.fromkeys((*notes, *found)), _add_imu(mjcf, bare.bodies)]
+    else:
+        notes.append(diagnose("base-fixed-in-the-world"))
+        notes += _put_held(bare, options)
+    elsewhere = meshes.elsewhere
+    notes += [*_unstated(mjcf), *([elsewhere] if elsewhere else [])]
+    meshes.write(mjcf.section("asset"))
+    mjcf.remove_empty_sections()
+    put_defaults(mjcf.root)
+    header = f"Converted from {urdf.path.name} by pupper-analysis."
+    return ConversionDraft(
+        text=new_file_text(mjcf.root, header),
+        meshes=meshes.made,
+        notes=tuple(notes),
+        not_converted=tuple(left),
+        repairs=bare.repairs,
+        urdf=bare.urdf,
+        stands=bare.free,
+        failure=failure,
+        lost=tuple(meshes.lost),
+        on_balls=on_balls,
+    )
+
+
+def _unsaid(urdf: UrdfFile) -> list[Diagnostic]:
+    """Tells what else no MJCF, or none of this package's, has from the URDF."""
+    some = []
+    speeds = [
+        float(limit.get("velocity"))
+        for joint in urdf.tree.joints.values()
+        for limit in joint.element.findall("limit")
+        if not joint.is_fixed and float(limit.get("velocity")) != 0
+    ]
+    if speeds:
+        limits = describe_span(speeds, "rad/s")
+        some.append(diagnose("velocity-limits-left", count=len(speeds), limits=limits))
+    textured = len(list(urdf.root.iter("texture")))
+    if textured:
+        some.append(diagnose("textures-left", count=textured))
+    others = Counter(str(node.tag) for node in urdf.root if node.tag not in _READ)
+    left = [diagnose("elements-left", tag=tag, count=count) for tag, count in others.items()]
+    return some + left
+
+
+def _put_stand(
+    bare: BareMjcf, options: MjcfOptions
+) -> tuple[list[Diagnostic], Diagnostic | None, frozenset[str]]:
+    """Adds what `load_robot` finds out: feet, servos, start pose.
+
+    Returns:
+        Its notes, why the robot does not stand, if so, and the joints whose feet are balls now.
+    """
+    mjcf, meshes, bodies = bare.mjcf, bare.meshes, bare.bodies
+    # Without shapes nothing can stand, which is no sign of a hand.
+    sure = not mjcf.touches
+    sure |= bodies.floats or options.feet is not None or options.fixed_base is False
+    try:
+        robot = robot_of(bare.urdf, bare.file(), feet=options.feet)
+    except ModelError as error:
+        if options.feet is not None:
+            raise
+        problem = error.cause
+        model = bare.file().model
+        if not (meshes.missing or sure or _has_bare_legs(model, bodies.root)):
+            raise _LeglessError(problem) from error
+        put_all(ground_of_urdf(), mjcf)
+        messages = [each.reason for each in ground_of_urdf()] + _put_held(bare, options)
+        _lift_base(mjcf, bodies, model)
+        problem = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
+        return messages, problem, frozenset()
+    if len(robot.contact_points) < LIMBS and not sure:
+        raise _LeglessError(diagnose("lowest-limbs", limbs=robot.contact_points))
+    messages = [note for note in robot.notes if note.code != "armature-from-mjcf"]
+    added, failure = robot.description.added, None
+    try:
+        stand = solve_stand_on_soft_ground(robot)
+        if options.sag is not None or options.damping_ratio is not None:
+            kp, kd = _stand_gains(robot, stand, options.sag, options.damping_ratio)
+            added = _retuned(robot, kp, kd, stand)
+            messages = [note for note in messages if note.code != "servos-added"]
+            messages += [each.reason for each in added if isinstance(each, Servo)][:1]
+    except PupperAnalysisError as error:
+        if not (sure or meshes.missing) and _reaches_no_ground(robot, error):
+            raise _LeglessError(
+                diagnose("feet-reach-no-ground", feet=robot.contact_points)
+            ) from error
+        problem = error.diagnostic
+        failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
+        gains = held_gains_of(robot, options.sag, options.damping_ratio)
+        added = _retuned(robot, *gains)
+    put_all(added, mjcf)
+    _lift_base(mjcf, bodies, robot.mj_model)
+    return messages, failure, _joints_on_balls(robot)
+
+
+def _joints_on_balls(robot: Robot) -> frozenset[str]:
+    """Returns the joints that move the bodies to which balls were added in the place of shapes."""
+    model = robot.mj_model
+    balls = [each for each in robot.description.added if isinstance(each, Ball)]
+    bodies = {int(model.body_weldid[model.body(ball.body).id]) for ball in balls}
+    return frozenset(
+        name for name in robot.joint_names if int(model.jnt_bodyid[model.joint(name).id]) in bodies
+    )
+
+
+def _reaches_no_ground(robot: Robot, error: PupperAnalysisError) -> bool:
+    """Says whether what was taken for feet misses the ground by more than the base is high.
+
+    Legs miss it by millimetres, where something is in the way; so do not a hand's fingertips.
+    """
+    return (
+        isinstance(error, StanceUnreachableError)
+        and max(error.shortfall.values(), default=0.0) > robot.stand_height
+    )
+
+
+def _has_bare_legs(model: mujoco.MjModel, base: str) -> bool:
+    """Says whether two limbs or more hang below the base, and end without a shape that touches.
+
+    Those are legs whose feet were left without shapes; a hand's fingers have them, and point
+    elsewhere.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    bare = 0
+    for end in limb_ends(model):
+        away = data.xpos[end] - data.body(base).xpos
+        hangs = -float(away[2]) > float(np.linalg.norm(away)) / 2
+        geoms = range(
+            int(model.body_geomadr[end]), int(model.body_geomadr[end] + model.body_geomnum[end])
+        )
+        touches = any(model.geom_contype[geom] or model.geom_conaffinity[geom] for geom in geoms)
+        bare += hangs and not touches
+    return bare >= LIMBS
+
+
+def _put_held(bare: BareMjcf, options: MjcfOptions) -> list[Diagnostic]:
+    """Adds the servos of a robot that is held; returns what was added."""
+    if not bare.mjcf.joints:
+        return [diagnose("nothing-moves")]
+    robot = _freed(bare, options) or robot_of(bare.urdf, bare.file(), fixed_base=True)
+    added = robot.description.added
+    if options.sag is not None or options.damping_ratio is not None:
+        gains = held_gains_of(robot, options.sag, options.damping_ratio)
+        added = _retuned(robot, *gains)
+    # What hangs from the world needs no ground, and no pose of its base.
+    added = tuple(each for each in added if not isinstance(each, Floor | Start))
+    put_all(added, bare.mjcf)
+    return list(dict.fromkeys(each.reason for each in added))
+
+
+def _freed(bare: BareMjcf, options: MjcfOptions) -> Robot | None:
+    """Returns a robot on legs that its URDF ties to the link "world", as ``load_robot`` frees it.
+
+    Its servos are those with which it stands, as ``stand`` of either file answers.
+    """
+    if options.fixed_base is not None or bare.bodies.root != WORLD:
+        return None
+    try:
+        robot = robot_of(bare.urdf, bare.file(), feet=options.feet)
+        solve_stand_on_soft_ground(robot)
+    except PupperAnalysisError:
+        return None  # an arm, a hand
+    return robot
+
+
+def _unstated(mjcf: MjcfXml) -> list[Diagnostic]:
+    """Tells which joints have neither armature nor damping: a URDF states no armature."""
+    joints = mjcf.joints
+    still, undamped = (sum(j.get(word) is None for j in joints) for word in ("armature", "damping"))
+    messages = [diagnose("armature-unstated", count=still, joints=len(joints))] if still else []
+    if undamped:
+        messages.append(diagnose("damping-unstated", count=undamped, joints=len(joints)))
+    return messages
+
+
+_KEY_DIGITS = 6
+"""Decimals of the base's height: a micrometre."""
+
+
+def _add_imu(mjcf: MjcfXml, bodies: UrdfBodies) -> Diagnostic:
+    """Adds an IMU: on the link that is named after one, otherwise at the base's origin.
+
+    Returns:
+        What was added.
+    """
+    named = sorted(
+        (name for name in bodies.frames if "imu" in name.lower()),
+        key=lambda name: (len(name), name),
+    )
+    mjcf.add_imu(named[0] if named else bodies.root, named[0] if named else "imu")
+    return diagnose("imu-added", link=named[0] if named else None)
+
+
+def _lift_base(mjcf: MjcfXml, bodies: UrdfBodies, model: mujoco.MjModel) -> None:
+    """Puts the base where nothing is in the ground, with all joints at zero or as it stands.
+
+    A simulation that is begun without the keyframe would throw it up by what is in the ground.
+
+    Args:
+        mjcf: The MJCF, with its keyframe if it has one.
+        bodies: What is known of the URDF.
+        model: What MuJoCo compiles of it, so far.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    touching = [
+        geom
+        for geom in range(model.ngeom)
+        if model.body_weldid[model.geom_bodyid[geom]]
+        and (model.geom_contype[geom] or model.geom_conaffinity[geom])
+    ]
+    heights = [-lowest_point(model, data, touching)] if touching else []
+    home = mjcf.home
+    if home is not None:
+        heights.append(float(home[2]))
+    if heights and max(heights) > 0:
+        height = write_numbers([0.0, 0.0, float(f"{max(heights):.{_KEY_DIGITS}f}")])
+        mjcf.body(bodies.root).element.set("pos", height)
+
+
+def _retuned(
+    robot: Robot, kp: Array, kd: Array, stand: Stand | None = None
+) -> tuple[Addition, ...]:
+    """Returns what a robot was given, with other gains of the servos.
+
+    Args:
+        robot: The robot.
+        kp: (nu,) their stiffness (N m/rad).
+        kd: (nu,) their damping (N m s/rad).
+        stand: As it rests; None: it has no pose to start from.
+    """
+    added = robot.description.added
+    servos = {each.joint for each in added if isinstance(each, Servo)}
+    own = own_servos(robot).keys() - servos
+    timestep = float(robot.mj_model.opt.timestep)
+    kept = [each for each in added if not isinstance(each, Servo | Start) and not _steps(each)]
+    starts = [
+        start_of(robot, stand, each.reason, kp, kd)
+        for each in added
+        if isinstance(each, Start) and stand is not None
+    ]
+    return (*kept, *servos_of(robot, kp, kd, timestep, own), *starts)
+
+
+def _steps(added: Addition) -> bool:
+    """Tells whether something is how MuJoCo steps, as servos ask for it."""
+    return isinstance(added, Options) and "integrator" in added.values
+
+
+def _stand_gains(
+    robot: Robot, stand: Stand, sag: float | None, damping_ratio: float | None
+) -> tuple[Array, Array]:
+    """Computes the gains of a robot that stands, and has servos.
+
+    With damping in proportion to stiffness, each mode of the robot on its servos has the damping
+    ratio z = (kd / kp) w / 2 (Rayleigh); w is that of the mode in which it bounces.
+
+    Args:
+        robot: The robot, with servos.
+        stand: How it stands.
+        sag: What the joint that holds most gives way (rad); None: as its servos let it.
+        damping_ratio: Of the bounce; None: kd keeps its ratio to kp.
+
+    Returns:
+        kp (nu,) (N m/rad), kd (nu,) (N m s/rad).
+    """
+    drive = model_with_servos(robot)
+    kp, kd = drive.kp.copy(), drive.kd.copy()
+    if sag is not None:
+        torques = stand_statics(robot, stand).joint_torques
+        required = Requirement.of_stand(robot, stand.qpos, torques)
+        new = np.array([three_digits(value) for value in required.stiffness(sag)])
+        kd *= new / kp
+        kp = new
+    if damping_ratio is not None:
+        kd = kp * 2 * damping_ratio / _bounce_frequency(robot, stand, kp)
+    return kp, np.array([three_digits(value) for value in kd])
+
+
+def _bounce_frequency(robot: Robot, stand: Stand, kp: Array) -> float:
+    """Returns the angular frequency (rad/s) with which a robot bounces on its servos, undamped.
+
+    Feet are pinned, and the ground is hard: the modes are those of K x = w^2 M x in the motions
+    that leave the contact points in place. Of them the one is meant that a vertical jolt excites
+    most, by its participation factor x^T M e_z (x of unit modal mass).
+    """
+    config = Configuration(robot, stand.qpos)
+    offsets = [
+        contact_offset(robot.contact_radius[foot], stand.normals[foot], stand.depths[foot])
+        for foot in stand.stance_feet
+    ]
+    points = config.point_jacobians(stand.stance_feet, np.array(offsets))
+    free = linalg.null_space(points.reshape(-1, robot.nv))
+    mass = config.mass_matrix()
+    stiffness = np.concatenate([np.zeros(robot.nv - robot.nu), kp])
+    squares, modes = linalg.eigh(free.T @ (stiffness[:, None] * free), free.T @ mass @ free)
+    up = int(np.argmax(np.abs(modes.T @ free.T @ mass[:, 2])))
+    return math.sqrt(float(squares[up]))
