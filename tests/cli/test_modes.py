@@ -166,7 +166,7 @@ def test_defaults_are_not_typed_and_new_options_are_refused() -> None:
 
 V3 = (str(ROOT / "urdf/pupper_v3.urdf"), str(ROOT / "mjcf/pupper_v3.xml"))
 STUDY = ("study", "study.toml", "-o", "out")
-IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
+_IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("analyze", "v3", "--no-figures"): (("-o", "out"),),
     ("analyze", "v3", "--format", "markdown"): (("-q",),),
     ("stand", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
@@ -199,6 +199,7 @@ IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("live", "arm.urdf", "--no-browser"): (("--stance", "height:120"),),
     ("check", "--init"): (("--config", "a.toml"),),
 }
+IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMANDS}
 """{command line: what does nothing in it}, besides the modes above."""
 
 OUTPUT = {"json_path", "report_path", "figure", "output", "folder", "csv", "npz", "write_folder"}

@@ -29,8 +29,6 @@ from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.state import LiveVariants, State
 from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.dynamics import rolling_levers
-from pupper_analysis.tools.push.bench import bench_of
-from pupper_analysis.tools.push.recovery import tipping_impulses
 from pupper_analysis.tools.study.document import duration_text
 from pupper_analysis.tools.study.study import Estimate
 from tests.support.engines import changed, mujoco_at
@@ -205,27 +203,6 @@ def test_scenery_is_named_by_itself_or_its_body() -> None:
 # ----------------------------------------------------------------------------------- simulation
 
 
-def test_it_takes_less_to_tip_a_robot_to_where_its_com_is_nearer_to_the_edge() -> None:
-    """Straight over an edge, on feet of a radius r, with the inertia about it on the ground."""
-    robot = load("original")
-    stand = pa.solve_stand(robot, pa.StandTask(offset=(0.015, 0.0)))
-    config = pa.Configuration(robot, stand.qpos)
-    com, feet = config.center_of_mass(), np.array(list(config.contact_points().values()))
-    found = tipping_impulses(config, com, np.array([[1.0, 0.0], [-1.0, 0.0]]))
-    data, about = mujoco_at(robot, stand.qpos), np.zeros(3)
-    for body in range(1, robot.mj_model.nbody):
-        arm, axes = data.xipos[body] - com, data.ximat[body].reshape(3, 3)
-        tensor = axes @ np.diag(robot.mj_model.body_inertia[body]) @ axes.T
-        about += np.diag(tensor) + robot.mj_model.body_mass[body] * (arm @ arm - arm**2)
-    mass, radius = robot.total_mass, robot.contact_radius[robot.contact_points[0]]
-    for impulse, edge in zip(found, (feet[:, 0].max(), feet[:, 0].min()), strict=True):
-        over, height = abs(edge - com[0]), com[2] - radius
-        inertia = about[1] + mass * (over**2 + com[2] ** 2)
-        energy = mass * GRAVITY * (math.hypot(height, over) - height)
-        assert impulse == pytest.approx(math.sqrt(2 * inertia * energy) / com[2], rel=1e-3)
-    assert found[0] < 0.9 * found[1]
-
-
 def test_joints_that_miss_their_prediction_by_milliradians_do_not_verify_it() -> None:
     """Servos so soft that half a percent of torque is some mrad: torques and forces agree."""
     robot = load("v3")
@@ -267,23 +244,6 @@ def test_a_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
     (event,), error = tracking._torques(plan, np.tile(start, (3, 1)))  # type: ignore[arg-type]
     assert robot.joint_names[4] in str(event)
     assert error < 1e-9
-
-
-@pytest.mark.parametrize("word", ["leans", "is low"])
-def test_a_push_is_judged_by_where_it_ends(word: str) -> None:
-    """Half a second in which it stands, and a last state in which it does not."""
-    options = {"duration": 1.0, "kp": None, "kd": None, "feedforward": True, "integrator": None}
-    known = SimpleNamespace(stays=True, failures=())
-    robot, stand = load("v3"), stand_of("v3")
-    bench = bench_of(robot, stand, np.zeros(1), **options, verification=known)  # type: ignore[arg-type]
-    ends = np.tile(bench.start, (200, 1))
-    assert bench._unsettled(ends) == []
-    place = 1 + robot.mj_convention.qpos_index
-    if word == "leans":
-        ends[-1, place[3:7]] = (math.cos(0.5), math.sin(0.5), 0.0, 0.0)
-    else:
-        ends[-1, place[2]] = 0.02
-    assert bench._unsettled(ends)
 
 
 def test_workers_share_the_designs_that_are_left() -> None:

@@ -13,7 +13,6 @@ import pupper_analysis as pa
 from pupper_analysis.tools.analyze.analysis import analyze_variant
 from pupper_analysis.tools.live.model import Model, predict_sag, simulate_stance
 from pupper_analysis.tools.live.state import LiveVariants, State
-from pupper_analysis.tools.push import recovery as push
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.commands import answer as run_command
 from tests.support.variants import load
@@ -66,25 +65,19 @@ def test_commands_page_and_interface_tell_the_same_of_a_stance(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("task", [TASK, pa.StandTask(swing={"FL": 0.02}, com="inside")])
-def test_what_is_pushed_or_studied_is_the_stand_that_is_told(
+def test_what_is_studied_is_the_stand_that_is_told(
     task: pa.StandTask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = load("v3")
     stand = pa.stance.solve_stand_as_simulated(robot, task)
     assert any(stand.depths.values())
 
-    def no_push(_: pa.Robot, given: pa.Stand, **__: object) -> pa.Stand:
-        return given
-
-    monkeypatch.setattr(push, "push_recovery", no_push)
-    pushed = push.study_pushes([robot], task)["v3"]
     for name, module in (("stance", "stand.stance"), ("robot", "analyze.analysis")):
         monkeypatch.setattr(f"pupper_analysis.tools.{module}.verify_stand", Stop(name))
     for study in (study_stance, analyze_variant):
         with pytest.raises(StoppedError) as caught:
             study(robot, task)  # type: ignore[operator]
         assert caught.value.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
-    assert pushed.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
 
 
 class StoppedError(Exception):

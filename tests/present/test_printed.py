@@ -21,7 +21,6 @@ from pupper_analysis.tools.crosscheck.document import comparison_document
 from pupper_analysis.tools.path.document import path_document
 from pupper_analysis.tools.payload.document import payload_document
 from pupper_analysis.tools.payload.limit import PayloadLimit
-from pupper_analysis.tools.push.document import push_document
 from pupper_analysis.tools.stand.document import stance_document
 from tests.support import printing
 from tests.support.stubs import (
@@ -32,7 +31,6 @@ from tests.support.stubs import (
     files,
     loaded,
     problem,
-    pushed,
     run,
     stance,
     there,
@@ -145,24 +143,8 @@ def test_limits_say_that_their_servos_were_made_up() -> None:
     one.verdict = judge_stance(run(0.0, passed=True), None, own, asked=Asked.CARRIES)
     said = "on servos that were added to 1 joints: knee (in the file: torque motor) (kp 320 N m/rad"
     assert said in " ".join(printed(payload_document(one)))
-    push = pushed("one", 0.0, 0.00311)
-    push.verdict = judge_stance(run(0.0, passed=True), None, own, asked=Asked.LASTS)
     tracked = judge_stance(Outcome(True, (), 3.0), None, own, asked=Asked.TRACKED)
-    assert said in " ".join(printed(push_document(push)))
     assert said in " ".join(printed(path_document(there(verdict=tracked))))
-
-
-def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
-    """It stands, and not as predicted: limits are told, and so is that `stand` fails."""
-    one = pushed("one", 0.0, 0.00311)
-    one.verdict, one.passed = judge_stance(run(0.0, passed=False), None, SERVOS), False
-    text = " ".join(printed(push_document(one)))
-    assert text.startswith("FAILS one: FAILS in MuJoCo: ")
-    assert "weakest at 240°, on the simulated ground: 0.43 N s" in text
-    one.recovery.unpushed = (problem("it fell over"),)
-    text = " ".join(printed(push_document(one)))
-    assert "it does not stand, so it withstands no push of 2.15 kg" in text
-    assert "weakest" not in text
 
 
 def test_motors_without_a_limit_are_named() -> None:

@@ -24,6 +24,7 @@ import mujoco
 import numpy as np
 
 import pupper_analysis as pa
+from pupper_analysis import cli
 from pupper_analysis.base.errors import NotStandingError, PupperAnalysisError
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.prepare.convert.files import RobotFiles
@@ -293,7 +294,7 @@ def _stance(urdf: Path, mjcf: Path, folder: Path) -> Cell:
     return replace(cell, truth=alone if there is Truth.STANDS else there)
 
 
-COMMANDS: dict[str, Ask] = {
+ASKED: dict[str, Ask] = {
     "stand": _command("stand"),
     "payload": _command("payload", "--payload-at", "0,0,5cm"),
     "push": _command("push", "--directions", "3", "--resolution", "2"),
@@ -304,6 +305,8 @@ COMMANDS: dict[str, Ask] = {
     "python": _python,
     "live": _live,
 }
+
+COMMANDS = {name: ask for name, ask in ASKED.items() if name in (*cli.COMMANDS, "python")}
 
 FILES: dict[str, Ask] = {"convert": _convert, "written": _written, "stance": _stance}
 """Those of files that are made, or that state a stance."""

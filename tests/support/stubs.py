@@ -7,6 +7,7 @@ none, is seen; so are metres shown as millimetres and columns that are swapped.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from importlib import import_module
 from types import SimpleNamespace as Stub
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.tools import own_tools
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.present.document import Document, Name, Report, text
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
@@ -477,15 +479,26 @@ def _alone(document: Document) -> Report:
     return Report(text("report"), (document,))
 
 
-REPORTS = {
-    "analysis": lambda: _alone(tool("analyze.document").analysis_document(ANALYSIS)),
-    "variants": _variants,
-    "pushes": _pushes,
-    "stance": lambda: _alone(tool("stand.document").stance_document(stance())),
-    "payload": lambda: _alone(tool("payload.document").payload_document(loaded("hip"))),
-    "best": lambda: _alone(tool("best.document").best_document(best())),
-    "workspace": lambda: _alone(tool("workspace.document").workspace_document(workspace())),
-    "path": lambda: _alone(tool("path.document").path_document(there())),
-    "files": lambda: _alone(tool("crosscheck.document").comparison_document(files())),
+_REPORTS: dict[str, tuple[str, Callable[[], Report]]] = {
+    "analysis": ("analyze", lambda: _alone(tool("analyze.document").analysis_document(ANALYSIS))),
+    "variants": ("analyze", _variants),
+    "pushes": ("push", _pushes),
+    "stance": ("stand", lambda: _alone(tool("stand.document").stance_document(stance()))),
+    "payload": (
+        "payload",
+        lambda: _alone(tool("payload.document").payload_document(loaded("hip"))),
+    ),
+    "best": ("best", lambda: _alone(tool("best.document").best_document(best()))),
+    "workspace": (
+        "workspace",
+        lambda: _alone(tool("workspace.document").workspace_document(workspace())),
+    ),
+    "path": ("path", lambda: _alone(tool("path.document").path_document(there()))),
+    "files": (
+        "crosscheck",
+        lambda: _alone(tool("crosscheck.document").comparison_document(files())),
+    ),
 }
-"""{golden document: what makes its report}."""
+"""{golden document: the tool that shows it, and what makes its report}."""
+
+REPORTS = {name: make for name, (tool, make) in _REPORTS.items() if tool in own_tools()}

@@ -1,10 +1,13 @@
 """Pushes: against a plain simulation of our own, against mechanics, and against symmetry."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -14,12 +17,14 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.present.figures.style import DPI
+from pupper_analysis.present.verdict import in_words
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.tools.push import recovery as push
 from pupper_analysis.tools.push.bench import bench_of
 from pupper_analysis.tools.push.figures import push_figure
 from pupper_analysis.tools.push.recovery import PushRecovery, push_recovery, tipping_impulses
+from tests.prepare.test_own_run import SLIPS, UNTRUE, codes, judged, slipped
 from tests.support.engines import mujoco_at, with_efforts
 from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of
@@ -387,3 +392,67 @@ def test_what_ends_early_ends_as_it_would(name: str) -> None:
     assert [one is None for one in early] == [one is None for one in whole]
     assert None in whole
     assert any(whole)
+
+
+def test_it_takes_less_to_tip_a_robot_to_where_its_com_is_nearer_to_the_edge() -> None:
+    """Straight over an edge, on feet of a radius r, with the inertia about it on the ground."""
+    robot = load("original")
+    stand = pa.solve_stand(robot, pa.StandTask(offset=(0.015, 0.0)))
+    config = pa.Configuration(robot, stand.qpos)
+    com, feet = config.center_of_mass(), np.array(list(config.contact_points().values()))
+    found = tipping_impulses(config, com, np.array([[1.0, 0.0], [-1.0, 0.0]]))
+    data, about = mujoco_at(robot, stand.qpos), np.zeros(3)
+    for body in range(1, robot.mj_model.nbody):
+        arm, axes = data.xipos[body] - com, data.ximat[body].reshape(3, 3)
+        tensor = axes @ np.diag(robot.mj_model.body_inertia[body]) @ axes.T
+        about += np.diag(tensor) + robot.mj_model.body_mass[body] * (arm @ arm - arm**2)
+    mass, radius = robot.total_mass, robot.contact_radius[robot.contact_points[0]]
+    for impulse, edge in zip(found, (feet[:, 0].max(), feet[:, 0].min()), strict=True):
+        over, height = abs(edge - com[0]), com[2] - radius
+        inertia = about[1] + mass * (over**2 + com[2] ** 2)
+        energy = mass * 9.81 * (math.hypot(height, over) - height)
+        assert impulse == pytest.approx(math.sqrt(2 * inertia * energy) / com[2], rel=1e-3)
+    assert found[0] < 0.9 * found[1]
+
+
+@pytest.mark.parametrize("word", ["leans", "is low"])
+def test_a_push_is_judged_by_where_it_ends(word: str) -> None:
+    """Half a second in which it stands, and a last state in which it does not."""
+    options = {"duration": 1.0, "kp": None, "kd": None, "feedforward": True, "integrator": None}
+    known = SimpleNamespace(stays=True, failures=())
+    robot, stand = load("v3"), stand_of("v3")
+    bench = bench_of(robot, stand, np.zeros(1), **options, verification=known)  # type: ignore[arg-type]
+    ends = np.tile(bench.start, (200, 1))
+    assert bench._unsettled(ends) == []
+    place = 1 + robot.mj_convention.qpos_index
+    if word == "leans":
+        ends[-1, place[3:7]] = (math.cos(0.5), math.sin(0.5), 0.0, 0.0)
+    else:
+        ends[-1, place[2]] = 0.02
+    assert bench._unsettled(ends)
+
+
+@pytest.mark.parametrize(
+    "task", [pa.StandTask(roll=math.radians(4.0)), pa.StandTask(swing={"FL": 0.02}, com="inside")]
+)
+def test_what_is_pushed_is_the_stand_that_is_told(
+    task: pa.StandTask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = load("v3")
+    stand = pa.stance.solve_stand_as_simulated(robot, task)
+    assert any(stand.depths.values())
+
+    def no_push(_: pa.Robot, given: pa.Stand, **__: object) -> pa.Stand:
+        return given
+
+    monkeypatch.setattr(push, "push_recovery", no_push)
+    assert push.study_pushes([robot], task)["v3"].stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", UNTRUE)
+def test_no_push_is_answered_better_than_the_file_does(tmp_path: Path, name: str) -> None:
+    robot = slipped(tmp_path, SLIPS[name][0])
+    verdict = push.study_pushes([robot], pa.StandTask(), directions=3)[robot.name].verdict
+    assert not verdict.passed, in_words(verdict)
+    assert verdict.own == judged(robot, "api").own
+    assert {"own-run", "own-run-diverges"} & set(codes(verdict))

@@ -296,13 +296,19 @@ HEAVY = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs m
 
 @pytest.mark.parametrize("guilty", [pytest.param("crashes", marks=pytest.mark.longest), "hangs"])
 def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
-    metric = getattr(study_metrics, guilty)
-    made = study(HEAVY, metric, time_limit=3.0)
-    table = made.run(tmp_path, workers=2)
-    assert list(table[guilty].fillna(-1)) == [1, 1, -1, 1, 1]
+    """Whatever else the machine does: sound designs may need a longer limit, this one any."""
     kind = {"crashes": "crashed", "hangs": "timed out"}[guilty]
-    assert list(table["failure"].fillna("")) == ["", "", kind, "", ""]
-    assert made.execute(tmp_path, workers=1).done == 0  # marked for good
+    for limit in (3.0, 12.0, 60.0):
+        folder = tmp_path / str(limit)
+        made = study(HEAVY, getattr(study_metrics, guilty), time_limit=limit)
+        table = made.run(folder, workers=2)
+        assert table["failure"][2] == kind
+        assert pd.isna(table[guilty][2])
+        if set(table["failure"].drop(2).dropna()) != {"timed out"}:
+            break
+    assert not table["failure"].drop(2).notna().any()
+    assert list(table[guilty].drop(2)) == [1, 1, 1, 1]
+    assert made.execute(folder, workers=1).done == 0  # marked for good
 
 
 @pytest.mark.longest

@@ -1,0 +1,36 @@
+"""What the page of pushes says in cases that no golden document has."""
+
+from __future__ import annotations
+
+from pupper_analysis.models.transmission import Drive, MadeServo
+from pupper_analysis.robot.as_published import ServoSource, ServosUsed
+from pupper_analysis.simulation.verdict import Asked, judge_stance
+from pupper_analysis.tools.push.document import push_document
+from tests.support import printing
+from tests.support.stubs import SERVOS, problem, pushed, run
+
+
+def printed(shown: object) -> list[str]:
+    return printing.printed(shown, width=240).split()
+
+
+def test_limits_say_that_their_servos_were_made_up() -> None:
+    made = MadeServo("knee", 320.0, 16.0, Drive.MOTOR)
+    own = ServosUsed(ServoSource.ADDED, (320.0, 320.0), (16.0, 16.0), (made,))
+    push = pushed("one", 0.0, 0.00311)
+    push.verdict = judge_stance(run(0.0, passed=True), None, own, asked=Asked.LASTS)
+    said = "on servos that were added to 1 joints: knee (in the file: torque motor) (kp 320 N m/rad"
+    assert said in " ".join(printed(push_document(push)))
+
+
+def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
+    """It stands, and not as predicted: limits are told, and so is that `stand` fails."""
+    one = pushed("one", 0.0, 0.00311)
+    one.verdict, one.passed = judge_stance(run(0.0, passed=False), None, SERVOS), False
+    text = " ".join(printed(push_document(one)))
+    assert text.startswith("FAILS one: FAILS in MuJoCo: ")
+    assert "weakest at 240°, on the simulated ground: 0.43 N s" in text
+    one.recovery.unpushed = (problem("it fell over"),)
+    text = " ".join(printed(push_document(one)))
+    assert "it does not stand, so it withstands no push of 2.15 kg" in text
+    assert "weakest" not in text
