@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     from pupper_analysis.base.diagnostics import Diagnostic
-    from pupper_analysis.robot.compare.compare import Comparison
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.stance.stand import Stand
     from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -422,15 +421,8 @@ class MotionScene:
     motions: Sequence[Motion]
 
 
-@dataclass(frozen=True, eq=False)
-class OverlayScene:
-    """Two files of a robot over each other, with what differs marked.
-
-    Attributes:
-        comparison: Of the two files.
-    """
-
-    comparison: Comparison
+class OtherScene:
+    """Of a tool's own, for which it registers with ``present.html.write.scene_of``."""
 
 
 @dataclass(frozen=True)
@@ -446,7 +438,7 @@ class View:
 
     kind: ClassVar[str] = "view"
     title: Words
-    scene: StandScene | MotionScene | OverlayScene | None
+    scene: StandScene | MotionScene | OtherScene | None
     note: Words | None = None
     detail: bool = False
 

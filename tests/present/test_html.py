@@ -30,7 +30,6 @@ from pupper_analysis.present.document import (
     LinePlot,
     Motion,
     Name,
-    OverlayScene,
     Report,
     Series,
     StandScene,
@@ -70,7 +69,7 @@ def analysis() -> pa.analysis.Analysis:
     )
 
 
-def drawn_of(what: StandScene | OverlayScene) -> dict[str, Any]:
+def drawn_of(what: StandScene) -> dict[str, Any]:
     found = scene_of(what)
     assert found is not None
     return found
@@ -232,47 +231,6 @@ def test_lines_of_both_files_are_side_by_side() -> None:
     rows = page.tables()["All differences, the most important first"]
     assert (rows[0]["kind"], rows[0]["in the URDF"], rows[0]["unit"]) == ("mass", "1.625", "kg")
     assert "✗ DISAGREE" in page.shown()
-
-
-def test_the_overlay_marks_what_differs() -> None:
-    page = page_of(comparison())
-    drawn = next(json.loads(text) for text in page.strict.scripts if '"lines"' in text)
-    names = [body["name"] for body in drawn["bodies"]]
-    marked = {names[geom["body"]] for geom in drawn["geoms"] if geom["marked"]}
-    assert marked == {"base_link"}
-    values = {
-        body["name"]: body["differences"] for body in drawn["bodies"] if "differences" in body
-    }
-    assert list(values) == ["base_link"]
-    assert "mass 1.625 kg in the URDF" in values["base_link"]["en"]
-    assert "质量在 URDF 中为 1.625 kg" in values["base_link"]["zh"]
-    assert all(joint["differences"] == {"en": "", "zh": ""} for joint in drawn["joints"])
-
-
-def test_the_two_files_lie_on_each_other() -> None:
-    """Pinocchio's joints of the URDF are on MuJoCo's axes of the MJCF."""
-    urdf, mjcf = ROOT / "urdf" / "pupper_v3.urdf", ROOT / "mjcf" / "pupper_v3.xml"
-    drawn = drawn_of(OverlayScene(pa.compare_models(urdf, mjcf)))
-    assert drawn is not None
-    model = mujoco.MjModel.from_xml_path(str(mjcf))
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    ends = np.array([line[1] for line in drawn["lines"]])
-    assert len(ends) == 12
-    for name in load("v3").joint_names:
-        joint = model.joint(name).id
-        away = ends - data.xanchor[joint]
-        beside = np.linalg.norm(np.cross(away, data.xaxis[joint]), axis=1)
-        assert beside.min() < 2e-5
-    feet = [geom for geom in range(model.ngeom) if model.geom_type[geom] == 2]
-    lowest = min(data.geom_xpos[foot][2] - model.geom_size[foot][0] for foot in feet)
-    assert drawn["ground"][2] == pytest.approx(lowest, abs=2e-5)
-
-
-def test_files_that_have_gone_are_not_drawn(tmp_path: Path) -> None:
-    gone = replace(comparison(), mjcf=str(tmp_path / "gone.xml"))
-    assert scene_of(OverlayScene(gone)) is None
-    assert "The two files over each other" not in Page(written(gone)).shown()
 
 
 def test_an_element_on_several_lines_is_quoted_whole(tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ from pupper_analysis.robot.compare.engines import (
     URDF_YOURDFPY,
 )
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.crosscheck.overlay import OverlayScene
 
 
 def matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
@@ -210,7 +211,7 @@ def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
     files = {"urdf-file": comparison.urdf, "mjcf-file": comparison.mjcf}
     named = tuple(text(said, file=doc.Name(file)) for said, file in files.items())
     yield doc.Lines(named, detail=True)
-    yield doc.View(text("overlay-title"), doc.OverlayScene(comparison), text(_OVERLAY))
+    yield doc.View(text("overlay-title"), OverlayScene(comparison), text(_OVERLAY))
     for part in comparison.parts:
         off = text("part-it-was-taken-off", part=doc.tell(part))
         yield doc.Lines((off,), "bad", text("only-in-one-file"))
