@@ -15,7 +15,6 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models import git
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.mjcf import JointKind, compile_spec, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -36,6 +35,7 @@ from pupper_analysis.robot.matching.urdf import (
     without_shapes,
 )
 from pupper_analysis.tools.diff.listing import Element, Key, list_collisions, list_elements
+from pupper_analysis.tools.diff.revisions import path_in, top_of, write_revision
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,11 +242,11 @@ def open_version(given: str | Path) -> Iterator[VersionedFile]:
         return
     if revision.startswith("-"):
         raise ModelError(text, diagnose("no-revision", revision=revision))
-    relative = git.path_in(text, revision, inside)
+    relative = path_in(text, revision, inside)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder).resolve()
         asked = (relative.lower(),) if relative else ()
-        git.write_revision(text, revision, root, (*_NEEDED, *asked))
+        write_revision(text, revision, root, (*_NEEDED, *asked))
         yield VersionedFile(root / relative, text, revision, root)
 
 
@@ -263,8 +263,8 @@ def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path
     """
     if revision.startswith("-"):
         raise ModelError(revision, diagnose("no-revision", revision=revision))
-    top = git.top_of(folder)
+    top = top_of(folder)
     with tempfile.TemporaryDirectory() as copy:
         root = Path(copy).resolve()
-        git.write_revision(revision, revision, root, _NEEDED, folder)
+        write_revision(revision, revision, root, _NEEDED, folder)
         yield lambda path: root / os.path.relpath(path.resolve(), top.resolve())
