@@ -12,13 +12,13 @@ from pupper_analysis.models.urdf_file import MAX_DEPTH, read_urdf
 from pupper_analysis.robot.compare.compare import compare_models
 from pupper_analysis.robot.compare.engines import URDF_MUJOCO
 from pupper_analysis.tools.audit.audit import audit_model
-from tests.present.test_comparison import lines
 from tests.support.robots import (
     Files,
     all_changed,
     changed,
     compared,
     found,
+    headline,
     mjcf_text,
     quadruped,
     urdf_text,
@@ -123,7 +123,7 @@ def test_an_effort_of_zero_is_none_where_the_mjcf_has_none(tmp_path: Path) -> No
     assert compared(write(tmp_path, zero, free)).agree
     comparison = compared(write(tmp_path, zero, MJCF))
     assert {kind for kind, _ in found(comparison)} == {"effort"}
-    assert "many exporters write 0 where nothing is known" in lines(comparison)[0]
+    assert "many exporters write 0 where nothing is known" in headline(comparison)
 
 
 def test_limits_go_before_a_gram(tmp_path: Path) -> None:

@@ -371,3 +371,9 @@ def line_at(place: str | None, files: Mapping[str, Path]) -> str:
     assert line.isdigit(), f"no line: {place}"
     path = next(path for key, path in files.items() if name.endswith(key))
     return path.read_text().splitlines()[int(line) - 1]
+
+
+def headline(comparison: Comparison) -> str:
+    """What is said first of a comparison: whether they agree, and what is to be mended first."""
+    agree = "SAME ROBOT, DIFFERENT CONVENTIONS" if comparison.same_robot else "DISAGREE"
+    return f"{'AGREE' if comparison.agree else agree}: {comparison.first_to_mend}"

@@ -12,13 +12,13 @@ import pytest
 from pupper_analysis.models.multibody import TreeBody
 from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.compare.patterns import body_moments, by_pattern, fold_bodies
-from tests.present.test_comparison import lines
 from tests.support.robots import (
     Part,
     Parts,
     changed,
     compared,
     found,
+    headline,
     mjcf_text,
     quadruped,
     turned_frames,
@@ -76,7 +76,7 @@ def test_links_that_one_file_lacks_are_told_once_and_first(lacks: str, folder: P
     message = the_cause(comparison, "links")
     assert message.startswith(f"the {lacks} lacks mass that the ")
     assert "0.712 kg in all, that of 8 *_rotor of 0.089 kg each" in message
-    assert lines(comparison)[0] == f"DISAGREE: {message}"
+    assert headline(comparison) == f"DISAGREE: {message}"
     (cause,) = comparison.causes
     assert len(cause.differences) == len(comparison.differences)
 
@@ -116,7 +116,7 @@ def test_a_decimal_point_in_links_that_are_folded(inertia: bool, folder: Path) -
     for leg in range(4):
         assert f"thigh{leg}_rotor (0.89 kg in the URDF, 0.089 kg in the MJCF)" in message
     assert "0.1 times in the MJCF what the URDF has (a decimal point?)" in message
-    assert lines(comparison)[0] == f"DISAGREE: {message}"
+    assert headline(comparison) == f"DISAGREE: {message}"
 
 
 @pytest.mark.parametrize("name", ["thigh0_rotor", "thigh0"])
@@ -129,7 +129,7 @@ def test_a_com_that_is_moved_in_one_of_the_links_that_are_folded(name: str, fold
     (cause,) = (cause for cause in comparison.causes if cause.kind == "moved link")
     assert cause.diagnostic.values["link"] == name
     np.testing.assert_allclose(cause.diagnostic.values["shift"].values, shift, atol=1e-5)
-    assert lines(comparison)[0] == f"DISAGREE: {cause.message}"
+    assert headline(comparison) == f"DISAGREE: {cause.message}"
 
 
 @pytest.mark.parametrize(("mass", "other", "reported"), [(0.3, 3.0, True), (4.0, 2.5, False)])

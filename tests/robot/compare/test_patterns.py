@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.present.test_comparison import lines
 from tests.robot.compare.test_mutations import sources
 from tests.support.robots import (
     Files,
@@ -20,6 +19,7 @@ from tests.support.robots import (
     changed,
     compared,
     found,
+    headline,
     mjcf_text,
     numbers,
     quadruped,
@@ -32,7 +32,7 @@ def first_line(files: Files) -> str:
     comparison = compared(files)
     assert not comparison.agree
     assert comparison.complete
-    return lines(comparison)[0]
+    return headline(comparison)
 
 
 def pair(folder: Path, mjcf: Parts) -> Files:
@@ -166,7 +166,7 @@ def test_coms_that_are_left_out(file: str, tmp_path: Path) -> None:
     said = (
         f"DISAGREE: the coms of 9 bodies are their links' origins in the {file}, and elsewhere in"
     )
-    assert lines(comparison)[0].startswith(said)
+    assert headline(comparison).startswith(said)
 
 
 def test_the_base_of_another_robot(tmp_path: Path) -> None:
@@ -175,7 +175,7 @@ def test_the_base_of_another_robot(tmp_path: Path) -> None:
     assert set(found(comparison)) == {(kind, "base") for kind in ("mass", "com", "inertia")}
     (cause,) = comparison.causes
     assert cause.differences == (0, 1, 2)
-    assert lines(comparison)[0].startswith(
+    assert headline(comparison).startswith(
         "DISAGREE: link base: all inertial parameters differ: mass 6 kg in the URDF, 11 kg"
     )
 

@@ -11,7 +11,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pupper_analysis.robot.matching.conventions import _fitted
-from tests.present.test_comparison import lines
 from tests.support.robots import (
     FEET,
     Files,
@@ -22,6 +21,7 @@ from tests.support.robots import (
     changed,
     compared,
     found,
+    headline,
     mjcf_text,
     quadruped,
     turned_about,
@@ -89,7 +89,7 @@ def test_a_joints_origin_slid_along_its_own_axis_is_nothing(tmp_path: Path, link
     mjcf, feet = reframed(parts, FEET, link, Rotation.identity(), along_axis(parts[link], 0.138))
     comparison = compared(pair(tmp_path, mjcf, feet))
     assert comparison.agree
-    assert lines(comparison)[0] == "AGREE: no difference within the tolerances"
+    assert headline(comparison) == "AGREE: no difference within the tolerances"
     assert max(q.relative for q in comparison.check.quantities) < 1e-9
 
 
@@ -141,7 +141,7 @@ def test_what_is_off_the_axis_is_found_at_its_size(tmp_path: Path) -> None:
     place = np.array(mjcf["shank0"].position) + rotation_of(mjcf["shank0"]).apply([7e-4, 0, 0])
     comparison = compared(pair(tmp_path, changed(mjcf, "shank0", position=tuple(place)), feet))
     assert found(comparison) == [("position", "knee0")]
-    assert lines(comparison)[0].startswith("DISAGREE: joint knee0: 0.7 mm apart")
+    assert headline(comparison).startswith("DISAGREE: joint knee0: 0.7 mm apart")
     assert comparison.complete
 
 
@@ -173,7 +173,7 @@ def test_a_zero_that_is_moved_with_its_limits_is_one_cause(tmp_path: Path, offse
     comparison = compared(pair(tmp_path, zero_elsewhere(quadruped(), "shank1", offset)))
     assert found(comparison) == [("zero", "knee1")]
     sign = "+" if offset > 0 else "-"
-    assert lines(comparison)[0].startswith(
+    assert headline(comparison).startswith(
         "SAME ROBOT, DIFFERENT CONVENTIONS: joint knee1: its zero is elsewhere, "
         "and its limits with it: "
         f"q of the URDF = q of the MJCF {sign} {abs(offset):g} rad"
@@ -203,7 +203,7 @@ def test_other_coordinates_may_be_allowed(tmp_path: Path) -> None:
         assert ("mass", "knee1") in found(comparison)
         assert not comparison.same_robot
         assert not comparison.agree
-        assert lines(comparison)[0].startswith("DISAGREE: ")
+        assert headline(comparison).startswith("DISAGREE: ")
 
 
 def test_zeros_and_frames_together(tmp_path: Path) -> None:
@@ -247,7 +247,7 @@ def test_the_frame_of_a_free_base_elsewhere_is_one_cause(tmp_path: Path, pose: s
     mjcf, feet = reframed(quadruped(), FEET, "base", *POSES[pose])
     comparison = compared(pair(tmp_path, mjcf, feet))
     assert found(comparison) == [("base frame", "base")]
-    assert lines(comparison)[0].startswith(
+    assert headline(comparison).startswith(
         "SAME ROBOT, DIFFERENT CONVENTIONS: the base's frame is elsewhere: that of the "
     )
     assert comparison.same_robot
@@ -295,7 +295,7 @@ def test_what_only_one_joint_shows_is_no_note(tmp_path: Path) -> None:
     comparison = compared(pair(tmp_path, mjcf, urdf=bare))
     assert not comparison.agree
     assert found(comparison) == [("base frame", "base")]
-    assert "or the zero of the one joint on it is" in lines(comparison)[0]
+    assert "or the zero of the one joint on it is" in headline(comparison)
     assert comparison.complete
 
 
