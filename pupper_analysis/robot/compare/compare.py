@@ -97,11 +97,13 @@ class _Placed:
     Attributes:
         shape: As its file has it.
         world: The same, placed in the world.
+        carrier: The link or body that has it.
         place: Returns where it is stated.
     """
 
     shape: Shape
     world: Shape
+    carrier: str
     place: Callable[[], Place]
 
 
@@ -172,17 +174,21 @@ def _of_limb(
     to_base = one.links[str(ends[1])].pose.inverse()
     place = Pose.of_body(data, carrier) * to_body * to_base
     urdf = tuple(
-        _placed_shape(
-            place * part.pose, shape, partial(urdf_file.nth, part.name, "collision", number)
+        _Placed(
+            shape,
+            shape.placed_in(place * part.pose),
+            part.name,
+            partial(urdf_file.nth, part.name, "collision", number),
         )
         for part in one.fixed_group(link)
         for number, shape in enumerate(shape for shape in part.shapes if shape.collides)
     )
     moving = model.body_weldid[model.geom_bodyid] == model.body_weldid[carrier]
     mjcf = tuple(
-        _placed_shape(
-            Pose.of_body(data, int(model.geom_bodyid[geom])),
-            read_shape(model, geom),
+        _Placed(
+            shape := read_shape(model, geom),
+            shape.placed_in(Pose.of_body(data, int(model.geom_bodyid[geom]))),
+            model.body(model.geom_bodyid[geom]).name,
             partial(place_of_geom, mjcf_file, geom, "shape"),
         )
         for geom in _touching_the_world(model)
@@ -192,10 +198,6 @@ def _of_limb(
     if points or any(placed.world.support(DIRECTIONS[:1]) is None for placed in (*urdf, *mjcf)):
         return None
     return urdf, mjcf
-
-
-def _placed_shape(pose: Pose, shape: Shape, place: Callable[[], Place]) -> _Placed:
-    return _Placed(shape, shape.placed_in(pose), place)
 
 
 def _touching_the_world(model: mujoco.MjModel) -> list[int]:
@@ -247,9 +249,12 @@ def _of_feet(
             continue
         lower = sides[0][0] - sides[1][0]  # of the MJCF's
         if abs(lower) > SAME_CONTACT:
+            apart = here and there and here.carrier != there.carrier
             message = diagnose(
                 "foot-surface-differs",
                 subject=subject,
+                link=here.carrier if here and apart else None,
+                body=there.carrier if there and apart else None,
                 lower=Quantity(lower, "m") if lower > 0 else None,
                 higher=Quantity(-lower, "m") if lower < 0 else None,
                 **both,
