@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -139,28 +138,6 @@ def test_joints_are_read_as_they_are_written(tiny: pa.Robot) -> None:
 
 
 # ------------------------------------------------------------------------------------- alignment
-
-
-def test_the_generator_really_turns_the_frames_and_keeps_the_robot(tmp_path: Path) -> None:
-    """Otherwise the tests below would show nothing."""
-    files = write(tmp_path, urdf_text(quadruped()), mjcf_text(quadruped()))
-    model = read_mjcf(files.mjcf).model
-    files.mjcf.write_text(turned_frames(model, seed=1))
-    turned = read_mjcf(files.mjcf).model
-    for body in range(2, model.nbody):
-        here, there = (
-            Rotation.from_quat(m.body_quat[body], scalar_first=True) for m in (model, turned)
-        )
-        assert (here.inv() * there).magnitude() > 0.1
-    one, two = pinocchio_from_mujoco(model), pinocchio_from_mujoco(turned)
-    q = pin.integrate(one, pin.neutral(one), np.linspace(-1, 1, one.nv))
-    v = np.linspace(1, -1, one.nv)
-    for here, there in (
-        (pin.crba(one, one.createData(), q), pin.crba(two, two.createData(), q)),
-        (pin.nonLinearEffects(one, one.createData(), q, v),
-         pin.nonLinearEffects(two, two.createData(), q, v)),
-    ):  # fmt: skip
-        np.testing.assert_allclose(there, here, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(6))

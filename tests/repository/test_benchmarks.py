@@ -63,14 +63,6 @@ def test_what_is_imported_of_ours_exists(folder: str) -> None:
             importlib.import_module(f"{module}.{name}")
 
 
-def test_tables_have_the_names_that_the_site_knows(tmp_path: Path) -> None:
-    titles = ("Calls: medians by turns, of v3", "Start-up", "Where the time of a call goes")
-    titles += ("Default run: stages, 6 variants", "How time grows", "Ratios", "setting")
-    benchmarks.write_tables(tmp_path, {title: [("what", "value")] for title in titles})
-    site = {path.name for path in (ROOT / "docs/data").glob("benchmarks-*.csv")}
-    assert {path.name for path in tmp_path.iterdir()} == site
-
-
 def job(value: float) -> measure.Job:
     return measure.Job(
         "a job",
@@ -109,22 +101,6 @@ def _job(name: str) -> measure.Job:
     return measure.Job(name, int, lambda: measure.Accuracy(0.0, 1.0, ""), measure.Rival("", int))
 
 
-@pytest.mark.parametrize(
-    ("measured", "kept", "tries"),
-    [([1.9], True, 1), ([2.6, 2.3], True, 2), ([2.6, 2.7, 2.5], False, 3)],
-    ids=["at once", "at the second try", "never"],
-)
-def test_a_ratio_is_kept_if_one_of_three_tries_is_near_the_recorded_one(
-    measured: list[float], kept: bool, tries: int
-) -> None:
-    """Of 2 recorded, 2.4 is the most; what is not recorded is not measured."""
-    left = list(measured)
-    jobs = [_job("stand"), _job("new")]
-    (found,) = ratios.compare(jobs, {"stand": 2.0}, lambda _: left.pop(0))
-    assert (found.job, found.kept, found.now) == ("stand", kept, min(measured))
-    assert len(measured) - len(left) == tries
-
-
 def test_a_ratio_1_3_times_the_recorded_one_fails_and_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -140,28 +116,3 @@ def test_a_ratio_1_3_times_the_recorded_one_fails_and_is_named(
         assert benchmarks.check_ratios("v3") == (factor < ratios.SLOWER)
         errors = capsys.readouterr().err.splitlines()
         assert [line.split(":")[1].strip() for line in errors] == [slow] * (factor > 1.2)
-
-
-@pytest.mark.parametrize(
-    ("processor", "family"),
-    [
-        ("Intel(R) Xeon(R) Processor", "Intel Xeon"),
-        ("Intel(R) Xeon(R) CPU E5-2686 v4 @ 2.30GHz", "Intel Xeon"),
-        ("12th Gen Intel(R) Core(TM) i7-12700K", "Intel Core"),
-        ("AMD EPYC", "AMD EPYC"),
-        ("AMD EPYC 7763 64-Core Processor", "AMD EPYC"),
-        ("AMD Ryzen 9 5950X 16-Core Processor", "AMD Ryzen"),
-    ],
-)
-def test_processors_of_one_line_are_a_family(processor: str, family: str) -> None:
-    assert ratios.family(processor) == family
-
-
-def test_a_job_without_a_record_of_a_family_has_the_largest_of_all(tmp_path: Path) -> None:
-    record = {"one": {"stand": 1.25, "load": 1.5}, "other": {"stand": 1.75}}
-    header, *rows = ratios.record_rows(record)
-    benchmarks.write_tables(tmp_path, {"Ratios": [header, *rows]})
-    assert (header, rows[1]) == (("job", "one", "other"), ("load", "1.5", "-"))
-    assert ratios.read_recorded(tmp_path) == record
-    assert ratios.expected(record, "other") == {"stand": 1.75, "load": 1.5}
-    assert ratios.expected(record, "a third") == {"stand": 1.75, "load": 1.5}

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from lxml import etree
 from numpy.typing import NDArray
 from scipy import linalg
 
@@ -17,7 +20,7 @@ from pupper_analysis.base.errors import ModelError, PupperAnalysisError, StanceU
 from pupper_analysis.models.additions import Addition, Ball, Floor, Options, Servo, Start, put_all
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.xml import new_file_text, write_numbers
+from pupper_analysis.models.xml import free_name, new_file_text, write_numbers
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.prepare.convert.conversion import ConversionDraft
 from pupper_analysis.prepare.convert.from_urdf import WORLD, UrdfBodies
@@ -35,7 +38,6 @@ from pupper_analysis.robot.servos import model_with_servos, own_servos
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.tools.convert.defaults import put_defaults
 
 Array = NDArray[np.float64]
 
@@ -384,3 +386,98 @@ def _bounce_frequency(robot: Robot, stand: Stand, kp: Array) -> float:
     squares, modes = linalg.eigh(free.T @ (stiffness[:, None] * free), free.T @ mass @ free)
     up = int(np.argmax(np.abs(modes.T @ free.T @ mass[:, 2])))
     return math.sqrt(float(squares[up]))
+
+
+_SHARED = {
+    "joint": ("type", "axis", "range", "damping", "frictionloss", "armature"),
+    "position": ("kp", "kv", "forcerange"),
+}
+"""Attributes that several elements of a kind may share."""
+
+
+def put_defaults(root: etree._Element) -> None:
+    """Moves what elements share into default classes, and takes it off the elements.
+
+    What more than half of a kind have goes into the top class, if all have some of it. Joints that
+    have the rest in common get a class, named after what their names have in common.
+    """
+    top = root.find("default")
+    assert top is not None
+    taken = {str(default.get("class")) for default in root.iter("default")} | {
+        "main"
+    }  # MuJoCo's own
+    for tag, attributes in _SHARED.items():
+        elements = [found for found in root.iter(tag) if found.getparent().tag != "default"]
+        if len(elements) < 2:
+            continue
+        common = _common(elements, attributes)
+        if common:
+            place = etree.Element(tag, common)
+            top.insert(len(top.findall("joint")), place)
+            for element in elements:
+                for name in common:
+                    if element.get(name) == common[name]:
+                        del element.attrib[name]
+        _put_classes(top, elements, attributes, taken)
+
+
+def _common(elements: Sequence[etree._Element], attributes: Sequence[str]) -> dict[str, str]:
+    """Returns {attribute: its value in most elements}, of attributes that all of them have."""
+    common = {}
+    for name in attributes:
+        values = Counter(element.get(name) for element in elements)
+        if None in values:
+            continue
+        value, count = values.most_common(1)[0]
+        if 2 * count > len(elements):
+            common[name] = str(value)
+    return common
+
+
+def _put_classes(
+    top: etree._Element,
+    elements: Sequence[etree._Element],
+    attributes: Sequence[str],
+    taken: set[str],
+) -> None:
+    groups: dict[tuple[tuple[str, str], ...], list[etree._Element]] = {}
+    for element in elements:
+        rest = tuple((name, element.get(name)) for name in attributes if element.get(name))
+        groups.setdefault(rest, []).append(element)
+    for rest, members in groups.items():
+        if len(members) < 2 or not rest:
+            continue
+        names = [str(member.get("joint") or member.get("name")) for member in members]
+        # A class of joints and one of their servos may share a name, and are one class then.
+        name = _shared_part(names)
+        twin = next(
+            (d for d in top if d.get("class") == name and not d.findall(members[0].tag)), None
+        )
+        if twin is None:
+            twin = etree.SubElement(top, "default", {"class": free_name(name, taken)})
+        etree.SubElement(twin, members[0].tag, dict(rest))
+        for member in members:
+            for attribute, _ in rest:
+                del member.attrib[attribute]
+            member.set("class", str(twin.get("class")))
+
+
+def _shared_part(names: Sequence[str]) -> str:
+    """Returns what names have in common: ``hip`` of ``FL_hip_joint`` and ``FR_hip_joint``."""
+    parts = [[part for part in re.split(r"[^A-Za-z0-9]+", name) if part] for name in names]
+    shared = [part for part in parts[0] if all(part in other for other in parts[1:])]
+    kept = [part for part in shared if part.lower() not in ("joint", "servo")] or shared
+    if kept:
+        return "_".join(kept)
+    return _shared_ending(names) or "shared"
+
+
+def _shared_ending(names: Sequence[str]) -> str:
+    """Returns the letters that all names end in, if there are two or more."""
+    ending = ""
+    for letters in zip(*(reversed(name) for name in names), strict=False):
+        if len(set(letters)) > 1:
+            break
+        ending = letters[0] + ending
+    ending = ending.strip("_- ")
+    return ending if len(ending) > 1 else ""
