@@ -32,7 +32,7 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.cli.stance_fields import read_stance_file
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.convert.mesh_files import (
+from pupper_analysis.prepare.convert.meshes import (
     UnreadableError,
     check_detail,
     obj_of,

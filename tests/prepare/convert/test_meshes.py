@@ -13,8 +13,8 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.convert import mesh_files
-from pupper_analysis.prepare.convert.mesh_files import UnreadableError, obj_of
+from pupper_analysis.prepare.convert import meshes
+from pupper_analysis.prepare.convert.meshes import UnreadableError, obj_of
 from tests.support.robots import arm, urdf_text
 from tests.tools.convert.test_model import _shape, compiled
 
@@ -51,7 +51,7 @@ def hostile(folder: Path) -> dict[str, str]:
         archive.write(folder / "box.obj", "box.obj")
     BOX.export(folder / "box.3mf")
     with (folder / "large.stl").open("wb") as file:
-        file.truncate(mesh_files.MOST_BYTES + 1)
+        file.truncate(meshes.MOST_BYTES + 1)
     accessor = {"componentType": 5126, "count": 10**9, "type": "VEC3"}  # 12 GB of zeros
     mesh = {"primitives": [{"attributes": {"POSITION": 0}}]}
     claims = {"asset": {"version": "2.0"}, "accessors": [accessor], "meshes": [mesh]}
@@ -98,7 +98,7 @@ def test_instances_of_a_mesh_count_each(tmp_path: Path, monkeypatch: pytest.Monk
     scene.export(tmp_path / "many.glb")
     whole = trimesh.load(io.BytesIO(obj_of(tmp_path / "many.glb")), file_type="obj")
     assert len(whole.faces) == 10 * len(BOX.faces)
-    monkeypatch.setattr(mesh_files, "MOST_VERTICES", 9 * len(BOX.vertices))
+    monkeypatch.setattr(meshes, "MOST_VERTICES", 9 * len(BOX.vertices))
     with pytest.raises(UnreadableError, match="vertices"):
         obj_of(tmp_path / "many.glb")
 
@@ -109,8 +109,8 @@ def test_what_takes_minutes_to_compile_is_left(
     """An OBJ of two million vertices took 100 s and 2 GB; what is touched with is less detailed."""
     BOX.export(tmp_path / "box.obj")
     (tmp_path / "fan.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + " 1 2 3" * 10 + "\n")
-    monkeypatch.setattr(mesh_files, "MOST_TRIANGLES", 20)
-    monkeypatch.setattr(mesh_files, "MOST_TOUCHING", 7)
+    monkeypatch.setattr(meshes, "MOST_TRIANGLES", 20)
+    monkeypatch.setattr(meshes, "MOST_TOUCHING", 7)
     kinds = {"visual": "box.obj", "collision": "box.obj"}
     shapes = [_shape(kind, f'<mesh filename="{name}"/>', "0 0 0") for kind, name in kinds.items()]
     shapes.append(_shape("visual", '<mesh filename="fan.obj"/>', "0 0 0"))
