@@ -1,4 +1,4 @@
-"""The mesh files of a URDF as an MJCF names them, as OBJ in limits where MuJoCo reads no such format."""
+"""The mesh files of a URDF as an MJCF names them: as OBJ, where MuJoCo does not read them."""
 
 from __future__ import annotations
 
