@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -422,7 +422,11 @@ class MotionScene:
 
 
 class OtherScene:
-    """Of a tool's own, for which it registers with ``present.html.write.scene_of``."""
+    """A scene of a tool's own."""
+
+    def drawn(self) -> dict[str, Any] | None:
+        """Returns what ``scene_of`` of the page does; None if what it is made of has gone."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.present.document import Motion, MotionScene, StandScene
+from pupper_analysis.present.document import Motion, MotionScene, OtherScene, StandScene
 from pupper_analysis.present.scene import (
     JointAxis,
     describe_scene,
@@ -87,6 +87,11 @@ def scene_of(scene: object) -> dict[str, Any] | None:
         TypeError: If nobody has said how such a scene is drawn.
     """
     raise TypeError(f"no view of {type(scene).__name__}")
+
+
+@scene_of.register
+def _other(scene: OtherScene) -> dict[str, Any] | None:
+    return scene.drawn()
 
 
 @scene_of.register

@@ -6,9 +6,10 @@ As a document, and as remarks for machines, in the same order.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
@@ -35,7 +36,23 @@ from pupper_analysis.robot.compare.engines import (
     URDF_YOURDFPY,
 )
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.crosscheck.overlay import OverlayScene
+
+
+@dataclass(frozen=True, eq=False)
+class OverlayScene(doc.OtherScene):
+    """Two files of a robot over each other, with what differs marked.
+
+    Attributes:
+        comparison: Of the two files.
+    """
+
+    comparison: Comparison
+
+    def drawn(self) -> dict[str, Any] | None:
+        """Returns both files at zero angles; see ``draw_overlay``."""
+        from pupper_analysis.tools.crosscheck.overlay import draw_overlay  # loads engines
+
+        return draw_overlay(self.comparison)
 
 
 def matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:

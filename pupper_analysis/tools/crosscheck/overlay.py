@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -15,14 +14,13 @@ from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.present.document import OtherScene, text
+from pupper_analysis.present.document import text
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.present.html.write import (
     bodies_of,
     extent_of,
     geoms_of,
     pack_poses,
-    scene_of,
     short_numbers,
 )
 from pupper_analysis.robot.compare.compare import Comparison
@@ -30,24 +28,11 @@ from pupper_analysis.robot.compare.compare import Comparison
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class OverlayScene(OtherScene):
-    """Two files of a robot over each other, with what differs marked.
-
-    Attributes:
-        comparison: Of the two files.
-    """
-
-    comparison: Comparison
-
-
-@scene_of.register
-def _overlay(scene: OverlayScene) -> dict[str, Any] | None:
+def draw_overlay(comparison: Comparison) -> dict[str, Any] | None:
     """Returns both files at zero angles, in the world of the MJCF, their roots at one place.
 
     Bodies with differences are marked, and say which. None where a file has gone, or has no bodies.
     """
-    comparison = scene.comparison
     try:
         model = read_mjcf(comparison.mjcf).model
         lines = _urdf_lines(comparison.urdf)

@@ -12,7 +12,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.present.html.write import scene_of
-from pupper_analysis.tools.crosscheck.overlay import OverlayScene
+from pupper_analysis.tools.crosscheck.document import OverlayScene
 from tests.present.test_html import comparison, page_of, written
 from tests.support.html_page import Page
 from tests.support.repository import ROOT
