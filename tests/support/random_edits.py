@@ -182,6 +182,203 @@ def edit(tree: etree._ElementTree, random: np.random.Generator) -> Edit:
     return Edit(f"geom {word}", geom)
 
 
+def edit_structure(
+    tree: etree._ElementTree, random: np.random.Generator, folder: Path
+) -> tuple[etree._ElementTree, Edit]:
+    """Makes one edit of what a file is built from: classes, the compiler, parts of other files.
+
+    Args:
+        tree: The MJCF's; where an edit is of an included, attached or repeated part, it gets it.
+        random: What chooses.
+        folder: The MJCF's, to which parts are written.
+
+    Returns:
+        The edited tree, and what was edited.
+    """
+    root = tree.getroot()
+    kind = str(random.choice([*_STRUCTURE]))
+    if kind in ("include", "attach", "replicate"):
+        _STRUCTURE[kind](root, random, folder, "part.xml")
+        state = random.bit_generator.state
+        edited = copy.deepcopy(tree)
+        random.bit_generator.state = state
+        what = _STRUCTURE[kind](edited.getroot(), random, folder, "edited_part.xml")
+    else:
+        edited = copy.deepcopy(tree)
+        what = _STRUCTURE[kind](edited.getroot(), random, folder, "")
+    return edited, Edit(f"{kind} {what}")
+
+
+def _change_number(element: Element, random: np.random.Generator) -> str:
+    """Changes one number of an element, or of one below it; returns which."""
+    having = [
+        (each, word)
+        for each in element.iter()
+        if isinstance(each.tag, str)
+        for word, text in each.items()
+        if word not in ("name", "class", "childclass", "rgba", "file", "mesh", "material")
+        and any(_is_number(one) for one in text.split())
+    ]
+    if not having:
+        return "nothing"
+    each, word = having[int(random.integers(len(having)))]
+    values = each.get(word, "").split()
+    number = int(random.choice([n for n, one in enumerate(values) if _is_number(one)]))
+    value = float(values[number])
+    factor = float(random.choice([0.5, 0.9, 1.1, 1.5, -1.0]))
+    values[number] = repr(value * factor if value else 0.02)
+    each.set(word, " ".join(values))
+    return f"{each.tag} {word}"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False
+
+
+def _default(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+    classes = [one for one in root.iter("default") if one.get("class")]
+    using = [one for one in root.iter("geom", "joint", "motor", "position", "general")
+             if one.get("class") and not _in_default(one)]  # fmt: skip
+    if using and not random.integers(3):
+        one = using[int(random.integers(len(using)))]
+        one.set("class", str(random.choice([str(each.get("class")) for each in classes])))
+        return f"class of a {one.tag}"
+    if classes and not random.integers(3):
+        one = classes[int(random.integers(len(classes)))]
+        word = str(random.choice(["margin", "friction", "condim", "solref", "contype", "group"]))
+        geom = one.find("geom")
+        geom = etree.SubElement(one, "geom") if geom is None else geom
+        geom.set(word, _GEOM[word](random))
+        return f"geom {word}"
+    found = [one for one in root.iter("default") if len(one)]
+    return _change_number(found[int(random.integers(len(found)))], random) if found else "nothing"
+
+
+_COMPILER: dict[str, Value] = {
+    "angle": _one("degree", "radian"),
+    "eulerseq": _one("xyz", "XYZ", "zyx"),
+    "autolimits": _one("false", "true"),
+    "inertiafromgeom": _one("true", "false", "auto"),
+    "fusestatic": _one("true", "false"),
+    "boundmass": _within((1e-4, 1.0)),
+    "boundinertia": _within((1e-6, 1e-2)),
+    "settotalmass": _within((3.0, 60.0)),
+    "balanceinertia": _one("true"),
+    "discardvisual": _one("true", "false"),
+    "inertiagrouprange": _one("0 2", "2 5", "0 5"),
+    "alignfree": _one("true", "false"),
+    "saveinertial": _one("true"),
+}
+
+
+def _compiler(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+    found = root.find("compiler")
+    compiler = etree.SubElement(root, "compiler") if found is None else found
+    word = str(random.choice(list(_COMPILER)))
+    compiler.set(word, _COMPILER[word](random))
+    return f"{word} {compiler.get(word)}"
+
+
+def _size(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+    size = etree.SubElement(root, "size")
+    word = str(random.choice(["njmax", "nconmax", "memory", "nuserdata", "nkey", "nuser_geom"]))
+    size.set(word, {"memory": _one("64K", "16M"), "njmax": _one("20", "2000"),
+                    "nconmax": _one("4", "400")}.get(word, _one("3", "9"))(random))  # fmt: skip
+    return f"{word} {size.get(word)}"
+
+
+def _key(root: Element, random: np.random.Generator, _: Path, __: str) -> str:
+    keys = list(root.iter("key"))
+    if not keys:
+        return "nothing"
+    key, slip = (
+        keys[0],
+        str(random.choice(["ctrl", "qvel", "time", "name", "order", "gone", "quat"])),
+    )
+    qpos = str(key.get("qpos", "")).split()
+    above = key.getparent()
+    assert above is not None
+    if slip == "ctrl" and key.get("ctrl"):
+        del key.attrib["ctrl"]
+    elif slip == "qvel" and qpos:
+        key.set("qvel", " ".join(["0.3", *["0"] * (len(qpos) - 2)]))
+    elif slip == "time":
+        key.set("time", "1.5")
+    elif slip == "name":
+        key.set("name", "another")
+    elif slip == "order":
+        above.append(key)
+    elif slip == "gone":
+        above.remove(key)
+    elif len(qpos) > 6:
+        qpos[3:7] = [qpos[4], qpos[5], qpos[6], qpos[3]]  # x, y, z, w
+        key.set("qpos", " ".join(qpos))
+    return slip
+
+
+def _include(root: Element, random: np.random.Generator, folder: Path, name: str) -> str:
+    tags = ("default", "actuator", "keyframe", "contact", "worldbody")
+    sections = [one for one in root if one.tag in tags and len(one)]
+    section = sections[int(random.integers(len(sections)))]
+    part = etree.Element("mujoco")
+    section.addprevious(etree.Element("include", file=name))
+    part.append(section)
+    what = _change_number(section, random) if name.startswith("edited") else ""
+    (folder / name).write_bytes(etree.tostring(part))
+    return f"{section.tag}: {what}"
+
+
+def _attach(root: Element, random: np.random.Generator, folder: Path, name: str) -> str:
+    tool = etree.fromstring(
+        '<mujoco><compiler angle="radian"/><worldbody><body name="tool" pos="0.05 0.01 0.08">'
+        '<geom name="hand" type="box" size="0.03 0.02 0.05" mass="0.7" friction="0.8"/>'
+        '<body name="tip" pos="0.1 0 0"><joint name="wrist" axis="0 1 0" damping="0.1" '
+        'range="-0.5 0.5" limited="true"/><geom size="0.02" mass="0.1"/></body></body>'
+        "</worldbody></mujoco>"
+    )
+    what = ""
+    if name.startswith("edited"):
+        what = _change_number(tool[1], random)
+    (folder / name).write_bytes(etree.tostring(tool))
+    body = next(root.iter("body"))
+    asset = etree.SubElement(root, "asset")
+    etree.SubElement(asset, "model", name="tool", file=name)
+    attach = etree.SubElement(body, "attach", model="tool", body="tool", prefix="on_")
+    if name.startswith("edited") and not random.integers(4):
+        attach.set("prefix", "at_")
+        what += ", prefix"
+    for key in list(root.iter("keyframe")):  # of a robot without the tool
+        root.remove(key)
+    return what
+
+
+def _replicate(root: Element, random: np.random.Generator, _: Path, name: str) -> str:
+    body = next(root.iter("body"))
+    several = etree.SubElement(body, "replicate", count="3", offset="0.04 0 0.01")
+    etree.SubElement(several, "geom", name="rack", size="0.01 0.02 0.03", type="box", mass="0.2",
+                     pos="-0.1 0.03 0.1")  # fmt: skip
+    if not name.startswith("edited"):
+        return ""
+    if random.integers(2):
+        several.set("count", str(random.choice(["2", "4"])))
+        return "count"
+    return _change_number(several, random)
+
+
+_STRUCTURE: dict[str, Callable[[Element, np.random.Generator, Path, str], str]] = {
+    "default": _default,
+    "compiler": _compiler,
+    "size": _size,
+    "key": _key,
+    "include": _include,
+    "attach": _attach,
+    "replicate": _replicate,
+}
+
+
 def _in_default(geom: Element) -> bool:
     return any(parent.tag == "default" for parent in geom.iterancestors())
 
@@ -194,8 +391,13 @@ def rollout(path: Path, seconds: float = SECONDS) -> np.ndarray:
         mujoco.mj_resetDataKeyframe(model, data, 0)
     found = []
     for _ in range(round(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
+        try:
+            mujoco.mj_step(model, data)
+        except mujoco.FatalError:  # no memory for its contacts
+            data.time = -1.0
         found.append([data.time, *data.qpos])
+        if data.time < 0:
+            break
     return np.array(found)
 
 
@@ -203,7 +405,7 @@ def apart(one: np.ndarray, two: np.ndarray) -> float:
     """Returns how far two rollouts are apart at the same times; infinite if one diverges alone."""
     if one.shape[1] != two.shape[1]:
         return float("inf")
-    begun_anew = [bool((np.diff(run[:, 0]) < 0).any()) for run in (one, two)]
+    begun_anew = [bool((np.diff(run[:, 0], prepend=0.0) < 0).any()) for run in (one, two)]
     if any(begun_anew):
         return 0.0 if all(begun_anew) else float("inf")
     times = one[:, 0] if len(one) <= len(two) else two[:, 0]
@@ -232,6 +434,12 @@ _ACT = sum(
 """Flags that switch off what a URDF states: limits, dry friction, motors, shapes that touch."""
 
 
+_LIMITS = (
+    "jnt_range", "jnt_limited", "actuator_forcerange", "actuator_ctrlrange", "jnt_actfrcrange",
+)  # fmt: skip
+"""What a URDF has of limits; how a torque's bounds follow is for others to prove."""
+
+
 def as_a_urdf_states(one: Path, two: Path) -> bool | None:
     """Says whether two MJCFs are another robot in what a URDF states, too; None at the bounds."""
     models = [_on_ground(path) for path in (one, two)]
@@ -244,6 +452,8 @@ def as_a_urdf_states(one: Path, two: Path) -> bool | None:
     data = mujoco.MjData(models[0])
     if models[0].nkey:  # both in one pose, which a URDF does not state
         mujoco.mj_resetDataKeyframe(models[0], data, 0)
+    if any(not np.array_equal(*(getattr(model, name) for model in models)) for name in _LIMITS):
+        return None if np.array_equal(models[0].jnt_range, models[1].jnt_range) else True
     heights = [_feet(model, data.qpos) for model in models]
     if heights[0].keys() != heights[1].keys():
         return True
@@ -304,7 +514,13 @@ def _ends(model: mujoco.MjModel, name: str) -> bool:
 
 
 def answers(
-    source: Path, count: int, first: int, scratch: Path, urdf: Path | None = None
+    source: Path,
+    count: int,
+    first: int,
+    scratch: Path,
+    urdf: Path | None = None,
+    *,
+    structure: bool = False,
 ) -> list[Answer]:
     """Edits a file anew for each seed, and asks `diff` and bare MuJoCo.
 
@@ -314,6 +530,7 @@ def answers(
         first: The first seed.
         scratch: A folder for what is edited.
         urdf: One that agrees with the file, beside which `crosscheck` is asked.
+        structure: Whether what the file is built from is edited; see `edit_structure`.
     """
     folder = scratch / "robot"
     shutil.copytree(source.parent, folder, copy_function=_linked)
@@ -322,10 +539,17 @@ def answers(
     for seed in range(first, first + 20 * count):
         if len(found) == count:
             break
-        tree = etree.parse(original)
-        made = edit(tree, np.random.default_rng([seed, 44]))
+        tree, random = etree.parse(original), np.random.default_rng([seed, 44])
+        if structure:
+            begun = etree.parse(source)
+            tree, made = edit_structure(begun, random, folder)
+            original.unlink()
+            begun.write(original)
+        else:
+            made = edit(tree, random)
         tree.write(edited)
         try:
+            before = rollout(original) if structure else before
             truth = apart(before, rollout(edited))
         except ValueError:  # MuJoCo refuses it
             continue
@@ -366,12 +590,20 @@ def main() -> None:
     parser.add_argument("files", nargs="+", type=Path)
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--structure", action="store_true")
     options = parser.parse_args()
     wrong = 0
     for file in options.files:
         with tempfile.TemporaryDirectory() as scratch:
             beside = _beside(file.resolve(), Path(scratch))
-            found = answers(file.resolve(), options.count, options.first, Path(scratch), beside)
+            found = answers(
+                file.resolve(),
+                options.count,
+                options.first,
+                Path(scratch),
+                beside,
+                structure=options.structure,
+            )
         counts = Counter(
             "moves" if one.truth > FELT else "harmless, told" if not one.same else "not told"
             for one in found

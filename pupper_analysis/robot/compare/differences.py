@@ -36,6 +36,7 @@ LIMITS = ("lower limit", "upper limit", "effort")
 SERVO_GAINS = ("servo stiffness", "servo damping")
 
 ORDER = (
+    "compiler",
     "joint",
     "name",
     "type",
@@ -75,7 +76,7 @@ ORDER = (
 CONVENTIONS = ("base frame", "zero")
 """Kinds of difference after which the two are still one robot, in other coordinates."""
 
-_STRUCTURE = ("joint", "name", "type", "parent", *CONVENTIONS, "gravity")
+_STRUCTURE = ("compiler", "joint", "name", "type", "parent", *CONVENTIONS, "gravity")
 _LEAST_EFFECT = 1e-3  # least relative effect that goes before limits and efforts
 _SCREW = 0.01  # likewise of a body's mass
 _MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")

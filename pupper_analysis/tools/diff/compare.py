@@ -31,6 +31,7 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.diff.elements import (
     ElementDifference,
     SimulatedPair,
+    changed_compiler,
     changed_elements,
     like_before,
 )
@@ -247,6 +248,8 @@ class _Comparison:
         alone = [isinstance(each, ElementDifference) for each in self.differences] == [True]
         if trial_of_both is not None and not alone:  # what one does alone is told of it
             combined = trial_of_both.effect_of_all(explained=bool(self.differences))
+        if self.differences and isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
+            self.differences += changed_compiler(one, two)
         patched = trial.behaviour(apply_changes(first, second, VERSIONS))
         left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
         holding = trial.holding_torques(first), trial.holding_torques(second)

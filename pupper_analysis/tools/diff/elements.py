@@ -32,7 +32,7 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import DIRECTIONS, Shape
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.elements import Value, rows_of
-from pupper_analysis.models.stated.mjcf import joint_name
+from pupper_analysis.models.stated.mjcf import MUJOCO_ERRORS, joint_name
 from pupper_analysis.robot.compare.differences import VERSIONS, Difference, Effect
 from pupper_analysis.tools.diff.listing import (
     DISABLE_BITS,
@@ -252,6 +252,70 @@ def changed_elements(
             alike.setdefault((key[0], SHAPE, *_reshaped(one.shape, two.shape)), []).append(key)
     for (kind, word, *_), keys in alike.items():
         yield _change(kind, word, keys, old, new, trial)
+
+
+_COMPILER: Final = {
+    "degree": "angle",
+    **{
+        word: word
+        for word in (
+            "eulerseq", "autolimits", "inertiafromgeom", "inertiagrouprange", "boundmass",
+            "boundinertia", "settotalmass", "balanceinertia", "alignfree", "fitaabb",
+        )
+    },
+}  # fmt: skip
+"""{what MuJoCo's spec calls a number of the compiler that others follow from: its attribute}."""
+
+
+def changed_compiler(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
+    """Yields what has changed of the compiler: numbers change with it whose lines have not.
+
+    What would make the same robot of the new file is no change.
+    """
+    one, two = old.spec.compiler, new.spec.compiler
+    for name, word in _COMPILER.items():
+        values = [_stated_flag(name, getattr(compiler, name)) for compiler in (one, two)]
+        if values[0] == values[1]:
+            continue
+        spec = new.spec.copy()
+        setattr(spec.compiler, name, getattr(one, name))
+        try:
+            as_before: bytes | None = _image(spec.compile())
+        except MUJOCO_ERRORS:
+            as_before = None
+        if as_before == _image(new.model):
+            continue
+        both = {"one": values[0], "two": values[1], **VERSIONS.named}
+        whole = as_before == _image(old.model)
+        places = [
+            next((at for words, at in file.elements("compiler") if word in words), None)
+            for file in (old, new)
+        ]
+        yield ElementDifference(
+            kind="compiler",
+            element=word,
+            urdf=values[0],
+            mjcf=values[1],
+            unit="",
+            diagnostic=diagnose(
+                "mjcf-element-differs", subject=("compiler", word), others=(), what="", **both
+            ),
+            effects={},
+            consequences=(diagnose("compiler-makes-others", all=whole, some=not whole),),
+            places=(places[0], places[1]),
+        )
+
+
+def _stated_flag(name: str, value: Any) -> str:
+    if name == "degree":
+        return "degree" if value else "radian"
+    if isinstance(value, bool | np.bool_):
+        return str(bool(value)).lower()
+    if hasattr(value, "name"):
+        return str(value.name).rpartition("_")[2].lower()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return ("" if name == "eulerseq" else " ").join(map(str, value))
 
 
 _IN_TREES: Final = ("joint", "actuator", "tendon", "equality")

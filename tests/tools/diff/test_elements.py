@@ -252,3 +252,55 @@ def test_what_motors_do_before_they_pull_is_a_change(tmp_path: Path) -> None:
     assert {change.diagnostic.values["what"] for change in motors} == {"dyntype", "dynprm"}
     assert all(change.new_place.endswith("pupper_v3_shared.xml:33") for change in motors)
     assert all(len(change.diagnostic.values["others"]) == 11 for change in motors)
+
+
+@pytest.mark.parametrize(
+    ("flag", "makes"),
+    [
+        ('angle="degree"', "all other changes follow from it"),
+        ('settotalmass="9"', "all other changes follow from it"),
+        ('eulerseq="zyx"', "all other changes follow from it"),
+        ('boundmass="0.3"', "all other changes follow from it"),
+    ],
+)
+def test_a_flag_of_the_compiler_is_the_first_change(tmp_path: Path, flag: str, makes: str) -> None:
+    """It stands at its line; what it makes other has lines in which nothing has changed."""
+    old, new = tmp_path / "old.xml", tmp_path / "new.xml"
+    text = """<mujoco>
+      <compiler angle="radian"/>
+      <worldbody>
+        <body name="base" pos="0 0 1" euler="0.1 0.2 0.3"><freejoint/><geom size="0.1" mass="2"/>
+          <body name="leg" euler="0.1 0.5 -0.3"><joint name="hip" axis="0 1 0" range="-1 1"/>
+            <geom size="0.03" pos="0.1 0.02 -0.2" mass="0.2"/></body></body>
+      </worldbody></mujoco>"""
+    old.write_text(text)
+    word = flag.partition("=")[0]
+    stated = 'angle="radian"' if word == "angle" else 'angle="radian"/'
+    given = flag if word == "angle" else f'angle="radian" {flag}/'
+    new.write_text(text.replace(stated, given))
+    first, *others = pa.diff_models(old, new).changes
+    assert (first.kind, first.element) == ("compiler", word)
+    assert first.new_place.endswith("new.xml:2")
+    assert [str(one) for one in first.consequences] == [makes]
+    assert others
+    mixed = tmp_path / "mixed.xml"
+    mixed.write_text(new.read_text().replace('size="0.03"', 'size="0.04"'))
+    first, *others = pa.diff_models(old, mixed).changes
+    assert first.element == word
+    assert str(first.consequences[0]) == "some of the other changes follow from it"
+
+
+def test_a_flag_of_the_compiler_that_makes_nothing_is_no_change(tmp_path: Path) -> None:
+    """Degrees that are written as what they are in radians, and a flag that nothing heeds."""
+    old, new = tmp_path / "old.xml", tmp_path / "new.xml"
+    text = """<mujoco>
+      <compiler angle="radian"/>
+      <worldbody><body name="base"><geom size="0.1"/>
+        <body name="arm"><joint name="hip" axis="0 1 0" range="-1 1"/><geom size="0.1"/></body>
+      </body></worldbody></mujoco>"""
+    old.write_text(text)
+    degrees = text.replace('"radian"', '"degree" eulerseq="zyx"')
+    new.write_text(degrees.replace('"-1 1"', '"-57.29577951308232 57.29577951308232"'))
+    assert pa.diff_models(old, new).same
+    new.write_text(text.replace('"radian"', '"radian" eulerseq="zyx"').replace("0.1", "0.2"))
+    assert {change.kind for change in pa.diff_models(old, new).changes} & {"compiler"} == set()
