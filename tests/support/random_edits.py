@@ -384,19 +384,22 @@ def _in_default(geom: Element) -> bool:
 
 
 def rollout(path: Path, seconds: float = SECONDS) -> np.ndarray:
-    """Returns the positions (steps, nq) of bare MuJoCo from the first keyframe."""
+    """Returns times since the start and positions (steps, 1 + nq) of bare MuJoCo.
+
+    From the first keyframe.
+    """
     model = _on_ground(path)
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
-    found = []
+    found, begun = [], data.time
     for _ in range(round(seconds / model.opt.timestep)):
         try:
             mujoco.mj_step(model, data)
         except mujoco.FatalError:  # no memory for its contacts
-            data.time = -1.0
-        found.append([data.time, *data.qpos])
-        if data.time < 0:
+            data.time = begun - 1.0
+        found.append([data.time - begun, *data.qpos])
+        if data.time < begun:  # MuJoCo began anew, or ended
             break
     return np.array(found)
 
@@ -558,7 +561,8 @@ def answers(
         felt = bool(messages) or any(each.code == "simulation-changes" for each in diff.combined)
         places = [change.new_place.rpartition(":")[2] for change in diff.changes]
         placed = made.element is None or str(_line(tree, made.element, edited)) in places
-        stated = as_a_urdf_states(original, edited) if urdf else None
+        memory = made.what.startswith("size")  # no robot's
+        stated = as_a_urdf_states(original, edited) if urdf and not memory else None
         agree = pa.compare_models(urdf, edited).agree if urdf else None
         what = f"{made.what}, seed {seed}"
         found.append(Answer(what, truth, felt, diff.same, placed, stated, agree))
