@@ -84,8 +84,20 @@ def leave_out_missing(
     _refuse_wrapped(tree.root, names)
     users = _users(spec, tree.root, names)
     files = {"mesh": meshes, "height field": hfields, "texture": textures, "skin": skins}
+    touching = dict.fromkeys(
+        meshes[geom.meshname]
+        for geom in geoms
+        if geom.meshname in meshes
+        and (geom.contype or geom.conaffinity)
+        and geom.parent.name != "world"
+    )
     notes = [
-        diagnose("files-missing", kind=Term(kind), files=dict.fromkeys(named.values()))
+        diagnose(
+            "files-missing",
+            kind=Term(kind),
+            files=dict.fromkeys(named.values()),
+            touching=touching if kind == "mesh" else (),
+        )
         for kind, named in files.items()
         if named
     ]

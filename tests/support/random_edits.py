@@ -16,6 +16,7 @@ import copy
 import shutil
 import sys
 import tempfile
+import warnings
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -206,7 +207,7 @@ def edit_structure(
     else:
         edited = copy.deepcopy(tree)
         what = _STRUCTURE[kind](edited.getroot(), random, folder, "")
-    return edited, Edit(f"{kind} {what}")
+    return edited, Edit(f"{kind} {what}", edited.find("compiler") if kind == "compiler" else None)
 
 
 def _change_number(element: Element, random: np.random.Generator) -> str:
@@ -438,7 +439,8 @@ _ACT = sum(
 
 
 _LIMITS = (
-    "jnt_range", "jnt_limited", "actuator_forcerange", "actuator_ctrlrange", "jnt_actfrcrange",
+    "jnt_range", "jnt_limited", "actuator_forcerange", "actuator_ctrlrange", "actuator_gear",
+    "jnt_actfrcrange",
 )  # fmt: skip
 """What a URDF has of limits; how a torque's bounds follow is for others to prove."""
 
@@ -473,7 +475,9 @@ def _on_ground(path: Path) -> mujoco.MjModel:
             setattr(plane, word, getattr(usual, word))
         plane.contype = plane.conaffinity = 1
         plane.priority = 0
-    return spec.compile()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # attributes that a later MuJoCo drops
+        return spec.compile()
 
 
 def _accelerations(model: mujoco.MjModel) -> np.ndarray:

@@ -257,8 +257,12 @@ def urdf_draft(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> Conv
     floating = has_free_joint(model)
     if floating:
         notes.append(diagnose("free-base-not-in-urdf"))
+    gone = [file for note in file.notes for file in note.values.get("touching", ())]
+    why = diagnose("no-such-mesh-file")
+    lost = [diagnose("collision-meshes-lost", files=gone, why=why)] if gone else []
     header = f"Converted from {file.path.name} by pupper-analysis."
-    return ConversionDraft(new_file_text(tree.root, header), {}, tuple(notes), tuple(left))
+    text = new_file_text(tree.root, header)
+    return ConversionDraft(text, {}, tuple(notes), tuple(left), lost=tuple(lost))
 
 
 def _weigh_nothing(link: UrdfLink) -> None:

@@ -957,6 +957,27 @@ def test_a_missing_mesh_of_an_mjcf(tmp_path: Path) -> None:
     assert all(Path(finding.file).name == "pupper_v3_shared.xml" for finding in findings)
 
 
+@pytest.mark.parametrize(
+    ("bits", "severity"), [("", "error"), ('contype="0" conaffinity="0"', "warning")]
+)
+def test_a_missing_mesh_of_an_mjcf_is_an_error_where_it_touches(
+    bits: str, severity: str, tmp_path: Path
+) -> None:
+    """That none of its shapes touches the ground follows from that, and is no finding."""
+    path = tmp_path / "robot.xml"
+    path.write_text(f"""<mujoco>
+      <asset><mesh name="foot" file="gone.stl"/></asset>
+      <worldbody><body name="base" pos="0 0 1"><freejoint/>
+        <inertial pos="0 0 0" mass="2" diaginertia="0.01 0.01 0.01"/>
+        <body name="leg"><joint name="hip" axis="0 1 0"/>
+          <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.001"/>
+          <geom type="mesh" mesh="foot" {bits}/></body></body></worldbody></mujoco>""")
+    result = audit_model(path)
+    (finding,) = found(result, "mesh-missing", "mesh 'foot'")
+    assert finding.severity == severity
+    assert bool(found(result, "ground-not-met")) == (severity == "warning")
+
+
 LOST_SIGNS = [
     # rule, element in each format, and what becomes what there
     (

@@ -718,6 +718,24 @@ def test_missing_meshes_are_the_cause_that_is_told(tmp_path: Path) -> None:
     assert str(found.failures[0]).index("missing") < str(found.failures[0]).index("no feet")
 
 
+def test_a_mesh_that_an_mjcf_touches_with_and_lacks_is_no_conversion(tmp_path: Path) -> None:
+    """One that is drawn alone is left out; without one that touches it is another robot."""
+    for bits, passed in (('contype="0" conaffinity="0"', True), ("", False)):
+        path = tmp_path / "robot.xml"
+        path.write_text(f"""<mujoco>
+          <asset><mesh name="hand" file="gone.stl"/></asset>
+          <worldbody><body name="base">
+            <inertial pos="0 0 0" mass="2" diaginertia="0.01 0.01 0.01"/>
+            <body name="arm"><joint name="elbow" axis="0 1 0" range="-1 1"/>
+              <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.001"/>
+              <geom type="mesh" mesh="hand" {bits}/></body></body></worldbody></mujoco>""")
+        found = pa.convert_model(path, tmp_path / f"{passed}.urdf")
+        assert found.passed == passed
+        if not passed:
+            assert found.failures[-1].code == "collision-meshes-lost"
+            assert "gone.stl" in str(found.failures[-1])
+
+
 def test_legs_whose_feet_have_no_shapes_are_no_hand(tmp_path: Path) -> None:
     text = standing_urdf(tmp_path).read_text()
     ball = _shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")

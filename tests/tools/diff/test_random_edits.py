@@ -22,6 +22,15 @@ def test_what_moves_v3_is_told(tmp_path: Path) -> None:
     assert {one.agree for one in found} == {True, False}
 
 
+def test_what_a_file_is_built_from_is_told(tmp_path: Path) -> None:
+    """Classes, the compiler, memory, keyframes, parts that are included, attached or repeated."""
+    (tmp_path / "drawn").mkdir()
+    source = written(drawn(44), tmp_path / "drawn").mjcf
+    found = answers(source, 10, 0, tmp_path, structure=True)
+    assert not [one for one in found if not one.right]
+    assert any(one.truth > FELT for one in found)
+
+
 @pytest.mark.parametrize("seed", [44, 46])
 def test_what_moves_a_random_robot_is_told(tmp_path: Path, seed: int) -> None:
     (tmp_path / "drawn").mkdir()
