@@ -622,6 +622,12 @@ class MjcfFile:
         stating = stating_element(self._roots[0], found[number], attributes) if attributes else None
         return (stating or found[number]).place
 
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """The files of meshes with which the robot touches, and which are missing."""
+        named = [note.values.get("touching") for note in self.notes if note.code == "files-missing"]
+        return tuple(str(name) for names in named if isinstance(names, tuple) for name in names)
+
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
         """Yields the attributes and the place of every element of a kind, as they are written.
 

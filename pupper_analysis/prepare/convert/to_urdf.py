@@ -257,8 +257,7 @@ def urdf_draft(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> Conv
     floating = has_free_joint(model)
     if floating:
         notes.append(diagnose("free-base-not-in-urdf"))
-    gone = [file for note in file.notes for file in note.values.get("touching", ())]
-    why = diagnose("no-such-mesh-file")
+    gone, why = file.lacking, diagnose("no-such-mesh-file")
     lost = [diagnose("collision-meshes-lost", files=gone, why=why)] if gone else []
     header = f"Converted from {file.path.name} by pupper-analysis."
     text = new_file_text(tree.root, header)

@@ -76,14 +76,13 @@ def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
     for attributes, _ in file.elements("compiler"):
         folders += [Path(attributes.get(what, "")) for what in ("meshdir", "assetdir")]
     tops = {path.parent / folder for path in file.files for folder in folders}
-    touching = {one for note in file.notes for one in note.values.get("touching", ())}
     for attributes, place in file.elements("mesh"):
         name = attributes.get("file", "")
         places = [top / inside for top in tops for inside in (name, Path(name).name)]
         if name and not any(map(existing_file, places)):
             known = attributes.get("name") or Path(name).stem
             missing = _what_is_missing(name, places)
-            gone = missing.code == "mesh-missing" and name in touching
+            gone = missing.code == "mesh-missing" and name in file.lacking
             severity = None if gone else Severity.WARNING
             yield Found("mesh", known, missing, place=place, severity=severity)
 

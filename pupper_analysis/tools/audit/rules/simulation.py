@@ -180,8 +180,7 @@ def contact_out_of_range(robot: MjcfModel) -> Iterator[Found]:
 def ground_not_met(robot: MjcfModel) -> Iterator[Found]:
     """Finds robots with a free base none of whose shapes touches the ground, or that of a scene."""
     model = robot.mj_model
-    lacking = any(note.values.get("touching") for note in robot.notes)
-    if model is None or not (model.jnt_type == FREE).any() or model.npair or lacking:
+    if model is None or not (model.jnt_type == FREE).any() or model.npair or robot.file.lacking:
         return
     ground = ground_geom(model)
     free = [geom for geom in range(model.ngeom) if _falls_free(model, geom)]
