@@ -49,6 +49,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
     notes, refusal = list(file.notes), file.refusal
     if refusal is None:
         spec = file.spec.copy()
+        spec.compiler.fusestatic = False  # links are kept apart, as in the file
         model = spec.compile()  # numbers the elements of this spec
     else:
         spec, model = repair_spec(file.spec)
@@ -229,6 +230,7 @@ def repair_spec(original: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel 
     spec.compiler.balanceinertia = True
     spec.compiler.boundmass = 1e-9
     spec.compiler.boundinertia = 1e-12
+    spec.compiler.fusestatic = False
     for body in spec.bodies:
         body.mass = max(body.mass, 0.0)
         body.inertia = np.maximum(body.inertia, 0.0)

@@ -472,8 +472,7 @@ class SimulatedPair:
         """Returns two files' models, on a ground if they have one to stand on or none at all."""
         models = old.model, new.model
         stand = all(has_free_joint(model) and not _stays(model).any() for model in models)
-        # Fused bodies would have other numbers with one that is fixed to the world.
-        if not stand or old.spec.compiler.fusestatic or new.spec.compiler.fusestatic:
+        if not stand:
             return SimulatedPair(old.model, new.model, laid=False)
         height = min(map(_ground_under, models))
         trees = [SpecTree(file.spec.copy()) for file in (old, new)]

@@ -6,7 +6,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -93,6 +93,8 @@ def _of_urdf(file: UrdfFile) -> Version:
 
 
 def _of_mjcf(file: MjcfFile) -> Version:
+    if file.spec.compiler.fusestatic:
+        file = _kept_apart(file)
     spec = file.spec.copy()
     named, joined = name_all(spec, set()), join_free_base(spec, file.path)
     whole = compile_spec(spec.copy(), file.path)
@@ -128,6 +130,14 @@ def _of_mjcf(file: MjcfFile) -> Version:
         sources=MjcfSources(file, model, carriers, {}, (base,)),
         notes=tuple(notes),
     )
+
+
+def _kept_apart(file: MjcfFile) -> MjcfFile:
+    """Returns the same file with bodies that are fixed to others kept apart: they are one robot."""
+    file.check_compiled()
+    spec = file.spec.copy()
+    spec.compiler.fusestatic = False
+    return replace(file, spec=spec, _model=compile_spec(spec.copy(), file.path))
 
 
 def _base(model: mujoco.MjModel, names: list[str]) -> str:

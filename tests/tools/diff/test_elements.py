@@ -304,3 +304,24 @@ def test_a_flag_of_the_compiler_that_makes_nothing_is_no_change(tmp_path: Path) 
     assert pa.diff_models(old, new).same
     new.write_text(text.replace('"radian"', '"radian" eulerseq="zyx"').replace("0.1", "0.2"))
     assert {change.kind for change in pa.diff_models(old, new).changes} & {"compiler"} == set()
+
+
+def test_links_that_are_fused_are_no_change(tmp_path: Path) -> None:
+    """Their shapes are where they were; what is changed besides is seen in the file's own links."""
+    old, new = tmp_path / "old.xml", tmp_path / "new.xml"
+    text = """<mujoco>
+      <compiler angle="radian"/>
+      <worldbody>
+        <body name="base" pos="0 0 1"><freejoint/><geom size="0.1" mass="2"/>
+          <body name="leg"><joint name="hip" axis="0 1 0"/><geom size="0.05" mass="0.4"/>
+            <body name="foot" pos="0 0 -0.3"><geom name="ball" size="0.02" mass="0.1"/></body>
+          </body></body>
+      </worldbody></mujoco>"""
+    old.write_text(text)
+    fused = text.replace('"radian"', '"radian" fusestatic="true"')
+    new.write_text(fused)
+    assert pa.diff_models(old, new).same
+    assert pa.diff_models(new, old).same
+    new.write_text(fused.replace('size="0.02"', 'size="0.03"'))
+    shapes = [one for one in pa.diff_models(old, new).changes if one.kind == "geom"]
+    assert [(one.element, one.old[1], one.new[1]) for one in shapes] == [("ball", 0.02, 0.03)]
