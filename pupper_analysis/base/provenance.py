@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from pupper_analysis.base.kinds import GENERATOR
 from pupper_analysis.base.results import to_json, to_plain
@@ -31,12 +32,15 @@ class Provenance:
 
     Attributes:
         command: As it would be typed; empty in Python.
+        asked: {option that was given, as in ``payload_at``: its value}: numbers in SI units, texts
+            as they were typed. What a file of options gives is there, too.
         date: When it was written (UTC, ISO 8601).
         versions: {library, python, machine: its version, or kind}.
         files: {file that was read: SHA-256 of its content}.
     """
 
     command: str
+    asked: dict[str, Any]
     date: str
     versions: dict[str, str]
     files: dict[str, str]
@@ -71,6 +75,7 @@ def find_provenance() -> Provenance:
             files[name] = hashlib.file_digest(file, "sha256").hexdigest()
     return Provenance(
         command=shlex.join(run.command) if run else "",
+        asked=dict(run.asked) if run else {},
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         versions=dict(list_versions()),
         files=files,

@@ -6,6 +6,7 @@ import html
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -54,6 +55,10 @@ def to_plain(value: Any) -> Any:
         return value.tolist()
     if hasattr(value, "keys"):  # a mapping that is no dict
         return dict(value)
+    if isinstance(value, float):  # with a unit
+        return float(value)
+    if isinstance(value, PurePath):
+        return str(value)
     raise ConfigurationError("result", diagnose("no-json-of", type=type(value).__name__))
 
 

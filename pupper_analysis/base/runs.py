@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import OutputError
@@ -31,6 +31,7 @@ class Run:
         outputs: {file that is there: the name by which it was named as an output}.
         written: Files that the run has made; to read them again is no loss.
         command: The words of the command that it is; none in Python.
+        asked: {option: its value}, of what was typed, or is in a file of options.
     """
 
     force: bool = False
@@ -38,6 +39,7 @@ class Run:
     outputs: dict[Identity, Path] = field(default_factory=dict)
     written: set[Identity] = field(default_factory=set)
     command: tuple[str, ...] = ()
+    asked: dict[str, Any] = field(default_factory=dict)
 
     def expect(self, path: Path) -> None:
         """Remembers that a file is to be written, so that reading it ends the run.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Final
 
 EARTH = 9.81
 """Gravity (m/s^2), as MuJoCo has it by default, and Pinocchio for each URDF."""
@@ -28,3 +29,21 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "force": {"N": 1.0, "g": 9.80665e-3, "kg": 9.80665},
 }  # fmt: skip
 """{quantity: {unit: its size in SI}}; the first of each is meant where none is said."""
+
+READ_IN: Final[Mapping[str, tuple[float, str]]] = {
+    "rad": (math.degrees(1.0), "deg"),
+    "m": (1e3, "mm"),
+}
+"""{SI unit of a position: what it is multiplied by to be read, and the unit that is read}."""
+
+
+class Position(float):
+    """Where a joint is to be, with its unit; ``"rad or m"`` where it was given without one."""
+
+    unit: str
+
+    def __new__(cls, value: float, unit: str = "rad or m") -> Position:
+        """Returns the position."""
+        found = super().__new__(cls, value)
+        found.unit = unit
+        return found

@@ -157,7 +157,7 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
             return BAD_INPUT
         what = f"{type(error).__name__}: {error}".rstrip(": ")
         hint = "" if debug else f"; {DEBUG} shows where"
-        _say(f"unforeseen: {what}. This is a bug: please report it to the maintainers{hint}")
+        _say(f"unexpected: {what}. This is a bug: please report it to the maintainers{hint}")
         return INTERNAL
     finally:
         forget_input()

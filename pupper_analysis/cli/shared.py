@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
@@ -15,7 +16,7 @@ from pupper_analysis.base.drivers import import_without_opengl
 from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.base.kinds import Folder, Kind
 from pupper_analysis.base.runs import note_input, running
-from pupper_analysis.base.units import UNITS
+from pupper_analysis.base.units import UNITS, Position
 
 if TYPE_CHECKING:
     from rich.status import Status
@@ -82,6 +83,7 @@ class Command(click.Command):
     def invoke(self, context: click.Context) -> Any:
         """Runs it, if its results can be written."""
         run = context.with_resource(running())
+        run.asked = _asked_options(self, context)
         given = context.params.get if self._has_force else context.params.pop
         run.force = bool(given("force", False))
         for name in _named_files(self, context):
@@ -100,6 +102,19 @@ FORCE: Final = (
 def command(name: str | None = None, **options: Any) -> Callable[[Callable[..., Any]], Command]:
     """Returns what makes a command of a function."""
     return click.command(name, cls=Command, context_settings=CONTEXT, **options)
+
+
+def _asked_options(command: click.Command, context: click.Context) -> dict[str, Any]:
+    """Returns {option: its value} of what was given, but for where results go."""
+    usual = (ParameterSource.DEFAULT, None)
+    return {
+        max(option.opts, key=len).lstrip("-").replace("-", "_"): context.params[name]
+        for option in command.params
+        if (name := option.name or "") in context.params
+        and isinstance(option, click.Option)
+        and not isinstance(option.type, OutputPath)
+        and context.get_parameter_source(name) not in usual
+    }
 
 
 def _named_files(command: click.Command, context: click.Context) -> Iterator[Path]:
@@ -256,7 +271,10 @@ def parse_quantity(kind: str, text: str) -> float:
     """
     for unit, size in sorted(UNITS[kind].items(), key=lambda item: -len(item[0])):
         if text.endswith(unit):
-            return float(text.removesuffix(unit)) * size
+            value = float(text.removesuffix(unit)) * size
+            if kind == "position":
+                return Position(value, "rad" if unit in UNITS["angle"] else "m")
+            return value
     return float(text)
 
 

@@ -17,6 +17,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.models.transmission import MadeServo, is_at_one_joint
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.prepare.soles import BALL
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.problem import can_move_com
@@ -34,7 +35,11 @@ def tell_joints(matched: Match) -> Iterator[Diagnostic]:
     meant = matched.conventions
     if meant.zeros:
         moved = [
-            diagnose("zero-moved", subject=("joint", name), offset=offset)
+            diagnose(
+                "zero-moved",
+                subject=("joint", name),
+                offset=Quantity(offset, joint_unit(matched.robot, name)),
+            )
             for name, offset in meant.zeros.items()
         ]
         yield diagnose("zeros-elsewhere", joints=moved)

@@ -264,8 +264,8 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
             one=bool(verdict.converted),
             both=alone in (None, Ending.HOLDS),
             duration=Quantity(verdict.seconds, "s"),
-            torque=verdict.torque_error,
-            force=verdict.force_error,
+            torque=_within(verdict.torque_error),
+            force=_within(verdict.force_error),
         )
         yield Clause(True, message)
     if verdict.servos.made:
@@ -343,6 +343,11 @@ _CAUSES = {
     "ground": "ground-not-level-as-published",
 }
 """{code of a cause: what is said of it}, where its elements and its line say all."""
+
+
+def _within(error: float | None) -> Quantity | None:
+    """Returns a share that is said to be within; what is less than a millionth is rounded up."""
+    return None if error is None else Quantity(max(error, 1e-6), "1")
 
 
 def _beyond(verdict: Verdict) -> Iterator[Clause]:

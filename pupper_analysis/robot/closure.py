@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.mjcf import equality_name
 from pupper_analysis.robot.coordinates import MujocoConvention
@@ -245,7 +245,8 @@ class Closure:
         off = np.abs(self.residual(qpos))
         if (off > allowed).any():
             raise ConfigurationError(
-                "qpos", diagnose("loops-open", bonds=self.bonds, off=off.max())
+                "qpos",
+                diagnose("loops-open", bonds=self.bonds, off=Quantity(off.max(), "rad or m")),
             )
 
     def readiness(self, placing: IntArray) -> Array:

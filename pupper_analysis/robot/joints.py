@@ -14,6 +14,7 @@ from pupper_analysis.base.arguments import check_finite
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import Position
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
@@ -149,7 +150,7 @@ _ROUNDED = 1e-6
 """A position that is further beyond a limit is out of range (rad, m): both are typed."""
 
 
-def placed_joints(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
+def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
     """Returns {joint: its position} of a stand's posture.
 
     Args:
@@ -185,20 +186,36 @@ def free_joints(robot: Robot) -> tuple[str, ...]:
 
 def named_positions(
     robot: Robot, joints: Mapping[str, float], argument: str = "joints"
-) -> dict[str, float]:
-    """Returns {joint: its position} of {joint, or a pattern: position}.
+) -> dict[str, Position]:
+    """Returns {joint: its position, with its unit} of {joint, or a pattern: position}.
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
-        ConfigurationError: If a position is no finite number.
+        ConfigurationError: If a position is no finite number, or a length of what turns.
     """
-    given: dict[str, float] = {}
+    given: dict[str, Position] = {}
     for pattern, value in joints.items():
         chosen = [joint for joint in robot.joint_names if fnmatchcase(joint, pattern)]
         if not chosen:
             raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).at(argument)
-        given |= dict.fromkeys(chosen, check_finite(f"{argument} {pattern!r}", value))
+        place = check_finite(f"{argument} {pattern!r}", value)
+        for joint in chosen:
+            given[joint] = Position(place, joint_unit(robot, joint))
+            if getattr(value, "unit", "rad or m") not in ("rad or m", given[joint].unit):
+                slides = is_slide(robot, joint)
+                problem = diagnose("joint-slides-or-turns", joint=joint, slides=slides)
+                raise ConfigurationError(argument, problem)
     return given
+
+
+def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
+    """Returns a stand's posture with the unit of the joints that each position is of."""
+    found = dict(posture)
+    for pattern, value in posture.items():
+        placed = named_positions(robot, {pattern: value}, "posture")
+        units = {one.unit for one in placed.values()}
+        found[pattern] = Position(value, *units) if len(units) == 1 else value
+    return found
 
 
 def check_in_range(

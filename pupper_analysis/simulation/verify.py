@@ -91,7 +91,7 @@ def give_way(robot: Robot, stand: Stand, prediction: GravityCompensation) -> Dia
     most = float(np.abs(open_loops(robot, stand, prediction.contact_forces)).max(initial=0.0))
     if robot.closure.open_by(stand.qpos) > most / 2 or most < _OPEN:
         return None
-    return diagnose("loops-are-soft", bonds=robot.closure.bonds, most=most)
+    return diagnose("loops-are-soft", bonds=robot.closure.bonds, most=Quantity(most, "rad or m"))
 
 
 def closed_loops(robot: Robot, stand: Stand, least: float) -> Diagnostic | None:

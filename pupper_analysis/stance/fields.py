@@ -21,11 +21,12 @@ from pupper_analysis.base.arguments import check_finite, check_length
 from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.base.units import Position
 
 UNITS = {
     **dict.fromkeys(("length", "point", "point3", "place"), "m"),
     "angle": "rad",
-    "position": "rad, m",
+    "position": "rad or m",
     "mass": "kg",
     "ratio": "1",
     "stiffness": "N m/rad",
@@ -177,6 +178,8 @@ class Field:
             return check_length(name, value[0]), check_length(name, value[1])
         number = check_length(name, value) if self.kind == "length" else check_finite(name, value)
         self.check_range(name, number)
+        if self.kind == "position":
+            return Position(number, getattr(value, "unit", self.unit))
         return number
 
     def check_range(self, name: str, number: float, unit: str = "", factor: float = 1.0) -> None:
@@ -211,7 +214,7 @@ class Field:
         """Returns a value with its unit."""
         if isinstance(value, tuple):
             return Vector(value, self.unit)
-        return Quantity(value, self.unit)
+        return Quantity(value, getattr(value, "unit", self.unit))
 
 
 def read_table(package: str, file: str) -> Mapping[str, Field]:

@@ -17,7 +17,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict, freeze_arrays
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.ground import Ground
-from pupper_analysis.robot.joints import check_in_range, placed_joints
+from pupper_analysis.robot.joints import check_in_range, placed_joints, with_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import Corner, margin_of_place, support_corners
@@ -303,13 +303,14 @@ def _check_inside(task: StandTask, place: Array, corners: tuple[Corner, ...]) ->
 
 
 def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
-    """Returns a task with the robot's own height and com, where it leaves them open."""
-    if task.com is not None and task.height is not None:
+    """Returns a task with the robot's own height and com, where it leaves them open, and units."""
+    if task.com is not None and task.height is not None and not task.posture:
         return task
     return replace(
         task,
         height=robot.stand_height if task.height is None else task.height,
         com=task.com or (com if task.offset is None else "centre"),
+        posture=with_units(robot, task.posture),
     )
 
 

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -84,7 +84,7 @@ def explain_refusal(
     tendons = tuple(tendon_ranges(robot).at_ends(joints, TOUCHING))
     blocked = tendons if missed else (*nearest.blocked, *tendons)
     if not missed and not blocked:  # the feet are in place with loops or couplings open
-        blocked = (diagnose("loops-stay-open", most=nearest.foot_error),)
+        blocked = (diagnose("loops-stay-open", most=Quantity(nearest.foot_error, "rad or m")),)
     if not at_limit and _is_dead_point(robot, nearest):
         blocked = (diagnose("motors-at-dead-point"),)
         missed = {foot: gap for foot, gap in missed.items() if gap >= _LEAST_MISS}

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.frozen import freeze_arrays
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -345,7 +345,7 @@ def find_missing_joints(robot: Robot, goal: Goal) -> Diagnostic | None:
     """
     task = goal.task
     if goal.give is not None and goal.give.any():
-        return diagnose("loops-give-way", most=float(abs(goal.give).max()))
+        return diagnose("loops-give-way", most=Quantity(abs(goal.give).max(), "rad or m"))
     moved = [
         sole for sole in robot.feet if {sole, *robot.feet[sole]} & {*task.swing, *task.foot_offsets}
     ]

@@ -19,12 +19,13 @@ from tests.support.repository import ROOT
 def test_json_page_markdown_and_pictures_say_where_they_come_from(tmp_path: Path) -> None:
     file = tmp_path / "own.urdf"
     file.write_bytes((ROOT / "urdf" / "pupper_skeleton.urdf").read_bytes())
-    words = ("push", "own.urdf", "--directions", "3", "--format", "markdown", "--json", "p.json",
-             "--report", "p.html", "--figure", "p.png")  # fmt: skip
+    words = ("push", "own.urdf", "--directions", "3", "--payload", "200g", "--format", "markdown",
+             "--json", "p.json", "--report", "p.html", "--figure", "p.png")  # fmt: skip
     done = answer(*words, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "p.json").read_text())["provenance"]
     assert found["command"] == " ".join(("pupper-analysis", *words))
+    assert found["asked"] == {"directions": 3, "payload": 0.2, "format": "markdown"}
     age = datetime.now(UTC) - datetime.fromisoformat(found["date"])
     assert timedelta() <= age < timedelta(minutes=5)
     assert found["versions"]["mujoco"] == mujoco.__version__

@@ -230,14 +230,14 @@ def broken() -> None:
     raise ZeroDivisionError("of\nsomething")
 
 
-def test_an_unforeseen_error_is_one_line_and_exit_status_3(
+def test_an_unexpected_error_is_one_line_and_exit_status_3(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises(SystemExit) as leaving:
         cli.run(broken, [])
     assert leaving.value.code == 3
     err = capsys.readouterr().err
-    assert err.startswith("error: unforeseen: ZeroDivisionError: of\\nsomething. This is a bug")
+    assert err.startswith("error: unexpected: ZeroDivisionError: of\\nsomething. This is a bug")
     assert err.count("\n") == 1
     assert "--debug" in err
 

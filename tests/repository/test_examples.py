@@ -155,8 +155,8 @@ def test_example_cross_check_runs(shown: Shown) -> None:
 
 def test_example_contract_runs(shown: Shown) -> None:
     text = shown("contract")
-    assert "default angle of joint leg_back_l_3: 0.52 in policy.json, 0.82 rad" in text
-    assert number("0.25 in policy.json,", text) == 0.1  # the MJCF's kd
+    assert "default angle of joint leg_back_l_3: 0.52 rad in policy.json, 0.82 rad" in text
+    assert number("0.25 N m s/rad in policy.json,", text) == 0.1  # the MJCF's kd
     assert number("policy.json: base", text) < number("walker: base", text)
 
 

@@ -304,7 +304,7 @@ def test_what_leaves_and_comes_back_has_left() -> None:
     assert not found.stays
     stability = pa.robot.step_stability(model, mujoco.MjData(model))
     (said,) = find_instability(stability, found)
-    assert "swing is 0.03 rad from its position, and returns" in str(said)
+    assert "swing is 2 deg from its position, and returns" in str(said)
     assert not find_instability(stability, replace(found, farthest=9e-3))
 
 

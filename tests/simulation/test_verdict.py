@@ -67,9 +67,9 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         {"alone": run(0.1, passed=False)},
         VerdictCode.HOLDS_WITH_FEEDFORWARD,
         True,
-        "HOLDS with gravity feed-forward in MuJoCo for 12 s: torques within 1.0e-08, forces within "
-        "2.0e-08 of the prediction (relative to the largest); COLLAPSES on position commands "
-        "alone: it sank",
+        "HOLDS with gravity feed-forward in MuJoCo for 12 s: torques within 0.0001 %, forces "
+        "within 0.0001 % of the prediction (relative to the largest); COLLAPSES on position "
+        "commands alone: it sank",
     ),
     "added": (
         {"servos": made(Drive.MOTOR)},

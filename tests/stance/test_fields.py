@@ -246,7 +246,7 @@ def test_a_task_is_said_in_order_and_with_units() -> None:
         "centre, FR at (100, -200) mm, FL moved by (3, 4) mm, RL lifted 50 mm, slope 6.0 deg, "
         "rising towards 77 deg, RR on 8 mm, com in the support polygon (margin >= 9 mm), "
         "joint-limit margin 11.0 deg, ground clearance 13 mm, links 14 mm apart, "
-        "*elbow* at 30 deg (0.5236 rad or m)"
+        "*elbow* at 0.5236 rad or m"
     )
     assert task.said("zh").startswith("高度 120.0 mm，横滚 1.5°，")
 

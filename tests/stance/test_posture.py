@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +32,7 @@ def test_a_tail_is_where_it_is_told_to_be(tmp_path: Path) -> None:
             stand = pa.solve_stand(loaded, task)
             assert stand.joint_positions(loaded)[index] == pytest.approx(position, abs=1e-9)
         stand = pa.solve_stand(robot, task)
+        assert f"*wag* at {math.degrees(position):.4g} deg" in str(stand.task)
         assert pa.verify_stand(robot, stand, duration=2.0, nudged=0.0).torque_error < 2e-2
         forces[position] = pa.stance.stand_statics(robot, stand).joint_torques[index]
     assert abs(forces[-0.45] - forces[0.4]) > 1e-3
@@ -80,6 +83,6 @@ def test_a_weld_that_puts_a_joint_out_of_its_range_is_named(tmp_path: Path) -> N
     with pytest.raises(ConfigurationError) as refused:
         find_posture(robot)
     message = str(refused.value)
-    assert "elbow at 0 rad, outside [0.2, 2.4]" in message or "elbow at -0 rad" in message
+    assert re.search("elbow at -?0 deg, outside 11.46 deg to 137.5 deg", message)
     assert "weld bolt" in message
     assert "within the ranges" in message

@@ -3,7 +3,9 @@
 In a template may stand
 
 - ``{mass}``, ``{mass:.3g}``: a value, as by ``format_number``; a ``Quantity`` comes with its
-  unit, and ``{gap:mm:.1f}`` shows it in another one (mm, deg, g, ms, %), ``{gap::.1f}`` in none;
+  unit, an angle with deg; ``{gap:mm:.1f}`` shows it in another one (mm, deg, g, ms, %),
+  ``{at:read:.3g}`` in deg of rad, mm of m, ``{at:stated}`` in the SI unit that files have;
+  ``{gap::.1f}`` has the number alone;
 - ``{name!r}``: a text in quotes;
 - ``{names}``: several, with commas between them, at most eight; ``{names:3}`` at most three. What
   is left out is counted: "a, b, c and 2 more". ``{parts:;}`` has semicolons, ``{ways:or}`` " or ",
@@ -27,13 +29,15 @@ from string import Formatter
 from typing import Any
 
 from pupper_analysis.base.diagnostics.catalogue import term
+from pupper_analysis.base.units import READ_IN
 
 _SHOWN_IN = {
     ("m", "mm"): 1e3,
     ("m", "um"): 1e6,
     ("m/s", "mm/s"): 1e3,
     ("rad", "deg"): math.degrees(1.0),
-    ("rad, m", "deg"): math.degrees(1.0),
+    ("rad or m", "mm"): 1e3,
+    ("rad or m", "deg"): math.degrees(1.0),
     ("rad", "degrees"): math.degrees(1.0),
     ("rad", "°"): math.degrees(1.0),
     ("rad/s", "deg/s"): math.degrees(1.0),
@@ -80,14 +84,18 @@ class Quantity:
         By ``":.3g"`` the digits alone, where the unit is said once for several.
         """
         shown, colon, digits = spec.rpartition(":")
-        if colon and not shown:
-            return format_number(self.value, digits)
+        alone = bool(colon and not shown)
         if not colon and (self.unit, digits) in _SHOWN_IN:
             shown, digits = digits, ""
-        elif not colon:  # so that "g" are grams of a mass, and Python's format of all else
+        elif shown == "read":
+            shown = READ_IN.get(self.unit, (1.0, self.unit))[1]
+        elif not shown:  # so that "g" are grams of a mass, and Python's format of all else
+            shown = "deg" if self.unit == "rad" else self.unit
+        elif shown == "stated":
             shown = self.unit
         factor = 1.0 if shown == self.unit else _SHOWN_IN[self.unit, shown]
-        return _with_unit(format_number(factor * self.value, digits or ".4g"), shown)
+        number = format_number(factor * self.value, digits or ".4g")
+        return number if alone else _with_unit(number, shown)
 
     def __str__(self) -> str:
         return format(self, "")

@@ -129,8 +129,8 @@ def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
     counts = Counter(None if one is None else (one.attribute, one.file) for one in origins)
     listed = []
     for origin, count in counts.most_common():
-        place = text("no-limit")
-        if origin is not None:
+        place = text("no-limit" if origin is None else "as-asked")
+        if origin is not None and origin[1]:
             place = text("attribute-in-the-file", attribute=origin[0], file=origin[1])
         several = len(counts) > 1
         listed.append(text("place-count", place=place, count=count) if several else place)

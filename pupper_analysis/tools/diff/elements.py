@@ -26,7 +26,13 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
-from pupper_analysis.models.mjcf import compile_spec, has_free_joint, silence_mujoco, start_data
+from pupper_analysis.models.mjcf import (
+    JointKind,
+    compile_spec,
+    has_free_joint,
+    silence_mujoco,
+    start_data,
+)
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import DIRECTIONS, Shape
@@ -429,12 +435,14 @@ class _Run:
     Attributes:
         seconds: How long it was (s).
         qpos: (samples, n) of the joints looked at; not numbers from where it diverged.
+        slid: (n,) which of them are lengths.
         com: (samples,) height of all that moves (m).
         friction: The least coefficient of a contact with the world at the end; None without any.
     """
 
     seconds: float
     qpos: Array
+    slid: NDArray[np.bool_]
     com: Array
     friction: float | None
 
@@ -641,6 +649,12 @@ def _simulate(model: mujoco.MjModel, key: int, joints: Sequence[int], nudge: flo
     seconds = min(SECONDS, _MOST_STEPS * step)
     ends = [*model.jnt_qposadr.tolist(), model.nq]
     places = [place for joint in joints for place in range(ends[joint], ends[joint + 1])]
+    lengths = {JointKind.SLIDE: 1, JointKind.FREE: 3}
+    slid = [
+        place < lengths.get(model.jnt_type[joint], 0)
+        for joint in joints
+        for place in range(ends[joint + 1] - ends[joint])
+    ]
     roots = model.body_rootid[model.jnt_bodyid[list(joints)]]
     masses = model.body_mass * np.isin(model.body_rootid, roots) * (model.body_weldid != 0)
     qpos, com, done = [], [], 0
@@ -656,7 +670,13 @@ def _simulate(model: mujoco.MjModel, key: int, joints: Sequence[int], nudge: flo
             qpos.append(np.full(len(places), np.nan) if lost else data.qpos[places])
             height = float(masses @ data.xipos[:, 2]) / max(float(masses.sum()), 1e-300)
             com.append(np.nan if lost else height)
-    return _Run(seconds, np.array(qpos), np.array(com), _least_friction(model, data))
+    return _Run(
+        seconds,
+        np.array(qpos),
+        np.array(slid, dtype=bool),
+        np.array(com),
+        _least_friction(model, data),
+    )
 
 
 def _least_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | None:
@@ -675,7 +695,9 @@ def _weigh(
         return {}, ()
     same_end = np.isnan(before.qpos) & np.isnan(after.qpos)
     off = np.where(same_end, 0.0, np.abs(after.qpos - before.qpos))
-    worst = float(np.nan_to_num(off, nan=math.inf).max(initial=0.0))
+    off = np.nan_to_num(off, nan=math.inf).max(axis=0, initial=0.0)
+    moved, turned = (float(off[kind].max(initial=0.0)) for kind in (after.slid, ~after.slid))
+    worst = max(moved, turned)
     facts = []
     if worst > FELT:
         rise = float(after.com[-1] - before.com[-1])
@@ -687,7 +709,11 @@ def _weigh(
                 lower=Quantity(-rise, "m") if -_FALL <= rise < -FELT else None,
                 falls=Quantity(-rise, "m") if rise < -_FALL else None,
                 ends=abs(rise) > FELT,
-                off=Quantity(worst, "rad") if math.isfinite(worst) else None,
+                off=[
+                    diagnose("coordinate-off", length=unit == "m", most=Quantity(most, unit))
+                    for unit, most in (("m", moved), ("rad", turned))
+                    if FELT < most < math.inf
+                ],
                 **where,
             )
         )

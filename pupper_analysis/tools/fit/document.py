@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from pupper_analysis.base.units import READ_IN
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.registry import build_document
@@ -34,12 +35,6 @@ TITLES = {
     "delay": "fitted-delay",
 }
 """{kind of parameter: title of its table}."""
-
-SHOWN_UNITS: Mapping[str, tuple[float, str]] = {
-    "rad": (180 / math.pi, "deg"),
-    "m": (1e3, "mm"),
-}
-"""{unit of a parameter: what it is multiplied by to be shown, and the unit that is shown}."""
 
 DETERMINED_BY = {
     Determined.DATA: "determined-by-data",
@@ -123,7 +118,7 @@ def _held(partly: list[Estimate], untold: list[Estimate]) -> Iterable[doc.Words]
 
 def _table(title: doc.Words, estimates: list[Estimate], *, detail: bool = False) -> doc.Table:
     """Returns estimates with their intervals, what moved most before."""
-    units = {one.unit: SHOWN_UNITS.get(one.unit, (1.0, one.unit)) for one in estimates}
+    units = {one.unit: READ_IN.get(one.unit, (1.0, one.unit)) for one in estimates}
     shared = next(iter(units.values()))[1] if len(units) == 1 else ""
     rows: tuple[tuple[doc.Cell, ...], ...] = tuple(
         (
@@ -363,7 +358,7 @@ def _stands(plan: StandPlan) -> doc.Table:
         doc.Column(text("utilisation"), "%"),
         *(doc.Column(doc.Name(joint), "deg", detail=True) for joint in joints),
     )
-    factor, _ = SHOWN_UNITS["rad"]
+    factor, _ = READ_IN["rad"]
     rows: tuple[tuple[doc.Cell, ...], ...] = tuple(
         (
             doc.Name(one.name),
@@ -381,7 +376,7 @@ def _stands(plan: StandPlan) -> doc.Table:
 def _expected(plan: StandPlan) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = []
     for one in plan.expected:
-        factor, unit = SHOWN_UNITS.get(one.unit, (1.0, one.unit))
+        factor, unit = READ_IN.get(one.unit, (1.0, one.unit))
         rows.append(
             (
                 doc.Name(one.name),

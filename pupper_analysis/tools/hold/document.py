@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.diagnostics import Quantity
+from pupper_analysis.base.units import READ_IN
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import (
@@ -104,7 +106,7 @@ def shown_scales(units: Iterable[str]) -> NDArray[np.float64]:
     Args:
         units: (nu,) those that they have: rad or m.
     """
-    return np.array([1e3 if unit == "m" else math.degrees(1.0) for unit in units])
+    return np.array([READ_IN[unit][0] for unit in units])
 
 
 def _worst(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
@@ -228,9 +230,15 @@ def _millimetres(place: NDArray[np.float64] | None, form: str) -> Iterable[doc.C
 
 
 def _posture(hold: Hold) -> doc.Words:
-    given = ", ".join(hold.posture.given)
-    if hold.posture.keyframe:
-        where = text("posture-of-keyframe", keyframe=hold.posture.keyframe, given=given)
+    posture = hold.posture
+    at = {
+        joint: format(Quantity(position, unit), "read:.4g")
+        for joint, position, unit in zip(posture.joint_names, posture.qpos, hold.units, strict=True)
+    }
+    places = [text("joint-at", joint=joint, position=at[joint]) for joint in posture.given]
+    given = join_words(places) if places else ""
+    if posture.keyframe:
+        where = text("posture-of-keyframe", keyframe=posture.keyframe, given=given)
     else:
         where = text("posture-of-middle", given=given)
     if hold.hangs:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Term, term
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.units import READ_IN
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.robot.joints import free_joints, named_positions
 from pupper_analysis.robot.robot import Robot
@@ -238,7 +239,7 @@ class Controls:
     def _show_place(self) -> None:
         self.place.value = self._say(PLACES[self._state.place])
 
-    def _posture_of(self, state: State) -> dict[str, float]:
+    def _posture_of(self, state: State) -> Mapping[str, float]:
         """Returns where a state puts joints; nowhere, if it names none of the robot."""
         try:
             return named_positions(self._robot, state.posture)
@@ -293,9 +294,8 @@ def _within(span: Range, value: float) -> float:
 # Sliders of joints: of an arm's, and of a stand's posture.
 
 
-_SHOWN = {"rad": (180.0 / math.pi, "deg", math.pi), "m": (1e3, "mm", 1.0)}
-"""{unit of a joint: (how many of what the page shows it is, what that is, the end of a slider of a
-joint without limits)}."""
+_ENDS = {"rad": math.pi, "m": 1.0}
+"""{unit of a joint: the end of a slider of one without limits}."""
 
 _STEP = 0.5
 """From notch to notch of a slider (deg, mm): half of what one tells apart on the page."""
@@ -335,7 +335,7 @@ class JointSliders:
         ranges, units = joint_ranges(robot), joint_units(robot)
         for name in joints:
             index = robot.joint_names.index(name)
-            scale, unit, end = _SHOWN[units[index]]
+            (scale, unit), end = READ_IN[units[index]], _ENDS[units[index]]
             ends = np.clip(ranges[index], -end, end) * scale
             # Inwards, so that no end of a slider is beyond the joint's.
             low, high = math.ceil(ends[0] / _STEP) * _STEP, math.floor(ends[1] / _STEP) * _STEP

@@ -157,8 +157,8 @@ def failure_document(error: PupperAnalysisError) -> doc.Document:
     return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=messages)
 
 
-def unforeseen_document(error: Exception) -> doc.Document:
+def unexpected_document(error: Exception) -> doc.Document:
     """Returns that something went wrong that should not."""
     what = without_folders(f"{type(error).__name__}: {error}".rstrip(": "))
-    messages = (text("unforeseen", what=what),)
+    messages = (text("unexpected", what=what),)
     return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=messages)

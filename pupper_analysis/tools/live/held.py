@@ -25,7 +25,7 @@ from pupper_analysis.tools.live.controls import JointSliders, led_joints
 from pupper_analysis.tools.live.documents import (
     failure_document,
     held_document,
-    unforeseen_document,
+    unexpected_document,
 )
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.scene import (
@@ -116,7 +116,7 @@ class HeldSession:
             self._numbers.content = render.render_panel(failure_document(error), self._say)
         except Exception as error:  # a bug: the page tells of it, and goes on
             if not self._closed.is_set():
-                self._numbers.content = render.render_panel(unforeseen_document(error), self._say)
+                self._numbers.content = render.render_panel(unexpected_document(error), self._say)
 
     def _show(self) -> None:
         """Shows the posture that the sliders say, and what its motors hold."""

@@ -31,7 +31,7 @@ from pupper_analysis.tools.live.documents import (
     refusal_document,
     simulation_document,
     stance_document,
-    unforeseen_document,
+    unexpected_document,
 )
 from pupper_analysis.tools.live.model import (
     Answer,
@@ -278,7 +278,7 @@ class Session:
         except Exception as error:
             if not self._closed.is_set():
                 with self._lock:
-                    self._panels.status(unforeseen_document(error))
+                    self._panels.status(unexpected_document(error))
 
     def _show(self, answer: Answer) -> None:
         """Shows an answer, and that what follows from it is not known yet."""

@@ -15,7 +15,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.live import render
-from pupper_analysis.tools.live.documents import unforeseen_document
+from pupper_analysis.tools.live.documents import unexpected_document
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.scene import Figure, parts_of
 from pupper_analysis.tools.live.server import Served, Where
@@ -112,7 +112,7 @@ class WalkSession:
             except Exception as error:  # a bug: the page shows it, and goes on
                 if not self._closed.is_set():
                     self._numbers.content = render.render_panel(
-                        unforeseen_document(error), self._say
+                        unexpected_document(error), self._say
                     )
             self._again.wait()  # what has fallen lies there until it is asked to begin again
 

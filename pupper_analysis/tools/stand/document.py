@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
 
 from pupper_analysis.base.diagnostics import merge_diagnostics
+from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.prepare.load import Preparation
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
@@ -108,9 +110,10 @@ def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
 
 def _answer(stance: Stance) -> Iterable[doc.Words]:
     """Says what is asked first: how hard the motors work, and what it does without feed-forward."""
-    shares = stance.statics.motor_utilisation
-    if np.isfinite(shares).any():
-        most = int(np.nanargmax(np.where(np.isfinite(shares), shares, np.nan)))
+    limited = np.isfinite(stance.limits)
+    if limited.any():
+        shares = np.where(limited, stance.statics.motor_utilisation, -1.0)
+        most = int(np.argmax(shares))
         share = f"{100 * float(shares[most]):.0f}"
         yield text(
             "load-of-motors",
@@ -173,6 +176,7 @@ def _details(stance: Stance) -> Iterable[doc.Words]:
     if stance.loops_open is not None:
         yield text(
             "the-mjcfs-loops-and-couplings",
-            most=f"{stance.loops_open:.2g}",
+            most=format_number(1e3 * stance.loops_open, ".2g"),
+            turned=format_number(math.degrees(stance.loops_open), ".2g"),
         )
     yield ground_text(stance.stand.depths.values())

@@ -201,6 +201,17 @@ def test_refusals_are_diagnostics_and_no_sentences() -> None:
         ("{mass:g:.0f}", {"mass": Quantity(1.5, "kg")}, "1500 g"),
         ("{gap:mm:.1f}", {"gap": Quantity(0.01234, "m")}, "12.3 mm"),
         ("{turn:deg:.1f}", {"turn": Quantity(np.pi / 6, "rad")}, "30.0 deg"),
+        ("{turn:.1f}", {"turn": Quantity(np.pi / 6, "rad")}, "30.0 deg"),
+        ("{turn::.1f}", {"turn": Quantity(np.pi / 6, "rad")}, "30.0"),
+        ("{turn:stated:.2f}", {"turn": Quantity(np.pi / 6, "rad")}, "0.52 rad"),
+        ("{at:read:.3g}", {"at": Quantity(np.pi / 6, "rad")}, "30 deg"),
+        ("{at:read:.3g}", {"at": Quantity(0.02, "m")}, "20 mm"),
+        ("{at:read:.3g}", {"at": Quantity(0.02, "rad or m")}, "0.02 rad or m"),
+        (
+            "{x:mm:.3g} or {x:deg:.3g}",
+            {"x": Quantity(0.01, "rad or m")},
+            "10 mm or 0.573 deg",
+        ),
         ("{share:%:.0f}", {"share": Quantity(0.25, "1")}, "25 %"),
         (
             "{mass:g} {time:g}",

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from lxml import etree
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
@@ -665,6 +666,23 @@ def test_a_missing_mesh_is_an_error_where_it_touches(
     path = written(tmp_path, "urdf", (Edit(FL_CALF, pattern, rf'\1<mesh filename="{name}"/>'),))
     (finding,) = found(audit_model(path), "mesh-missing", "link 'FL_calf'")
     assert finding.severity == severity
+
+
+def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None:
+    names = ("package://dog/a.stl", "package://dog/b.dae", "hips/a.stl", "hips/b.stl")
+    tree = etree.fromstring(OWN["urdf"].read_bytes())
+    for name, geometry in zip(names, tree.iterfind(".//collision/geometry"), strict=False):
+        geometry[:] = [etree.Element("mesh", filename=name)]
+    path = tmp_path / "dog.urdf"
+    path.write_bytes(etree.tostring(tree))
+    of_folder, of_package = found(audit_model(path), "mesh-missing")
+    assert (of_folder.severity, of_package.severity) == (Severity.ERROR, Severity.WARNING)
+    assert of_folder.message == "there is no file 'hips/a.stl', 'hips/b.stl'"
+    assert of_package.message == (
+        "there is no file 'package://dog/a.stl', 'package://dog/b.dae'; "
+        "--package dog=DIR says where the package is"
+    )
+    assert of_package.line == line_of(path.read_text(), "<robot", names[0])
 
 
 @pytest.mark.parametrize(("scale", "severity"), [("1 -1 1", "note"), ("-1 -1 -1", "warning")])

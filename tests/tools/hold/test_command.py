@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -64,10 +65,14 @@ def test_weak_motors_and_bad_input(
     assert status == 1
     assert "FAILS arm" in output
     assert "OVERLOADED: the motors cannot hold it: elbow" in output
-    high = RANGES["elbow"][1]
+    high = f"{math.degrees(RANGES['elbow'][1]):.4g} deg"
     for wrong, said in (
-        (("--joints", "elbow=3"), f"elbow at 3 rad, outside [0.2, {high}]"),
+        (
+            ("--joints", "elbow=3"),
+            f"elbow at 171.9 deg, outside 11.46 deg to {high}",
+        ),
         (("--joints", "elbow=3kg"), "3kg"),
+        (("--joints", "elbow=3cm"), "elbow turns: its position is an angle"),
         (("--joints", "knee=3deg"), "there are: elbow"),
         (("--tool", "thumb"), "thumb"),
         (("--payload", "-1"), "mass"),

@@ -74,7 +74,7 @@ def test_joints_that_are_not_given_are_in_the_middle_or_the_keyframe(tmp_path: P
 @pytest.mark.parametrize(
     ("joints", "said"),
     [
-        ({"elbow": 3.0}, "3 rad, outside"),
+        ({"elbow": 3.0}, "171.9 deg, outside"),
         ({"knee": 0.0}, "shoulder"),
         ({"elbow": np.nan}, "finite"),
     ],

@@ -21,6 +21,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.loading import Found
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import MjcfModel
 from pupper_analysis.models.transmission import ActuatorLaw, is_at_one_joint, law_of
@@ -212,12 +213,13 @@ def ctrlrange_differs(robot: MjcfModel) -> Iterator[Found]:
         lost = np.array([ctrl[0] - joint[0], joint[1] - ctrl[1]]) / (joint[1] - joint[0])
         narrower = lost.max() > 0.01
         if narrower or lost.min() < -0.01:
+            unit = "m" if model.jnt_type[drive.joint] == JointKind.SLIDE else "rad"
             message = diagnose(
                 "ctrlrange-narrower" if narrower else "ctrlrange-wider",
-                ctrl_low=ctrl[0],
-                ctrl_high=ctrl[1],
-                low=joint[0],
-                high=joint[1],
+                ctrl_low=Quantity(ctrl[0], unit),
+                ctrl_high=Quantity(ctrl[1], unit),
+                low=Quantity(joint[0], unit),
+                high=Quantity(joint[1], unit),
                 joint=drive.joint_name,
             )
             severity = Severity.WARNING if lost.max() > 0.1 else Severity.NOTE

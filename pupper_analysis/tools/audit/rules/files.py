@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from lxml import etree
 
-from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnose
+from pupper_analysis.base.diagnostics import Severity, Term, diagnose
 from pupper_analysis.models.loading import Found
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
@@ -34,22 +35,52 @@ def mujoco_refuses(robot: MjcfModel) -> Iterator[Found]:
 def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
     """Looks for each file once; an ERROR if a link touches with it.
 
-    What is in a package that is not here, or in Git LFS, may be elsewhere: a WARNING.
+    What is in a package that is not here, or in Git LFS, may be elsewhere: a WARNING. All of one
+    package are one finding, at the first, and all of one folder.
     """
-    seen: set[str] = set()
+    kind = "mesh" if isinstance(robot, MjcfModel) else "link"
+    among: dict[tuple[bool, bool, str, str], list[_Missing]] = {}
+    for one in _missing(robot):
+        package, there, _ = one.name.removeprefix("package://").partition("/")
+        package = package if there and one.name.startswith("package://") else ""
+        folder = "" if package else one.name.rpartition("/")[0]
+        touches = one.touches and not package
+        among.setdefault((one.pointer, touches, package, folder), []).append(one)
+    for (pointer, touches, package, _), several in among.items():
+        names = tuple(one.name for one in several)
+        if pointer:
+            message = diagnose("mesh-is-lfs-pointer", meshes=names)
+        else:
+            message = diagnose("mesh-missing", meshes=names, package=package or None)
+        gone = touches and not pointer and "://" not in names[0]
+        first, severity = several[0], None if gone else Severity.WARNING
+        yield Found(kind, first.owner, message, place=first.place, severity=severity)
+
+
+@dataclass(frozen=True)
+class _Missing:
+    """A mesh that is not there, or in Git LFS alone; whose it is, and whether it touches."""
+
+    name: str
+    owner: str
+    place: Place
+    pointer: bool
+    touches: bool = False
+
+
+def _missing(robot: UrdfModel | MjcfModel) -> Iterator[_Missing]:
     if isinstance(robot, MjcfModel):
         yield from _missing_in_mjcf(robot.file)
         return
+    seen: set[str] = set()
     touching = {mesh.get("filename", "") for mesh in robot.file.root.iterfind(".//collision//mesh")}
     for owner, link in robot.file.tree.links.items():
         for mesh in link.element.iter("mesh"):
             name = mesh.get("filename", "")
             if name not in seen and robot.file.resolve_mesh(name) is None:
                 place = Place(robot.file.path, mesh.sourceline)
-                hint = _what_is_missing(name, [robot.file.path.parent / name])
-                gone = hint.code == "mesh-missing" and "://" not in name and name in touching
-                severity = None if gone else Severity.WARNING
-                yield Found("link", owner, hint, place=place, severity=severity)
+                pointer = is_pointer(robot.file.path.parent / name)
+                yield _Missing(name, owner, place, pointer, name in touching)
             seen.add(name)
 
 
@@ -71,7 +102,7 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[Found]:
                 yield Found("link", owner, message, place=place)
 
 
-def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
+def _missing_in_mjcf(file: MjcfFile) -> Iterator[_Missing]:
     folders = [Path()]
     for attributes, _ in file.elements("compiler"):
         folders += [Path(attributes.get(what, "")) for what in ("meshdir", "assetdir")]
@@ -81,15 +112,8 @@ def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
         places = [top / inside for top in tops for inside in (name, Path(name).name)]
         if name and not any(map(existing_file, places)):
             known = attributes.get("name") or Path(name).stem
-            missing = _what_is_missing(name, places)
-            gone = missing.code == "mesh-missing" and name in file.lacking
-            severity = None if gone else Severity.WARNING
-            yield Found("mesh", known, missing, place=place, severity=severity)
-
-
-def _what_is_missing(name: str, places: Iterable[Path]) -> Diagnostic:
-    pointer = any(map(is_pointer, places))
-    return diagnose("mesh-is-lfs-pointer" if pointer else "mesh-missing", mesh=name)
+            pointer = any(map(is_pointer, places))
+            yield _Missing(name, known, place, pointer, name in file.lacking)
 
 
 def first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:

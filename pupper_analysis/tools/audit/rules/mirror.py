@@ -291,7 +291,6 @@ def mirror_limits(robot: RobotModel) -> Iterator[Found]:
                 "mirror-limits",
                 lower=lower,
                 upper=upper,
-                unit=other.unit,
                 other=one.name,
                 same_sense=sense > 0,
                 its_lower=its_lower,
