@@ -101,7 +101,8 @@ class UrdfFile:
 
         ``package://NAME/...`` and ``model://NAME/...`` are looked up in ``packages``, then in the
         folders of ``ROS_PACKAGE_PATH``, then in the folders above the URDF, as it is named and as
-        its links lead. Other names are relative to the URDF.
+        its links lead; last, these folders are taken for the package, as a copy may be called
+        otherwise. Other names are relative to the URDF.
 
         Returns:
             The file, or None where there is none.
@@ -130,6 +131,7 @@ class UrdfFile:
         for path in dict.fromkeys((self.path.absolute(), self.path.resolve())):
             for folder in path.parents:
                 yield from folders_of_package(folder, package)
+        yield from self.path.absolute().parents
 
 
 def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -233,12 +234,13 @@ def check_in_range(
     """
     low, high = ends
     if not low - _ROUNDED <= position <= high + _ROUNDED:
-        unit = joint_unit(robot, joint)
+        unit, degrees = joint_unit(robot, joint), math.radians(position)
         problem = diagnose(
             "joint-out-of-range",
             subject=("joint", joint),
             position=Quantity(round(position, 9), unit),
             bonds=bonds or None,
+            degrees=position if unit == "rad" and low <= degrees <= high else None,
             low=Quantity(low, unit),
             high=Quantity(high, unit),
         )

@@ -201,6 +201,13 @@ def test_meshes_of_a_package_are_found_through_links(tmp_path: Path) -> None:
         assert found is not None
         assert found.samefile(mesh)
     assert read_urdf(tmp_path / "short/robot/r.urdf").resolve_mesh("package://robot/meshes/a.stl")
+    # A copy of the folder under a name of no package.
+    copy = tmp_path / "copies/my-robot/meshes/a.stl"
+    copy.parent.mkdir(parents=True)
+    copy.touch()
+    copied = copy.parents[1] / "r.urdf"
+    copied.write_text(urdf(link("a")))
+    assert read_urdf(copied).resolve_mesh("package://unheard/meshes/a.stl") == copy
 
 
 @pytest.mark.parametrize("name", ["r.urdf", "r.xml"])

@@ -71,6 +71,7 @@ def test_weak_motors_and_bad_input(
             ("--joints", "elbow=3"),
             f"elbow at 171.9 deg, outside 11.46 deg to {high}",
         ),
+        (("--joints", "elbow=90"), "(for degrees write 90deg)"),
         (("--joints", "elbow=3kg"), "3kg"),
         (("--joints", "elbow=3cm"), "elbow turns: its position is an angle"),
         (("--joints", "knee=3deg"), "there are: elbow"),
