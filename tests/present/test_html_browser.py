@@ -275,6 +275,8 @@ def test_the_language_switches_everything(opened: Opened) -> None:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_page_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme: str) -> None:
     one = Opened(browser, file, viewport={"width": 360, "height": 740}, color_scheme=scheme)
+    long = "CARRIES (at the stated peak torque, for moments)"
+    one.page.locator(".verdict .en").first.evaluate(f"one => one.textContent = {long!r}")
     wide = one.page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
     assert wide[0] <= wide[1]
     colour = one.page.evaluate("getComputedStyle(document.body).backgroundColor")

@@ -47,7 +47,7 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
         touches = one.touches and not package
         among.setdefault((one.pointer, touches, package, folder), []).append(one)
     for (pointer, touches, package, _), several in among.items():
-        names = tuple(one.name for one in several)
+        names = tuple(dict.fromkeys(one.name for one in several))
         if pointer:
             message = diagnose("mesh-is-lfs-pointer", meshes=names)
         else:
