@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,19 +15,9 @@ from pupper_analysis.present.documents import sources
 from pupper_analysis.present.html import plots
 from pupper_analysis.pupper.derive import derive_mjcf
 from pupper_analysis.robot.build import rebuild_robot
-from pupper_analysis.robot.configuration import UP
 from pupper_analysis.robot.floor import floor_of, level_ground
-from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.stance.branches import _unwound
-from pupper_analysis.tools.live.model import Model
-from pupper_analysis.tools.live.scene import Scene
-from pupper_analysis.tools.live.state import LiveVariants, State
-from pupper_analysis.tools.path import tracking
-from pupper_analysis.tools.path.dynamics import rolling_levers
-from pupper_analysis.tools.study.document import duration_text
-from pupper_analysis.tools.study.study import Estimate
 from tests.support.engines import changed, mujoco_at
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT
@@ -67,33 +54,6 @@ def test_a_held_joint_is_no_stiffer_than_the_time_step_allows() -> None:
 
 
 # ------------------------------------------------------------------------------------- the page
-
-
-class Drawn:
-    """In place of viser's scene: keeps what is drawn, by its name."""
-
-    def __init__(self) -> None:
-        self.nodes: dict[str, Any] = {}
-
-    def __getattr__(self, _: str) -> Callable[..., Any]:
-        def add(name: str, *arguments: object, **options: object) -> Any:
-            return self.nodes.setdefault(name, SimpleNamespace())
-
-        return add
-
-
-def test_a_payload_is_drawn_where_it_is_on_a_base_that_is_turned() -> None:
-    found = Model(LiveVariants(pa.VARIANTS["v3"])).answer(
-        State(roll=12, pitch=-8, payload=0.3, payload_at=(60, 40, 90))
-    )
-    assert found.stand is not None
-    assert found.robot is not None
-    drawn = Drawn()
-    Scene(drawn).show(found)
-    data = mujoco_at(found.robot, found.stand.qpos)
-    base = found.robot.mj_model.body(found.robot.mj_base).id
-    place = data.xpos[base] + data.xmat[base].reshape(3, 3) @ (0.06, 0.04, 0.09)
-    np.testing.assert_allclose(drawn.nodes["/load"].position, place, atol=1e-6)
 
 
 # --------------------------------------------------------------------------------------- models
@@ -173,21 +133,6 @@ def test_angles_are_unwound_by_whole_turns() -> None:
     assert np.abs(found - home).max() <= math.pi + 1e-12
 
 
-def test_a_foot_that_spins_is_held_by_its_spinning_friction_alone() -> None:
-    robot, stand = load("v3"), stand_of("v3")
-    qvel = np.zeros(robot.nv)
-    qvel[5] = 50.0  # far beyond where friction saturates
-    levers = rolling_levers(
-        pa.Configuration(robot, stand.qpos, qvel),
-        np.zeros(robot.nv),
-        dict.fromkeys(robot.contact_points, UP),
-    )
-    for foot, lever in levers.items():
-        spin, roll = robot.contacts[foot].friction[2:4]
-        assert roll > 0
-        np.testing.assert_allclose(lever, (0.0, 0.0, -spin), atol=1e-2 * spin)
-
-
 def test_scenery_is_named_by_itself_or_its_body() -> None:
     spec = mujoco.MjSpec.from_string(
         '<mujoco><worldbody><geom type="plane" size="0 0 1"/><geom type="box" size="1 1 1"/>'
@@ -214,51 +159,7 @@ def test_joints_that_miss_their_prediction_by_milliradians_do_not_verify_it() ->
     assert not found.passed
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
-    """At -1 N m and 2 N m: a servo that is told to go far gives that, and no more."""
-    stand, motor = stand_of("v3"), int(load("v3").mj_convention.actuator_index[4])
-
-    def weaker(model: mujoco.MjModel) -> None:
-        model.actuator_forcerange[motor] = (-1.0, 2.0)
-
-    robot = changed(load("v3"), weaker)
-    drive = model_with_servos(robot)
-    model = drive.model
-    data = mujoco.MjData(model)
-    robot.mj_convention.set_state(data, stand.qpos, np.zeros(robot.nv))
-    start = full_state(model, data)
-    goal = stand.joint_positions(robot).copy()
-    goal[4] += sign * 10 / drive.kp[4]
-    given = np.zeros((3, robot.nu))
-    given[:, 4] = 2.0 if sign > 0 else -1.0
-    plan = SimpleNamespace(
-        drive=drive,
-        robot=robot,
-        start=start,
-        ctrl=np.tile(drive.command(robot, goal), (3, 1)),
-        time=np.array([0.1, 0.2, 0.3]),
-        torques=given,
-        path=SimpleNamespace(torques=given),
-    )
-    (event,), error = tracking._torques(plan, np.tile(start, (3, 1)))  # type: ignore[arg-type]
-    assert robot.joint_names[4] in str(event)
-    assert error < 1e-9
-
-
-def test_workers_share_the_designs_that_are_left() -> None:
-    asked = Estimate(10, there=4, seconds_each=0.5, slowest=0.7, failures=(), left_out=())
-    assert asked.seconds(workers=3) == pytest.approx(1.0)
-
-
 # ------------------------------------------------------------------------------------- in words
-
-
-@pytest.mark.parametrize("seconds", [30.0, 119.0, 600.0, 7199.0, 7200.0, 86000.0, 1e5, 1e6])
-def test_a_duration_is_what_it_says_in_the_greatest_fitting_unit(seconds: float) -> None:
-    number, unit = duration_text(seconds).split()
-    assert float(number) * {"s": 1, "min": 60, "h": 3600}[unit] == pytest.approx(seconds, rel=0.02)
-    assert unit == "h" or float(number) < 120
 
 
 def test_a_long_element_is_quoted_from_its_beginning(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import shlex
 from dataclasses import fields
 from typing import Any
 
@@ -18,17 +17,6 @@ from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_fields import TYPED, task_of
 from pupper_analysis.present.documents.standing import task_text
 from pupper_analysis.stance.fields import FIELDS, Field
-from pupper_analysis.tools.live.controls import CONTROLS, ranges_of
-from pupper_analysis.tools.live.state import (
-    LiveVariants,
-    State,
-    parse_state,
-    write_command,
-)
-from pupper_analysis.tools.study.design import STANCE, check_range
-from pupper_analysis.tools.study.design import task_of as task_of_numbers
-from pupper_analysis.tools.study.measures import METRICS
-from tests.support.variants import load
 
 NUMBERS = {"length": 0.0123, "angle": math.radians(7.5), "position": 0.1309}
 
@@ -141,74 +129,6 @@ def test_each_field_is_an_option_of_the_same_value(field: Field) -> None:
 
 ON_PAGE = {"length": 12.3, "angle": 7.5, "point": (12.3, -34.5), "position": 0.1309}
 SLIDING = {name: field for name, field in FIELDS.items() if field.slider}
-
-
-def state_with(field: Field) -> State:
-    one = ON_PAGE[field.kind]
-    place = "offset" if field.name == "offset" else "centre"
-    return State(place, **{field.name: {"FL": one} if field.per else one})
-
-
-@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
-def test_each_field_is_in_a_pages_state_and_its_address(field: Field) -> None:
-    state = state_with(field)
-    assert near(state.task().values()[field.name], asked(field))
-    assert state != State()
-    assert parse_state(str(state)) == state
-    assert state.with_task(state.task()) == state
-
-
-@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
-def test_each_field_has_sliders_with_words_and_a_range(field: Field) -> None:
-    own = {name: control for name, control in CONTROLS.items() if control.field is field}
-    if field.per == "joint":
-        assert not own  # they are the robot's: live.joints
-        return
-    assert len(own) == max(1, len(field.axes))
-    ranges = ranges_of(load("v3"), {})
-    for name, control in own.items():
-        span = ranges[name]
-        assert span.low <= span.value <= span.high
-        assert span.low < span.high
-        for language in ("en", "zh"):
-            assert control.label(language).endswith(("(mm)", "(°)"))
-            assert control.hint(language)
-        assert re.search("[\u4e00-\u9fff]", control.label("zh") + control.hint("zh"))
-
-
-@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
-def test_each_field_is_exported_as_a_command(field: Field) -> None:
-    state = state_with(field)
-    source = LiveVariants(pa.VARIANTS["v3"])
-    words = shlex.split(write_command(source, state))[2:]
-    context = cli.find_command("stand").make_context("stand", words)
-    typed = task_of({name: context.params[name] for name in TYPED})
-    assert near(typed.values()[field.name], asked(field))
-
-
-@pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
-def test_each_field_that_is_a_number_is_a_parameter_of_studies(field: Field) -> None:
-    own = {name: axis for name, (known, axis) in STANCE.items() if known is field}
-    if field.per == "joint":
-        made = task_of_numbers(task_with(field), {f"{field.name}:knee": 0.5})
-        assert made.values()[field.name] == {**asked(field), "knee": 0.5}
-        check_range(f"{field.name}:knee", -1.0, 1.0)
-    if field.per or field.choices or field.name in METRICS:
-        assert not own  # a measure's column has the name
-        return
-    assert len(own) == max(1, len(field.axes))
-    value = asked(field)
-    numbers = {name: value[axis] if field.axes else value for name, axis in own.items()}
-    assert task_of_numbers(pa.StandTask(), numbers).values()[field.name] == value
-    for name in own:
-        check_range(name, *sorted((field.low + 1e-6, 0.1)) if math.isfinite(field.low) else (0, 1))
-        if math.isfinite(field.low):
-            with pytest.raises(pa.ConfigurationError, match="must be"):
-                check_range(name, field.low - 1e-3, 0.1)
-    if field.axes:  # one of a point leaves the other where it is
-        second = list(own)[1]
-        moved = task_of_numbers(task_with(field), {second: 0.5})
-        assert moved.values()[field.name] == (value[0], 0.5)
 
 
 def test_options_show_a_value_in_mm_or_degrees() -> None:

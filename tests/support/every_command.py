@@ -29,12 +29,6 @@ from pupper_analysis.base.errors import NotStandingError, PupperAnalysisError
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.tools.live import model as live
-from pupper_analysis.tools.live.documents import simulation_document
-from pupper_analysis.tools.live.render import Language, render_panel
-from pupper_analysis.tools.live.state import State, load_source
-from pupper_analysis.tools.study.design import Maker
-from pupper_analysis.tools.study.outcome import rests_on
 from tests.support import arm, arm_features, features, legged, slips
 from tests.support.commands import answer
 
@@ -217,6 +211,9 @@ def _cell(status: int, out: str, err: str) -> Cell:
 
 def _study(urdf: Path, mjcf: Path, _: Path) -> Cell:
     """A design of a study, in this process: it passes where it is said to stand."""
+    from pupper_analysis.tools.study.design import Maker
+    from pupper_analysis.tools.study.outcome import rests_on
+
     try:
         study = pa.Study({"urdf": str(urdf), "mjcf": str(mjcf)}, {"height": [0.35]}, ["stands"])
         (metric,) = study.metrics
@@ -242,6 +239,11 @@ def _python(urdf: Path, mjcf: Path, _: Path) -> Cell:
 
 def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
     """The simulation that the page of ``live`` shows."""
+    from pupper_analysis.tools.live import model as live
+    from pupper_analysis.tools.live.documents import simulation_document
+    from pupper_analysis.tools.live.render import Language, render_panel
+    from pupper_analysis.tools.live.state import State, load_source
+
     try:
         asked = live.Model(load_source(RobotFiles.of(str(urdf), mjcf=str(mjcf)))).answer(State())
         if asked.refusal is not None:

@@ -226,3 +226,18 @@ def test_accelerations_are_derivatives_of_velocities() -> None:
     np.testing.assert_allclose(
         now.com_acceleration(qacc), (rates[1] - rates[0]) / (2 * step), atol=1e-8
     )
+
+
+def test_a_foot_that_spins_is_held_by_its_spinning_friction_alone() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    qvel = np.zeros(robot.nv)
+    qvel[5] = 50.0  # far beyond where friction saturates
+    levers = rolling_levers(
+        pa.Configuration(robot, stand.qpos, qvel),
+        np.zeros(robot.nv),
+        dict.fromkeys(robot.contact_points, UP),
+    )
+    for foot, lever in levers.items():
+        spin, roll = robot.contacts[foot].friction[2:4]
+        assert roll > 0
+        np.testing.assert_allclose(lever, (0.0, 0.0, -spin), atol=1e-2 * spin)

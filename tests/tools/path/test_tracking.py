@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.simulation.rollout import STATE, simulate
+from pupper_analysis.simulation.rollout import STATE, full_state, simulate
+from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.path_commands import path_commands
 from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.path.tracking import study_path, track_path
 from tests.support.cases import some
-from tests.support.engines import mujoco_at
+from tests.support.engines import changed, mujoco_at
 from tests.support.repository import benchmark
-from tests.support.variants import load
+from tests.support.variants import load, stand_of
 from tests.tools.path.test_plan import SECONDS, path_of, stances
 
 # What MuJoCo makes of them, with a margin of about a half: joint (rad), height (m), base (rad).
@@ -200,3 +203,35 @@ def test_a_path_leads_to_where_the_robot_stays(mass: float, passes: bool) -> Non
     assert found.tracking.passed
     assert found.passed is passes
     assert pa.judge_stand(robot, found.stand).passed is passes
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
+    """At -1 N m and 2 N m: a servo that is told to go far gives that, and no more."""
+    stand, motor = stand_of("v3"), int(load("v3").mj_convention.actuator_index[4])
+
+    def weaker(model: mujoco.MjModel) -> None:
+        model.actuator_forcerange[motor] = (-1.0, 2.0)
+
+    robot = changed(load("v3"), weaker)
+    drive = model_with_servos(robot)
+    model = drive.model
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, stand.qpos, np.zeros(robot.nv))
+    start = full_state(model, data)
+    goal = stand.joint_positions(robot).copy()
+    goal[4] += sign * 10 / drive.kp[4]
+    given = np.zeros((3, robot.nu))
+    given[:, 4] = 2.0 if sign > 0 else -1.0
+    plan = SimpleNamespace(
+        drive=drive,
+        robot=robot,
+        start=start,
+        ctrl=np.tile(drive.command(robot, goal), (3, 1)),
+        time=np.array([0.1, 0.2, 0.3]),
+        torques=given,
+        path=SimpleNamespace(torques=given),
+    )
+    (event,), error = tracking._torques(plan, np.tile(start, (3, 1)))  # type: ignore[arg-type]
+    assert robot.joint_names[4] in str(event)
+    assert error < 1e-9

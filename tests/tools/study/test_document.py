@@ -15,7 +15,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.present.document import Report
 from pupper_analysis.present.markdown import write_markdown
-from pupper_analysis.tools.study.document import study_document
+from pupper_analysis.tools.study.document import duration_text, study_document
 from pupper_analysis.tools.study.outcome import (
     Cells,
     main_effects,
@@ -280,3 +280,10 @@ def test_the_command_writes_it(tmp_path: Path) -> None:
     page = Page((tmp_path / "r.html").read_text())
     assert any("servo_sag (min), leg_scale (max)" in title for title in page.tables())
     assert (tmp_path / "out" / "front.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize("seconds", [30.0, 119.0, 600.0, 7199.0, 7200.0, 86000.0, 1e5, 1e6])
+def test_a_duration_is_what_it_says_in_the_greatest_fitting_unit(seconds: float) -> None:
+    number, unit = duration_text(seconds).split()
+    assert float(number) * {"s": 1, "min": 60, "h": 3600}[unit] == pytest.approx(seconds, rel=0.02)
+    assert unit == "h" or float(number) < 120

@@ -32,7 +32,7 @@ from pupper_analysis.tools.study.parameters import (
     with_gains,
     without_visuals,
 )
-from pupper_analysis.tools.study.study import names_of
+from pupper_analysis.tools.study.study import Estimate, names_of
 from pupper_analysis.tools.study.variables import BLOCK, Sampling, make_variable
 from tests.support import slips, study_metrics
 from tests.support.commands import answer
@@ -673,3 +673,8 @@ def test_offsets_are_forward_and_to_the_left(tmp_path: Path) -> None:
         (margin,) = alone.run(tmp_path / "alone", executor=executor)["com_margin"]
     both = table[(table["offset_x"] == 0.01) & (table["offset_y"] == 0.02)]["com_margin"]
     assert margin == pytest.approx(float(both.iloc[0]), abs=1e-9)
+
+
+def test_workers_share_the_designs_that_are_left() -> None:
+    asked = Estimate(10, there=4, seconds_each=0.5, slowest=0.7, failures=(), left_out=())
+    assert asked.seconds(workers=3) == pytest.approx(1.0)

@@ -1,0 +1,60 @@
+"""Each field of a stance on the page: its state, its sliders, the command that it exports."""
+
+from __future__ import annotations
+
+import re
+import shlex
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis import cli
+from pupper_analysis.cli.stance_fields import TYPED, task_of
+from pupper_analysis.stance.fields import Field
+from pupper_analysis.tools.live.controls import CONTROLS, ranges_of
+from pupper_analysis.tools.live.state import LiveVariants, State, parse_state, write_command
+from tests.stance.test_fields import ON_PAGE, SLIDING, asked, near
+from tests.support.variants import load
+
+
+def state_with(field: Field) -> State:
+    one = ON_PAGE[field.kind]
+    place = "offset" if field.name == "offset" else "centre"
+    return State(place, **{field.name: {"FL": one} if field.per else one})
+
+
+@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
+def test_each_field_is_in_a_pages_state_and_its_address(field: Field) -> None:
+    state = state_with(field)
+    assert near(state.task().values()[field.name], asked(field))
+    assert state != State()
+    assert parse_state(str(state)) == state
+    assert state.with_task(state.task()) == state
+
+
+@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
+def test_each_field_has_sliders_with_words_and_a_range(field: Field) -> None:
+    own = {name: control for name, control in CONTROLS.items() if control.field is field}
+    if field.per == "joint":
+        assert not own  # they are the robot's: live.joints
+        return
+    assert len(own) == max(1, len(field.axes))
+    ranges = ranges_of(load("v3"), {})
+    for name, control in own.items():
+        span = ranges[name]
+        assert span.low <= span.value <= span.high
+        assert span.low < span.high
+        for language in ("en", "zh"):
+            assert control.label(language).endswith(("(mm)", "(°)"))
+            assert control.hint(language)
+        assert re.search("[\u4e00-\u9fff]", control.label("zh") + control.hint("zh"))
+
+
+@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
+def test_each_field_is_exported_as_a_command(field: Field) -> None:
+    state = state_with(field)
+    source = LiveVariants(pa.VARIANTS["v3"])
+    words = shlex.split(write_command(source, state))[2:]
+    context = cli.find_command("stand").make_context("stand", words)
+    typed = task_of({name: context.params[name] for name in TYPED})
+    assert near(typed.values()[field.name], asked(field))
