@@ -169,6 +169,18 @@ def test_coms_that_are_left_out(file: str, tmp_path: Path) -> None:
     assert headline(comparison).startswith(said)
 
 
+def test_what_matters_most_is_said_first(tmp_path: Path) -> None:
+    """A slip before a limit that differs as well, and after a base of ten times the mass."""
+    bare = all_changed(quadruped(), com=(0.0, 0.0, 0.0))
+    limit = changed(bare, "shank3", lower=bare["shank3"].lower - 0.01)
+    heavy = changed(limit, "base", mass=10 * bare["base"].mass)
+    for mjcf, said in ((limit, "the coms of"), (heavy, "link base: mass")):
+        comparison = compared(write(tmp_path, urdf_text(quadruped()), mjcf_text(mjcf)))
+        assert len(comparison.causes) == 1
+        assert len(comparison.unexplained) > 0
+        assert headline(comparison).startswith(f"DISAGREE: {said}")
+
+
 def test_the_base_of_another_robot(tmp_path: Path) -> None:
     other = {"mass": 11.0, "com": (0.03, 0.0, 0.01), "inertia": (0.1, 0.2, 0.25, 0.0, 0.0, 0.0)}
     comparison = compared(pair(tmp_path, changed(quadruped(), "base", **other)))

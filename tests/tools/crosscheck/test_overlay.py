@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,9 +35,13 @@ def test_the_overlay_marks_what_differs() -> None:
     assert all(joint["differences"] == {"en": "", "zh": ""} for joint in drawn["joints"])
 
 
-def test_the_two_files_lie_on_each_other() -> None:
-    """Pinocchio's joints of the URDF are on MuJoCo's axes of the MJCF."""
-    urdf, mjcf = ROOT / "urdf" / "pupper_v3.urdf", ROOT / "mjcf" / "pupper_v3.xml"
+def test_the_two_files_lie_on_each_other(tmp_path: Path) -> None:
+    """Pinocchio's joints of the URDF are on MuJoCo's axes of the MJCF, whose base is turned."""
+    for folder in ("urdf", "mjcf"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    urdf, mjcf = tmp_path / "urdf" / "pupper_v3.urdf", tmp_path / "mjcf" / "pupper_v3.xml"
+    turned = '<body name="base_link" quat="0.9 0 0 0.3"'
+    mjcf.write_text(mjcf.read_text().replace('<body name="base_link"', turned))
     drawn = scene_of(OverlayScene(pa.compare_models(urdf, mjcf)))
     assert drawn is not None
     model = mujoco.MjModel.from_xml_path(str(mjcf))
