@@ -190,7 +190,7 @@ def test_what_the_mjcf_alone_has_is_printed_with_its_effect(tmp_path: Path) -> N
     for leg in (0, 2):
         text = text.replace(f'<joint name="hip{leg}"', f'<joint name="hip{leg}" stiffness="20"')
     out = printed(compared(write(tmp_path, urdf_text(quadruped()), text)))
-    spring = "no spring in the URDF, one of stiffness 20 N m/rad, at rest at 0 rad in the MJCF"
+    spring = "no spring in the URDF, one of stiffness 20 N m/rad, at rest at 0 deg in the MJCF"
     assert out.startswith("DISAGREE robot.urdf and robot.xml: joint hip")
     assert f": {spring}\n" in out
     assert "   likewise on 1 more: hip" in out
