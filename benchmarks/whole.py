@@ -18,9 +18,8 @@ from rich.console import Console
 
 import pupper_analysis as pa
 from pupper_analysis.present.terminal import print_document
-from pupper_analysis.robot.joints import leg_lengths
 from pupper_analysis.robot.stability import LASTING
-from pupper_analysis.tools.analyze.analysis import analyze_variant
+from pupper_analysis.tools.analyze.analysis import analyze_variant, leg_lengths
 from pupper_analysis.tools.analyze.document import analysis_document
 
 STEP = 0.02

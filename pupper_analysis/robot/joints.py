@@ -125,28 +125,6 @@ def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
     return tuple(name for name in support if name in robot.joint_names)
 
 
-def leg_lengths(robot: Robot) -> tuple[float | None, float | None]:
-    """Returns the lengths of the first leg's thigh and calf (m); None for one that it lacks.
-
-    The thigh reaches from the last joint but one to the knee; the calf from the knee to the foot,
-    in the plane of the leg (without the foot's sideways offset along the knee's axis). The knee is
-    the leg's last joint; a leg of one joint has no thigh.
-    """
-    foot = robot.contact_points[0]
-    rest = Configuration(robot, robot.neutral())
-    joints = leg_joints(robot, foot)
-    if not joints:
-        return None, None
-    knee = joints[-1]
-    calf = rest.foot_positions()[foot] - rest.joint_position(knee)
-    axis = rest.joint_axis(knee)
-    calf_length = float(np.linalg.norm(calf - (calf @ axis) * axis))
-    if len(joints) == 1:
-        return None, calf_length
-    thigh = rest.joint_position(knee) - rest.joint_position(joints[-2])
-    return float(np.linalg.norm(thigh)), calf_length
-
-
 _ROUNDED = 1e-6
 """A position that is further beyond a limit is out of range (rad, m): both are typed."""
 

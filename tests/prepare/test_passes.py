@@ -16,7 +16,7 @@ from pupper_analysis.cli import group
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.draft import Draft
-from pupper_analysis.prepare.load import explain_loading
+from pupper_analysis.prepare.load import prepare_robot
 from pupper_analysis.prepare.passes import PASSES, Pass
 from pupper_analysis.prepare.ready import Request
 from tests.support.legged import Pair, fused, quadruped
@@ -46,59 +46,55 @@ def test_names_are_distinct_and_the_file_is_read_only(tmp_path: Path) -> None:
     before = (pair.urdf.read_bytes(), pair.mjcf.read_bytes())
     mjcf = read_mjcf(pair.mjcf)
     bodies = mjcf.spec.to_xml()
-    explain_loading(read_urdf(pair.urdf), mjcf, Request())
+    prepare_robot(read_urdf(pair.urdf), mjcf, Request())
     assert mjcf.spec.to_xml() == bodies
     assert (pair.urdf.read_bytes(), pair.mjcf.read_bytes()) == before
 
 
 def test_each_note_of_a_robot_is_told_by_one_pass(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
-    explained, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
-    done = {run.name: [note.code for note in run.done] for run in explained.passes}
+    robot, runs = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+    done = {run.name: [note.code for note in run.done] for run in runs}
     assert done["level-ground"] == ["ground-added"]
     assert done["put-feet"] == ["feet-found"]
     assert done["start-pose"][-1].startswith("start-pose")
     assert done["add-servos"][0] == "servos-added"
     assert done["free-base"] == done["narrow-limits"] == done["solve-exactly"] == []
-    of_passes = [note for run in explained.passes for note in run.done]
+    of_passes = [note for run in runs for note in run.done]
     assert list(robot.notes[: len(of_passes)]) == of_passes
-    assert explained.feet == tuple(robot.feet)
-    assert explained.mass == pytest.approx(float(robot.mj_model.body_mass.sum()))
 
 
 def test_a_fixed_base_is_built_and_needs_no_ground(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
-    explained, robot = explain_loading(
+    robot, runs = prepare_robot(
         read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(fixed_base=True)
     )
     assert not robot.floating
-    assert "build-held" in {run.name for run in explained.passes}
-    assert "level-ground" not in {run.name for run in explained.passes}
+    assert "build-held" in {run.name for run in runs}
+    assert "level-ground" not in {run.name for run in runs}
 
 
 def test_a_base_that_stands_on_no_feet_is_held_as_the_file_has_it(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, foot="", free=False, keyframe="")
-    explained, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+    robot, runs = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
     assert not robot.floating
-    assert explained.passes[-1].name == "hold-base"
-    (held,) = explained.passes[-1].done
+    assert runs[-1].name == "hold-base"
+    (held,) = runs[-1].done
     assert (held.code, held.values["why"].code) == ("base-kept-in-the-world", "no-feet-found")
-    assert "build-held" in {run.name for run in explained.passes}
-    assert "put-feet" not in {run.name for run in explained.passes}  # of a robot not to be
+    assert "build-held" in {run.name for run in runs}
+    assert "put-feet" not in {run.name for run in runs}  # of a robot not to be
 
 
 def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, foot="", free=True, keyframe="")
     with pytest.raises(pa.ModelError, match="no feet were found"):
-        explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+        prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
 
 
 def test_as_it_is_nothing_is_added(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
-    explained, robot = explain_loading(
-        read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(as_is=True)
-    )
-    names = {run.name for run in explained.passes}
+    robot, runs = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(as_is=True))
+    names = {run.name for run in runs}
     assert not names & {"add-servos", "add-motors", "keep-apart", "touch-with-feet-alone"}
     motors = robot.mj_model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE.value
     assert motors.all()
@@ -176,8 +172,8 @@ def test_files_that_are_ready_need_no_pass() -> None:
         read_mjcf(ROOT / "mjcf/pupper_skeleton.xml"),
     )
     feet = pa.load_variant("original").description.contact_points
-    explained, _ = explain_loading(*files, Request(feet=feet))
-    assert explained.passes == ()
+    _, runs = prepare_robot(*files, Request(feet=feet))
+    assert runs == []
 
 
 def test_a_site_of_the_name_that_a_foot_would_be_given_stays_what_it_is(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import orjson
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.joints import leg_lengths
+from pupper_analysis.tools.analyze.analysis import leg_lengths
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
 

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pupper_analysis.base.errors import InputError, ModelError
+from pupper_analysis.base.errors import InputError
 from pupper_analysis.base.inputs import read_content
-from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.models.places import Place
-from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.xml import MAX_BYTES
 from pupper_analysis.present.document import Name, Text, text
 from pupper_analysis.robot.robot import Robot
@@ -43,26 +40,6 @@ def is_derived(robot: Robot) -> bool:
     if robot.description.converted == "urdf":
         return False
     return robot.description.urdf != _text(robot.description.urdf_source)
-
-
-def joint_places(robot: Robot) -> dict[str, tuple[str, str]]:
-    """Returns {joint: its lines in URDF and MJCF}; an empty text where it is not found."""
-    description = robot.description
-    lines: dict[str, tuple[str, str]] = {}
-    made = description.converted
-    try:
-        urdf = None if made == "urdf" else read_urdf(description.urdf_source)
-        mjcf = None if made == "mjcf" else read_mjcf(description.mjcf_source)
-    except ModelError:
-        return lines  # made in memory, or gone: the report has its numbers all the same
-    for name in robot.joint_names:
-        found = [file and _where(file.place("joint", name)) for file in (urdf, mjcf)]
-        lines[name] = (found[0] or "", found[1] or "")
-    return lines
-
-
-def _where(place: Place) -> str:
-    return "" if place.line is None else str(place)
 
 
 def quote_line(place: str | None, *paths: str) -> str:

@@ -177,9 +177,8 @@ def _compared(
     """Puts each variant beside the base model that it is made of; files have none."""
     from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
-    from pupper_analysis.robot.joints import leg_lengths
     from pupper_analysis.tools.analyze import comparison
-    from pupper_analysis.tools.analyze.analysis import thigh_shape_length
+    from pupper_analysis.tools.analyze.analysis import leg_lengths, thigh_shape_length
 
     references = {}
     for name in {one.base for one in meant if isinstance(one, VariantSpec)}:

@@ -7,6 +7,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.loads import (
@@ -25,7 +29,6 @@ from pupper_analysis.present.documents.simulated import (
 from pupper_analysis.present.documents.sources import (
     files_text,
     is_derived,
-    joint_places,
     page_of,
 )
 from pupper_analysis.present.documents.standing import ground_word, quantity_columns, task_text
@@ -183,7 +186,7 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
 
 def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
     """Returns what each joint does and can, and where that stands in the files."""
-    places = {} if robot is None else joint_places(robot)
+    places = {} if robot is None else _joint_places(robot)
     rows: list[tuple[doc.Cell, ...]] = []
     for joint in analysis.joints:
         scale = 1e3 if joint.slides else math.degrees(1.0)
@@ -368,3 +371,23 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
 def _interval(values: doc.Array) -> str:
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g} … {high:g}"
+
+
+def _joint_places(robot: Robot) -> dict[str, tuple[str, str]]:
+    """Returns {joint: its lines in URDF and MJCF}; an empty text where it is not found."""
+    description = robot.description
+    lines: dict[str, tuple[str, str]] = {}
+    made = description.converted
+    try:
+        urdf = None if made == "urdf" else read_urdf(description.urdf_source)
+        mjcf = None if made == "mjcf" else read_mjcf(description.mjcf_source)
+    except ModelError:
+        return lines  # made in memory, or gone: the report has its numbers all the same
+    for name in robot.joint_names:
+        found = [file and _line_of(file.place("joint", name)) for file in (urdf, mjcf)]
+        lines[name] = (found[0] or "", found[1] or "")
+    return lines
+
+
+def _line_of(place: Place) -> str:
+    return "" if place.line is None else str(place)

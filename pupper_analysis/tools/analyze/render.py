@@ -37,9 +37,9 @@ from pupper_analysis.present.figures.pose import (
     hull_corners,
 )
 from pupper_analysis.present.figures.style import save_figure
-from pupper_analysis.robot.joints import leg_lengths
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
+from pupper_analysis.tools.analyze.analysis import leg_lengths
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import merge_diagnostics
 from pupper_analysis.base.diagnostics.templates import format_number
-from pupper_analysis.prepare.load import Preparation
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.loads import load_blocks, view_block
@@ -31,6 +30,7 @@ from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState
+from pupper_analysis.tools.stand.loading import Preparation
 from pupper_analysis.tools.stand.stance import Stance
 
 

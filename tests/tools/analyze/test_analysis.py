@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.joints import joint_summaries, leg_joints, leg_lengths
-from pupper_analysis.tools.analyze.analysis import leg_jacobians, thigh_shape_length
+from pupper_analysis.robot.joints import joint_summaries, leg_joints
+from pupper_analysis.tools.analyze.analysis import leg_jacobians, leg_lengths, thigh_shape_length
 from tests.support.tiny import TINY_MJCF, TINY_URDF
 
 
