@@ -33,6 +33,7 @@ from pupper_analysis.tools.diff.elements import (
     SimulatedPair,
     changed_compiler,
     changed_elements,
+    changed_fusing,
     like_before,
 )
 from pupper_analysis.tools.diff.version import Version, VersionedFile, open_version, version_of
@@ -248,8 +249,10 @@ class _Comparison:
         alone = [isinstance(each, ElementDifference) for each in self.differences] == [True]
         if trial_of_both is not None and not alone:  # what one does alone is told of it
             combined = trial_of_both.effect_of_all(explained=bool(self.differences))
-        if self.differences and isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
-            self.differences += changed_compiler(one, two)
+        if isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
+            if self.differences:
+                self.differences += changed_compiler(one, two)
+            self.differences += changed_fusing(one, two, (self.one.fused, self.two.fused))
         patched = trial.behaviour(apply_changes(first, second, VERSIONS))
         left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
         holding = trial.holding_torques(first), trial.holding_torques(second)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count
 from typing import Any, Final
@@ -276,7 +276,7 @@ _COMPILER: Final = {
 def changed_compiler(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
     """Yields what has changed of the compiler: numbers change with it whose lines have not.
 
-    What would make the same robot of the new file is no change.
+    It has made a change if fewer numbers are others with the flag as it was.
     """
     one, two = old.spec.compiler, new.spec.compiler
     for name, word in _COMPILER.items():
@@ -286,30 +286,82 @@ def changed_compiler(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference
         spec = new.spec.copy()
         setattr(spec.compiler, name, getattr(one, name))
         try:
-            as_before: bytes | None = _image(spec.compile())
+            left = _others_of(old.model, spec.compile())
         except MUJOCO_ERRORS:
-            as_before = None
-        if as_before == _image(new.model):
             continue
-        both = {"one": values[0], "two": values[1], **VERSIONS.named}
-        whole = as_before == _image(old.model)
-        places = [
-            next((at for words, at in file.elements("compiler") if word in words), None)
-            for file in (old, new)
-        ]
-        yield ElementDifference(
-            kind="compiler",
-            element=word,
-            urdf=values[0],
-            mjcf=values[1],
-            unit="",
-            diagnostic=diagnose(
-                "mjcf-element-differs", subject=("compiler", word), others=(), what="", **both
-            ),
-            effects={},
-            consequences=(diagnose("compiler-makes-others", all=whole, some=not whole),),
-            places=(places[0], places[1]),
-        )
+        if left < _others_of(old.model, new.model):
+            follows = diagnose("compiler-makes-others", all=left == 0, some=left > 0)
+            yield _flagged((old, new), word, values, {}, (follows,))
+
+
+def changed_fusing(
+    old: MjcfFile, new: MjcfFile, fused: tuple[bool, bool]
+) -> Iterator[ElementDifference]:
+    """Yields that links are fused, or are no more, if a simulation feels it.
+
+    A contact is as soft as the body is heavy that its shape is on, and on another body then.
+
+    Args:
+        old: The old file, its links kept apart.
+        new: The new one, likewise.
+        fused: Whether they fuse them.
+    """
+    if fused[0] == fused[1]:
+        return
+    spec = old.spec.copy()
+    spec.compiler.fusestatic = True
+    other = replace(old, spec=spec, _model=compile_spec(spec.copy(), old.path))
+    pair = SimulatedPair.of(*((other, old) if fused[0] else (old, other)))
+    effects, consequences = pair.compared()
+    if effects:
+        values = [_stated_flag("fusestatic", each) for each in fused]
+        yield _flagged((old, new), "fusestatic", values, effects, consequences)
+
+
+def _others_of(one: mujoco.MjModel, two: mujoco.MjModel) -> float:
+    """Counts the numbers that differ of bodies, joints and geoms; infinite where there are more."""
+    arrays = [(getattr(one, name), getattr(two, name)) for name in _OF_COMPILER]
+    if any(here.shape != there.shape for here, there in arrays):
+        return math.inf
+    near = (np.isclose(here, there, rtol=SAME_NUMBER, atol=1e-12) for here, there in arrays)
+    return float(sum((~each).sum() for each in near))
+
+
+_OF_COMPILER: Final = (
+    "body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat", "jnt_pos",
+    "jnt_axis", "jnt_range", "jnt_limited", "geom_size", "geom_pos", "geom_quat", "site_pos",
+    "site_quat", "qpos0", "qpos_spring", "actuator_ctrlrange", "actuator_ctrllimited",
+    "actuator_forcerange", "actuator_forcelimited", "tendon_range",
+)  # fmt: skip
+"""What numbers follow from the compiler's."""
+
+
+def _flagged(
+    files: tuple[MjcfFile, MjcfFile],
+    word: str,
+    values: Sequence[str],
+    effects: dict[str, Effect],
+    consequences: tuple[Diagnostic, ...],
+) -> ElementDifference:
+    """Returns a change of a number of the compiler."""
+    both = {"one": values[0], "two": values[1], **VERSIONS.named}
+    old, new = (
+        next((at for words, at in file.elements("compiler") if word in words), None)
+        for file in files
+    )
+    return ElementDifference(
+        kind="compiler",
+        element=word,
+        urdf=values[0],
+        mjcf=values[1],
+        unit="",
+        diagnostic=diagnose(
+            "mjcf-element-differs", subject=("compiler", word), others=(), what="", **both
+        ),
+        effects=effects,
+        consequences=consequences,
+        places=(old, new),
+    )
 
 
 def _stated_flag(name: str, value: Any) -> str:
@@ -509,6 +561,11 @@ class SimulatedPair:
         # A tenth: where both have left their course, they are apart by any part of the way.
         rounding = nudged and nudged[MOTION].deviation > 0.1 * effects[MOTION].deviation
         return () if rounding else messages
+
+    def compared(self) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
+        """Returns by how much the two differ as they are, and what of it a user would see."""
+        runs = [self._simulate(model, 0) for model in (self.old, self.new)]
+        return self._weigh(runs[0], runs[1], self.old.key(0).name if self.old.nkey else "")
 
     @cached_property
     def _unchanged(self) -> dict[int, _Run]:

@@ -51,6 +51,7 @@ class Version:
         bodies: {base or joint: the body that it moves}.
         sources: Where the numbers stand.
         notes: What was assumed or left out.
+        fused: Whether the file fuses bodies that are fixed to others: here they are kept apart.
     """
 
     file: UrdfFile | MjcfFile
@@ -60,6 +61,7 @@ class Version:
     bodies: Mapping[str, str]
     sources: Sources
     notes: tuple[Diagnostic, ...]
+    fused: bool = False
 
 
 def version_of(file: UrdfFile | MjcfFile) -> Version:
@@ -93,7 +95,7 @@ def _of_urdf(file: UrdfFile) -> Version:
 
 
 def _of_mjcf(file: MjcfFile) -> Version:
-    if file.spec.compiler.fusestatic:
+    if fused := bool(file.spec.compiler.fusestatic):
         file = _kept_apart(file)
     spec = file.spec.copy()
     named, joined = name_all(spec, set()), join_free_base(spec, file.path)
@@ -129,6 +131,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
         bodies=carriers,
         sources=MjcfSources(file, model, carriers, {}, (base,)),
         notes=tuple(notes),
+        fused=fused,
     )
 
 

@@ -12,6 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.models import attributes
 from pupper_analysis.models.stated import elements
 from tests.support.one_place_edits import FALLS, FELT, HARMLESS, Edit, copied
+from tests.support.random_edits import apart, rollout
 from tests.support.repository import ROOT
 
 
@@ -306,8 +307,8 @@ def test_a_flag_of_the_compiler_that_makes_nothing_is_no_change(tmp_path: Path) 
     assert {change.kind for change in pa.diff_models(old, new).changes} & {"compiler"} == set()
 
 
-def test_links_that_are_fused_are_no_change(tmp_path: Path) -> None:
-    """Their shapes are where they were; what is changed besides is seen in the file's own links."""
+def test_links_that_are_fused_are_where_they_were(tmp_path: Path) -> None:
+    """It is a change if a contact is softer on the heavier body; what is seen alone has none."""
     old, new = tmp_path / "old.xml", tmp_path / "new.xml"
     text = """<mujoco>
       <compiler angle="radian"/>
@@ -320,8 +321,16 @@ def test_links_that_are_fused_are_no_change(tmp_path: Path) -> None:
     old.write_text(text)
     fused = text.replace('"radian"', '"radian" fusestatic="true"')
     new.write_text(fused)
-    assert pa.diff_models(old, new).same
-    assert pa.diff_models(new, old).same
+    assert apart(rollout(old), rollout(new)) > 1e-4
+    for pair in ((old, new), (new, old)):
+        (change,) = pa.diff_models(*pair).changes
+        assert (change.kind, change.element) == ("compiler", "fusestatic")
+        assert change.effects
+        assert (change.old_place or change.new_place).endswith("new.xml:2")
     new.write_text(fused.replace('size="0.02"', 'size="0.03"'))
-    shapes = [one for one in pa.diff_models(old, new).changes if one.kind == "geom"]
-    assert [(one.element, one.old[1], one.new[1]) for one in shapes] == [("ball", 0.02, 0.03)]
+    (shape,) = [one for one in pa.diff_models(old, new).changes if one.kind == "geom"]
+    assert (shape.element, shape.old[1], shape.new[1]) == ("ball", 0.02, 0.03)
+    for path, content in ((old, text), (new, fused)):
+        path.write_text(content.replace('name="ball"', 'name="ball" contype="0" conaffinity="0"'))
+    assert apart(rollout(old), rollout(new)) < 1e-9
+    assert pa.diff_models(old, new).same
