@@ -186,8 +186,8 @@ def run(home: Path, case: Case, slots: dict[str, Slot]) -> Iterator[tuple[str, b
         new = [one for key, one in read().items() if key not in before]
         edit.path.write_text(kept)
         hits = [one for one in new if found_by(one, edit)]
-        looks = {one.slip for one in hits if one.slip != "mirror"}
-        right = slip in looks if slip in ("order", "sign", "unit") else bool(looks)
+        slips = {one.slip for one in hits if one.slip != "mirror"}
+        right = slip in slips if slip in ("order", "sign", "unit") else bool(slips)
         words = (hits or new or [None])[0]
         yield slip, right, f"{Path(edit.path).name}:{edit.lines}: {words and words.message}"
 

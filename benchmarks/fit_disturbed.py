@@ -359,7 +359,7 @@ class Row:
     outcome: str
     codes: str
     held: int
-    told: int
+    determined: int
     kp: float
     kp_said: float
 
@@ -430,10 +430,10 @@ def fitted(
         code = getattr(getattr(error, "cause", None), "code", type(error).__name__)
         return Row(name, title, seed, len(stands), "refused", code, 0, 0, math.nan, math.nan)
     whole = replace(fit.total_mass, name="mass")
-    told = [
+    determined = [
         one for one in (whole, *fit.estimates) if one.name in truth and one.determined == "data"
     ]
-    held = sum(one.low <= truth[one.name] <= one.high for one in told)
+    held = sum(one.low <= truth[one.name] <= one.high for one in determined)
     said = "EXPLAINED" if fit.explained else "named"
     codes = " ".join(dict.fromkeys(one.code for one in fit.failures))
     if not fit.explained and set(codes.split()) <= {"residuals-too-large", "far-from-the-file"}:
@@ -443,7 +443,7 @@ def fitted(
     off, half = math.nan, math.nan
     if fit.kp_factor is not None:
         off, half = fit.kp_factor.mean / factor - 1, 1.96 * fit.kp_factor.std / factor
-    return Row(name, title, seed, len(stands), said, codes, held, len(told), off, half)
+    return Row(name, title, seed, len(stands), said, codes, held, len(determined), off, half)
 
 
 def main() -> None:

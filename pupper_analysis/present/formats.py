@@ -30,42 +30,42 @@ _LEVELS = {"error": "error", "warning": "warning", "notice": "note"}
 
 
 @dataclass(frozen=True)
-class SarifRule:
-    """What kind of thing a result is about.
+class Annotation:
+    """A remark on a place in a file.
 
     Attributes:
-        id: The same for all such results, in every run.
-        about: In a few words; the id, if empty.
-    """
-
-    id: str
-    about: str = ""
-
-
-@dataclass(frozen=True)
-class SarifResult:
-    """One finding.
-
-    Attributes:
-        rule: Its rule.
         level: ``error``, ``warning`` or ``notice``.
+        title: What it is about, by name: with rule and file it distinguishes one from another, also
+            after the line, or the number in the message, has changed.
         message: One sentence.
-        subject: What it is about, by name: with rule and file it tells one result from another,
-            also after the line, or the number in the message, has changed.
-        file: The file; "" if there is none.
-        line: From 1; None where the file as a whole is meant.
+        place: ``file:line``, ``file``, or None.
+        rule: What kind of thing it is about, the same for all such; the title, if empty.
+        about: The rule in a few words.
         known: Whether a baseline has it; None where there is no baseline.
-        diagnostic: It as a code and values, if it is one.
+        diagnostic: It as a code and values.
     """
 
-    rule: SarifRule
     level: str
+    title: str
     message: str
-    subject: str
-    file: str
-    line: int | None
+    place: str | None = None
+    rule: str = ""
+    about: str = ""
     known: bool | None = None
     diagnostic: Diagnostic | None = None
+
+    @property
+    def kind(self) -> str:
+        """Its rule."""
+        return self.rule or self.title
+
+    @property
+    def file_and_line(self) -> tuple[str, int | None]:
+        """The file ("" if there is none), and the line in it, if it has lines."""
+        file, _, line = (self.place or "").rpartition(":")
+        if line.startswith("<"):
+            return file, None
+        return (file, int(line)) if file and line.isdecimal() else (self.place or "", None)
 
 
 def from_root(file: str | Path) -> str:
@@ -82,17 +82,16 @@ def from_root(file: str | Path) -> str:
     return path.as_posix()
 
 
-def write_sarif(results: Iterable[SarifResult]) -> str:
+def write_sarif(annotations: Iterable[Annotation]) -> str:
     """Returns a log of one run, as indented JSON."""
-    listed = list(results)
-    rules = {result.rule.id: result.rule for result in listed}
+    listed = list(annotations)
+    rules = {one.kind: one.about or one.kind for one in listed}
     numbers = {name: number for number, name in enumerate(rules)}
     driver = {
         "name": "pupper-analysis",
         "version": version("pupper-analysis"),
         "rules": [
-            {"id": rule.id, "shortDescription": {"text": rule.about or rule.id}}
-            for rule in rules.values()
+            {"id": kind, "shortDescription": {"text": about}} for kind, about in rules.items()
         ],
     }
     run = {
@@ -103,26 +102,29 @@ def write_sarif(results: Iterable[SarifResult]) -> str:
     return json.dumps({"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2)
 
 
-def _results(results: Iterable[SarifResult], numbers: dict[str, int]) -> Iterator[dict[str, Any]]:
+def _results(
+    annotations: Iterable[Annotation], numbers: dict[str, int]
+) -> Iterator[dict[str, Any]]:
     before: Counter[tuple[str, str, str]] = Counter()
-    for result in results:
+    for one in annotations:
         entry: dict[str, Any] = {
-            "ruleId": result.rule.id,
-            "ruleIndex": numbers[result.rule.id],
-            "level": _LEVELS[result.level],
-            "message": {"text": _plain(result.message)},
+            "ruleId": one.kind,
+            "ruleIndex": numbers[one.kind],
+            "level": _LEVELS[one.level],
+            "message": {"text": _plain(one.message)},
         }
-        file = from_root(result.file) if result.file else ""
+        file, line = one.file_and_line
+        file = from_root(file) if file else ""
         if file:
-            entry["locations"] = [{"physicalLocation": _location(file, result.line)}]
-        same = (result.rule.id, file, result.subject)
+            entry["locations"] = [{"physicalLocation": _location(file, line)}]
+        same = (one.kind, file, one.title)
         fingerprint = hashlib.sha256("\0".join((*same, str(before[same]))).encode(errors="replace"))
         before[same] += 1
         entry["partialFingerprints"] = {"subject/v1": fingerprint.hexdigest()[:32]}
-        if result.known is not None:
-            entry["baselineState"] = "unchanged" if result.known else "new"
-        if result.diagnostic is not None:
-            entry["properties"] = code_and_values(result.diagnostic)
+        if one.known is not None:
+            entry["baselineState"] = "unchanged" if one.known else "new"
+        if one.diagnostic is not None:
+            entry["properties"] = code_and_values(one.diagnostic)
         yield entry
 
 
@@ -166,39 +168,6 @@ def escape_control(text: str) -> str:
     )
 
 
-@dataclass(frozen=True)
-class Annotation:
-    """A remark on a place in a file.
-
-    Attributes:
-        level: ``error``, ``warning`` or ``notice``.
-        title: A few words.
-        message: One sentence.
-        place: ``file:line``, ``file``, or None.
-        rule: What kind of thing it is about, the same for all such; the title, if empty.
-        about: The rule in a few words.
-        known: Whether a baseline has it; None where there is no baseline.
-        diagnostic: It as a code and values.
-    """
-
-    level: str
-    title: str
-    message: str
-    place: str | None = None
-    rule: str = ""
-    about: str = ""
-    known: bool | None = None
-    diagnostic: Diagnostic | None = None
-
-    @property
-    def file_and_line(self) -> tuple[str, int | None]:
-        """The file ("" if there is none), and the line in it, if it has lines."""
-        file, _, line = (self.place or "").rpartition(":")
-        if line.startswith("<"):
-            return file, None
-        return (file, int(line)) if file and line.isdecimal() else (self.place or "", None)
-
-
 SHOWN = 10
 """Annotations of one level that GitHub shows of a step; more are dropped without a word.
 
@@ -219,7 +188,7 @@ def group_remarks(annotations: Iterable[Annotation], most: int = SHOWN) -> list[
         if len(here) > most:
             groups: dict[tuple[str, str], list[Annotation]] = {}
             for one in here:
-                groups.setdefault((one.rule or one.title, one.file_and_line[0]), []).append(one)
+                groups.setdefault((one.kind, one.file_and_line[0]), []).append(one)
             here = [_combine(group, "and-more-of-this-kind") for group in groups.values()]
         if len(here) > most:
             here = [*here[: most - 1], _combine(here[most - 1 :], "and-more-of-other-kinds")]
@@ -330,22 +299,7 @@ def for_machines(
     if style == "github":
         return write_github(annotations)
     if style == "sarif":
-        return write_sarif(_result(annotation) for annotation in annotations)
+        return write_sarif(annotations)
     report = "\n".join(escape_control(line) for line in write_junit(suite, cases).split("\n"))
     # A name's own line must not become a workflow command of GitHub's ("::error::", "##[error]").
     return re.sub(r"(?m)^(\s*)([:#])(?=[:#])", lambda at: f"{at[1]}&#{ord(at[2])};", report)
-
-
-def _result(annotation: Annotation) -> SarifResult:
-    file, line = annotation.file_and_line
-    rule = SarifRule(annotation.rule or annotation.title, annotation.about)
-    return SarifResult(
-        rule,
-        annotation.level,
-        annotation.message,
-        annotation.title,
-        file,
-        line,
-        annotation.known,
-        annotation.diagnostic,
-    )

@@ -337,10 +337,10 @@ def test_a_base_frame_that_is_not_level_is_said(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     text = re.sub(r"<keyframe>.*</keyframe>", "", pair.mjcf.read_text(), flags=re.DOTALL)
     turned = text.replace('<body name="trunk"', '<body name="trunk" quat="0.7 0 0.7 0"', 1)
-    for written, told in ((text, False), (turned, True)):
+    for written, tilted in ((text, False), (turned, True)):
         pair.mjcf.write_text(written)
         codes = {note.code for note in pa.load_robot(pair.mjcf).notes}
-        assert ("base-frame-tilted" in codes) is told
+        assert ("base-frame-tilted" in codes) is tilted
 
 
 def test_preparing_changes_no_file(tmp_path: Path) -> None:

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pupper_analysis.present.formats import (
-    SarifResult,
-    SarifRule,
+    Annotation,
     from_root,
     write_sarif,
 )
@@ -54,20 +53,13 @@ def checked_log(text: str) -> dict[str, Any]:
     return dict(run)
 
 
-def result(**values: Any) -> SarifResult:
-    usual = {
-        "rule": SarifRule("audit/mass"),
-        "level": "error",
-        "message": "too heavy",
-        "subject": "base",
-        "file": "a.urdf",
-        "line": 3,
-    }
-    return SarifResult(**{**usual, **values})
+def finding(**values: Any) -> Annotation:
+    usual = {"rule": "audit/mass", "level": "error", "message": "too heavy", "title": "base"}
+    return Annotation(**{"place": "a.urdf:3", **usual, **values})
 
 
 def test_a_finding_is_a_sarif_result() -> None:
-    run = checked_log(write_sarif([result(rule=SarifRule("audit/mass", "A mass"), known=True)]))
+    run = checked_log(write_sarif([finding(about="A mass", known=True)]))
     assert run["tool"]["driver"]["rules"] == [
         {"id": "audit/mass", "shortDescription": {"text": "A mass"}}
     ]
@@ -99,9 +91,9 @@ def test_levels_rules_and_states() -> None:
     run = checked_log(
         write_sarif(
             [
-                result(level="notice", known=False),
-                result(level="warning", rule=SarifRule("b"), line=None),
-                result(rule=SarifRule("b"), subject="hip", file=""),
+                finding(level="notice", known=False),
+                finding(level="warning", rule="b", place="a.urdf"),
+                finding(rule="b", title="hip", place=None),
             ]
         )
     )
@@ -117,11 +109,11 @@ def test_levels_rules_and_states() -> None:
 
 def test_a_fingerprint_is_of_the_subject_not_of_its_line_or_numbers() -> None:
     def print_of(**values: Any) -> str:
-        found = checked_log(write_sarif([result(**values)]))["results"][0]
+        found = checked_log(write_sarif([finding(**values)]))["results"][0]
         return str(found["partialFingerprints"])
 
-    assert print_of(line=9, message="too light", level="warning") == print_of()
-    for other in ({"subject": "hip"}, {"file": "b.urdf"}, {"rule": SarifRule("audit/com")}):
+    assert print_of(place="a.urdf:9", message="too light", level="warning") == print_of()
+    for other in ({"title": "hip"}, {"place": "b.urdf:3"}, {"rule": "audit/com"}):
         assert print_of(**other) != print_of()
 
 
@@ -130,7 +122,7 @@ TEXT = st.text(st.characters(codec="utf-8"), max_size=20)
 
 @given(message=TEXT, subject=TEXT, name=st.text("ab:?#%ä ", min_size=1, max_size=8))
 def test_names_of_files_are_quoted_and_read_back(message: str, subject: str, name: str) -> None:
-    text = write_sarif([result(message=message, subject=subject, file=f"x/{name}.urdf")] * 2)
+    text = write_sarif([finding(message=message, title=subject, place=f"x/{name}.urdf:3")] * 2)
     run = checked_log(text)
     for one in run["results"]:
         assert one["message"]["text"] == message
@@ -161,7 +153,7 @@ def test_paths_are_relative_to_the_checkout(
 
 
 def test_outside_the_checkout_it_is_a_whole_uri(tmp_path: Path) -> None:
-    run = checked_log(write_sarif([result(file=str(tmp_path / "a b.urdf"))]))
+    run = checked_log(write_sarif([finding(place=str(tmp_path / "a b.urdf"))]))
     uri = run["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
     assert uri == (tmp_path / "a b.urdf").as_uri()
 
@@ -188,8 +180,6 @@ def test_of_the_commands(tmp_path: Path) -> None:
 def test_names_in_messages_are_no_links() -> None:
     """Source: SARIF 2.1.0, 3.11.6; in a viewer "[click](address)" would be one."""
     name = r"[click](javascript:alert(1)) a\b"
-    log = checked_log(
-        write_sarif([SarifResult(SarifRule("r"), "error", f"joint {name}", name, "a.urdf", 1)])
-    )
+    log = checked_log(write_sarif([finding(message=f"joint {name}")]))
     text = log["results"][0]["message"]["text"]
     assert text == r"joint \[click\](javascript:alert(1)) a\\b"

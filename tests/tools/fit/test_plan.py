@@ -67,9 +67,9 @@ def test_a_plan_has_a_known_mass_on_turned_stands_and_few_on_three_feet(tmp_path
     np.testing.assert_allclose(read.heading, [one.heading for one in plan.stands], atol=1e-6)
     masses = [[one.added, *(at if one.added else (0, 0, 0))] for one in plan.stands]
     np.testing.assert_allclose(read.added["base_link"], masses)
-    told = {one.name: one.after / one.before for one in plan.expected}
-    assert told["kp leg_front_r_3"] < 0.5  # without a known mass, and no scale: 0.72
-    assert told["added base_link"] > 0.9
+    narrowed = {one.name: one.after / one.before for one in plan.expected}
+    assert narrowed["kp leg_front_r_3"] < 0.5  # without a known mass, and no scale: 0.72
+    assert narrowed["added base_link"] > 0.9
 
 
 def test_servos_that_are_too_soft_hold_no_stand() -> None:

@@ -42,7 +42,7 @@ def test_what_a_policy_holds_is_part_of_a_study(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "named"),
     [
         ("walk_margin", "after a colon"),
         ("walk_margin:none.json", "none.json"),
@@ -52,11 +52,11 @@ def test_what_a_policy_holds_is_part_of_a_study(tmp_path: Path) -> None:
     ],
 )
 def test_bad_metrics(
-    given: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    given: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made.still(tmp_path / "still.json")
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(PupperAnalysisError, match=told):
+    with pytest.raises(PupperAnalysisError, match=named):
         metric_of(given)
 
 
