@@ -111,6 +111,7 @@ def _asked_options(command: click.Command, context: click.Context) -> dict[str, 
         max(option.opts, key=len).lstrip("-").replace("-", "_"): context.params[name]
         for option in command.params
         if (name := option.name or "") in context.params
+        and name != "force"
         and isinstance(option, click.Option)
         and not isinstance(option.type, OutputPath)
         and context.get_parameter_source(name) not in usual

@@ -97,22 +97,10 @@ def _other(scene: OtherScene) -> dict[str, Any] | None:
 @scene_of.register
 def _stand(scene: StandScene) -> dict[str, Any]:
     robot, stand, statics = scene.robot, scene.stand, scene.statics
-    model = robot.mj_model
-    data = mujoco.MjData(model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_kinematics(model, data)
-    low, high = extent_of(model, data)
     still = Motion(text("the-stand"), np.zeros(1), stand.qpos[None])
-    geoms, meshes = geoms_of(model)
     seen = describe_scene(robot, stand, statics)
-    layers = ["shapes", "axes", *(["forces"] if statics else []), "support", "masses"]
-    motions = {one.name: one.motion for one in joint_summaries(robot)}
     return {
-        "bodies": bodies_of(model),
-        "geoms": geoms,
-        "meshes": meshes,
-        "motions": [_frames(robot, data, motion) for motion in (still, *scene.motions)],
-        "joints": [_joint(one, motions[one.name]) for one in seen.joints],
+        **_robot(robot, stand.qpos, (still, *scene.motions), seen.joints),
         "contacts": [
             {
                 "name": escape_control(one.foot),
@@ -135,9 +123,7 @@ def _stand(scene: StandScene) -> dict[str, Any]:
         "normal": short_numbers(seen.ground.normal()),
         "com": None if statics is None else short_numbers(seen.com),
         "below": short_numbers(seen.below),
-        "middle": short_numbers((low + high) / 2),
-        "radius": float(np.linalg.norm(high - low) / 2),
-        "layers": layers,
+        "layers": ["shapes", "axes", *(["forces"] if statics else []), "support", "masses"],
         "size": float(np.ptp(seen.points, axis=0).max() + stand.qpos[2]),
     }
 
@@ -146,27 +132,36 @@ def _stand(scene: StandScene) -> dict[str, Any]:
 def _motion(scene: MotionScene) -> dict[str, Any]:
     """Returns a robot as it begins, on the ground's plane."""
     robot, qpos = scene.robot, scene.motions[0].qpos[0]
-    data = mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_kinematics(robot.mj_model, data)
-    low, high = extent_of(robot.mj_model, data)
-    geoms, meshes = geoms_of(robot.mj_model)
-    motions = {one.name: one.motion for one in joint_summaries(robot)}
     axes = joint_axes(Configuration(robot, qpos), qpos[-robot.nu :], None)
-    radius = float(np.linalg.norm(high - low) / 2)
+    drawn = _robot(robot, qpos, scene.motions, axes)
     return {
-        "bodies": bodies_of(robot.mj_model),
-        "geoms": geoms,
-        "meshes": meshes,
-        "motions": [_frames(robot, data, motion) for motion in scene.motions],
-        "joints": [_joint(one, motions[one.name]) for one in axes],
+        **drawn,
         **{"contacts": [], "polygon": [], "steps": [], "com": None, "below": None},
         "ground": short_numbers(np.array([*qpos[:2], 0.0])),
         "normal": [0.0, 0.0, 1.0],
-        "middle": short_numbers((low + high) / 2),
-        "radius": radius,
-        "size": 1.3 * radius,
+        "size": 1.3 * drawn["radius"],
         "layers": ["shapes", "axes", "masses"],
+    }
+
+
+def _robot(
+    robot: Robot, qpos: Array, motions: Iterable[Motion], axes: Iterable[JointAxis]
+) -> dict[str, Any]:
+    """Returns a robot's bodies, shapes, joints and motions, and where it is at a configuration."""
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_kinematics(model, data)
+    low, high = extent_of(model, data)
+    geoms, meshes = geoms_of(model)
+    kinds = {one.name: one.motion for one in joint_summaries(robot)}
+    return {
+        "bodies": bodies_of(model),
+        "geoms": geoms,
+        "meshes": meshes,
+        "motions": [_frames(robot, data, motion) for motion in motions],
+        "joints": [_joint(one, kinds[one.name]) for one in axes],
+        "middle": short_numbers((low + high) / 2),
+        "radius": float(np.linalg.norm(high - low) / 2),
     }
 
 
