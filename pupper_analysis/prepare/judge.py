@@ -17,7 +17,7 @@ from pupper_analysis.prepare.self_check import (
     own_run_explained,
     with_lines,
 )
-from pupper_analysis.robot.alike import joints_unlike, limbs_without_feet
+from pupper_analysis.robot.alike import structure
 from pupper_analysis.robot.as_published import Cause, Published
 from pupper_analysis.robot.build import efforts_nobody_meant
 from pupper_analysis.robot.compliance import GroundLaw
@@ -95,12 +95,9 @@ def judge(
         published=published,
         converted=robot.description.converted,
         remarks=(
-            *limbs_without_feet(robot),
-            *joints_unlike(robot),
+            *structure(robot),
             *robot.description.replaced_soles(),
-            *_made_up(robot),
-            *efforts_nobody_meant(robot),
-            *import_refused(robot),
+            *_of_the_files(robot),
             *_buried(robot, stand, statics),
         ),
     )
@@ -221,12 +218,7 @@ def judge_held(
         own=own_run_held(robot, posture.qpos),
         published=as_published_held(robot, posture.qpos, bare.joint_torques),
         converted=robot.description.converted,
-        remarks=(
-            *joints_unlike(robot),
-            *_made_up(robot),
-            *efforts_nobody_meant(robot),
-            *import_refused(robot),
-        ),
+        remarks=(*structure(robot), *_of_the_files(robot)),
     )
 
 
@@ -238,8 +230,8 @@ _BEARING = {
 a robot be simulated."""
 
 
-def _made_up(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Tells which errors of a robot's files its verdict rests on."""
+def _of_the_files(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Tells which errors and assumptions of a robot's files its verdict rests on."""
     loaded = as_loaded(robot)
     messages = [note for note in loaded.notes if note.code in _BEARING]
     own, model = loaded.joint_names, loaded.mj_model
@@ -248,7 +240,8 @@ def _made_up(robot: Robot) -> tuple[Diagnostic, ...]:
     ]
     if driving:
         messages.insert(0, diagnose("joints-damped-negatively", joints=driving))
-    return (diagnose("rests-on-made-up", findings=messages),) if messages else ()
+    made_up = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
+    return (*made_up, *efforts_nobody_meant(robot), *import_refused(robot))
 
 
 @check_arguments

@@ -114,7 +114,10 @@ def lines_to_read(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]
     """
     clauses, lines = verdict_clauses(verdict), verdict_lines(verdict)
     quiet = [
-        one.good and one.message.group is not Group.ASSUMED and one.message.code not in _ALWAYS_SAID
+        one.good
+        and one.message.severity is not Severity.WARNING
+        and one.message.group is not Group.ASSUMED
+        and one.message.code not in _ALWAYS_SAID
         for one in clauses
     ]
     first = tuple(line for line, less in zip(lines, quiet, strict=True) if not less)

@@ -8,6 +8,7 @@ or a shape is missing.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -106,16 +107,24 @@ def _placed(robot: Robot) -> mujoco.MjData:
     return data
 
 
-def limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
+def structure(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Tells of limbs without a foot, and of what else of a limb is unlike those that are alike."""
+    limbs = limbs_of(robot)
+    lacking = limbs_without_feet(robot, limbs)
+    told = {message.values["displaced"] for message in lacking}
+    findings = [*_displaced_bodies(robot, limbs, told), *_joints_unlike(robot, limbs)]
+    return (*lacking, *((diagnose("limbs-unlike", findings=findings),) if findings else ()))
+
+
+def limbs_without_feet(robot: Robot, limbs: list[Limb]) -> list[Diagnostic]:
     """Tells of limbs that have no foot, where limbs that are alike have one.
 
     Feet that were named are as they were named, and no limb is missed.
     """
     if not any(note.code == "feet-found" for note in robot.notes):
-        return ()
-    model = robot.mj_model
+        return []
+    model, messages = robot.mj_model, []
     carrying = {int(model.body_weldid[body]) for body, _ in robot.contact_places.values()}
-    limbs, messages = limbs_of(robot), []
     footed = [limb for limb in limbs if limb.bodies[-1] in carrying]
     for limb in limbs:
         alike = [other for other in footed if other.like(limb)]
@@ -135,16 +144,41 @@ def limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
                 gap=None if body is None else Quantity(gap, "m"),
             )
         )
-    return tuple(messages)
+    return messages
 
 
-def joints_unlike(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Tells of joints whose numbers are others than those of their like in each limb that is alike.
+def _displaced_bodies(
+    robot: Robot, limbs: list[Limb], told: set[object]
+) -> Iterator[Diagnostic]:
+    """Yields what was not told, and is no image of any of the limbs that are alike, three of which are of each other.
+
+    Of fewer it cannot be known which is meant: fingers, arms and middle legs are each in a place of
+    its own.
+    """
+    images = {
+        limb: [
+            other
+            for other in limbs
+            if other is not limb and other.like(limb) and not _displaced(robot, limb, [other])[0]
+        ]
+        for limb in limbs
+    }
+    for limb, own in images.items():
+        alike = [other for other in limbs if other.like(limb) and len(images[other]) > 1]
+        if own or not alike:
+            continue
+        body, gap = _displaced(robot, limb, alike)
+        if body not in (None, *told):
+            yield diagnose("body-unlike", subject=("body", body), gap=Quantity(gap, "m"))
+
+
+def _joints_unlike(robot: Robot, limbs: list[Limb]) -> Iterator[Diagnostic]:
+    """Yields joints whose numbers are others than those of their like in each limb that is alike.
 
     Where two limbs are alike and differ, which of them is meant cannot be known: the one with the
     greater number is named.
     """
-    limbs, numbers, messages = limbs_of(robot), _numbers_of(robot), []
+    numbers = _numbers_of(robot)
     for limb in limbs:
         others = [other for other in limbs if other is not limb and other.like(limb)]
         for joint, *like in zip(limb.joints, *(other.joints for other in others), strict=True):
@@ -155,17 +189,14 @@ def joints_unlike(robot: Robot) -> tuple[Diagnostic, ...]:
                 low, high = sorted((own, float(theirs.max())))
                 if high <= _UNLIKE[attribute] * low or (len(like) == 1 and own == low):
                     continue
-                messages.append(
-                    diagnose(
-                        "joint-unlike",
-                        subject=("joint", robot.mj_model.joint(joint).name),
-                        attribute=attribute,
-                        value=own,
-                        usual=float(theirs.max()),
-                        like=robot.mj_model.joint(like[0]).name,
-                    )
+                yield diagnose(
+                    "joint-unlike",
+                    subject=("joint", robot.mj_model.joint(joint).name),
+                    attribute=attribute,
+                    value=own,
+                    usual=float(theirs.max()),
+                    like=robot.mj_model.joint(like[0]).name,
                 )
-    return (diagnose("joints-unlike", findings=messages),) if messages else ()
 
 
 def _numbers_of(robot: Robot) -> dict[str, Array]:

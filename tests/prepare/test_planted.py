@@ -24,7 +24,7 @@ NEVER = {
 }
 """Codes of what is seen, and is no cause."""
 
-CONSEQUENCES = {"motors-overloaded", "joints-unlike"}
+CONSEQUENCES = {"motors-overloaded", "limbs-unlike"}
 """Of what is too weak, or loads it; of one joint whose range is no longer its like's: told beside
 the cause, and true."""
 

@@ -8,7 +8,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.robot.alike import joints_unlike, limbs_without_feet
+from pupper_analysis.robot.alike import structure
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.convert.model import convert_model
 from tests.support.planted import planted
@@ -25,29 +25,43 @@ def slipped(folder: Path, old: str, new: str) -> Path:
 
 
 def test_four_legs_that_are_alike_are_no_news(tmp_path: Path) -> None:
-    assert limbs_without_feet(pa.load_robot(standing_urdf(tmp_path))) == ()
+    assert structure(pa.load_robot(standing_urdf(tmp_path))) == ()
 
 
 def test_a_calf_that_is_elsewhere_is_named_with_its_gap(tmp_path: Path) -> None:
     """One digit, -0.2 -> -0.02, and the robot stands on three feet: that is no HOLDS."""
     path = slipped(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.02"')
     robot = pa.load_robot(path)
-    [message] = limbs_without_feet(robot)
+    [message] = structure(robot)
     assert (message.values["feet"], message.values["alike"]) == (3, 4)
     assert message.values["gap"].value == pytest.approx(0.18, abs=1e-6)
     verdict = judge_stand(robot, pa.solve_stand(robot))
     assert verdict.code is VerdictCode.LIMB_WITHOUT_FOOT
     assert not verdict.passed
     assert verdict.remarks[0] == message
+    held = pa.hold_posture(pa.load_robot(path, fixed_base=True))
+    assert "RR_calf is 180 mm from where the others" in " ".join(map(str, held.verdict.remarks))
     converted = convert_model(path, tmp_path / "slipped.xml")
     assert message.code in {one.code for one in converted.failures}
     assert not converted.passed
     assert convert_model(standing_urdf(tmp_path), tmp_path / "sound.xml").passed
 
 
+def test_a_calf_that_is_elsewhere_is_named_though_it_has_a_foot(tmp_path: Path) -> None:
+    """With -0.19 in place of -0.2 all four feet are on the ground."""
+    path = slipped(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.19"')
+    robot = pa.load_robot(path)
+    [message] = structure(robot)
+    [finding] = message.values["findings"]
+    assert (len(robot.feet), finding.subject.name) == (4, "RR_calf")
+    assert finding.values["gap"].value == pytest.approx(0.01, abs=1e-6)
+    assert message in judge_stand(robot, pa.solve_stand(robot)).remarks
+    assert message in convert_model(path, tmp_path / "slipped.xml").notes
+
+
 def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
     robot = pa.load_robot(slipped(tmp_path, '<sphere radius="0.02"/>', ""))
-    [message] = limbs_without_feet(robot)
+    [message] = structure(robot)
     assert message.values["gap"] is None
     assert "no collision shape" in str(message)
 
@@ -55,7 +69,7 @@ def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
 def test_limbs_of_other_weights_are_alike_by_their_shape(tmp_path: Path) -> None:
     """Six legs in a ring, each of another weight, one of which touches nothing."""
     urdf, mjcf = planted(tmp_path, "ring", "a foot that does not touch")
-    [message] = limbs_without_feet(pa.load_robot(urdf, mjcf))
+    [message] = structure(pa.load_robot(urdf, mjcf))
     assert (message.values["feet"], message.values["alike"]) == (5, 6)
     assert message.values["gap"] is None, "it is where the others' turned about the base are"
 
@@ -63,7 +77,7 @@ def test_limbs_of_other_weights_are_alike_by_their_shape(tmp_path: Path) -> None
 def test_feet_that_are_named_are_as_they_are_meant(tmp_path: Path) -> None:
     robot = pa.load_robot(standing_urdf(tmp_path), feet=["FL_calf", "FR_calf", "RL_calf"])
     assert len(robot.feet) == 3
-    assert limbs_without_feet(robot) == ()
+    assert structure(robot) == ()
 
 
 @pytest.mark.parametrize(
@@ -77,10 +91,10 @@ def test_a_joint_with_another_number_than_its_like_is_in_the_verdict(
     slip: str, said: str, tmp_path: Path
 ) -> None:
     robot = pa.load_robot(standing_urdf(tmp_path))
-    assert joints_unlike(robot) == ()
+    assert structure(robot) == ()
     old = 'effort="80"' if "effort" in slip else 'upper="-0.4"'
     robot = pa.load_robot(slipped(tmp_path, old, slip))
-    [message] = joints_unlike(robot)
+    *_, message = structure(robot)  # one of half the range has no foot where the others stand
     assert said in str(message)
     assert message in judge_stand(robot, pa.solve_stand(robot)).remarks
 
@@ -88,15 +102,15 @@ def test_a_joint_with_another_number_than_its_like_is_in_the_verdict(
 def test_a_joint_without_the_limits_of_its_like_has_an_infinite_range() -> None:
     robot = pa.load_variant("v3")
     robot.mj_model.jnt_limited[robot.mj_model.joint("leg_back_l_3").id] = 0
-    [message] = joints_unlike(robot)
+    [message] = structure(robot)
     assert "leg_back_l_3 has range inf" in str(message)
 
 
 @pytest.mark.parametrize(("factor", "reported"), [(10.0, True), (2.0, False), (0.1, True)])
 def test_what_was_measured_of_each_joint_may_differ_by_half(factor: float, reported: bool) -> None:
     robot = pa.load_variant("v3")
-    assert joints_unlike(robot) == ()
+    assert structure(robot) == ()
     model = robot.mj_model
     model.dof_armature[model.jnt_dofadr[model.joint("leg_back_l_3").id]] *= factor
-    found = joints_unlike(robot)
+    found = structure(robot)
     assert ["leg_back_l_3 has armature" in str(one) for one in found] == [True] * reported

@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
     OutputError,
@@ -32,7 +32,7 @@ from pupper_analysis.prepare.convert.to_urdf import ConversionDraft, urdf_draft
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.present.verdict import published_clauses
-from pupper_analysis.robot.alike import limbs_without_feet
+from pupper_analysis.robot.alike import structure
 from pupper_analysis.robot.compare.compare import Comparison, compare_models
 from pupper_analysis.robot.compare.differences import OF_INERTIALS
 from pupper_analysis.robot.stability import LASTING, Stability, step_stability
@@ -141,10 +141,15 @@ def convert_model(
     if draft.failure is not None:
         failures.append(draft.failure)
     failures += draft.lost
+    unlike: tuple[Diagnostic, ...] = ()
+    if draft.failure is None:
+        pair = draft.urdf or read_urdf(urdf), read_mjcf(mjcf)
+        robot = robot_of(*pair, feet=feet, fixed_base=not draft.stands)
+        unlike = structure(robot)
+        failures += [one for one in unlike if one.severity is Severity.ERROR]
     if draft.failure is None and draft.stands:
-        robot = robot_of(draft.urdf or read_urdf(urdf), read_mjcf(mjcf), feet=feet)
         verification = verify_stand(robot, solve_stand_on_soft_ground(robot))
-        failures += [*limbs_without_feet(robot), *verification.failures]
+        failures += verification.failures
         if mjcf == output:
             kept = keyframe_run(mjcf)
             why = [] if kept is None else kept.failures
@@ -155,7 +160,7 @@ def convert_model(
         source=str(source),
         output=str(output),
         written=tuple(map(str, contents)),
-        notes=draft.notes,
+        notes=(*(one for one in unlike if one.severity is not Severity.ERROR), *draft.notes),
         not_converted=draft.not_converted,
         repairs=draft.repairs,
         comparison=comparison,
