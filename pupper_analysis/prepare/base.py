@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import mujoco
@@ -23,6 +24,14 @@ from pupper_analysis.robot.matching.trees import at_zero
 from pupper_analysis.robot.matching.urdf import urdf_tree
 
 Array = NDArray[np.float64]
+
+_QUARTERS = tuple(
+    rotation
+    for rows in itertools.permutations(np.eye(3))
+    for signs in itertools.product((1.0, -1.0), repeat=3)
+    if np.linalg.det(rotation := np.array(rows) * np.array(signs)) > 0
+)
+"""The rotations (3, 3) of a frame's axes onto each other."""
 
 _TILTED = 0.7
 """Cosine of how far from level a base's frame has to be where a file has it, to be told: 45 deg."""
@@ -118,11 +127,13 @@ def free_of_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
     return notes
 
 
-def lift_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnostic]:
-    """Puts the frame of a free base to its com, in height, if no limb ends below the frame.
+def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnostic]:
+    """Turns the frame of a free base upright, and puts it to its com where no limb ends below it.
 
-    The base's height is then one above the ground, as everywhere else. The URDF's frame follows, as
-    it does where files have it in other places.
+    It is turned, by quarters, if the file's first keyframe (``home``) has it more than 45 deg from
+    level, and raised, in height, to the com. Roll, pitch and height are of a base's frame with z
+    up, as everywhere else. The URDF's frame follows, as it does where files have it in other
+    places.
 
     Args:
         spec: The MJCF's, in which all bodies have names; it is changed.
@@ -145,8 +156,20 @@ def lift_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnosti
         body = model.body(base.name).id
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    turn = data.xmat[body].reshape(3, 3)
-    if turn[2, 2] < _TILTED and not spec.keys:
+    turn, place = data.xmat[body].reshape(3, 3), int(model.jnt_qposadr[model.body_jntadr[body]])
+    keys = sorted(range(model.nkey), key=lambda key: model.key(key).name != "home")
+    if (
+        keys
+        and (stated := _rotation(model.key_qpos[keys[0], place + 3 : place + 7]))[2, 2] < _TILTED
+    ):
+        upright = max(_QUARTERS, key=lambda quarters: float(np.trace(stated @ quarters)))
+        _move_frame(spec, base, place, pin.SE3(upright, np.zeros(3)), model)
+        tilt = Quantity(float(np.arccos(stated[2, 2])), "rad")
+        name = model.key(keys[0]).name
+        return [
+            diagnose("base-frame-turned", subject=("body", base.name), tilt=tilt, keyframe=name)
+        ]
+    if turn[2, 2] < _TILTED and not keys:
         tilt = Quantity(float(np.arccos(turn[2, 2])), "rad")
         return [diagnose("base-frame-tilted", subject=("body", base.name), tilt=tilt)]
     ends = [end for end in limb_ends(model) if end != body]
@@ -161,21 +184,55 @@ def lift_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnosti
     hangs = bottom < data.xipos[body][2] - min(up, reach) / 2
     if not hangs or turn[2, 2] < 1 - 1e-9:
         return []
-    shift = np.array([0.0, 0.0, up])
-    if base.explicitinertial:
-        base.ipos = base.ipos - shift
+    _move_frame(spec, base, place, pin.SE3(np.eye(3), np.array([0.0, 0.0, up])), model)
+    return [diagnose("base-frame-lifted", subject=("body", base.name), height=Quantity(up, "m"))]
+
+
+def _move_frame(
+    spec: mujoco.MjSpec, base: mujoco.MjsBody, place: int, there: pin.SE3, model: mujoco.MjModel
+) -> None:
+    """Moves a free base's frame, and nothing else.
+
+    Args:
+        spec: The base's, with its keyframes; it is changed.
+        base: The base.
+        place: Of its free joint in ``qpos``.
+        there: Where its frame is to be in what it was.
+        model: What MuJoCo compiles of it.
+    """
+    back = there.inverse()
     own = (*base.geoms, *base.sites, *base.cameras, *base.lights, *base.bodies, *base.frames)
+    frame = base.add_frame(pos=back.translation, quat=_quaternion(back.rotation))
     for element in own:
         if element.frame is None:
-            element.pos = element.pos - shift
-    for geom in base.geoms:
-        if geom.frame is None and np.isfinite(geom.fromto).all():
-            geom.fromto = geom.fromto - np.tile(shift, 2)
-    base.pos = base.pos + shift
-    place = int(model.jnt_qposadr[model.body_jntadr[body]]) + 2
+            element.set_frame(frame)
+    inertial = model.body(base.name)
+    if base.explicitinertial and np.array_equal(there.rotation, np.eye(3)):
+        base.ipos = base.ipos + back.translation
+    elif base.explicitinertial:
+        axes = _rotation(inertial.iquat)
+        spread = axes @ np.diag(inertial.inertia) @ axes.T
+        set_inertia(base, back.act(pin.Inertia(float(inertial.mass[0]), inertial.ipos, spread)))
+    moved = pin.SE3(_rotation(inertial.quat), inertial.pos) * there
+    base.pos, base.quat = moved.translation, _quaternion(moved.rotation)
+    base.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     for key in spec.keys:
         qpos = np.array(key.qpos)
-        if len(qpos) > place:
-            qpos[place] += up
+        if len(qpos) >= place + 7:
+            moved = pin.SE3(_rotation(qpos[place + 3 : place + 7]), qpos[place : place + 3]) * there
+            qpos[place : place + 7] = (*moved.translation, *_quaternion(moved.rotation))
             key.qpos = qpos
-    return [diagnose("base-frame-lifted", subject=("body", base.name), height=Quantity(up, "m"))]
+
+
+def _rotation(quat: Array) -> Array:
+    """Returns the rotation matrix (3, 3) of MuJoCo's quaternion (4,)."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quat / np.linalg.norm(quat))
+    return matrix.reshape(3, 3)
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Returns MuJoCo's quaternion (4,) of a rotation matrix (3, 3)."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(rotation).ravel())
+    return quat

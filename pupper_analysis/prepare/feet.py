@@ -18,6 +18,7 @@ from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest_point
+from pupper_analysis.robot.alike import limbs_of
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom, limb_ends
 from pupper_analysis.robot.robot import Robot
@@ -62,6 +63,32 @@ def pose_at_joints(robot: Robot, joints: Array) -> mujoco.MjData:
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_kinematics(robot.mj_model, data)
     return data
+
+
+_DOWN = 0.7
+"""Cosine of how far from downwards limbs end, on the whole, to be told: 45 deg."""
+
+
+def limbs_aside(robot: Robot) -> list[Diagnostic]:
+    """Tells along which axis of its base's frame a robot's limbs end, if that is not downwards.
+
+    With joints as near to zero as they come. A file of such a frame says nowhere what is up.
+    """
+    joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
+    data = pose_at_joints(robot, joints)
+    limbs = [limb.bodies for limb in limbs_of(robot)]
+    if len(limbs) < 2:
+        return []
+    roots, ends = [bodies[0] for bodies in limbs], [bodies[-1] for bodies in limbs]
+    ways = data.xipos[ends] - data.xpos[roots]
+    along = ways.mean(axis=0) / np.linalg.norm(ways, axis=1).mean()
+    axis = int(np.argmax(np.abs(along)))
+    sign = float(np.sign(along[axis]))
+    if np.abs(along[axis]) < _DOWN or (axis == 2 and sign < 0):
+        return []
+    turn = np.array([[0, sign, 0], [-sign, 0, 0], [2, 0, 0]])[axis] * np.pi / 2
+    where, rpy = f"{'-+'[sign > 0]}{'xyz'[axis]}", " ".join(f"{angle:.16g}" for angle in turn)
+    return [diagnose("limbs-aside", axis=where, rpy=rpy)]
 
 
 def joints_to(robot: Robot, body: int) -> int:
@@ -110,7 +137,9 @@ def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
     base = float(data.xpos[model.body(robot.mj_base).id][2])
     if not heights or min(heights.values()) >= base:
         limbs = [model.body(body).name for body in ends]
-        raise ModelError(robot.description.mjcf_source, diagnose("no-feet-found", limbs=limbs))
+        aside = limbs_aside(robot) if heights else []
+        problem = (*aside, diagnose("no-feet-found", limbs=limbs))[0]
+        raise ModelError(robot.description.mjcf_source, problem)
     bottom = min(heights.values())
     away = data.xpos[list(heights)] - data.xpos[model.body(robot.mj_base).id]
     reach = float(np.linalg.norm(away, axis=1).max())

@@ -70,7 +70,7 @@ def resting_depths(model: mujoco.MjModel) -> dict[str, float]:
                 carried += float(force[0])
                 depth = max(depth, -float(touch.dist))
         weight = float(model.body_subtreemass[base] * np.linalg.norm(model.opt.gravity))
-        level = float(data.xmat[base][8]) > 1 - _LEVEL
+        level = float(np.abs(data.xmat[base][6:]).max()) > 1 - _LEVEL  # see ``place_base_frame``
         if level and abs(carried - weight) < _CARRIED * weight:
             found[model.key(key).name or f"keyframe {key + 1}"] = depth
     return found

@@ -37,12 +37,13 @@ from pupper_analysis.prepare import (
     start,
     touching,
 )
-from pupper_analysis.prepare.base import free_base, free_of_friction, lift_base_frame
+from pupper_analysis.prepare.base import free_base, free_of_friction, place_base_frame
 from pupper_analysis.prepare.draft import Draft, PassRun
 from pupper_analysis.prepare.feet import (
     Foot,
     apart_at,
     find_feet,
+    limbs_aside,
     named_foot,
     with_feet,
 )
@@ -180,9 +181,9 @@ def _free_base(draft: Draft) -> Made:
     return replace(draft, spec=spec), messages
 
 
-@_pass(Term("puts the base's body where its free joint is"), _free)
-def _lift_base_frame(draft: Draft) -> Made:
-    return draft, lift_base_frame(draft.spec, draft.mjcf.model)
+@_pass(Term("turns the base's frame upright, and lifts it off the ground"), _free)
+def _place_base_frame(draft: Draft) -> Made:
+    return draft, place_base_frame(draft.spec, draft.mjcf.model)
 
 
 @_pass(Term("finds whose joint is whose"), _any)
@@ -378,6 +379,8 @@ def _hold_base(draft: Draft) -> Made:
         if refused is None:
             raise
         raise refused from None
+    if refused is None:
+        why = (*limbs_aside(held.robot), why)[0]
     return held, (diagnose("base-kept-in-the-world", why=why),)
 
 

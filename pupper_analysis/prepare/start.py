@@ -17,6 +17,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.additions import Start
 from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.prepare.feet import limbs_aside
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import model_with_servos
@@ -418,7 +419,7 @@ def find_start_pose(
     middle = (low + high) / 2
     found = found_start(robot, [*poses, middle])
     if found is None:
-        return whole, [diagnose("no-start-pose")]
+        return whole, [diagnose("no-start-pose"), *limbs_aside(whole)]
     height = Quantity(found.stand_height, "m")
     return _kept(whole, found), [diagnose("start-pose-found", height=height, keyframes=bool(known))]
 

@@ -147,10 +147,8 @@ def limbs_without_feet(robot: Robot, limbs: list[Limb]) -> list[Diagnostic]:
     return messages
 
 
-def _displaced_bodies(
-    robot: Robot, limbs: list[Limb], told: set[object]
-) -> Iterator[Diagnostic]:
-    """Yields what was not told, and is no image of any of the limbs that are alike, three of which are of each other.
+def _displaced_bodies(robot: Robot, limbs: list[Limb], told: set[object]) -> Iterator[Diagnostic]:
+    """Yields what was not told, and is no image of limbs that are alike, three of each other.
 
     Of fewer it cannot be known which is meant: fingers, arms and middle legs are each in a place of
     its own.

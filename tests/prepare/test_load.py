@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import re
 from pathlib import Path
@@ -9,11 +10,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from lxml import etree
 
 import pupper_analysis as pa
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.prepare import drives
 from pupper_analysis.robot.robot import Robot
 from tests.support.legged import BIPED_FEET, Pair, biped, from_the_ground, fused, quadruped
+from tests.tools.convert.test_model import standing_urdf
 
 
 def load(pair: Pair, **values: object) -> Robot:
@@ -341,6 +345,73 @@ def test_a_base_frame_that_is_not_level_is_said(tmp_path: Path) -> None:
         pair.mjcf.write_text(written)
         codes = {note.code for note in pa.load_robot(pair.mjcf).notes}
         assert ("base-frame-tilted" in codes) is tilted
+
+
+def _turned(pair: Pair) -> None:
+    """Writes a pair's MJCF with its base's frame turned by 90 deg about x, and nothing else."""
+    spec = mujoco.MjSpec.from_file(str(pair.mjcf))
+    base, half = spec.body("trunk"), math.sqrt(0.5)
+    frame = base.add_frame(quat=(half, -half, 0, 0))
+    for own in (*base.geoms, *base.sites, *base.bodies):
+        own.set_frame(frame)
+    quat = np.zeros(4)
+    mujoco.mju_mulQuat(quat, np.array((half, -half, 0, 0)), np.array(base.iquat))
+    base.iquat, place = quat, np.array((half, half, 0, 0))
+    (x, y, z), zero = base.ipos, np.array(base.fullinertia)
+    base.ipos = (x, z, -y)
+    assert np.isnan(zero).all() or not zero[3:].any()
+    base.quat = place
+    for key in spec.keys:
+        qpos = np.array(key.qpos)
+        qpos[3:7] = place
+        key.qpos = qpos
+    spec.compile()
+    pair.mjcf.write_text(spec.to_xml())
+
+
+def test_a_base_frame_that_is_turned_in_its_keyframe_is_turned_back(tmp_path: Path) -> None:
+    """The stand of the robot whose frame is upright, whatever frame the file gives its base."""
+    upright = pa.load_robot(quadruped(tmp_path).mjcf)
+    (tmp_path / "turned").mkdir()
+    pair = quadruped(tmp_path / "turned")
+    _turned(pair)
+    robot = pa.load_robot(pair.mjcf)
+    assert "base-frame-turned" in {note.code for note in robot.notes}
+    one, other = (pa.solve_stand(one) for one in (upright, robot))
+    np.testing.assert_allclose(other.qpos, one.qpos, atol=1e-6)
+    torques = [
+        pa.stance.stand_statics(*of).joint_torques for of in ((upright, one), (robot, other))
+    ]
+    np.testing.assert_allclose(*torques, atol=1e-6)
+    stands(robot)
+    both = pa.load_robot(pair.urdf, pair.mjcf)  # of a URDF whose frame is upright
+    np.testing.assert_allclose(pa.solve_stand(both).qpos, one.qpos, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("turn", "axis", "back"), [("x", "+y", (-1, 0)), ("y", "-x", (0, -1)), ("xx", "+z", (2, 0))]
+)
+def test_a_urdf_whose_base_is_not_upright_is_refused_with_what_to_do(
+    turn: str, axis: str, back: tuple[int, int], tmp_path: Path
+) -> None:
+    path = standing_urdf(tmp_path)
+    root = etree.parse(str(path)).getroot()
+    rpy = [0.5 * math.pi * turn.count(letter) for letter in "xyz"]
+    etree.SubElement(root, "link", name="lying")
+    joint = etree.SubElement(root, "joint", name="down", type="fixed")
+    for tag, words in (
+        ("parent", {"link": "lying"}),
+        ("child", {"link": "trunk"}),
+        ("origin", {"rpy": "{} {} {}".format(*rpy), "xyz": "0 0 0"}),
+    ):
+        etree.SubElement(joint, tag, words)
+    path.write_bytes(etree.tostring(root))
+    with pytest.raises(PupperAnalysisError) as refused:
+        pa.solve_stand(pa.load_robot(path))
+    told = str(refused.value)
+    assert f"its limbs end along {axis} of its base's frame" in told
+    (stated,) = re.findall('rpy="([^"]*)"', told)
+    np.testing.assert_allclose([float(x) for x in stated.split()], [*np.pi / 2 * np.array(back), 0])
 
 
 def test_preparing_changes_no_file(tmp_path: Path) -> None:
