@@ -186,11 +186,20 @@ def place_published(bare: Bare, robot: Robot, qpos: Array) -> mujoco.MjData | No
     """
     there = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(there, qpos)
+    return place_as(bare, robot, there)
+
+
+def place_as(bare: Bare, robot: Robot, there: mujoco.MjData) -> mujoco.MjData | None:
+    """Returns the published model's data with everything where the robot's model has it."""
     mujoco.mj_kinematics(robot.mj_model, there)
-    model = bare.model
+    model, same = bare.model, robot.mj_model.body(robot.mj_base)
+    base = int(same.jntadr[0]) if same.jntnum[0] == 1 else -1
     data = mujoco.MjData(model)
     for joint in range(model.njnt):
         if int(model.jnt_bodyid[joint]) == bare.base or model.jnt_type[joint] < 2:
+            if base >= 0 and model.jnt_type[joint] == robot.mj_model.jnt_type[base] == 0:
+                place, other = model.jnt_qposadr[joint], robot.mj_model.jnt_qposadr[base]
+                data.qpos[place : place + 7] = there.qpos[other : other + 7]  # mostly it is there
             continue
         name, place = model.joint(joint).name, int(model.jnt_qposadr[joint])
         same = mujoco.mj_name2id(robot.mj_model, mujoco.mjtObj.mjOBJ_JOINT, name)

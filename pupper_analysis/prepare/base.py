@@ -179,9 +179,11 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnost
         bottom = lowest_point(model, data, np.flatnonzero(some).tolist())
         if data.xpos[body][2] > bottom:
             return []
-    up = float(data.xipos[body][2] - data.xpos[body][2])
-    reach = float(np.linalg.norm(data.xpos[ends] - data.xipos[body], axis=1).max(initial=0.0))
-    hangs = bottom < data.xipos[body][2] - min(up, reach) / 2
+    fixed = model.body_weldid == model.body_weldid[body]  # a root may weigh nothing itself
+    com = model.body_mass[fixed] @ data.xipos[fixed] / model.body_mass[fixed].sum()
+    up = float(com[2] - data.xpos[body][2])
+    reach = float(np.linalg.norm(data.xpos[ends] - com, axis=1).max(initial=0.0))
+    hangs = bottom < com[2] - min(up, reach) / 2
     if not hangs or turn[2, 2] < 1 - 1e-9:
         return []
     _move_frame(spec, base, place, pin.SE3(np.eye(3), np.array([0.0, 0.0, up])), model)

@@ -21,6 +21,7 @@ from pupper_analysis.models.additions import Addition, Ball, Floor, Options, Ser
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import free_name, new_file_text, write_numbers
+from pupper_analysis.prepare.bare import Bare, place_as
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.prepare.convert.from_urdf import WORLD, UrdfBodies
 from pupper_analysis.prepare.convert.to_mjcf import LIMBS, BareMjcf, MjcfOptions
@@ -177,8 +178,9 @@ def _put_stand(
         failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
         gains = held_gains_of(robot, options.sag, options.damping_ratio)
         added = _retuned(robot, *gains)
-    put_all(added, mjcf)
-    _lift_base(mjcf, bodies, robot.mj_model)
+    own = Bare.of(bare.file().model, robot)
+    put_all([_in_own_frame(each, own, robot) for each in added], mjcf)
+    _lift_base(mjcf, bodies, own.model)
     return messages, failure, _joints_on_balls(robot)
 
 
@@ -221,6 +223,16 @@ def _has_bare_legs(model: mujoco.MjModel, base: str) -> bool:
         touches = any(model.geom_contype[geom] or model.geom_conaffinity[geom] for geom in geoms)
         bare += hangs and not touches
     return bare >= LIMBS
+
+
+def _in_own_frame(added: Addition, own: Bare, robot: Robot) -> Addition:
+    """Returns what is added as the new file has it, whose base's frame may lie below its feet."""
+    if not isinstance(added, Start):
+        return added
+    there = mujoco.MjData(robot.mj_model)
+    there.qpos[:] = added.qpos
+    placed = place_as(own, robot, there)
+    return added if placed is None else replace(added, qpos=tuple(placed.qpos.tolist()))
 
 
 def _put_held(bare: BareMjcf, options: MjcfOptions) -> list[Diagnostic]:

@@ -768,3 +768,34 @@ def test_two_robots_in_one_mjcf_are_named(tmp_path: Path) -> None:
     path.write_text(f"<mujoco><worldbody>{arms}</worldbody></mujoco>")
     with pytest.raises(pa.ModelError, match=r"'left/base' with 1 .*'right/base' with 1 "):
         pa.convert_model(path, tmp_path / "two.urdf")
+
+
+@pytest.mark.parametrize("empty", [False, True])
+def test_a_base_frame_below_the_feet_is_written_where_it_is(empty: bool, tmp_path: Path) -> None:
+    """Its own keyframe has it as far below the ground as the URDF does.
+
+    Its root is the link that moves, or one without mass above that.
+    """
+    path, lift = standing_urdf(tmp_path), 1.05
+    tree = ElementTree.parse(path)
+    root, new = tree.getroot(), ElementTree.SubElement
+    trunk = root.find("link[@name='trunk']")
+    assert trunk is not None
+    raised = [*trunk.iter("inertial"), *trunk.iter("collision")]
+    raised += root.findall("joint/parent[@link='trunk']/..")
+    if empty:
+        new(root, "link", name="floor_frame")
+        raised = [new(root, "joint", name="up", type="fixed")]
+        for tag, link in (("parent", "floor_frame"), ("child", "trunk")):
+            new(raised[0], tag, link=link)
+    for each in raised:
+        origin = each.find("origin")
+        origin = new(each, "origin") if origin is None else origin
+        x, y, z = map(float, origin.get("xyz", "0 0 0").split())
+        origin.set("xyz", f"{x} {y} {z + lift}")
+    tree.write(path)
+    made = pa.convert_model(path, tmp_path / "low.xml")
+    assert made.passed, made.failures
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "low.xml"))
+    stood = pa.solve_stand(pa.load_robot(path)).qpos[2]
+    assert model.key_qpos[0, 2] == pytest.approx(stood - (0.0 if empty else lift), abs=1e-3)
