@@ -798,4 +798,4 @@ def test_a_base_frame_below_the_feet_is_written_where_it_is(empty: bool, tmp_pat
     assert made.passed, made.failures
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "low.xml"))
     stood = pa.solve_stand(pa.load_robot(path)).qpos[2]
-    assert model.key_qpos[0, 2] == pytest.approx(stood - (0.0 if empty else lift), abs=1e-3)
+    assert model.key_qpos[0, 2] == pytest.approx(stood - lift, abs=1e-3)
