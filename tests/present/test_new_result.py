@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import catalogue
 from pupper_analysis.base.results import Result
-from pupper_analysis.present import documents
+from pupper_analysis.base.tools import Tool, own_tools
 from pupper_analysis.present.document import LinePlot
+from pupper_analysis.present.documents import registry
 from pupper_analysis.present.documents.registry import build_report, document
 from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.present.html.write import write_report
@@ -63,13 +64,16 @@ from pupper_analysis.robot.robot import Robot
 
 @pytest.fixture
 def wear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FootWear]:
-    """A result whose builder is the example, in the module that has its name."""
+    """A result of the core whose builder is the example, in the tool that shows it."""
     page = (ROOT / "docs/explanation/architecture.md").read_text()
-    (code,) = re.findall(r"```python\n(# present/documents/.*?)```", page, re.DOTALL)
-    path, name = re.findall(r"^# (present/documents/(\w+)\.py)", code)[0]
-    assert path == "present/documents/foot_wear.py"
-    (tmp_path / f"{name}.py").write_text(f"from __future__ import annotations\n{IMPORTS}\n{code}")
-    monkeypatch.setattr(documents, "__path__", [*documents.__path__, str(tmp_path)])
+    (code,) = re.findall(r"```python\n(# tools/wear/document\.py.*?)```", page, re.DOTALL)
+    folder = tmp_path / "wear_of_feet"
+    folder.mkdir()
+    text = f"from __future__ import annotations\n{IMPORTS}\n{code}"
+    (folder / "document.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    tools = {**own_tools(), "wear": Tool(folder.name, folder)}
+    monkeypatch.setattr(registry, "own_tools", lambda: tools)
     known = catalogue.list_entries("texts.toml")
     entries = {key: f'{{ en = "{en}", zh = "{zh}" }}' for key, (en, zh) in WORDS.items()}
     both = MappingProxyType({**known, **entries})
@@ -80,7 +84,8 @@ def wear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FootWear]:
     time = np.array([0.0, 10.0, 20.0])
     rates = {"FL": 0.25, "RR": 0.75}
     yield FootWear("v9", rates, time, {foot: rate * time for foot, rate in rates.items()}, True)
-    sys.modules.pop(f"{documents.__name__}.{name}", None)
+    for name in (folder.name, f"{folder.name}.document"):
+        sys.modules.pop(name, None)
 
 
 def test_one_builder_shows_it_everywhere(wear: FootWear, tmp_path: Path) -> None:
