@@ -307,7 +307,8 @@ def truth_of(rig: Rig) -> dict[str, float]:
     """Returns what is true by the estimates' names."""
     truth, robot = dict(rig.planted.truth), rig.planted.stated
     truth |= {f"kp {n}": float(k) for n, k in zip(robot.joint_names, rig.kp, strict=True)}
-    truth["mass"] = rig.robot.total_mass
+    truth["mass"] = rig.robot.total_mass  # of what was weighed; a pack is the load
+    truth["load scale"] = rig.other.pack - rig.other.cable[1]
     base = robot.base
     if rig.other.pack:
         pack = rig.other.pack * rig.robot.total_mass
@@ -317,7 +318,6 @@ def truth_of(rig: Rig) -> dict[str, float]:
             own = truth[f"com.{axis} {base}"]
             truth[f"com.{axis} {base}"] = (had * own + pack * place) / (had + pack)
         truth[f"mass {base}"] = had + pack
-        truth["mass"] += pack
     for name in [
         one
         for one in truth

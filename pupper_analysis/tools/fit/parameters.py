@@ -69,6 +69,8 @@ KINDS: Mapping[str, ParameterKind] = {
         # Of the ground under the feet, in parts of what the MJCF says: 0 is a rigid floor, which
         # is as far away as twice as soft a one.
         ParameterKind("softness", "1", width=0.5),
+        # Of a leg's last link, from its joint to the foot: parts are printed and glued.
+        ParameterKind("length", "m", width=5e-4),
         # What a foot that turned on the ground, or rolled, keeps in every stand alike, in parts of
         # the force on it.
         ParameterKind("moment", "m", width=3e-4),
@@ -87,7 +89,9 @@ KINDS: Mapping[str, ParameterKind] = {
 }
 """The kinds, each with what is known before anything is measured, unless a prior says otherwise."""
 
-OF_SURROUNDINGS = ("slope", "softness", "moment", "deadband", "load", "imu", "added", "place")
+OF_SURROUNDINGS = (
+    *("slope", "softness", "length", "moment", "deadband", "load", "imu", "added", "place"),
+)
 """Kinds that are no number of the robot's files."""
 
 

@@ -156,7 +156,8 @@ def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
 
     # Feet that keep a moment, too.
     truth[[at for at, one in enumerate(table) if one.kind == "moment"]] = 1e-3
-    # Servos with a dead band, and a cable that carries.
+    # Legs that are longer, servos with a dead band, and a cable that carries.
+    truth[[at for at, one in enumerate(table) if one.kind == "length"]] = 2e-3
     truth[table.place("deadband", "servos")], truth[table.place("load", "scale")] = 4e-3, -0.03
     own = system._own[0]
 
@@ -673,6 +674,22 @@ def test_soles_that_are_all_a_little_softer_are_softer() -> None:
     assert [one.subject.name for one in messages if one.subject] == ["FL", "FR", "RL"]
     assert messages[0].values["times"] == pytest.approx(1 + 2.1 * sigma)
     assert not list(doubt_surroundings(measured(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
+
+
+def test_legs_that_are_all_a_little_longer_are_longer() -> None:
+    """And a load is doubted where a known mass tells of it, and nowhere else."""
+    noise, width = 1.0, 5e-4
+    sigma = width * math.hypot(1, noise)
+    legs = tuple(Parameter("length", foot, "", 0.0, width) for foot in ("FL", "FR", "RL", "RR"))
+    found = list(doubt_surroundings(measured(legs, np.array([2.1, 2.2, 1.9, -2.3]) * sigma, noise)))
+    assert [one.subject.name for one in found if one.subject] == ["FL", "FR", "RR"]
+    assert found[2].values["longer"].value == pytest.approx(-2.3 * sigma)
+    load, mass = Parameter("load", "scale", "", 0.0, 0.06), Parameter("added", "a", "", 1.0, 0.005)
+    off = measured((load, mass), np.array([0.4, 1.0]), 0.5)
+    (said,) = doubt_surroundings(off)
+    assert said.code == "known-mass-contradicts-the-scale"
+    assert said.values["load"] == pytest.approx(40)
+    assert not list(doubt_surroundings(measured((load,), np.array([0.4]), 0.5)))
 
 
 def test_false_alarms_are_as_rare_as_is_said() -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.joints import leg_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.estimate import Linearised
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
@@ -214,6 +215,8 @@ class StandRows:
         # MuJoCo has a contact half way into what the foot sinks.
         self._arms[:, 2] = self._softness * self._deep / 2 - self._radius
         self._twists = self.config.foot_twists(points)
+        turns = self.config.foot_rotations(points)
+        self._ahead = np.array([t @ numbers.ahead[p] for t, p in zip(turns, points, strict=True)])
         linear, turning = self._twists[:, :3], self._twists[:, 3:]
         self.jacobians = linear - cross_matrices(self._arms) @ turning
         known = np.isfinite(reading.command)
@@ -259,6 +262,9 @@ class StandRows:
             )
             for at in self._at("softness", foot):
                 by_x[:, at] += self._deep[point] * moved[point]
+            for at in self._at("length", foot):
+                turned = np.cross(self._ahead[point], self._forces[point])
+                by_x[:, at] += turned @ self._twists[point, 3:]
             for axis, name in enumerate(AXES):
                 for at in self._at("moment", foot, name):
                     by_x[:, at] += self._forces[point, 2] * self._twists[point, 3 + axis]
@@ -351,6 +357,8 @@ class StandRows:
             by_own[point, 3 + 3 * point + 2] += self._softness[point] / self._rates[point]
             for at in self._at("softness", foot):
                 by_x[point, at] += self._deep[point]
+            for at in self._at("length", foot):
+                by_x[point, at] += self._ahead[point, 2]
 
     def _tilt(self) -> None:
         """Roll and pitch against the vertical, plus the IMU's own = what it shows.
@@ -414,6 +422,7 @@ class Numbers:
         offset: (nu,) rad.
         softness: {foot: factor on how far it sinks}.
         moment: {foot: (3,) moment on it, in parts of the force on it (m)}.
+        ahead: {contact point: (3,) direction in its frame in which its leg's last link is long}.
         down: (3,) gravity in the ground's axes (m/s^2).
         tilts: (2, 3) its derivatives by the slope.
         imu: (2,) roll and pitch of the IMU in the base (rad).
@@ -434,6 +443,7 @@ class Numbers:
     offset: Array
     softness: dict[str, float]
     moment: dict[str, Array]
+    ahead: Mapping[str, Array]
     down: Array
     tilts: Array
     imu: Array
@@ -469,6 +479,22 @@ class Numbers:
             tilts=self.tilts @ back.T,
             loads=tuple(loads),
         )
+
+
+def _ahead_of(robot: Robot, point: str) -> Array:
+    """Returns the direction (3,) from its leg's last joint to a contact point, in its frame.
+
+    In the plane of the leg: without what it is aside along the joint's axis.
+    """
+    rest, joints = Configuration(robot, robot.neutral()), leg_joints(robot, point)
+    if not joints:
+        return np.zeros(3)
+    axis = rest.joint_axis(joints[-1])
+    way = rest.foot_places([point])[0] - rest.joint_position(joints[-1])
+    way -= (way @ axis) * axis
+    size = float(np.linalg.norm(way))
+    found: Array = rest.foot_rotations([point])[0].T @ way / size if size else np.zeros(3)
+    return found
 
 
 class GravityRegressor:
@@ -561,6 +587,7 @@ class StandEquations:
         self._bodies = [(link, at, model.inertias[at].copy()) for link, at in bodies_of(robot)]
         self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
         self._regressor = GravityRegressor(robot)
+        self._ahead = {point: _ahead_of(robot, point) for point in robot.contact_points}
         self._readings = list(readings_of(robot, stands))
         self._own = [self._begin(reading) for reading in self._readings]
 
@@ -629,6 +656,10 @@ class StandEquations:
             bodies.append((link, number, mass, com))
             at = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
             model.inertias[at] = pin.Inertia(mass, com, stated.inertia)  # at rest nothing turns
+        for point, ahead in self._ahead.items():
+            if length := table.value(x, "length", robot.foot_of(point), "", 0.0):
+                at = model.getFrameId(robot.contact_frames[point], pin.FrameType.BODY)
+                model.frames[at].placement *= pin.SE3(np.eye(3), length * ahead)
         size = float(np.linalg.norm(robot.gravity))
         one, two = (table.value(x, "slope", "floor", axis, 0.0) for axis in "xy")
         upright = math.sqrt(1 - one * one - two * two)
@@ -643,6 +674,7 @@ class StandEquations:
                 foot: np.array([table.value(x, "moment", foot, axis, 0.0) for axis in AXES])
                 for foot in robot.feet
             },
+            ahead=self._ahead,
             down=size * np.array([one, two, -upright]),
             tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
             imu=np.array([table.value(x, "imu", "imu", axis, 0.0) for axis in ("roll", "pitch")]),

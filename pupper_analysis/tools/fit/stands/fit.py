@@ -338,7 +338,7 @@ _NOISY = 5.0
 _FAR = 4.5
 """Standard deviations: of a hundred numbers that are as was said, none is so far off."""
 
-_DOUBTED = ("slope", "softness", "imu", "load")
+_DOUBTED = ("slope", "softness", "length", "imu", "load")
 """Of the surroundings: kinds that somebody says something of."""
 
 _NEVER_NOTHING, _NOTHING = ("mass", "kp"), 0.01
@@ -434,7 +434,10 @@ def doubt_surroundings(
         for number, one in enumerate(chosen):
             if number != each.argmax() and each[number] < _ALSO:
                 continue
-            if kind == "softness":
+            if kind == "length":
+                longer = Quantity(float(free[number]), "m")
+                yield diagnose("leg-is-longer", subject=("foot", one.subject), longer=longer)
+            elif kind == "softness":
                 times = max(0.0, one.stated + float(free[number]))
                 yield diagnose("feet-sink-otherwise", subject=("foot", one.subject), times=times)
             else:
@@ -613,15 +616,18 @@ def fit_stands(
         if wiring := find_wiring(robot, given, evidence, fit):
             raise MeasurementError(given.source, wiring.found) from error
         raise
-    # Plugs that are exchanged leave residuals; a wrong scale, or a slope by itself, leave none.
-    if all(one.code in _OF_SCALES for one in found.failures):
+    # Plugs that are exchanged leave residuals; a wrong scale, a slope, long legs leave none.
+    if all(one.code in _LEAVE_NONE for one in found.failures):
         return found
     if wiring := find_wiring(robot, given, evidence, fit):
         return replace(found, failures=(wiring.found, *found.failures))
     return found
 
 
-_OF_SCALES = ("scale-far-from-the-file", "known-mass-contradicts-the-scale", "ground-slopes")
+_LEAVE_NONE = (
+    *("scale-far-from-the-file", "known-mass-contradicts-the-scale"),
+    *("ground-slopes", "leg-is-longer"),
+)
 
 
 def _without_contradictions(
@@ -820,6 +826,7 @@ def parameters_of(
         yield "slope", "floor", axis, 0.0
     for foot in robot.feet:
         yield "softness", foot, "", 1.0
+        yield "length", foot, "", 0.0
         for axis in AXES:
             yield "moment", foot, axis, 0.0
     if np.isfinite(stands.command).any():
