@@ -26,6 +26,14 @@ _TURNS_AND_HEIGHT = [3, 4, 2]
 """Of qvel: turns about the base's own x and y, and how high it is. What a stand at rest leaves of
 the base's motion: where it stands, and where it looks to, nothing of it shows."""
 
+_LAST = 0.75
+"""Of the friction in joints and on feet, for each motion of the base. Of v3, set down in MuJoCo,
+all feet of a stand keep moments of one sign, and the joints that moved most their whole friction:
+with this, and half of each one's variance by itself, residuals of true robots come out as 1."""
+
+_FIXED, _STILL = 1e-6, 1e-9
+"""Singular values and rates that are none: of motions that a leg does not take part in."""
+
 _BALANCE = 1e-5
 """Of the weight, and of the weight times the height: standard deviation of what balances the base.
 A robot at rest obeys statics; the number is so small that it hides nothing, and lets the base's
@@ -227,7 +235,9 @@ class StandRows:
         self._known = known
         self._scale = robot.total_mass * float(np.linalg.norm(robot.gravity))
         pressed = np.maximum(forces[:, 2], 0.0)
-        sources = np.append([noise.encoder] * robot.nu, noise.moment * np.repeat(pressed, 3))
+        own = math.sqrt(0.5) * noise.moment * np.repeat(pressed, 3)
+        last = _LAST * np.repeat([noise.friction, noise.moment], 6)
+        sources = np.concatenate([np.full(robot.nu, noise.encoder), own, last])
         self.rows = Rows((len(table), 3 + 3 * len(points)), sources)
         self._balance()
         self._contact()
@@ -274,7 +284,12 @@ class StandRows:
         nu = self._robot.nu
         by_noise[6:, :nu] += np.diag(self.kp * self._known)
         by_noise[:, :nu] += stiffness[:, 6:]
-        by_noise[:, nu:] = self._twists[:, 3:].reshape(-1, nv).T
+        turning = self._twists[:, 3:]
+        by_noise[:, nu:-12] = turning.reshape(-1, nv).T
+        joints, feet = self._last_motions()
+        by_noise[6:, -12:-6] = (numbers.rubbing / math.sqrt(3.0))[:, None] * joints
+        pressed = np.maximum(self._forces[:, 2], 0.0)
+        by_noise[:, -6:] = np.einsum("p,pij,pik->jk", pressed, turning, feet)
         for joint, name in enumerate(self._names):
             row = 6 + joint
             for at in self._at("offset", name):
@@ -285,6 +300,19 @@ class StandRows:
                 by_x[row, at] -= numbers.kp[joint] * self._signs[joint]
         self._gravity(by_x, by_mass, by_com, by_slope)
         self._in_positions(residual, by_x, by_own, by_noise)
+
+    def _last_motions(self) -> tuple[Array, Array]:
+        """Returns how joints (nu, 6) and feet (p, 3, 6) turn with the base, on feet that stay.
+
+        Each motion of the base by its fastest joint, and its fastest foot. A stand that comes to
+        rest stops them together, and the last motion leaves its friction in all of them.
+        """
+        nv, twists = self._robot.nv, self._twists
+        on = self.jacobians.reshape(-1, nv)
+        joints, *_ = np.linalg.lstsq(on[:, 6:], -on[:, :6], rcond=_FIXED)
+        feet = twists[:, 3:, :6] + twists[:, 3:, 6:] @ joints
+        fastest = np.maximum(np.abs(joints).max(axis=0), _STILL)
+        return joints / fastest, feet / np.maximum(np.abs(feet).max(axis=(0, 1)), _STILL)
 
     def _gravity(
         self, by_x: Array, by_mass: list[Array], by_com: list[Array], by_slope: list[Array]
@@ -334,8 +362,8 @@ class StandRows:
     def _unsure(self) -> Array:
         """Returns the standard deviations (nv,) of balance, but for what encoders' noise does."""
         length, rubbing = self._robot.stand_height, self._noise.friction * self._numbers.rubbing
-        # A joint rests anywhere in its band of dry friction.
-        torque = np.hypot(_LINEAR * self._scale * length, rubbing / math.sqrt(3.0))
+        # A joint rests anywhere in its band of dry friction; half of it is the last motion's.
+        torque = np.hypot(_LINEAR * self._scale * length, rubbing / math.sqrt(6.0))
         torque = np.where(self._known, torque, _UNKNOWN * self._scale * length)
         base = _BALANCE * self._scale * np.array([1.0, 1.0, 1.0, length, length, length])
         return np.concatenate([base, torque])

@@ -1119,7 +1119,9 @@ def find_noise(
             expected,
             moment=max(_LEAST_MOMENT, expected.moment * moment),
             flatness=max(_FLATTEST, expected.flatness * flatness),
-            friction=expected.friction * friction,
+            # Priors are wider than robots are wrong, so that few stands are explained by parameters
+            # that are not, and friction comes out too small: it is what the files state at least.
+            friction=expected.friction * max(1.0, friction),
         )
 
     def unlikely(levels: Array) -> float:
