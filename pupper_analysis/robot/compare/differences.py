@@ -360,6 +360,10 @@ def vector_pair(one: Array, two: Array, unit: str = "1") -> dict[str, Any]:
     return {"one": Vector.rounded(one, unit), "two": Vector.rounded(two, unit)}
 
 
+MANIFOLD = 10.0
+"""From so many times on a change is said as a factor: no one reads thousands of percent."""
+
+
 def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
     """Returns the difference, or the mistake where the ratio is telling."""
     if urdf == 0 or mjcf == 0:
@@ -373,6 +377,8 @@ def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
         return diagnose("guess-a-tenth")
     if math.isclose(ratio, -1.0, rel_tol=1e-3):
         return diagnose("guess-other-sign")
+    if ratio > MANIFOLD:
+        return diagnose("relative-factor", times=ratio)
     return diagnose("relative-change", change=Quantity(ratio - 1, "1"))
 
 

@@ -24,7 +24,7 @@ from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of, quote_line
 from pupper_analysis.present.formats import Annotation, CheckedItem
 from pupper_analysis.robot.compare.compare import Comparison
-from pupper_analysis.robot.compare.differences import Difference, about_kind
+from pupper_analysis.robot.compare.differences import MANIFOLD, Difference, about_kind
 from pupper_analysis.robot.compare.engines import (
     EDGES,
     EXTRAS,
@@ -86,7 +86,8 @@ def describe_effects(difference: Difference) -> Diagnostic:
             what=Term(name),
             # Of what others undo it is more than the whole, which says nothing.
             share=Quantity(effect.share, "1") if effect.share <= _WHOLE else None,
-            relative=effect.relative,
+            relative=Quantity(effect.relative, "1") if effect.relative < MANIFOLD else None,
+            times=effect.relative if effect.relative >= MANIFOLD else None,
         )
         for name, effect in sorted(difference.effects.items(), key=lambda item: -item[1].share)
     ]
