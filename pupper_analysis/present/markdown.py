@@ -110,7 +110,6 @@ def _fold(title: str, text: str) -> str:
 
 @singledispatch
 def _block(_: object) -> list[str]:
-    """Returns a block; plots and views are left out."""
     return []
 
 

@@ -262,7 +262,6 @@ def _say(out: Console, line: Text, *, indent: int = 0, wrap: bool = True) -> Non
 
 
 def _plain(words: Words) -> str:
-    """Returns words in a line that does nothing to a terminal."""
     return escape_control(in_english(words))
 
 
@@ -456,7 +455,6 @@ def _bar(share: float | None) -> str:
 
 
 def _wrapped(text: str, width: int) -> list[str]:
-    """Returns a text in lines of whole words."""
     lines: list[str] = []
     for word in text.split(" "):
         if lines and cell_len(lines[-1]) + 1 + cell_len(word) <= width:

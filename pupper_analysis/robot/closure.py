@@ -244,10 +244,8 @@ class Closure:
         allowed = OPEN + _SOFTER * self._softness(qpos).most() * np.abs(forces)
         off = np.abs(self.residual(qpos))
         if (off > allowed).any():
-            raise ConfigurationError(
-                "qpos",
-                diagnose("loops-open", bonds=self.bonds, off=Quantity(off.max(), "rad or m")),
-            )
+            most = Quantity(off.max(), "rad or m")
+            raise ConfigurationError("qpos", diagnose("loops-open", bonds=self.bonds, off=most))
 
     def readiness(self, placing: IntArray) -> Array:
         """Returns ``moving`` (nu,) for ``closed`` where some joints place feet, and are to stay."""

@@ -202,7 +202,7 @@ class Stability(Result):
         speed: The greatest element of qvel where it was judged (m/s, rad/s): a state that is not at
             rest is not judged by this.
         sticks: Whether friction sticks (``noslip_iterations``): it holds what would buckle until it
-            slips, and what its iterations leave is no mode: only a simulation tells.
+            slips, and what its iterations leave is no mode: only a simulation shows.
         settled: Whether it settled before it was judged; what is thrown off is judged where it
             begins.
     """

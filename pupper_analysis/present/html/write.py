@@ -130,7 +130,6 @@ def _stand(scene: StandScene) -> dict[str, Any]:
 
 @scene_of.register
 def _motion(scene: MotionScene) -> dict[str, Any]:
-    """Returns a robot as it begins, on the ground's plane."""
     robot, qpos = scene.robot, scene.motions[0].qpos[0]
     axes = joint_axes(Configuration(robot, qpos), qpos[-robot.nu :], None)
     drawn = _robot(robot, qpos, scene.motions, axes)
@@ -337,7 +336,6 @@ def installed_library() -> Library | None:
 
 
 def _licences(folder: Path) -> str:
-    """Returns the licences of the viewer, and of all that is bundled in it."""
     texts = []
     try:
         own = [
@@ -487,7 +485,6 @@ def _counted(judged: list[Document]) -> Text | None:
 
 
 def _interface() -> dict[str, Any]:
-    """Returns the words of the page itself."""
     layers = {
         "shapes": text("shapes"),
         "axes": text("joint axes"),

@@ -109,12 +109,12 @@ class Remark(Result):
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
-        """What tells it from other remarks, whatever its values, and wherever it stands."""
+        """What distinguishes it from other remarks, whatever its values, and wherever it stands."""
         return self.check, self.pair, self.file, self.kind, self.element
 
     @property
     def finding(self) -> tuple[str, ...]:
-        """What tells it from others to be mended.
+        """What distinguishes it from others to be mended.
 
         Differences that one slip explains are one, and so are those with the same two values.
         """

@@ -158,7 +158,7 @@ def _check(one: Placed, model: Source) -> list[Diagnostic]:
 
 
 def _named_apart(read: Sequence[Source]) -> list[Source]:
-    """Returns sources whose names tell them apart: by as many folders as that takes."""
+    """Returns sources with names that differ: by as many folders as that takes."""
     done = []
     for one in read:
         mine = one.path.absolute().parts

@@ -96,7 +96,7 @@ _USES = {
     "count",
     type=int,
     metavar="COUNT",
-    help="Choose the stands whose measurement would tell most, and write them to -o.",
+    help="Choose the stands whose measurement determines most, and write them to -o.",
 )
 @click.option("--degrees", is_flag=True, help="Write the plan in degrees.")
 @click.option(

@@ -49,7 +49,7 @@ _LULL = 0.1
 
 _REST_SPEED = 0.02
 """What is faster in it, of all coordinates, is not at rest yet (m/s, rad/s). A robot that almost
-tips is as slow for a while: its spectrum tells it from one that stands."""
+tips is as slow for a while: its spectrum distinguishes it from one that stands."""
 
 _SAMPLE_TIME = 0.004  # s between the states whose contacts are looked at
 _BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take

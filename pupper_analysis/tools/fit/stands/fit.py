@@ -445,7 +445,7 @@ def doubt_surroundings(
                 yield diagnose("imu-is-turned", angle=angle, axis=one.component)
 
 
-# What else could be measured of stands, and how much it would tell.
+# What else could be measured of stands, and how much it would determine.
 
 
 WEIGHED = 0.002
