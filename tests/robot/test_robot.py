@@ -166,19 +166,6 @@ def test_a_foot_may_be_a_body_or_a_geom(tmp_path: Path, kind: str) -> None:
     assert robot.contact_radius["foot"] == 0.02
 
 
-def test_shipped_robots_are_loaded(robot: pa.Robot, variant: str) -> None:
-    assert robot.name == variant
-    assert robot.imu == "body_imu_site"
-    assert robot.floating
-    radius = 0.01995 if variant.startswith("v3") else 0.018
-    assert set(robot.contact_radius.values()) == {radius}
-    effort = 3.0 if variant.startswith("v3") else 18.0
-    np.testing.assert_array_equal(robot.effort_limits, [effort] * 12)
-    assert (robot.lower_limits < robot.upper_limits).all()
-    home = robot.home[7:]
-    assert ((robot.lower_limits <= home) & (home <= robot.upper_limits)).all()
-
-
 def test_a_robot_cannot_be_changed() -> None:
     with pytest.raises(FrozenInstanceError):
         load("v3").name = "other"  # type: ignore[misc]
