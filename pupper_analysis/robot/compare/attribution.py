@@ -18,7 +18,15 @@ from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.sides import ANY_MOTOR, mirror_pairs, unlike_pairs
-from pupper_analysis.robot.compare.behaviour import Behaviour, MujocoBehaviour, still_acting
+from pupper_analysis.robot.compare.behaviour import (
+    Behaviour,
+    Entries,
+    MujocoBehaviour,
+    affordable_states,
+    is_large,
+    random_states,
+    still_acting,
+)
 from pupper_analysis.robot.compare.changes import apply_changes, changes_between, convention_changes
 from pupper_analysis.robot.compare.differences import (
     Armature,
@@ -34,7 +42,6 @@ from pupper_analysis.robot.compare.mjcf_only import (
     split_mimics,
     without_effects,
 )
-from pupper_analysis.robot.compare.states import Entries, affordable_states, is_large, random_states
 from pupper_analysis.robot.matching.alignment import Alignment, align_frames
 from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.match import Match

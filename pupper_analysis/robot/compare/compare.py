@@ -51,6 +51,7 @@ from pupper_analysis.robot.compare.attribution import (
     explain_differences,
     unstated_notes,
 )
+from pupper_analysis.robot.compare.behaviour import check_states
 from pupper_analysis.robot.compare.changes import convention_changes
 from pupper_analysis.robot.compare.differences import (
     CONVENTIONS,
@@ -70,7 +71,6 @@ from pupper_analysis.robot.compare.engines import (
     cross_check,
 )
 from pupper_analysis.robot.compare.patterns import PatternCause, find_causes, mass_shares
-from pupper_analysis.robot.compare.states import check_states
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.match import Match, match_models

@@ -43,21 +43,21 @@ from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.multibody import from_pinocchio, joint_placements
 from pupper_analysis.models.xml import parse_text, to_text
-from pupper_analysis.robot.compare.behaviour import offsets_in_world
+from pupper_analysis.robot.compare.behaviour import (
+    States,
+    affordable_states,
+    check_states,
+    is_large,
+    offsets_in_world,
+    random_states,
+    size_notes,
+    some_of,
+)
 from pupper_analysis.robot.compare.mjcf_only import (
     as_it_is,
     mjcf_only_effects,
     split_mimics,
     without_effects,
-)
-from pupper_analysis.robot.compare.states import (
-    States,
-    affordable_states,
-    check_states,
-    is_large,
-    random_states,
-    size_notes,
-    some_of,
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import foot_site

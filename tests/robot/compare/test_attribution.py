@@ -18,8 +18,8 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.compare import changes as explain_module
 from pupper_analysis.robot.compare.attribution import explain_differences
+from pupper_analysis.robot.compare.behaviour import random_states
 from pupper_analysis.robot.compare.differences import Difference, Explanation
-from pupper_analysis.robot.compare.states import random_states
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from tests.support.engines import addresses, mujoco_at
 from tests.support.robots import (

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from pupper_analysis.robot.compare import mjcf_only as extras_module
 from pupper_analysis.robot.compare.attribution import explain_differences
+from pupper_analysis.robot.compare.behaviour import random_states
 from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.compare.differences import Effect
 from pupper_analysis.robot.compare.engines import EXTRAS, cross_check
@@ -24,7 +25,6 @@ from pupper_analysis.robot.compare.mjcf_only import (
     split_mimics,
     without_effects,
 )
-from pupper_analysis.robot.compare.states import random_states
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Reference
 from tests.support.robots import (

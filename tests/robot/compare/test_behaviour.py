@@ -17,15 +17,15 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.robot.compare.attribution import _entries
-from pupper_analysis.robot.compare.behaviour import Behaviour
-from pupper_analysis.robot.compare.engines import URDF_MUJOCO, URDF_READ, cross_check
-from pupper_analysis.robot.compare.states import (
+from pupper_analysis.robot.compare.behaviour import (
     MOST_IN_PINOCCHIO,
+    Behaviour,
     affordable_states,
     random_states,
     size_notes,
     some_of,
 )
+from pupper_analysis.robot.compare.engines import URDF_MUJOCO, URDF_READ, cross_check
 from pupper_analysis.robot.matching.trees import Reference, kinematic_trees
 from pupper_analysis.robot.structure import Structure
 from tests.support.cases import some
