@@ -97,6 +97,7 @@ def leave_out_missing(
             kind=Term(kind),
             files=dict.fromkeys(named.values()),
             touching=touching if kind == "mesh" else (),
+            bodies=dict.fromkeys(geom.parent.name for geom in geoms if geom.meshname in meshes),
         )
         for kind, named in files.items()
         if named
@@ -625,7 +626,15 @@ class MjcfFile:
     @property
     def lacking(self) -> tuple[str, ...]:
         """The files of meshes with which the robot touches, and which are missing."""
-        named = [note.values.get("touching") for note in self.notes if note.code == "files-missing"]
+        return self._of_missing("touching")
+
+    @property
+    def bare(self) -> tuple[str, ...]:
+        """The bodies with geoms that are left out, as the files of their meshes are missing."""
+        return self._of_missing("bodies")
+
+    def _of_missing(self, word: str) -> tuple[str, ...]:
+        named = [note.values.get(word) for note in self.notes if note.code == "files-missing"]
         return tuple(str(name) for names in named if isinstance(names, tuple) for name in names)
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:

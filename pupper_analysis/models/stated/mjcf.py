@@ -21,7 +21,7 @@ from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.shapes import Pose, read_shape
+from pupper_analysis.models.shapes import Pose, Shape, read_shape
 from pupper_analysis.models.stated.model import (
     BALL,
     FREE,
@@ -74,6 +74,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
     }
     ranges = switched_off_ranges(file.spec, spec)
     frames: dict[int, list[Frame]] = {}
+    bare = set(file.bare)
     for site in range(model.nsite):
         frame = Frame(model.site(site).name, np.array(model.site_pos[site]))
         frames.setdefault(int(model.site_bodyid[site]), []).append(frame)
@@ -90,9 +91,12 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
                 for joint in _range(model.body_jntadr[body], model.body_jntnum[body])
             ),
             inertial=_inertial(model, body, stated.get(body)),
-            shapes=tuple(
-                read_shape(model, geom)
-                for geom in _range(model.body_geomadr[body], model.body_geomnum[body])
+            shapes=(
+                *(
+                    read_shape(model, geom)
+                    for geom in _range(model.body_geomadr[body], model.body_geomnum[body])
+                ),
+                *([Shape("", "mesh", Pose(), (), collides=False)] if names[body] in bare else []),
             ),
             frames=tuple(frames.get(body, ())),
         )

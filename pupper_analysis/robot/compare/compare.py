@@ -124,8 +124,8 @@ def compare_collisions(
     """
     meant = matched.conventions
     one, two = read_urdf_model(urdf), read_mjcf_model(mjcf)
-    stated = any(shape.collides for shape in _shapes(one)) and any(_shapes(two))
-    if two.mj_model is None or not stated:
+    stated = any(shape.collides for link in one.links.values() for shape in link.shapes)
+    if two.mj_model is None or not stated or not two.mj_model.geom_bodyid.any():
         return [], []  # one of them is of joints and masses alone
     if meant.base is not None or meant.zeros:
         return [], [diagnose("collisions-not-compared")]
@@ -144,10 +144,6 @@ def compare_collisions(
         found,
         list(_of_others({name: limbs[name] for name in limbs if name not in different})),
     )
-
-
-def _shapes(robot: RobotModel) -> Iterator[Shape]:
-    return (shape for link in robot.links.values() for shape in link.shapes)
 
 
 Limb = tuple[tuple[_Placed, ...], tuple[_Placed, ...]]

@@ -31,6 +31,20 @@ def test_the_base_is_the_heaviest_that_is_free_and_moves_by_itself(tmp_path: Pat
     assert base_of(tmp_path, CRATE) == "crate"
 
 
+def test_a_mesh_that_is_missing_is_a_shape_of_unknown_extent(tmp_path: Path) -> None:
+    """As of a URDF: what is known of the link is not all of it."""
+    file = tmp_path / "robot.xml"
+    file.write_text("""<mujoco><asset><mesh name="shell" file="gone.stl"/></asset><worldbody>
+      <body name="base"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><geom size="0.1"/>
+        <body name="arm"><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+          <geom size="0.02"/><geom type="mesh" mesh="shell"/></body></body>
+      </worldbody></mujoco>""")
+    links = read_mjcf_model(read_mjcf(file)).links
+    assert [shape.kind for shape in links["base"].shapes] == ["sphere"]
+    assert [shape.kind for shape in links["arm"].shapes] == ["sphere", "mesh"]
+    assert links["arm"].shapes[1].points is None
+
+
 def test_links_that_a_file_has_fused_are_kept_apart(tmp_path: Path) -> None:
     """As of a URDF: where each stands, what it weighs and which shapes it has."""
     file = tmp_path / "robot.xml"
