@@ -191,7 +191,15 @@ def measure_stands(plan: Path) -> None:
     model, data, names = _measured("pupper_v3")
     sphere = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
     feet = np.flatnonzero(sphere & (model.geom_contype + model.geom_conaffinity > 0))
+    base = model.body("leg_front_r_1").parentid[0]
+    bare, own = model.body_mass[base], model.body_ipos[base].copy()
     for row in rows:
+        on, *place = (
+            float(row.get(f"added{axis}.base_link") or 0) for axis in ("", "_x", "_y", "_z")
+        )
+        model.body_mass[base] = bare + on
+        model.body_ipos[base] = (bare * own + on * np.array(place)) / (bare + on)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
         mujoco.mj_resetData(model, data)
         data.ctrl[:] = [float(row[f"command.{name}"]) for name in names]
         for name, angle in zip(names, data.ctrl, strict=True):

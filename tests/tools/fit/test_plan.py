@@ -118,7 +118,7 @@ def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[
         assert found[one] == pytest.approx(drawn.center_of_mass(), abs=1e-12)
     aside = np.std(found, axis=0)[:2].max()
     # A twentieth: what 2000 draws leave, and that heavier robots' coms are not linear in masses.
-    assert plan._com_width(robot, known) == pytest.approx(aside, rel=0.05)
+    assert plan.com_width(robot, known) == pytest.approx(aside, rel=0.05)
 
 
 @pytest.mark.parametrize("variant", ["original", "long-leg"])

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
+import pty
+import sys
+from array import array
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +28,6 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.fit.measurements.stands import read_stands
 from pupper_analysis.tools.fit.record.bridge import open_bridge
 from pupper_analysis.tools.fit.record.recorder import SPEED, record_stands
-from pupper_analysis.tools.fit.record.ros import Topics
 from pupper_analysis.tools.fit.record.simulated import SimulatedRobot
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, write_plan
 
@@ -131,6 +135,47 @@ def test_a_message_that_comes_late_is_waited_for(robot: Robot, plan: Path, tmp_p
     assert record_stands(robot, plan, tmp_path / "stands.csv", one, one).complete
 
 
+def test_a_slip_is_waited_for_and_its_row_is_of_a_robot_at_rest(
+    robot: Robot, plan: Path, tmp_path: Path
+) -> None:
+    """It is pushed while it is averaged: by 4 cm/s after 0.2 s joints are 10 mrad elsewhere."""
+    rows = []
+    for name, slip in (("still", math.inf), ("slips", 1.6)):
+        one = SimulatedRobot(robot, 3)
+        one.faults.slip = slip
+        assert record_stands(robot, plan, tmp_path / name, one, one).complete
+        rows.append((one.now(), read_stands(tmp_path / name).position))
+    assert rows[1][0] > rows[0][0] + 0.5  # it was waited for
+    assert np.abs(rows[1][1] - rows[0][1]).max() < 0.02
+
+
+def test_a_person_at_a_terminal_types_positions_and_any_key_stops(
+    robot: Robot, plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Through a pseudo-terminal: three stands are typed, the second is left out."""
+    ours, theirs = pty.openpty()
+    terminal = os.fdopen(theirs, "r")
+    monkeypatch.setattr(sys, "stdin", terminal)
+    typed = [f"{0.5 * joint:.2f}" for joint in range(robot.nu)]
+    lines = ["", *typed, "FR", "s", "", *typed, "nose", "none", "", *typed, "s"]
+    os.write(ours, ("\n".join(lines) + "\n").encode())
+    bridge, person = open_bridge("typed", robot)
+    found = record_stands(robot, plan, tmp_path / "stands.csv", bridge, person)
+    assert found.taken == ("s0", "s2")
+    assert [one.code for one in found.findings] == ["recording-left-out"] * 2
+    read = read_stands(tmp_path / "stands.csv").ordered(robot)
+    np.testing.assert_allclose(
+        read.position, np.radians([[0.5 * n for n in range(12)]] * 2), atol=1e-6
+    )
+    assert read.swing == (("FR",), ())
+    assert not person.stops()
+    os.write(ours, b"x")  # no Enter
+    assert person.stops()
+    assert not person.stops()
+    terminal.close()
+    os.close(ours)
+
+
 def test_what_the_robot_cannot_do_is_refused_before_anything_is_sent(
     robot: Robot, plan: Path, tmp_path: Path
 ) -> None:
@@ -165,7 +210,40 @@ def test_bridges_are_found_by_name(robot: Robot) -> None:
         open_bridge("mujoco:five", robot)
 
 
-# ---------------------------------------------- ROS 2: a stub has what is assumed of its messages
+# ------------------------------- ROS 2: a stub whose messages have the fields of the real ones
+
+
+@dataclass
+class Header:
+    """``std_msgs/Header``."""
+
+    frame_id: str = ""
+
+
+@dataclass
+class JointState:
+    """``sensor_msgs/JointState``: effort and velocity may be empty."""
+
+    header: Header = field(default_factory=Header)
+    name: list[str] = field(default_factory=list)
+    position: array[float] = field(default_factory=lambda: array("d"))
+    velocity: array[float] = field(default_factory=lambda: array("d"))
+    effort: array[float] = field(default_factory=lambda: array("d"))
+
+
+class Float64MultiArray:
+    """``std_msgs/Float64MultiArray``: as rclpy has it, it takes floats and nothing else."""
+
+    __slots__ = ("_data", "layout")
+
+    @property
+    def data(self) -> array[float]:
+        return self._data
+
+    @data.setter
+    def data(self, values: list[float]) -> None:
+        assert all(isinstance(one, float) for one in values)
+        self._data = array("d", values)
 
 
 class Stub:
@@ -201,22 +279,32 @@ class Stub:
         self.begun = False
 
 
-def test_topics_have_joints_by_name_and_commands_in_the_controllers_order(robot: Robot) -> None:
+def test_topics_have_joints_by_name_and_commands_in_the_controllers_order(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ros, names = Stub(), robot.joint_names
-    order = tuple(reversed(names))
-    message = type("Float64MultiArray", (), {})
-    one = Topics(robot, ros, (object, message), "/state", "/command", order)
+    for name, module in (
+        ("rclpy", ros),
+        ("sensor_msgs.msg", SimpleNamespace(JointState=JointState)),
+        ("std_msgs.msg", SimpleNamespace(Float64MultiArray=Float64MultiArray)),
+    ):
+        monkeypatch.setitem(sys.modules, name, module)
+    order = ",".join(reversed(names))
+    one, _ = open_bridge(f"ros2:state=/state;command=/command;order={order}", robot)
     assert ros.topic == "/state"
     assert one.read()[0] == -math.inf  # nothing was heard
     half = len(names) // 2
     for part in (names[half:], names[:half]):  # a joint that is of no interest among them
-        values = [0.1 * names.index(name) for name in part]
-        ros.waiting.append(SimpleNamespace(name=["gripper", *part], position=[9.0, *values]))
+        values = array("d", [9.0, *(0.1 * names.index(name) for name in part)])
+        ros.waiting.append(JointState(name=["gripper", *part], position=values))
     one.read()
     at, read = one.read()
     np.testing.assert_allclose(read, 0.1 * np.arange(len(names)))
     assert one.now() - at < 5.0
     one.send(np.arange(len(names), dtype=float))
     assert ros.published == [("/command", [float(n) for n in reversed(range(len(names)))])]
+    one.close()
     with pytest.raises(ConfigurationError, match="elbow"):
-        Topics(robot, ros, (object, message), order=("elbow", *names[1:]))
+        open_bridge(f"ros2:order=elbow,{','.join(names[1:])}", robot)
+    with pytest.raises(ConfigurationError, match="topic=/x"):
+        open_bridge("ros2:topic=/x", robot)

@@ -25,10 +25,11 @@ from pupper_analysis.base.kinds import RECORD
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, read_stands
 from pupper_analysis.tools.fit.record.bridge import Bridge, Person
-from pupper_analysis.tools.fit.stands.plan import PlannedStand
+from pupper_analysis.tools.fit.stands.plan import PlannedStand, com_width
 
 Array = NDArray[np.float64]
 
@@ -116,7 +117,8 @@ def record_stands(
     if Path(output).exists() and Path(output).samefile(plan):
         raise ConfigurationError("output", diagnose("recording-into-the-plan"))
     planned = read_stands(plan).ordered(robot)
-    _check(robot, planned)
+    margins = list(_check(robot, planned))  # before anything moves
+    aside = com_width(robot, ())
     path = Path(output)
     had = _names_in(path, planned)
     rows = [row for row, name in enumerate(planned.names) if planned.names[row] not in had]
@@ -129,7 +131,12 @@ def record_stands(
             stand = _stand(planned, row)
             loads = {link: own[row] for link, own in planned.added.items() if own[row, 0]}
             try:
-                read, up = session.take(stand, loads, before)
+                todo = list(_todo(stand, loads, before))
+                if margins[row] < aside:
+                    margin, off = Quantity(margins[row], "m"), Quantity(aside, "m")
+                    said = diagnose("keep-a-hand-on-it", stand=stand.name, margin=margin, aside=off)
+                    todo.append(str(said))
+                read, up = session.take(stand, loads, todo)
             except _LeftOutError as error:
                 findings.append(error.finding)
                 before = stand
@@ -170,7 +177,7 @@ class _Session:
             self._bridge.send(self._command)
 
     def take(
-        self, stand: PlannedStand, loads: Mapping[str, Array], before: PlannedStand | None
+        self, stand: PlannedStand, loads: Mapping[str, Array], todo: Sequence[str]
     ) -> tuple[Array, Sequence[str]]:
         """Returns positions at rest (nu,), and the feet in the air."""
         target = np.array([stand.command[name] for name in self._robot.joint_names])
@@ -178,7 +185,7 @@ class _Session:
             self._ramp(stand, target)
         else:
             self._bridge.send(target)
-        if not self._person.prepare(stand, loads, list(_todo(stand, loads, before))):
+        if not self._person.prepare(stand, loads, todo):
             raise _LeftOutError(diagnose("recording-left-out", stand=stand.name))
         read = self._rest(stand) if self._bridge.ramps else self._bridge.read()[1]
         up = self._person.feet_up(tuple(self._robot.feet), stand.swing)
@@ -267,8 +274,8 @@ def _moved(stand: PlannedStand, loads: Mapping[str, Array]) -> Iterator[str]:
         yield str(said)
 
 
-def _check(robot: Robot, planned: MeasuredStands) -> None:
-    """Checks all stands by the robot's file, before anything moves.
+def _check(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
+    """Checks all stands by the robot's file, and yields how far each com is within its feet (m).
 
     Raises:
         MeasurementError: If one is beyond a limit, or out of balance.
@@ -287,10 +294,15 @@ def _check(robot: Robot, planned: MeasuredStands) -> None:
                     high=Quantity(float(high), "rad"),
                 )
                 raise MeasurementError(planned.source, finding)
-        margin = _margin(robot, command, planned.swing[row])
+        loaded = robot
+        for link, own in planned.added.items():
+            mass, *place = own[row].tolist()
+            loaded = with_payload(loaded, mass, (link, *place))
+        margin = _margin(loaded, command, planned.swing[row])
         if margin < _EDGE * robot.stand_height:
             finding = diagnose("stand-out-of-balance", stand=name, margin=Quantity(margin, "m"))
             raise MeasurementError(planned.source, finding)
+        yield margin
 
 
 def _margin(robot: Robot, command: Array, swing: Sequence[str]) -> float:

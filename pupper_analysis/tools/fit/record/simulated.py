@@ -37,6 +37,10 @@ _CARRIES = 0.005
 """Of the weight: a foot with less is in the air, as far as a person sees."""
 
 
+_SLIP = 0.2
+"""m/s."""
+
+
 @dataclass
 class Faults:
     """What goes wrong, by the time of the simulation (s).
@@ -45,11 +49,13 @@ class Faults:
         stuck: A joint whose servo stops to follow, and from when on.
         lost: From when to when no message comes.
         key: When a key is pressed.
+        slip: When it slips: its base is pushed, at 0.2 m/s.
     """
 
     stuck: tuple[int, float] | None = None
     lost: tuple[float, float] | None = None
     key: float = math.inf
+    slip: float = math.inf
 
 
 class SimulatedRobot:
@@ -124,6 +130,8 @@ class SimulatedRobot:
         data.ctrl[:] = self._drive.command(self._loaded, self.sent[-1] - self.offset)
         for _ in range(max(1, round(seconds / model.opt.timestep))):
             mujoco.mj_step(model, data)
+        if self._time < self.faults.slip <= self._time + seconds:
+            data.qvel[self._loaded.mj_convention.qvel_index[0]] += _SLIP
         self._time += seconds
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import select
 import sys
+import termios
 from collections.abc import Mapping, Sequence
 
 import click
@@ -18,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Terminal:
-    """Asks at a terminal. While the robot moves, a line that is entered stops it."""
+    """Asks at a terminal. While the robot moves, any key stops it."""
 
     def prepare(
         self,
@@ -53,9 +54,16 @@ class Terminal:
         """See ``Person``."""
         if not sys.stdin.isatty():
             return False
-        pressed = bool(select.select([sys.stdin], [], [], 0)[0])
-        if pressed:
-            sys.stdin.readline()
+        # A terminal hands over lines; without that a key is there once it is pressed.
+        before = termios.tcgetattr(sys.stdin)
+        single = [*before[:3], before[3] & ~(termios.ICANON | termios.ECHO), *before[4:]]
+        termios.tcsetattr(sys.stdin, termios.TCSANOW, single)
+        try:
+            pressed = bool(select.select([sys.stdin], [], [], 0)[0])
+            if pressed:
+                termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        finally:
+            termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
         return pressed
 
 

@@ -440,7 +440,7 @@ class RandomStands:
     ) -> None:
         self._robot, self._rng, self._kp = robot, rng, kp
         self._off_limits = SURE * _offset_width(robot, priors)
-        self._off_edge = _com_width(robot, priors)
+        self._off_edge = com_width(robot, priors)
         self._clear = _clearance(robot)
         self._far, self._found = 1.0, 0
         self._refused: Counter[str] = Counter()
@@ -533,7 +533,7 @@ def _offset_width(robot: Robot, priors: Sequence[Prior]) -> float:
     return max((one.width for one in give_widths(offsets, named)), default=0.0)
 
 
-def _com_width(robot: Robot, priors: Sequence[Prior]) -> float:
+def com_width(robot: Robot, priors: Sequence[Prior]) -> float:
     """Returns how far aside the com of the whole robot may be (m), as a standard deviation.
 
     At home, along the worse of the base's x and y, by what is known of masses and coms.
