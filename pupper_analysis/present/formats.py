@@ -265,12 +265,12 @@ def write_junit(suite: str, cases: Iterable[CheckedItem]) -> str:
     for case in cases:
         node = ElementTree.SubElement(element, "testcase", name=case.name, classname=suite)
         if case.failure is not None:
-            if case.diagnostics:
+            codes = dict.fromkeys(one.code for one in case.diagnostics)
+            if codes:
                 _properties(node, case.diagnostics)
             failure = ElementTree.SubElement(node, "failure", message=case.failure)
             failure.text = case.failure
-            if case.diagnostics:
-                codes = dict.fromkeys(one.code for one in case.diagnostics)
+            if codes:
                 failure.set("type", ", ".join(codes))
     ElementTree.indent(root)
     declaration = '<?xml version="1.0" encoding="utf-8"?>\n'

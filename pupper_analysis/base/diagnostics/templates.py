@@ -33,14 +33,12 @@ from pupper_analysis.base.units import READ_IN
 
 _SHOWN_IN = {
     ("m", "mm"): 1e3,
-    ("m", "um"): 1e6,
     ("m/s", "mm/s"): 1e3,
     ("rad", "deg"): math.degrees(1.0),
     ("rad or m", "mm"): 1e3,
     ("rad or m", "deg"): math.degrees(1.0),
     ("rad", "degrees"): math.degrees(1.0),
     ("rad", "°"): math.degrees(1.0),
-    ("rad/s", "deg/s"): math.degrees(1.0),
     ("kg", "g"): 1e3,
     ("s", "ms"): 1e3,
     ("m^3", "L"): 1e3,

@@ -32,6 +32,7 @@ from pupper_analysis.present.document import (
     in_english,
     join_words,
     number_cell,
+    tell,
     text,
 )
 from pupper_analysis.robot.robot import Robot
@@ -45,13 +46,8 @@ _MOST_CHARACTERS = 600
 
 def value_cell(value: object) -> Cell:
     """Returns a value as it is shown: written out where it is short, else by its size."""
-    # Engines, which an audit lacks: such a field is of a result that has loaded them.
-    if "pupper_analysis.stance.task" in sys.modules:
-        from pupper_analysis.present.documents.standing import task_text
-        from pupper_analysis.stance.task import StandTask
-
-        if isinstance(value, StandTask):
-            return task_text(value)
+    if hasattr(value, "phrase"):  # as a stand's task says what it asks for
+        return tell(value.phrase())
     if isinstance(value, float | int) and not isinstance(value, bool):
         return number_cell(float(value), ".6g")
     text = _written(value)

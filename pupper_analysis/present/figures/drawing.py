@@ -111,12 +111,8 @@ def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
             case "polyline" if kind != "unseen":
                 axes.plot(*np.array(mark["points"]).T, **_line(kind, 1.3))
             case "polygon":
-                look: dict[str, Any] = {
-                    "ec": _COLOURS[kind],
-                    "fill": False,
-                    "ls": _DASHES.get(kind, "-"),
-                }
-                axes.add_patch(Polygon(mark["points"], lw=1.3, **look))
+                line = _line(kind, 1.3)
+                axes.add_patch(Polygon(mark["points"], ec=line.pop("color"), fill=False, **line))
             case "circle":
                 fill = kind != "grid"
                 place, radius = (mark["cx"], mark["cy"]), mark["r"]
