@@ -303,43 +303,6 @@ def _append(model: pin.Model, joint: int, body: TreeBody) -> None:
     model.appendBodyToJoint(joint, body.rigid, pin.SE3.Identity())
 
 
-def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
-    """Returns the same robot with other names of joints, {name: new name}; others stay."""
-
-    def new(name: str) -> str:
-        return names.get(name, name)
-
-    return replace(
-        values,
-        bodies={new(name): body for name, body in values.bodies.items()},
-        joints={
-            new(name): replace(joint, parent=new(joint.parent))
-            for name, joint in values.joints.items()
-        },
-        frames={name: (new(owner), place) for name, (owner, place) in values.frames.items()},
-    )
-
-
-def with_fixed(values: MultibodyTree, name: str) -> MultibodyTree:
-    """Returns the robot with a joint that is fixed at zero: its body is its parent's."""
-    joint = values.joints[name]
-    pose, joints = joint.placement, {}
-    for other, child in values.joints.items():
-        if child.parent == name:
-            child = replace(child.placed(pose * child.placement), parent=joint.parent)
-        if other != name:
-            joints[other] = child
-    bodies = {other: body for other, body in values.bodies.items() if other != name}
-    carried = pose.act(values.bodies[name].rigid)
-    parent = values.bodies[joint.parent]
-    bodies[joint.parent] = TreeBody.of(parent.rigid + carried, parent.link)
-    frames = {
-        frame: (joint.parent, np.array(pose.act(place))) if owner == name else (owner, place)
-        for frame, (owner, place) in values.frames.items()
-    }
-    return replace(values, joints=joints, bodies=bodies, frames=frames)
-
-
 _OF_BODIES = ("mass", "com", "inertia")
 _OF_JOINTS = {
     **{kind: kind for kind in ("position", "rotation", "axis", "parent")},

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import bisect
-import math
 import re
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError
-from pupper_analysis.base.inputs import MOST_TEXT, decode_input, read_content, read_text
+from pupper_analysis.base.inputs import MOST_TEXT, decode_input, read_content
 from pupper_analysis.base.tools import format_begun
 from pupper_analysis.models.places import (
     Place,
@@ -207,91 +204,6 @@ def free_name(wanted: str, taken: set[str]) -> str:
         name = f"{wanted}_{number}"
     taken.add(name)
     return name
-
-
-SAME: Final = 1e-12
-"""Relative to the greatest number of a vector: a hundredth of a thousandth of what may be left."""
-
-_ROUNDING: Final = ((10, 1e-13), (16, 4e-16))
-"""Numbers of so many digits are taken for the one that is meant, if they are so near: few digits
-are no accident, and may be further off."""
-
-
-class Digits:
-    """Writes numbers with the digits of a file.
-
-    A number that went through a product of rotations is known to some 1e-15; where the other file
-    has the number that it came from, that is written.
-    """
-
-    def __init__(self, *sources: Iterable[str]) -> None:
-        """Knows the numbers of some texts; those of the first sources go before the others'."""
-        self._known = [
-            sorted({abs(float(found)) for text in texts for found in NUMBER.findall(text)})
-            for texts in sources
-        ]
-
-    @staticmethod
-    def of(*sources: Iterable[Path]) -> Digits:
-        """Knows the numbers of some files."""
-        return Digits(*([read_text(f) for f in files] for files in sources))
-
-    def word(self, value: float, scale: float) -> str:
-        """Writes a number.
-
-        Args:
-            value: The number.
-            scale: What its error is relative to.
-        """
-        size = abs(value)
-        if size <= SAME * scale:
-            return "0"
-        best = _shortest(size, scale)
-        for numbers in self._known:
-            at = bisect.bisect_left(numbers, size)
-            near = [known for known in numbers[max(at - 1, 0) : at + 1] if known]
-            known = min(near, key=lambda number: abs(number - size), default=np.inf)
-            if abs(known - size) <= SAME * scale:
-                best = known
-                break
-        return repr(float(np.copysign(best, value))).removesuffix(".0")
-
-    def words(self, old: Sequence[str], new: Array, floor: float = 0.0) -> str | None:
-        """Writes a vector, with the old words where they still are right.
-
-        Args:
-            old: The words that state it now; may be fewer, or none.
-            new: The vector.
-            floor: The least scale.
-
-        Returns:
-            The text; None if all the old words are right.
-        """
-        scale = max(floor, float(np.abs(new).max(initial=0.0)))
-        kept = [
-            word if word is not None and abs(_read(word) - value) <= SAME * scale else None
-            for word, value in zip([*old, *[None] * len(new)], new, strict=False)
-        ]
-        if len(old) >= len(new) and all(word is not None for word in kept):
-            return None
-        return " ".join(
-            word if word is not None else self.word(float(value), scale)
-            for word, value in zip(kept, new, strict=True)
-        )
-
-
-def _read(word: str) -> float:
-    """Returns a number as it is written; not a number if it is no decimal, as MuJoCo's 0x10."""
-    return float(word) if NUMBER.fullmatch(word) else math.nan
-
-
-def _shortest(value: float, scale: float) -> float:
-    for most, error in _ROUNDING:
-        for count in range(1, most + 1):
-            rounded = float(f"{value:.{count}g}")
-            if abs(rounded - value) <= error * scale:
-                return rounded
-    return value
 
 
 _COMPACT_SECTIONS = {"transmission"}

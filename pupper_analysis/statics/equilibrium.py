@@ -489,3 +489,15 @@ def explain_infeasibility(
         return StaticsInfeasibleError(tipping, detail, margin=margin, feet=pulls or feet)
     detail = diagnose("feet-would-pull", feet=pulling or feet)
     return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=margin, feet=pulls or feet)
+
+
+IDLE = 1e-9
+"""N m/kg: what bears less of a mass has no lever to it but rounding."""
+
+
+def borne_by_motors(torques: Array, rates: Array, limits: Array) -> float:
+    """Returns the greatest mass m with |torques + m rates| <= limits; 0 if none has (kg, N m)."""
+    rates = np.where(np.abs(rates) > IDLE, rates, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = (np.copysign(limits, rates) - torques) / rates
+    return float(np.min(np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)))

@@ -18,10 +18,10 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import Place, find_place
-from pupper_analysis.stance.first_order import SmallPayload
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import ForceDistribution
+from pupper_analysis.tools.best.first_order import SmallPayload
 from pupper_analysis.tools.best.space import STEP_OVER, Room, StanceSpace
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.multibody import MultibodyTree, rename_joints, to_pinocchio, with_fixed
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, to_pinocchio
 from pupper_analysis.models.places import Place
 from pupper_analysis.robot.compare.attribution import EXPLAINED
 from pupper_analysis.robot.compare.changes import apply_changes, changes_between, convention_changes
@@ -502,3 +502,40 @@ def _com(model: pin.Model, data: pin.Data) -> Array:
         place.act(inertia.lever) for place, inertia in zip(data.oMi, model.inertias, strict=True)
     ]
     return np.asarray(np.average(coms, axis=0, weights=masses) if any(masses) else np.zeros(3))
+
+
+def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
+    """Returns the same robot with other names of joints, {name: new name}; others stay."""
+
+    def new(name: str) -> str:
+        return names.get(name, name)
+
+    return replace(
+        values,
+        bodies={new(name): body for name, body in values.bodies.items()},
+        joints={
+            new(name): replace(joint, parent=new(joint.parent))
+            for name, joint in values.joints.items()
+        },
+        frames={name: (new(owner), place) for name, (owner, place) in values.frames.items()},
+    )
+
+
+def with_fixed(values: MultibodyTree, name: str) -> MultibodyTree:
+    """Returns the robot with a joint that is fixed at zero: its body is its parent's."""
+    joint = values.joints[name]
+    pose, joints = joint.placement, {}
+    for other, child in values.joints.items():
+        if child.parent == name:
+            child = replace(child.placed(pose * child.placement), parent=joint.parent)
+        if other != name:
+            joints[other] = child
+    bodies = {other: body for other, body in values.bodies.items() if other != name}
+    carried = pose.act(values.bodies[name].rigid)
+    parent = values.bodies[joint.parent]
+    bodies[joint.parent] = TreeBody.of(parent.rigid + carried, parent.link)
+    frames = {
+        frame: (joint.parent, np.array(pose.act(place))) if owner == name else (owner, place)
+        for frame, (owner, place) in values.frames.items()
+    }
+    return replace(values, joints=joints, bodies=bodies, frames=frames)

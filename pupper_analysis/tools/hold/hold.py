@@ -25,9 +25,13 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, servo_gains
 from pupper_analysis.robot.tool import Tool, find_tool, with_payload
 from pupper_analysis.simulation.verdict import Verdict
-from pupper_analysis.stance.first_order import IDLE, borne_by_motors
 from pupper_analysis.stance.posture import Posture, check_held, find_posture, joint_units
-from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
+from pupper_analysis.statics.equilibrium import (
+    IDLE,
+    GravityCompensation,
+    borne_by_motors,
+    gravity_compensation,
+)
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
 from pupper_analysis.tools.hold.motions import JointMotions, bound_in_common
 from pupper_analysis.tools.hold.sag import SaggedPosture, sag_posture

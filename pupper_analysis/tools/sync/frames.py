@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.multibody import MultibodyTree, with_value_of
-from pupper_analysis.models.xml import Digits
 from pupper_analysis.robot.matching.alignment import Alignment
 from pupper_analysis.robot.matching.conventions import with_zero
 from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees
+from pupper_analysis.tools.sync.digits import Digits
 
 Array = NDArray[np.float64]
 

@@ -24,8 +24,8 @@ from pupper_analysis.models.efforts import (
 from pupper_analysis.models.mjcf import free_joints, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, drives_of
-from pupper_analysis.models.xml import SAME, Digits
 from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.tools.sync.digits import SAME, Digits
 from pupper_analysis.tools.sync.frames import Key, Side
 from pupper_analysis.tools.sync.inertia import (
     is_physical,

@@ -34,12 +34,13 @@ from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.transmission import drives_of, law_of
 from pupper_analysis.models.urdf_file import UrdfFile, for_engines, read_urdf, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import Digits, parse_text
+from pupper_analysis.models.xml import parse_text
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.sync.digits import Digits
 from pupper_analysis.tools.sync.frames import Key, MatchedRobots, Side, pair_robots
 from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.models.urdf_tree import origin_of
-from pupper_analysis.models.xml import Digits, parse_numbers
+from pupper_analysis.models.xml import parse_numbers
+from pupper_analysis.tools.sync.digits import Digits
 from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]

@@ -14,12 +14,12 @@ from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import Digits
 from pupper_analysis.robot.build import placeholders_among
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.compare.differences import LIMITS, OF_BODIES_AND_PLACES, OF_INERTIALS
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.tools.sync.digits import Digits
 from pupper_analysis.tools.sync.frames import Key, MatchedRobots, pair_robots
 from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide

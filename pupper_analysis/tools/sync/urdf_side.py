@@ -15,7 +15,7 @@ from pupper_analysis.base.diagnostics import Term, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
-from pupper_analysis.models.xml import SAME, Digits
+from pupper_analysis.tools.sync.digits import SAME, Digits
 from pupper_analysis.tools.sync.frames import Key, Side
 from pupper_analysis.tools.sync.inertia import (
     is_physical,

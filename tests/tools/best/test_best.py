@@ -12,10 +12,10 @@ from scipy import optimize
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import find_place
-from pupper_analysis.stance.first_order import SmallPayload
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.tools.best import search
 from pupper_analysis.tools.best.best import best_stance
+from pupper_analysis.tools.best.first_order import SmallPayload
 from pupper_analysis.tools.best.search import Objective, StanceSearch, Subspace
 from pupper_analysis.tools.best.space import BASE, LEAST_SINGULAR_VALUE, StanceSpace
 from tests.support.engines import with_efforts

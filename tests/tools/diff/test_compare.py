@@ -22,12 +22,10 @@ from pupper_analysis import cli
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.multibody import (
     from_pinocchio,
-    rename_joints,
     to_pinocchio,
-    with_fixed,
 )
 from pupper_analysis.robot.matching.trees import kinematic_trees
-from pupper_analysis.tools.diff.compare import Trial
+from pupper_analysis.tools.diff.compare import Trial, rename_joints, with_fixed
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 from tests.support.robots import (

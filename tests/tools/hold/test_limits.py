@@ -15,8 +15,8 @@ import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
 from pupper_analysis.simulation.verify import load_by_mujoco
-from pupper_analysis.stance.first_order import borne_by_motors
 from pupper_analysis.stance.posture import find_posture, joint_ranges
+from pupper_analysis.statics.equilibrium import borne_by_motors
 from pupper_analysis.tools.hold.force import tool_force, withstood
 from pupper_analysis.tools.hold.hold import posture_payload, servo_payload, tool_payload
 from pupper_analysis.tools.hold.verify import verify_posture

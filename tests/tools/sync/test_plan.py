@@ -17,7 +17,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.arrays import inertia_of
-from pupper_analysis.models.xml import Digits
+from pupper_analysis.tools.sync.digits import Digits
 from pupper_analysis.tools.sync.inertia import is_same_body
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 from pupper_analysis.tools.sync.xml_bytes import read_document

@@ -10,9 +10,9 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import find_place, find_tool
-from pupper_analysis.stance import first_order
-from pupper_analysis.stance.first_order import SmallPayload
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from pupper_analysis.tools.best import first_order
+from pupper_analysis.tools.best.first_order import SmallPayload
 from tests.support.variants import NAMES, load, stand_of
 
 

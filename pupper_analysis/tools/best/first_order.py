@@ -22,24 +22,12 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool, with_payload
 from pupper_analysis.stance.sag.contact_kinematics import Anchor, ContactKinematics
 from pupper_analysis.stance.stand import Stand, stand_contacts
-from pupper_analysis.statics.equilibrium import hold_loads
+from pupper_analysis.statics.equilibrium import borne_by_motors, hold_loads
 
 Array = NDArray[np.float64]
 
 SMALL = 0.1
 """A payload, in parts of the robot's mass: with one that tips it there is no line to follow."""
-
-
-IDLE = 1e-9
-"""N m/kg: what bears less of a mass has no lever to it but rounding."""
-
-
-def borne_by_motors(torques: Array, rates: Array, limits: Array) -> float:
-    """Returns the greatest mass m with |torques + m rates| <= limits; 0 if none has (kg, N m)."""
-    rates = np.where(np.abs(rates) > IDLE, rates, 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        room = (np.copysign(limits, rates) - torques) / rates
-    return float(np.min(np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)))
 
 
 @dataclass(frozen=True, eq=False)
