@@ -593,6 +593,9 @@ of links leaves about as much as it takes away.
 """
 
 
+_ALWAYS = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+
+
 def masses_of_geoms(case: PatternCase) -> Found:
     """Finds bodies without <inertial>, which MuJoCo weighs by their geoms."""
     made = {
@@ -607,7 +610,8 @@ def masses_of_geoms(case: PatternCase) -> Found:
             for tree in (case.first, case.second)
         )
         bodies = [body for name in movers for body in made[name]]
-        message = diagnose("masses-of-geoms", bodies=bodies, urdf=urdf, mjcf=mjcf)
+        over = case.robot.description.mjcf.compiler.inertiafromgeom == _ALWAYS
+        message = diagnose("masses-of-geoms", bodies=bodies, overruled=over, urdf=urdf, mjcf=mjcf)
         yield PatternFinding("geoms", message, found)
 
 

@@ -208,6 +208,18 @@ def test_masses_that_mujoco_takes_from_geoms_are_one_cause(tmp_path: Path) -> No
     assert set(cause.diagnostic.values["bodies"]) == {"thigh0", "thigh1"}
     assert cause.diagnostic.values["mjcf"].value == pytest.approx(2 * 500 * 0.1 * 0.2 * 0.2)
     assert len(cause.differences) == len(comparison.differences) == 6
+    assert "states no <inertial> of thigh" in str(cause.diagnostic)
+
+
+def test_inertials_that_the_compiler_overrules_are_said_to_be(tmp_path: Path) -> None:
+    files = pair(tmp_path, quadruped())
+    box = r'\1<geom type="box" size="0.05 0.1 0.1" density="500"/>'
+    text = re.sub(
+        r'(<body name="[^"]*"[^>]*>(?:\s*<(?:free)?joint[^>]*/>)?)', box, files.mjcf.read_text()
+    )
+    files.mjcf.write_text(re.sub(r"<compiler ", '<compiler inertiafromgeom="true" ', text))
+    (cause,) = [one for one in compared(files).causes if one.kind == "geoms"]
+    assert "overrules, by inertiafromgeom, the <inertial> of" in str(cause.diagnostic)
 
 
 def test_loops_that_the_mjcf_closes_are_one_cause(tmp_path: Path) -> None:
