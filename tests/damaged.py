@@ -177,7 +177,7 @@ samples = 4
 height = { linspace = [0.14, 0.17, 3] }
 kp = { uniform = [20.0, 40.0] }
 """
-_STANDS = b"stand,command.hip,position.hip [deg],force.FL [g],swing,from\na,0.1,5.2,300,FR,above\n"
+_STANDS = b"stand,command.hip,position.hip [deg],swing,roll\na,0.1,5.2,FR,0.01\n"
 _BASELINE = b"""# known
 ["crosscheck", "machine", "robot.urdf", "mass", "hip", {"urdf": 0.2, "mjcf": 0.22}]
 """
