@@ -93,6 +93,7 @@ class ClearanceShapes:
         self.robot, self.kinematics = robot, Kinematics(robot.structure)
         self.shapes: tuple[CarriedShape, ...] = robot.shapes
         self.parts = [*self._not_feet()]
+        self._heights = [(part.shape.form.height, part.shape.link) for part in self.parts]
 
     def at(self, qpos: ArrayLike) -> Kinematics:
         """Takes ``kinematics`` to a configuration (nq,), and returns it."""
@@ -208,8 +209,7 @@ class ClearanceShapes:
         """
         if _is_plane(ground):
             normal: Direction = tuple(ground.normal().tolist()) if ground.slope else _UP
-            shapes = [part.shape for part in self.parts]
-            heights = [one.form.height(at.links[one.link], normal) for one in shapes]
+            heights = [height(at.links[link], normal) for height, link in self._heights]
         else:
             heights = [float(near.min_distance) for near in self._above_steps(at, ground, places)]
         return [
