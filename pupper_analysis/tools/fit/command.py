@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -53,8 +53,8 @@ _ALWAYS = {
 _OF_MEASUREMENTS = ("priors", "kp")
 _USES = {
     "--record": {*_ALWAYS, "record", "bridge", "speed"} - {*_OF_MEASUREMENTS},
-    "--stands": {*_ALWAYS, "stands", "weight", "encoder"},
-    "--log": {*_ALWAYS, "logs", "topics", "joints", "hold_out", "kd"},
+    "--stands": {*_ALWAYS, "stands", "weight", "encoder", "anyway"},
+    "--log": {*_ALWAYS, "anyway", "logs", "topics", "joints", "hold_out", "kd"},
     "--plan": {*_ALWAYS, "count", "degrees", "added", "added_at"},
 }
 """{mode: what it uses}."""
@@ -139,6 +139,11 @@ _USES = {
     "kp=0 (it is right). Repeatable.",
 )
 @click.option(
+    "--anyway",
+    is_flag=True,
+    help="Write a fit that does not explain, too: its intervals are widened by what is left.",
+)
+@click.option(
     "--weight", metavar="MASS", help="What the whole robot weighs on a scale; e.g. 3.55kg."
 )
 @click.option(
@@ -167,6 +172,7 @@ def command(
     speed: str | None,
     output: Path | None,
     priors: tuple[str, ...],
+    anyway: bool,
     weight: str | None,
     kp: tuple[str, ...],
     kd: tuple[str, ...],
@@ -255,7 +261,7 @@ def command(
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
     if folder is not None and isinstance(result, Fit):
-        _write(robot, meant, result, folder)
+        _write(robot, meant, result, folder, anyway=anyway)
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
 
@@ -278,11 +284,22 @@ def _record(
     return record_stands(robot, plan, output, way, person, speed=fast)
 
 
-def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path) -> None:
+def _write(
+    robot: Robot,
+    meant: str | VariantSpec | RobotFiles,
+    found: Fit,
+    folder: Path,
+    *,
+    anyway: bool,
+) -> None:
     """Writes the corrected models, unless they would be of a fit that explains nothing."""
     from pupper_analysis.tools.fit.write import write_fit
 
-    if not found.explained:
+    posterior = found.posterior
+    if not found.explained and anyway:
+        posterior = replace(posterior, covariance=found.excess**2 * posterior.covariance)
+        click.echo(f"note: {diagnose('fit-written-anyway', times=found.excess)}", err=True)
+    elif not found.explained:
         click.echo(str(diagnose("fit-not-written", folder=str(folder))), err=True)
         return
     with TemporaryDirectory() as place:
@@ -291,7 +308,7 @@ def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, fold
             from pupper_analysis.pupper.variant_files import write_variant
 
             files = write_variant(meant, place)
-        made = write_fit(robot, found.posterior, folder, fit=found, files=files)
+        made = write_fit(robot, posterior, folder, fit=found, files=files)
     first = {note.code: note for note in reversed(made.diagnostics)}  # one of each kind
     for note in reversed(first.values()):
         alike = sum(one.code == note.code for one in made.diagnostics) - 1

@@ -218,6 +218,11 @@ class Fit(Result):
         return not self.failures
 
     @property
+    def excess(self) -> float:
+        """How many times what is left is what noise leaves; 1 at least."""
+        return max(1.0, math.sqrt(self.posterior.chi2 / max(self.posterior.freedom, 1.0)))
+
+    @property
     def correlations(self) -> tuple[Correlation, ...]:
         """Parameters that are off together, the strongest before."""
         return find_correlations(self.posterior)
@@ -322,3 +327,8 @@ class MotionFit(Fit):
     by_joint: Mapping[str, float]
     encoder_noise: Mapping[str, float]
     steps: int
+
+    @property
+    def excess(self) -> float:
+        """How many times what is off in other motions is what it was fitted to; 1 at least."""
+        return max(1.0, self.held_out / self.fitted) if self.held_out > 0 else 1.0

@@ -57,6 +57,21 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     estimates = {one["name"]: one for one in json.loads(found.read_text())["estimates"]}
     assert estimates["kp turn"]["mean"] == pytest.approx(TRUE["kp"], rel=0.05)
     assert 'kp="5"' not in (tmp_path / "fitted" / "bar.xml").read_text()
+    # Something else moves it: nothing is written, but on demand, with wider intervals.
+    shaken = swing.position + 0.05 * np.sin(40 * swing.time)[:, None]
+    np.savez(
+        path, **(arrays | {"position": shaken}), **{"command [deg]": np.rad2deg(swing.command)}
+    )
+    messages = ("-o", str(tmp_path / "shaken"), "--json", str(found), "--force")
+    assert run_command(capfd, *given, *messages)[0] == 1
+    assert not (tmp_path / "shaken").exists()
+    status, _, err = run_command(capfd, *given, *messages, "--anyway")
+    assert status == 1
+    assert "intervals and samples are" in err
+    written = json.loads((tmp_path / "shaken" / "fit.json").read_text())
+    times = max(1.0, written["fit"]["held_out"] / written["fit"]["fitted"])
+    for one, own in zip(written["parameters"], written["fit"]["estimates"], strict=True):
+        assert one["std"] == pytest.approx(times * own["std"])
     here = tmp_path / "here"
     here.mkdir()
     monkeypatch.chdir(here)

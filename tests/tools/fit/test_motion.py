@@ -13,7 +13,8 @@ import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, UnknownNameError
 from pupper_analysis.prepare.convert.load import load_robot
-from pupper_analysis.tools.fit.motions.fit import fit_motion
+from pupper_analysis.tools.fit.motions.fit import fit_motion, replayed
+from pupper_analysis.tools.fit.motions.rollouts import Run
 from pupper_analysis.tools.fit.result import Determined, MotionFit, determined_by
 from tests.support.bar import MJCF, OFFSET, QUANTUM, TRUE, URDF, bar, log
 
@@ -65,6 +66,25 @@ def test_what_no_servo_explains_is_said() -> None:
     found = fit_motion(bar(), [replace(log(), position=odd)], priors=PRIORS)
     assert "motion-not-explained" in {one.code for one in found.failures}
     assert not found.explained
+
+
+def test_a_replay_is_known_by_its_commands_wherever_it_begins() -> None:
+    rng, time = np.random.default_rng(0), 0.01 * np.arange(800)
+    phases = rng.uniform(0, 6, (2, 4, 3))
+    one, other = (
+        sum(np.sin((2 + k) * time[:, None] + phase) for k, phase in enumerate(own))
+        for own in phases
+    )
+
+    def run(command: np.ndarray, *, out: bool) -> Run:
+        full = np.full(command.shape, True)
+        there = time[: len(command)]
+        return Run(there, command, command, command[:2], full & (not out), full & out)
+
+    fitted, noise = run(one, out=False), 0.01 * rng.normal(size=one[:600].shape)
+    assert replayed([fitted, run(one[37:637] + noise, out=True)]) > 0.99
+    assert replayed([fitted, run(other[:600], out=True)]) < 0.9
+    assert replayed([fitted]) == 0.0
 
 
 def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
+from scipy.signal import fftconvolve, lfilter
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
@@ -293,12 +293,50 @@ def _notes(motion: Motion, off: float, before: float) -> Iterator[Diagnostic]:
         yield diagnose(
             "motion-predicted-worse", now=Quantity(off, "rad"), stated=Quantity(before, "rad")
         )
+    alike = replayed(motion.runs)
+    if alike > _REPLAY:
+        yield diagnose("held-out-is-a-replay", correlation=alike)
     there = np.concatenate([run.position for run in motion.runs])
     there = there[np.isfinite(there).all(axis=1)]
     seen = there[:: max(1, len(there) // _LOOKS)]
     touching = motion.simulator.bodies.touching(seen)
     if touching:
         yield diagnose("log-parts-touch", bodies=touching)
+
+
+_REPLAY = 0.95
+"""Correlation of what was held out with something that was fitted: logs of one motion, started
+anew, have 0.99 and more; another motion of the same joints hardly 0.5."""
+
+
+def replayed(runs: Sequence[Run]) -> float:
+    """Returns how alike what was held out is to what was fitted, by its commands, wherever it was.
+
+    The greatest correlation of the middle half of a held-out part with any part as long of what was
+    fitted: logs of one motion are shifted against each other.
+    """
+    most = 0.0
+    fitted = [run.command[run.counts.any(axis=1)] for run in runs]
+    for run in runs:
+        part = run.command[run.held_out.any(axis=1)]
+        part = part[len(part) // 4 : len(part) - len(part) // 4]
+        if not len(part):
+            continue
+        wanted = part - part.mean(axis=0)
+        for base in fitted:
+            if len(base) < len(part) or not wanted.any():
+                continue
+            moved = base - base.mean(axis=0)
+            ones = np.ones((len(part), 1))
+            alike = fftconvolve(moved, wanted[::-1], "valid", axes=0).sum(axis=1)
+            mean = fftconvolve(moved, ones, "valid", axes=0) / len(part)
+            energy = (fftconvolve(moved**2, ones, "valid", axes=0) - len(part) * mean**2).sum(
+                axis=1
+            )
+            least = _LEAST**2 * len(part)
+            size = np.sqrt(np.maximum(energy, least) * (wanted**2).sum())
+            most = max(most, float((alike / size).max()))
+    return most
 
 
 def _encoder_noise(series: Sequence[Array]) -> float:
