@@ -214,6 +214,8 @@ def command(
     refuse_unused(mode, _USES)
     if degrees and output is None:
         raise ConfigurationError("--degrees", diagnose("degrees-of-no-plan"))
+    if output is None:
+        refuse_alone(("--output",), "anyway")
     mass = None if weight is None else shared.parse_measure("weight", "mass", weight)
     load = None if added is None else shared.parse_measure("added", "mass", added)
     if load == 0:

