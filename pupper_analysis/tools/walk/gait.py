@@ -38,6 +38,10 @@ choice. Pupper's public policy reaches 0.93 of its command; the slack is for one
 TURN_SLACK = 0.1
 """Likewise of turning (rad/s)."""
 
+AT_LEAST = 0.5
+"""Of any command that is not zero, however slow, half is followed: beside 0.13 m/s the slack is
+most of the command."""
+
 AT_LIMIT = 0.99
 """Of its limit: a motor that gives more is at it."""
 
@@ -330,10 +334,13 @@ def follow(stage: Stage, run: Run, warm_up: float) -> Tracking:
     turning = float(heading[-1] - heading[0]) / time
     command = run.case.command
     off = float(np.linalg.norm(velocity - command[:2]))
-    allowed = SPEED_SHARE * float(np.linalg.norm(command[:2])) + SPEED_SLACK
-    turned_off = abs(turning - command[2])
-    tracks = not run.fallen and off <= allowed
-    tracks &= turned_off <= SPEED_SHARE * abs(command[2]) + TURN_SLACK
+    tracks = not run.fallen
+    for error, slack, asked in (
+        (off, SPEED_SLACK, float(np.linalg.norm(command[:2]))),
+        (abs(turning - command[2]), TURN_SLACK, abs(command[2])),
+    ):
+        most = (1 - AT_LEAST) * asked if asked else math.inf
+        tracks &= error <= min(SPEED_SHARE * asked + slack, most)
     return Tracking(velocity, turning, bool(tracks))
 
 
