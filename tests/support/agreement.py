@@ -45,6 +45,9 @@ TURNS = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
 SAME = 1e-9
 """rad, m, N m: numbers of one computation. (Processes order sums alike.)"""
 
+SLOPE = "6deg"
+"""Of the ground on which a payload is asked for once more; beside it one foot's own is turned."""
+
 PAYLOAD_PLACE, PAYLOAD_POINT = "0,0,5cm", (0.0, 0.0, 0.05)
 
 
@@ -97,8 +100,15 @@ class Commands:
         return done, json.loads(file.read_text()) if file.is_file() else {}
 
 
-def of_robot(name: str, folder: Path, *files: str) -> Agreement:
-    """Types what commands print of a robot into other commands."""
+def of_robot(name: str, folder: Path, *files: str, everywhere: bool = False) -> Agreement:
+    """Types what commands print of a robot into other commands.
+
+    Args:
+        name: The robot.
+        folder: For what is written.
+        files: Its files.
+        everywhere: Also on a slope, on a foot's own slope, and pushed with a load.
+    """
     begun = time.monotonic()
     found, run = Agreement(name), Commands(folder, files)
     page = folder / "page.html"
@@ -110,6 +120,12 @@ def of_robot(name: str, folder: Path, *files: str) -> Agreement:
         _compare_push(found, run, stance)
     _compare_path(found, run, stood, stance)
     _compare_payload(found, run, stood)
+    if stood.returncode == 0 and everywhere:
+        roof = f"{next(iter(stance['statics']['foot_loads']))}=8deg"
+        for ground in (("--slope", SLOPE), ("--tilt", roof)):
+            there, _ = run("stand", *ground)
+            _compare_payload(found, run, there, *ground)
+        _compare_loaded_push(found, run)
     if stance:
         _compare_study(found, stance, files, folder)
     if stood.returncode == 0:
@@ -193,23 +209,24 @@ def _compare_interface(found: Agreement, stance: dict[str, Any], files: Sequence
             found.disagreements.append(f"study_stance: {what} off by {off:.1e}")
 
 
-def _compare_push(found: Agreement, run: Commands, stance: dict[str, Any]) -> None:
+def _compare_push(found: Agreement, run: Commands, stance: dict[str, Any], *asked: str) -> None:
     """The stand that is pushed is the stand that is told, by the same verdict."""
-    done, content = run("push", "--directions", "3", "--resolution", "1")
+    done, content = run("push", "--directions", "3", "--resolution", "1", *asked)
+    name = " ".join(("push", *asked[::2]))
     if done.returncode == 2:
-        found.codes["push"] = "exit 2"
+        found.codes[name] = "exit 2"
         if stance["verdict"]["passed"]:
-            found.disagreements.append(f"push: {done.stderr.strip()[-120:]}")
+            found.disagreements.append(f"{name}: {done.stderr.strip()[-120:]}")
         return
     pushed = content.get("robots", content)
     one = next(value for name, value in pushed.items() if name not in ("generator", "provenance"))
-    found.codes["push"] = one["verdict"]["code"]
+    found.codes[name] = one["verdict"]["code"]
     # It looks at the stand with feed-forward alone.
     if one["verdict"]["passed"] and not stance["verdict"]["passed"]:
-        found.disagreements.append(f"push: {one['verdict']['code']}")
+        found.disagreements.append(f"{name}: {one['verdict']['code']}")
     off = float(np.abs(np.array(one["stand"]["qpos"]) - np.array(stance["stand"]["qpos"])).max())
     if not off <= SAME:
-        found.disagreements.append(f"push: stand off by {off:.1e}")
+        found.disagreements.append(f"{name}: stand off by {off:.1e}")
 
 
 def _compare_path(found: Agreement, run: Commands, stood: Answer, stance: dict[str, Any]) -> None:
@@ -222,26 +239,37 @@ def _compare_path(found: Agreement, run: Commands, stood: Answer, stance: dict[s
         found.disagreements.append("path: exit 0 where stand fails")
 
 
-def _compare_payload(found: Agreement, run: Commands, stood: Answer) -> None:
-    """What is said to be carried is carried by ``stand``; 3 % more is not."""
-    done, content = run("payload", "--payload-at", PAYLOAD_PLACE)
-    found.codes["payload"] = f"exit {done.returncode}"
+def _compare_payload(found: Agreement, run: Commands, stood: Answer, *ground: str) -> None:
+    """What is said to be carried on a ground is carried by ``stand``; 3 % more is not."""
+    told = " ".join(ground)
+    done, content = run("payload", "--payload-at", PAYLOAD_PLACE, *ground)
+    found.codes[f"payload {told}".strip()] = f"exit {done.returncode}"
     if done.returncode == 0 and stood.returncode != 0:
-        found.disagreements.append("payload: exit 0 where stand fails")
+        found.disagreements.append(f"payload {told}: exit 0 where stand fails")
     mass = content.get("mass")
     if not isinstance(mass, float) or not 0 < mass < math.inf:
         return
-    found.payload = mass
+    if not ground:
+        found.payload = mass
     if done.returncode != 0:
         return
     place = f"{content['link']},{PAYLOAD_PLACE}"
     for part in (INSIDE, OUTSIDE):
-        asked = ("--payload", f"{part * mass:.9g}", "--payload-at", place)
+        asked = ("--payload", f"{part * mass:.9g}", "--payload-at", place, *ground)
         loaded, answered = run("stand", *asked)
         code = _code(loaded, answered)
-        found.codes[f"stand, {part} of it"] = code
+        found.codes[f"stand {told}, {part} of it"] = code
         if (loaded.returncode == 0) is not (part < 1):
-            found.disagreements.append(f"stand with {part} of {mass:.4g} kg: {code}")
+            found.disagreements.append(f"stand {told} with {part} of {mass:.4g} kg: {code}")
+
+
+def _compare_loaded_push(found: Agreement, run: Commands) -> None:
+    """What is pushed with a load is what stands with it."""
+    if not math.isnan(found.payload):
+        load = "--payload", f"{INSIDE * found.payload:.9g}", "--payload-at", PAYLOAD_PLACE
+        _, stance = run("stand", *load)
+        if stance:
+            _compare_push(found, run, stance, *load)
 
 
 def _compare_study(
@@ -486,7 +514,7 @@ def main() -> None:
             place.mkdir()
             try:  # in a process of its own: meshes of twenty robots are gigabytes
                 with ProcessPoolExecutor(1, get_context("spawn")) as own:
-                    found = own.submit(of_robot, robot, place, *files).result()
+                    found = own.submit(of_robot, robot, place, *files, everywhere=True).result()
             except (AssertionError, PupperAnalysisError, BrokenExecutor) as error:
                 found = Agreement(robot, disagreements=[f"{type(error).__name__}: {error}"])
             refused = found.codes.get("hold", found.codes.get("stand")) == "exit 2"

@@ -193,7 +193,7 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
     if over.any():
         return 0.0, robot.joint_names[int(np.argmax(np.abs(empty) - limits))]
     mass = borne_by_motors(empty, rates, limits)
-    if not math.isfinite(mass):
+    if not mass <= UNLIMITED * robot.total_mass:  # a lever that is all but none
         return math.inf, ""
     left = np.where(np.isfinite(limits), limits - np.abs(empty + mass * rates), math.inf)
     return mass, robot.joint_names[int(np.argmin(left))]

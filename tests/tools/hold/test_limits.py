@@ -249,3 +249,26 @@ def test_a_servo_is_not_commanded_beyond_its_range(tmp_path: Path) -> None:
     loaded = Configuration(with_payload(robot, mass, tool), posture.qpos)
     assert joint == "elbow"
     assert loaded.load()[ORDER.index("elbow")] == pytest.approx(-0.02 * kp, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("angle", "most"), [(1e-9, math.inf), (1e-3, 20 / (G * 0.5 * math.sin(1e-3)) - 0.5)]
+)
+def test_a_lever_that_is_all_but_none_lets_anything_be_held(
+    angle: float, most: float, tmp_path: Path
+) -> None:
+    """A link of 0.5 m that stands upright but for an angle: by its sine a motor bears a mass."""
+    path = tmp_path / "mast.urdf"
+    inertia = '<inertia ixx="1e-2" iyy="1e-2" izz="1e-2" ixy="0" ixz="0" iyz="0"/>'
+    path.write_text(
+        '<robot name="mast"><link name="foot"/><link name="mast"><inertial>'
+        f'<origin xyz="0 0 0.25"/><mass value="1"/>{inertia}</inertial></link><link name="top"/>'
+        '<joint name="lean" type="revolute"><parent link="foot"/><child link="mast"/>'
+        '<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="20" velocity="3"/></joint>'
+        '<joint name="end" type="fixed"><origin xyz="0 0 0.5"/><parent link="mast"/>'
+        '<child link="top"/></joint></robot>'
+    )
+    robot = pa.load_robot(path)
+    mass, joint = posture_payload(robot, np.array([angle]), find_tool(robot, "top"))
+    assert mass == pytest.approx(most, rel=1e-6)
+    assert joint == ("" if math.isinf(most) else "lean")
