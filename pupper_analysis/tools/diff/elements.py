@@ -286,11 +286,12 @@ def changed_compiler(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference
         spec = new.spec.copy()
         setattr(spec.compiler, name, getattr(one, name))
         try:
-            left = _others_of(old.model, spec.compile())
+            as_it_was = spec.compile()
         except MUJOCO_ERRORS:
             continue
-        if left < _others_of(old.model, new.model):
-            follows = diagnose("compiler-makes-others", all=left == 0, some=left > 0)
+        if _others_of(old.model, as_it_was) < _others_of(old.model, new.model):
+            whole = _image(as_it_was) == _image(old.model)
+            follows = diagnose("compiler-makes-others", all=whole, some=not whole)
             yield _flagged((old, new), word, values, {}, (follows,))
 
 

@@ -285,10 +285,11 @@ def test_a_flag_of_the_compiler_is_the_first_change(tmp_path: Path, flag: str, m
     assert [str(one) for one in first.consequences] == [makes]
     assert others
     mixed = tmp_path / "mixed.xml"
-    mixed.write_text(new.read_text().replace('size="0.03"', 'size="0.04"'))
-    first, *others = pa.diff_models(old, mixed).changes
-    assert first.element == word
-    assert str(first.consequences[0]) == "some of the other changes follow from it"
+    for other in ('size="0.04"', 'size="0.03" margin="0.01"'):
+        mixed.write_text(new.read_text().replace('size="0.03"', other))
+        first, *others = pa.diff_models(old, mixed).changes
+        assert first.element == word
+        assert str(first.consequences[0]) == "some of the other changes follow from it"
 
 
 def test_a_flag_of_the_compiler_that_makes_nothing_is_no_change(tmp_path: Path) -> None:
