@@ -55,10 +55,8 @@ def to_plain(value: Any) -> Any:
         return value.tolist()
     if hasattr(value, "keys"):  # a mapping that is no dict
         return dict(value)
-    if isinstance(value, float):  # with a unit
-        return float(value)
-    if isinstance(value, PurePath):
-        return str(value)
+    if isinstance(value, float | PurePath):  # a number with a unit
+        return str(value) if isinstance(value, PurePath) else float(value)
     raise ConfigurationError("result", diagnose("no-json-of", type=type(value).__name__))
 
 

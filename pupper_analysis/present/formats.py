@@ -265,24 +265,18 @@ def write_junit(suite: str, cases: Iterable[CheckedItem]) -> str:
     for case in cases:
         node = ElementTree.SubElement(element, "testcase", name=case.name, classname=suite)
         if case.failure is not None:
-            codes = dict.fromkeys(one.code for one in case.diagnostics)
-            if codes:
-                _properties(node, case.diagnostics)
+            if case.diagnostics:  # codes with their values, as JSON
+                listed = ElementTree.SubElement(node, "properties")
+            for one in case.diagnostics:
+                values = json.dumps(code_and_values(one)["values"], ensure_ascii=False)
+                ElementTree.SubElement(listed, "property", name=one.code, value=values)
             failure = ElementTree.SubElement(node, "failure", message=case.failure)
             failure.text = case.failure
-            if codes:
-                failure.set("type", ", ".join(codes))
+            if case.diagnostics:
+                failure.set("type", ", ".join(dict.fromkeys(one.code for one in case.diagnostics)))
     ElementTree.indent(root)
     declaration = '<?xml version="1.0" encoding="utf-8"?>\n'
     return declaration + ElementTree.tostring(root, encoding="unicode")
-
-
-def _properties(case: ElementTree.Element, diagnostics: Iterable[Diagnostic]) -> None:
-    """Adds codes with their values, as JSON."""
-    properties = ElementTree.SubElement(case, "properties")
-    for one in diagnostics:
-        values = json.dumps(code_and_values(one)["values"], ensure_ascii=False)
-        ElementTree.SubElement(properties, "property", name=one.code, value=values)
 
 
 def for_machines(

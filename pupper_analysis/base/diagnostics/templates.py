@@ -32,11 +32,8 @@ from pupper_analysis.base.diagnostics.catalogue import term
 from pupper_analysis.base.units import READ_IN
 
 _SHOWN_IN = {
-    ("m", "mm"): 1e3,
+    **{(of, shown): factor for si, (factor, shown) in READ_IN.items() for of in (si, "rad or m")},
     ("m/s", "mm/s"): 1e3,
-    ("rad", "deg"): math.degrees(1.0),
-    ("rad or m", "mm"): 1e3,
-    ("rad or m", "deg"): math.degrees(1.0),
     ("rad", "degrees"): math.degrees(1.0),
     ("rad", "°"): math.degrees(1.0),
     ("kg", "g"): 1e3,

@@ -33,12 +33,7 @@ def task_text(task: StandTask) -> Text:
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
     """Returns a robot's files, and what was assumed of it."""
-    return () if robot is None else (files_text(robot), *assumption_texts(robot))
-
-
-def assumption_texts(robot: Robot) -> tuple[Words, ...]:
-    """Returns what was assumed when a robot was loaded."""
-    return tuple(map(tell, merge_diagnostics(robot.notes)))
+    return () if robot is None else (files_text(robot), *map(tell, merge_diagnostics(robot.notes)))
 
 
 def ground_text(depths: Iterable[float]) -> Text:
