@@ -8,12 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.diagnostics import (
-    Diagnostic,
-    Quantity,
-    Term,
-    diagnose,
-)
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.transmission import MadeServo, is_at_one_joint
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.prepare.soles import BALL
