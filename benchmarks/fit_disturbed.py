@@ -377,6 +377,8 @@ def rows(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -
                     robot, given.stands, kp=kp, added=other.added * robot.total_mass
                 )
             planted = plant(robot, rng, 0.0)
+            if kp is not None:  # and not that of servos which were added
+                planted = replace(planted, kp=planted.kp * kp / servo_gains(robot).kp)
             rig = Rig(replace(planted, robot=level(planted.robot, robot)), other)
             stands = stands_of(rig, plans[other.added])
             if stands is None:
