@@ -444,7 +444,7 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     mjcf = pair.mjcf.read_text().replace("<worldbody>", ICOSPHERE.format(text) + "<worldbody>", 1)
     pair.mjcf.write_text(mjcf)
     robot = load(pair)
-    said(robot, "replaced by fitted spheres")
+    said(robot, "fitted spheres replace their meshes")
     for radius in robot.contact_radius.values():
         assert radius == pytest.approx(0.025, abs=3e-4)  # facets are a little inside
     place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL_calf"]
@@ -608,7 +608,7 @@ def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     assert text.count(origin) == 1
     pair.urdf.write_text(text.replace(origin, turned))
     robot = load(pair)
-    assert "FL_knee by +0.3" in said(robot, "another zero angle")
+    assert "FL_knee by +17.19 deg" in said(robot, "another zero angle")
     np.testing.assert_allclose(robot.lower_limits, plain.lower_limits, atol=1e-12)
     one, two = (pa.stance.solve_stand_on_soft_ground(each).qpos for each in (robot, plain))
     np.testing.assert_allclose(one, two, atol=1e-9)
