@@ -13,7 +13,12 @@ from lxml import etree
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base import arrays
-from pupper_analysis.base.arrays import inertia_entries, inertia_of, inertia_tensor
+from pupper_analysis.base.arrays import (
+    inertia_entries,
+    inertia_of,
+    inertia_tensor,
+    quaternion_from_rotation,
+)
 from pupper_analysis.models.attributes import (
     COUPLING_TIME,
     FLOOR,
@@ -357,9 +362,9 @@ def _place(node: etree._Element, placement: pin.SE3) -> None:
     position = np.array(placement.translation)
     if position.any():
         node.set("pos", write_numbers(position))
-    x, y, z, w = pin.Quaternion(placement.rotation).coeffs()
-    if not np.allclose([x, y, z], 0.0, atol=1e-15):
-        node.set("quat", write_numbers([w, x, y, z]))
+    quaternion = quaternion_from_rotation(placement.rotation)
+    if not np.allclose(quaternion[1:], 0.0, atol=1e-15):
+        node.set("quat", write_numbers(quaternion))
 
 
 def _text(number: Number) -> str:

@@ -10,6 +10,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.base.arrays import (
+    placement_of,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint, silence_mujoco
@@ -158,16 +163,16 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnost
     mujoco.mj_kinematics(model, data)
     turn, place = data.xmat[body].reshape(3, 3), int(model.jnt_qposadr[model.body_jntadr[body]])
     keys = sorted(range(model.nkey), key=lambda key: model.key(key).name != "home")
-    if (
-        keys
-        and (stated := _rotation(model.key_qpos[keys[0], place + 3 : place + 7]))[2, 2] < _TILTED
+    stated = model.key_qpos[keys[:1], place + 3 : place + 7]
+    for first in (
+        matrix for matrix in map(rotation_from_quaternion, stated) if matrix[2, 2] < _TILTED
     ):
-        upright = max(_QUARTERS, key=lambda quarters: float(np.trace(stated @ quarters)))
+        upright = max(_QUARTERS, key=lambda quarters: float(np.trace(first @ quarters)))
         _move_frame(spec, base, place, pin.SE3(upright, np.zeros(3)), model)
-        tilt = Quantity(float(np.arccos(stated[2, 2])), "rad")
-        name = model.key(keys[0]).name
+        tilt = Quantity(float(np.arccos(first[2, 2])), "rad")
+        named = model.key(keys[0]).name
         return [
-            diagnose("base-frame-turned", subject=("body", base.name), tilt=tilt, keyframe=name)
+            diagnose("base-frame-turned", subject=("body", base.name), tilt=tilt, keyframe=named)
         ]
     if turn[2, 2] < _TILTED and not keys:
         tilt = Quantity(float(np.arccos(turn[2, 2])), "rad")
@@ -204,7 +209,7 @@ def _move_frame(
     """
     back = there.inverse()
     own = (*base.geoms, *base.sites, *base.cameras, *base.lights, *base.bodies, *base.frames)
-    frame = base.add_frame(pos=back.translation, quat=_quaternion(back.rotation))
+    frame = base.add_frame(pos=back.translation, quat=quaternion_from_rotation(back.rotation))
     for element in own:
         if element.frame is None:
             element.set_frame(frame)
@@ -212,29 +217,17 @@ def _move_frame(
     if base.explicitinertial and np.array_equal(there.rotation, np.eye(3)):
         base.ipos = base.ipos + back.translation
     elif base.explicitinertial:
-        axes = _rotation(inertial.iquat)
+        axes = rotation_from_quaternion(inertial.iquat)
         spread = axes @ np.diag(inertial.inertia) @ axes.T
         set_inertia(base, back.act(pin.Inertia(float(inertial.mass[0]), inertial.ipos, spread)))
-    moved = pin.SE3(_rotation(inertial.quat), inertial.pos) * there
-    base.pos, base.quat = moved.translation, _quaternion(moved.rotation)
+    moved = placement_of(inertial.quat, inertial.pos) * there
+    base.pos, base.quat = moved.translation, quaternion_from_rotation(moved.rotation)
     base.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     for key in spec.keys:
         qpos = np.array(key.qpos)
         if len(qpos) >= place + 7:
-            moved = pin.SE3(_rotation(qpos[place + 3 : place + 7]), qpos[place : place + 3]) * there
-            qpos[place : place + 7] = (*moved.translation, *_quaternion(moved.rotation))
+            quaternion = qpos[place + 3 : place + 7] / np.linalg.norm(qpos[place + 3 : place + 7])
+            moved = placement_of(quaternion, qpos[place : place + 3]) * there
+            qpos[place : place + 3] = moved.translation
+            qpos[place + 3 : place + 7] = quaternion_from_rotation(moved.rotation)
             key.qpos = qpos
-
-
-def _rotation(quat: Array) -> Array:
-    """Returns the rotation matrix (3, 3) of MuJoCo's quaternion (4,)."""
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quat / np.linalg.norm(quat))
-    return matrix.reshape(3, 3)
-
-
-def _quaternion(rotation: Array) -> Array:
-    """Returns MuJoCo's quaternion (4,) of a rotation matrix (3, 3)."""
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(rotation).ravel())
-    return quat

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import CONTACT_OF_GEOM
@@ -45,13 +45,13 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
         return robot
     spec = robot.description.mjcf.copy()
     floor = floor_of(spec) or SpecTree(spec).add_floor()
-    turn_floor(floor, _quat(ground.rotation()))
+    turn_floor(floor, quaternion_from_rotation(ground.rotation()))
     steps = ground.steps(places, robot.contact_radius)
     soles = [foot for foot in steps if len(robot.feet[foot]) > 1]
     contype, conaffinity = floor.contype, floor.conaffinity
     free = _leave_floor(robot, spec, floor, steps, soles)
     for foot, (centre, half) in steps.items():
-        quat = _quat(ground.rotation(foot))
+        quat = quaternion_from_rotation(ground.rotation(foot))
         box = spec.worldbody.add_geom(
             name=f"step_{foot}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -77,12 +77,6 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
             )
             _like_floor(top, floor)
     return replace(rebuild_robot(robot, mjcf=spec), fingerprint=robot.fingerprint)
-
-
-def _quat(rotation: Array) -> Array:
-    """Returns a rotation (3, 3) as a quaternion (w, x, y, z)."""
-    quat: Array = pin.Quaternion(rotation).coeffs()[[3, 0, 1, 2]]
-    return quat
 
 
 def _like_floor(geom: mujoco.MjsGeom, floor: mujoco.MjsGeom) -> None:
