@@ -213,12 +213,13 @@ def check_in_range(
     low, high = ends
     if not low - _ROUNDED <= position <= high + _ROUNDED:
         unit, degrees = joint_unit(robot, joint), math.radians(position)
+        typed = unit == "rad" and argument != "keyframe"
         problem = diagnose(
             "joint-out-of-range",
             subject=("joint", joint),
             position=Quantity(round(position, 9), unit),
             bonds=bonds or None,
-            degrees=position if unit == "rad" and low <= degrees <= high else None,
+            degrees=position if typed and low <= degrees <= high else None,
             low=Quantity(low, unit),
             high=Quantity(high, unit),
         )

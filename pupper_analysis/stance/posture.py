@@ -126,7 +126,8 @@ def find_posture(
     moved = np.abs(qpos - start) > _SLACK
     for joint, position, ends, by in zip(robot.joint_names, qpos, ranges, moved, strict=True):
         bonds = robot.closure.bonds if robot.closure is not None and by else ()
-        check_in_range(robot, joint, float(position), tuple(ends.tolist()), "joints", bonds)
+        stated = "keyframe" if source is PostureSource.KEYFRAME and joint not in given else "joints"
+        check_in_range(robot, joint, float(position), tuple(ends.tolist()), stated, bonds)
     for problem in tendons.at_ends(qpos, -AT_END):
         raise ConfigurationError("joints", problem)
     return Posture(robot.joint_names, qpos, source, name, tuple(given))
