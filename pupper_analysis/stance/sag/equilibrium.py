@@ -457,11 +457,14 @@ biped of 10 kg by some micrometre."""
 
 def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
     """Returns a point {contact point: (3,)} of the ground under each (m)."""
-    ground, places = stand.task.ground, stand.rigid_targets
-    found: dict[str, Array] = {}
+    ground, found = stand.task.ground, dict[str, Array]()
     for foot, points in robot.feet.items():
-        own = {point: places[point] for point in points}
-        found |= dict.fromkeys(points, ground.middle(foot, own, robot.contact_radius)[0])
+        if foot in ground.tilts:
+            own = {point: stand.rigid_targets[point] for point in points}
+            on = ground.middle(foot, own, robot.contact_radius)[0]
+        else:  # parallel to the plane through the origin
+            on = np.array([0.0, 0.0, ground.heights.get(foot, 0.0)])
+        found |= dict.fromkeys(points, on)
     return found
 
 
