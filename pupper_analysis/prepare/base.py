@@ -163,20 +163,18 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnost
     mujoco.mj_kinematics(model, data)
     turn, place = data.xmat[body].reshape(3, 3), int(model.jnt_qposadr[model.body_jntadr[body]])
     keys = sorted(range(model.nkey), key=lambda key: model.key(key).name != "home")
-    stated = model.key_qpos[keys[:1], place + 3 : place + 7]
-    for first in (
-        matrix for matrix in map(rotation_from_quaternion, stated) if matrix[2, 2] < _TILTED
-    ):
-        upright = max(_QUARTERS, key=lambda quarters: float(np.trace(first @ quarters)))
+    # Of a file without keyframes it is where the bodies are written.
+    begun = (
+        rotation_from_quaternion(model.key_qpos[keys[0], place + 3 : place + 7]) if keys else turn
+    )
+    if begun[2, 2] < _TILTED:
+        tilt, subject = Quantity(float(np.arccos(begun[2, 2])), "rad"), ("body", base.name)
+        if not keys:
+            return [diagnose("base-frame-tilted", subject=subject, tilt=tilt)]
+        upright = max(_QUARTERS, key=lambda quarters: float(np.trace(begun @ quarters)))
         _move_frame(spec, base, place, pin.SE3(upright, np.zeros(3)), model)
-        tilt = Quantity(float(np.arccos(first[2, 2])), "rad")
         named = model.key(keys[0]).name
-        return [
-            diagnose("base-frame-turned", subject=("body", base.name), tilt=tilt, keyframe=named)
-        ]
-    if turn[2, 2] < _TILTED and not keys:
-        tilt = Quantity(float(np.arccos(turn[2, 2])), "rad")
-        return [diagnose("base-frame-tilted", subject=("body", base.name), tilt=tilt)]
+        return [diagnose("base-frame-turned", subject=subject, tilt=tilt, keyframe=named)]
     ends = [end for end in limb_ends(model) if end != body]
     below = np.isin(model.body_weldid[model.geom_bodyid], ends)
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -226,7 +224,8 @@ def _move_frame(
     for key in spec.keys:
         qpos = np.array(key.qpos)
         if len(qpos) >= place + 7:
-            quaternion = qpos[place + 3 : place + 7] / np.linalg.norm(qpos[place + 3 : place + 7])
+            quaternion = qpos[place + 3 : place + 7].copy()
+            mujoco.mju_normalize4(quaternion)  # of zeros it makes none, as its compiler
             moved = placement_of(quaternion, qpos[place : place + 3]) * there
             qpos[place : place + 3] = moved.translation
             qpos[place + 3 : place + 7] = quaternion_from_rotation(moved.rotation)

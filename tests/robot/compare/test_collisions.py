@@ -59,6 +59,21 @@ def test_another_radius_is_a_difference_of_each_foot(
         )
 
 
+def test_a_foot_on_links_of_two_names_is_said_to_be_on_each(tmp_path: Path) -> None:
+    """Its places are in two frames, as a URDF may have a link of its own for it."""
+    files = edited(tmp_path, "mjcf/pupper_v3_body.xml", FOOT, FOOT.replace("0.01995", "0.02995"))
+    own = files[0].read_text().replace('link="leg_front_l_3"', 'link="shank"')
+    files[0].write_text(own.replace('<link name="leg_front_l_3"', '<link name="shank"'))
+    found = pa.compare_models(*files)
+    said = {
+        one.element: (one.diagnostic.values["link"], one.diagnostic.values["body"])
+        for one in found.differences
+        if one.kind == "collision"
+    }
+    assert said.pop("leg_front_l_3") == ("shank", "leg_front_l_3")
+    assert set(said.values()) == {(None, None)}
+
+
 def test_feet_that_touch_nothing_are_a_difference(tmp_path: Path) -> None:
     files = edited(tmp_path, "mjcf/pupper_v3_shared.xml", 'conaffinity="1"', 'conaffinity="0"')
     found = pa.compare_models(*files)
