@@ -304,14 +304,12 @@ def _check_inside(task: StandTask, place: Array, corners: tuple[Corner, ...]) ->
 
 def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
     """Returns a task with the robot's own height and com, where it leaves them open, and units."""
-    if task.com is not None and task.height is not None and not task.posture:
+    if task.posture:
+        task = replace(task, posture=with_units(robot, task.posture))
+    if task.com is not None and task.height is not None:
         return task
-    return replace(
-        task,
-        height=robot.stand_height if task.height is None else task.height,
-        com=task.com or (com if task.offset is None else "centre"),
-        posture=with_units(robot, task.posture),
-    )
+    height = robot.stand_height if task.height is None else task.height
+    return task.filled_in(height, task.com or (com if task.offset is None else "centre"))
 
 
 def _centred(task: StandTask) -> bool:
