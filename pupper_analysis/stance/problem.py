@@ -306,10 +306,9 @@ def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
     """Returns a task with the robot's own height and com, where it leaves them open, and units."""
     if task.posture:
         task = replace(task, posture=with_units(robot, task.posture))
-    if task.com is not None and task.height is not None:
-        return task
-    height = robot.stand_height if task.height is None else task.height
-    return task.filled_in(height, task.com or (com if task.offset is None else "centre"))
+    if task.height is None:
+        task = replace(task, height=robot.stand_height)
+    return task if task.com else task.with_com(com if task.offset is None else "centre")
 
 
 def _centred(task: StandTask) -> bool:

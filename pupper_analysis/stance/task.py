@@ -118,13 +118,13 @@ class StandTask:
             raise ConfigurationError("stand", diagnose("stance-field-unknown", known=(*FIELDS,)))
         return cls(ik_seed=seed).having(values)
 
-    def filled_in(self, height: float, com: str | Point) -> StandTask:
-        """Returns the task with a height and a com that make sense.
+    def with_com(self, word: str) -> StandTask:
+        """Returns the task, which leaves the com open, with one of the words for where it is.
 
-        Nothing is checked again, which would take an eighth of a stand's time in a sequence.
+        Nothing is checked again: that took an eighth of a stand's time in a sequence.
         """
         task = object.__new__(StandTask)
-        vars(task).update(vars(self), height=height, com=com)
+        vars(task).update(vars(self), com=word)
         return task
 
     def values(self) -> dict[str, Any]:
