@@ -241,7 +241,8 @@ def _of_the_files(robot: Robot) -> tuple[Diagnostic, ...]:
     if driving:
         messages.insert(0, diagnose("joints-damped-negatively", joints=driving))
     made_up = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
-    return (*made_up, *efforts_nobody_meant(robot), *import_refused(robot))
+    elsewhere = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
+    return (*made_up, *elsewhere, *efforts_nobody_meant(robot), *import_refused(robot))
 
 
 @check_arguments

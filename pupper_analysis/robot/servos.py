@@ -66,24 +66,27 @@ class Servos:
         return self.integrator.startswith("implicit")
 
     def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:
-        """Returns the ctrl (model.nu,) that asks for joint positions, with a feed-forward torque.
+        """Returns the ctrl (..., model.nu) for joint positions, with a feed-forward torque.
 
         Servos at tendons and sites are asked for the length that they have there, as a joint's are:
         they exert nothing then. All other motors are commanded 0.
 
         Args:
             robot: The robot.
-            positions: (nu,) joint positions (rad).
-            torques: (nu,) torques (N m) to be given at these positions; zero if None.
+            positions: (..., nu) joint positions (rad).
+            torques: (..., nu) torques (N m) to be given at these positions; zero if None.
         """
         actuators = robot.mj_convention.actuator_index
-        driven, ctrl = actuators >= 0, np.zeros(self.model.nu)
+        driven, ctrl = actuators >= 0, np.zeros((*positions.shape[:-1], self.model.nu))
         target = positions if torques is None else positions + command_lead(torques, self.kp)
         if _servos_elsewhere(self.model, actuators[driven]).size:
             data = mujoco.MjData(self.model)
-            data.qpos[robot.mj_convention.qpos_index[-robot.nu :]] = positions
-            ctrl += command_elsewhere(self.model, data.qpos, actuators[driven])
-        ctrl[self.model.actuator_ctrladr[actuators[driven]]] = (self.gear * target)[driven]
+            for row in np.ndindex(positions.shape[:-1]):
+                data.qpos[robot.mj_convention.qpos_index[-robot.nu :]] = positions[row]
+                ctrl[row] = command_elsewhere(self.model, data.qpos, actuators[driven])
+        ctrl[..., self.model.actuator_ctrladr[actuators[driven]]] = (self.gear * target)[
+            ..., driven
+        ]
         return ctrl
 
 
@@ -125,7 +128,7 @@ def _servos_elsewhere(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArra
 
 
 def command_lead(torques: Array, kp: Array) -> Array:
-    """Returns by how much (nu,) a command is beyond a pose for torques (nu,) to be given there.
+    """Returns by how much (..., nu) a command is beyond a pose for torques (..., nu) to be given.
 
     Nothing where there is no servo, at joints that follow others.
     """

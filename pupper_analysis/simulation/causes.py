@@ -26,7 +26,7 @@ _JOLTS = 50
 _EVEN = 0.05
 """The ground's force on a robot that stands varies by less of its weight from step to step."""
 
-_CREEPING = 1e-3
+CREEPING = 1e-3
 """Feet that creep faster are said to (m/s): 5 mm in the 5 s of a simulation."""
 
 
@@ -128,8 +128,8 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
     return [diagnose("contacts-rattle", share=share, impratio=impratio)]
 
 
-def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
-    """Says so if feet creep, as MuJoCo's friction, which is viscous, lets them.
+def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) -> dict[str, float]:
+    """Returns how fast feet creep, as MuJoCo's friction, which is viscous, lets them (m/s).
 
     Args:
         robot: The robot.
@@ -142,8 +142,14 @@ def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> l
         tangential = float(np.linalg.norm(force - (force @ normal) * normal))
         viscosity = GroundLaw.of(robot, foot).viscosity(stand.depths[foot])
         speeds[foot] = tangential / viscosity if viscosity > 0 else np.inf
+    return speeds
+
+
+def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
+    """Says so if feet creep; see ``creep_speeds``."""
+    speeds = creep_speeds(robot, stand, prediction)
     foot = max(speeds, key=speeds.__getitem__)
-    if not speeds[foot] > _CREEPING:
+    if not speeds[foot] > CREEPING:
         return []
     option = robot.mj_model.opt
     elliptic = option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC.value

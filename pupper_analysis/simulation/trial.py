@@ -15,7 +15,8 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING, free_of_friction
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.rollout import begin_stand, check_stand, roll_out
+from pupper_analysis.simulation.causes import CREEPING, creep_speeds
+from pupper_analysis.simulation.rollout import Standing, begin_stand, check_stand, roll_out
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import polygon_sides
@@ -40,7 +41,9 @@ LEFT = 0.1
 and more."""
 
 SLIPPED = 5e-3
-"""A foot that is further from its place has slid (m); in 12 s creep and rolling give 1 mm."""
+"""A foot that is further from its place than it creeps has slid (m); rolling gives 1 mm. Deep in
+soft ground, where MuJoCo's friction is viscous, feet creep as far in 12 s with a tenth of it used.
+"""
 
 LIFTED = 2e-3
 """A foot that is off the ground and this much higher than it began has lifted (m); one that carries
@@ -145,7 +148,8 @@ def simulate_nudges(
     steps = max(2, round(duration / float(model.opt.timestep)))
     workers = [mujoco.MjData(model) for _ in range(2)]
     states = roll_out(model, workers, starts, np.tile(ctrl, (1, steps, 1)))
-    events = [_first_event(robot, model, stand, rows, ctrl) for rows in states]
+    creeps = creep_speeds(robot, stand, held.prediction)
+    events = [_first_event(held, stand, rows, creeps) for rows in states]
     failed = [event for event in events if event is not None]
     time, failure, where = min(failed, key=lambda event: event[0]) if failed else (None, None, ())
     joints = states[:, -1, 1 + robot.mj_convention.qpos_index[7:]]
@@ -223,12 +227,13 @@ def nudge_velocities(robot: Robot, stand: Stand, turn: float) -> Array:
 
 
 def _first_event(
-    robot: Robot, model: mujoco.MjModel, stand: Stand, states: Array, ctrl: Array
+    held: Standing, stand: Stand, states: Array, creeps: dict[str, float]
 ) -> tuple[float, Failure, tuple[str, ...]] | None:
     """Returns when, what and where something happened that shall not, if it did.
 
     A motor may saturate for a moment, in the swing of a nudge, if the robot then stands.
     """
+    robot, model, ctrl = held.robot, held.drive.model, held.ctrl
     timestep = float(model.opt.timestep)
     if monitor.has_diverged(states, timestep):
         return 0.0, Failure.BUCKLING, ()
@@ -251,7 +256,9 @@ def _first_event(
         feet = watcher.foot_centres()
         places = places or feet
         moved = {
-            foot: np.linalg.norm((feet[foot] - places[foot])[:2]) for foot in stand.stance_feet
+            foot: np.linalg.norm((feet[foot] - places[foot])[:2])
+            - min(creeps[foot], CREEPING) * seen.time
+            for foot in stand.stance_feet
         }
         found = {
             Failure.GROUND: sorted(seen.bodies | (set(seen.forces) - carrying)),

@@ -12,6 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.present.verdict import in_words, verdict_clauses
 from pupper_analysis.tools.hold.hold import hold_posture
 from tests.prepare.test_imported import four_legs, verdict_of
+from tests.support import features
 
 Slip = Callable[[str], str]
 
@@ -77,13 +78,23 @@ def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule
 def test_a_sound_file_has_no_such_line(tmp_path: Path) -> None:
     verdict = verdict_of(pa.load_robot(four_legs(tmp_path)))
     codes = {clause.message.code for clause in verdict_clauses(verdict)}
-    assert not codes & {"rests-on-made-up", "foot-buried"}
+    assert not codes & {"rests-on-made-up", "foot-buried", "gravity-not-the-earths"}
 
 
 def test_what_is_held_has_it_too(tmp_path: Path) -> None:
     urdf = slipped(tmp_path, SLIPS["triangle-inequality"][0])
     verdict = hold_posture(pa.load_robot(urdf, fixed_base=True)).verdict
     assert SLIPS["triangle-inequality"][1] in in_words(verdict)
+
+
+@pytest.mark.parametrize("gravity", ["0 0 -1.62", "0 0 0"])
+def test_gravity_that_is_not_the_earths_stands_in_the_verdict(tmp_path: Path, gravity: str) -> None:
+    """Without it motors hold any mass: true, and not of a robot on the ground."""
+    _, mjcf = features.files(tmp_path, features.option(f'gravity="{gravity}"'))
+    said = in_words(hold_posture(pa.load_robot(mjcf, fixed_base=True)).verdict)
+    assert f"gravity is taken from the MJCF: ({gravity.replace(' ', ', ')}) m/s^2" in said
+    if gravity != "0 0 0":
+        assert "gravity is taken from the MJCF" in in_words(verdict_of(pa.load_robot(mjcf)))
 
 
 def test_a_foot_that_sinks_by_more_than_its_radius_is_named(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ NEVER = {
     *("holds-in-mujoco", "fails-in-mujoco", "fails-alone", "collapses-as-published"),
     *("off-as-published", "own-run", "own-run-diverges", "deviation-doubles", "in-balance"),
     *("on-servos-made-up", "rests-on-placeholder-efforts", "on-balls-for-soles"),
+    *("gravity-not-the-earths",),
 }
 """Codes of what is seen, and is no cause."""
 

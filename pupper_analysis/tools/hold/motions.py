@@ -131,6 +131,17 @@ class JointMotions:
         found = [self._place(qpos, way, number) for number in range(self._places(way))]
         return [place for place in found if self._kept(place)]
 
+    def ends(self, qpos: Array, way: int) -> list[Array]:
+        """Returns those of the places along a way next to which its loop does not close."""
+        places = [self._place(qpos, way, number) for number in range(self._places(way))]
+        closes = [self._kept(place) for place in places]
+        whole = [all(closes[max(number - 1, 0) : number + 2]) for number in range(len(places))]
+        return [
+            place
+            for place, inside in zip(places, whole, strict=True)
+            if self._kept(place) and not inside
+        ]
+
     def closed_before(self, qpos: Array, way: int) -> list[Array]:
         """Returns postures (nu,) with the loop of a way, which bends, as it was closed so far."""
         loop, found = self._loop[way], []

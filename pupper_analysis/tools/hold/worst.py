@@ -187,7 +187,8 @@ class Search:
                     nearest = max(
                         [qpos, *there], key=lambda place: self._torque(joint, sign, place)
                     )
-                    there = [nearest, self._between(joint, sign, nearest, way)]
+                    near = (nearest, *motions.ends(nearest, way))
+                    there = [nearest, *(self._between(joint, sign, one, way) for one in near)]
                 for place in there:
                     found = self._torque(joint, sign, place)
                     if found > best:
@@ -234,13 +235,24 @@ class Search:
             there = self._motions.bend(qpos, way, position)
             return _OUT if there is None else -self._torque(joint, sign, there)
 
-        low, high = self._motions.around(qpos, way)
+        here = float(qpos[self._motions.free[way]])
+        low, high = (self._closing(qpos, way, here, end) for end in self._motions.around(qpos, way))
         found = optimize.minimize_scalar(
             lacking, bounds=(low, high), method="bounded", options={"xatol": _FINE}
         )
         ends = (self._motions.bend(qpos, way, at) for at in (low, float(found.x), high))
         closed = [end for end in ends if end is not None]
         return max(closed, key=lambda there: self._torque(joint, sign, there), default=qpos)
+
+    def _closing(self, qpos: Array, way: int, here: float, end: float) -> float:
+        """Returns how far a loop closes on the way from here, where it does, to an end (rad, m)."""
+        if self._motions.bend(qpos, way, end) is not None:
+            return end
+        while abs(end - here) > _PEAK:
+            middle = (here + end) / 2
+            closes = self._motions.bend(qpos, way, middle) is not None
+            here, end = (middle, end) if closes else (here, middle)
+        return here
 
     def _peak(self, joint: int, sign: float, qpos: Array, way: int, here: float) -> float:
         """Returns where along a way, which does not bend, a torque is greatest (rad, m)."""

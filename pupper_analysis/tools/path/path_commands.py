@@ -126,7 +126,7 @@ def path_commands(
         time=times,
         qpos=spline(np.minimum(times, end)),
         torques=torques,
-        ctrl=np.array([drive.command(robot, *row) for row in zip(ahead, torques, strict=True)]),
+        ctrl=drive.command(robot, ahead, torques),
     )
 
 

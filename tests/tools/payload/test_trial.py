@@ -9,6 +9,7 @@ import pytest
 import shapely
 
 import pupper_analysis as pa
+from pupper_analysis.robot.servos import with_options
 from pupper_analysis.simulation import trial as payload
 from pupper_analysis.simulation.trial import NUDGE, nudge_velocities
 from pupper_analysis.tools.payload.trial import simulate_payload
@@ -64,6 +65,15 @@ def test_dry_friction_holds_up_what_is_not_stable() -> None:
     robot, stand = load("v3"), stand_of("v3")
     assert simulate_payload(robot, stand, 7.0, dry_friction=True, duration=6).held
     assert not simulate_payload(robot, stand, 7.0, duration=6).held
+
+
+@pytest.mark.parametrize(("impratio", "failure"), [(30.0, None), (1.0, payload.Failure.SLIDING)])
+def test_creep_is_no_slide(impratio: float, failure: payload.Failure | None) -> None:
+    """With a quarter of their friction feet creep by 7 mm, as MuJoCo's is viscous; or by 0.2 m."""
+    robot = with_options(load("v3"), cone="elliptic", impratio=impratio)
+    task = pa.StandTask(ground=pa.Ground(np.radians(15.0)))
+    trial = simulate_payload(robot, task, 1.0, (0.0, 0.0, 0.05), duration=9)
+    assert trial.failure is failure
 
 
 def test_what_is_out_of_reach_is_not_simulated() -> None:
