@@ -126,21 +126,13 @@ class JointMotions:
         moved: Array = qpos + length * self.steps[:, way]
         return moved
 
-    def places(self, qpos: Array, way: int) -> list[Array]:
-        """Returns postures (nu,) along a way that bends, over its range, with loops closed."""
-        found = [self._place(qpos, way, number) for number in range(self._places(way))]
-        return [place for place in found if self._kept(place)]
+    def places(self, qpos: Array, way: int) -> list[Array | None]:
+        """Returns postures (nu,) along a way that bends, over its range, with loops closed.
 
-    def ends(self, qpos: Array, way: int) -> list[Array]:
-        """Returns those of the places along a way next to which its loop does not close."""
-        places = [self._place(qpos, way, number) for number in range(self._places(way))]
-        closes = [self._kept(place) for place in places]
-        whole = [all(closes[max(number - 1, 0) : number + 2]) for number in range(len(places))]
-        return [
-            place
-            for place, inside in zip(places, whole, strict=True)
-            if self._kept(place) and not inside
-        ]
+        None where one does not close, or takes others, or tendons, beyond their ranges.
+        """
+        found = [self._place(qpos, way, number) for number in range(self._places(way))]
+        return [place if self._kept(place) else None for place in found]
 
     def closed_before(self, qpos: Array, way: int) -> list[Array]:
         """Returns postures (nu,) with the loop of a way, which bends, as it was closed so far."""

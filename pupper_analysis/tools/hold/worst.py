@@ -187,7 +187,7 @@ class Search:
                     nearest = max(
                         [qpos, *there], key=lambda place: self._torque(joint, sign, place)
                     )
-                    near = (nearest, *motions.ends(nearest, way))
+                    near = (nearest, *self._peaks(joint, sign, nearest, way))
                     there = [nearest, *(self._between(joint, sign, one, way) for one in near)]
                 for place in there:
                     found = self._torque(joint, sign, place)
@@ -205,7 +205,7 @@ class Search:
             before = best
             for way in chosen:
                 if motions.bent[way]:
-                    there = motions.places(qpos, way)
+                    there = [place for place in motions.places(qpos, way) if place is not None]
                 else:
                     there = [motions.along(qpos, way, self._peak(joint, sign, qpos, way, best))]
                 for place in there:
@@ -226,6 +226,18 @@ class Search:
         loads = np.abs(self._motions.shares[joint]) > _NO_SHARE
         matter = self._matters[loads].any(axis=0)
         return [way for way, moved in enumerate(self._motions.moved) if matter[moved].any()]
+
+    def _peaks(self, joint: int, sign: float, qpos: Array, way: int) -> list[Array]:
+        """Returns the places along a way that bends next to which no torque is greater."""
+        places = self._motions.places(qpos, way)
+        found = [-math.inf if it is None else self._torque(joint, sign, it) for it in places]
+        beside = [-math.inf, *found, -math.inf]
+        highest = map(max, beside[:-2], beside[2:])
+        return [
+            place
+            for place, own, most in zip(places, found, highest, strict=True)
+            if place is not None and own >= most
+        ]
 
     def _between(self, joint: int, sign: float, qpos: Array, way: int) -> Array:
         """Returns where along a way that bends, near a posture, a torque is greatest."""
