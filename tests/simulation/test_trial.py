@@ -1,0 +1,34 @@
+"""What a nudge may do to a stand, and what is no harm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.simulation.trial import _limits, simulate_nudges
+from tests.support.legged import quadruped
+
+
+@pytest.mark.parametrize(("limits", "rests"), [("0 1", True), ("-1e-9 1", True), ("-1 1", False)])
+def test_a_joint_that_rests_against_its_limit_does_not_come_to_it(
+    limits: str, rests: bool, tmp_path: Path
+) -> None:
+    """A gripper that is shut, an arm against its stop; the limits of legs count as ever."""
+    path = quadruped(tmp_path, head=True).mjcf
+    head = '<joint name="nod" axis="0 1 0" range="{0}"/>'
+    text = path.read_text()
+    assert head.format("-1 1") in text
+    path.write_text(text.replace(head.format("-1 1"), head.format(limits)))
+    robot = pa.load_robot(path)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
+    trial = simulate_nudges(robot, stand, duration=2.0)
+    assert (trial.held, trial.failure, trial.where) == (True, None, ())
+    lower, upper = _limits(robot, stand)
+    nod = robot.joint_names.index("nod")
+    assert np.isneginf(lower[nod]) == rests
+    legs = np.arange(robot.nu) != nod
+    assert np.array_equal(lower[legs], robot.lower_limits[legs])
+    assert np.array_equal(upper, robot.upper_limits)
