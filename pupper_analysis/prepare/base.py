@@ -38,6 +38,10 @@ _QUARTERS = tuple(
 )
 """The rotations (3, 3) of a frame's axes onto each other."""
 
+_AT_THE_GROUND = 1e-6
+"""By how much a limb's lowest point may be below a base's frame that is on the ground with it (m):
+what a wheel's height and radius are rounded to."""
+
 _TILTED = 0.7
 """Cosine of how far from level a base's frame has to be where a file has it, to be told: 45 deg."""
 
@@ -180,7 +184,7 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnost
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     for some in (below & touching, below):  # of what is only seen each vertex is looked at
         bottom = lowest_point(model, data, np.flatnonzero(some).tolist())
-        if data.xpos[body][2] > bottom:
+        if data.xpos[body][2] > bottom + _AT_THE_GROUND:
             return []
     fixed = model.body_weldid == model.body_weldid[body]  # a root may weigh nothing itself
     com = model.body_mass[fixed] @ data.xipos[fixed] / model.body_mass[fixed].sum()

@@ -69,6 +69,9 @@ _DOWN = 0.7
 """Cosine of how far from downwards limbs end, on the whole, to be told: 45 deg."""
 
 
+_SHORTEST = 1e-3  # m: of a wheel there is no direction
+
+
 def limbs_aside(robot: Robot) -> list[Diagnostic]:
     """Tells along which axis of its base's frame a robot's limbs end, if that is not downwards.
 
@@ -80,8 +83,9 @@ def limbs_aside(robot: Robot) -> list[Diagnostic]:
     if len(limbs) < 2:
         return []
     roots, ends = [bodies[0] for bodies in limbs], [bodies[-1] for bodies in limbs]
-    ways = data.xipos[ends] - data.xpos[roots]
-    along = ways.mean(axis=0) / np.linalg.norm(ways, axis=1).mean()
+    spans = data.xipos[ends] - data.xpos[roots]
+    lengths = np.linalg.norm(spans, axis=1, keepdims=True)
+    along = (spans / np.maximum(lengths, _SHORTEST)).mean(axis=0)  # one long arm is no robot's legs
     axis = int(np.argmax(np.abs(along)))
     sign = float(np.sign(along[axis]))
     if np.abs(along[axis]) < _DOWN or (axis == 2 and sign < 0):

@@ -120,6 +120,7 @@ def _laid(robot: Robot, pose: Array) -> Robot | None:
     """Finds a stand on feet that lie where the legs, bent, have them; see ``found_start``."""
     length = leg_length(robot, robot.posed(pose))
     heights = np.round(length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS), 3)
+    heights = heights[heights > 0]
     for margin in _MARGINS:
         laid = [(height, _lay_feet(robot, pose, height, margin)) for height in heights.tolist()]
         found = _from_middle(

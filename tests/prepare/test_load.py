@@ -314,11 +314,16 @@ def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> Non
     assert len(robot.feet) == 4
 
 
-@pytest.mark.parametrize(("below", "framed"), [(0.78, False), (0.78, True), (1.7, False)])
+@pytest.mark.parametrize(
+    ("below", "framed"), [(0.78, False), (0.78, True), (1.7, False), (0.72 - 1e-9, False)]
+)
 def test_a_base_frame_on_the_ground_between_the_feet(
     tmp_path: Path, below: float, framed: bool
 ) -> None:
-    """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been."""
+    """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been.
+
+    Soles that are below it by rounding alone, as TIAGo's wheels are, are on the ground with it.
+    """
     plain = load(biped(tmp_path))
     pair = from_the_ground(biped(tmp_path), below)
     if framed:  # what the base carries, in a frame of its own
