@@ -5,18 +5,20 @@ from __future__ import annotations
 import hashlib
 import platform
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.kinds import GENERATOR
 from pupper_analysis.base.results import to_json, to_plain
 from pupper_analysis.base.runs import current_run
+from pupper_analysis.base.units import units_of
 
 LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
 """Whose versions results depend on."""
@@ -85,11 +87,33 @@ def find_provenance() -> Provenance:
 def marked_json(content: object) -> str:
     """Returns a result, or a mapping of results, as a JSON file that says what has made it.
 
+    Its ``provenance`` has ``units``, too: of each field whose class states one, by its name.
+
     Raises:
         ConfigurationError: As ``to_json``.
     """
     from pupper_analysis import __version__
 
     own = content if isinstance(content, Mapping) else to_plain(content)
-    marks = {"generator": f"{GENERATOR} {__version__}", "provenance": find_provenance()}
+    stated: dict[str, set[str]] = {}
+    for kind in set(_kinds_in(content)):
+        for name, unit in units_of(kind).items():
+            stated.setdefault(name, set()).add(unit)
+    units = {name: " or ".join(sorted(found)) for name, found in sorted(stated.items())}
+    origin = {**to_plain(find_provenance()), "units": units}
+    marks = {"generator": f"{GENERATOR} {__version__}", "provenance": origin}
     return f"{to_json({**marks, **own})}\n"
+
+
+def _kinds_in(content: object) -> Iterator[type]:
+    """Yields the class of each result in a result, or in a container of results."""
+    inside: object = content
+    if is_dataclass(content) and not isinstance(content, Diagnostic):
+        yield type(content)
+        inside = to_plain(content)
+    if isinstance(inside, Mapping):
+        inside = inside.values()
+    elif not isinstance(inside, list | tuple):
+        return
+    for one in inside:
+        yield from _kinds_in(one)

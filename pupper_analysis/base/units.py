@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+import re
 from collections.abc import Mapping
+from functools import cache
 from typing import Final
 
 EARTH = 9.81
@@ -47,3 +50,23 @@ class Position(float):
         found = super().__new__(cls, value)
         found.unit = unit
         return found
+
+
+_UNIT: Final = (
+    r"(kg m\^2|N m s/rad|N m/rad|N s/m|N/m|N m|N s|rad\^2/s\^2|m/rad|(?:rad|m)/s(?:\^2)?"
+    r"|1/s|rad|kg|m|s|N|W)"
+)
+_STATED: Final = re.compile(rf"(?:^|[(:)] ?){_UNIT}(?=[.,;)}}]| \()|, {_UNIT}(?=\))")
+
+
+@cache
+def units_of(kind: type) -> dict[str, str]:
+    """Returns {field: its unit} of a class, as far as its docstring states one: ``(N m)``."""
+    _, _, stated = (inspect.getdoc(kind) or "").partition("Attributes:\n")
+    field = r"^    (\w+): (?:\([\w, ]*,[\w ]*\) )?(.*(?:\n {6}.*)*)"  # less the shape of an array
+    found = {}
+    for name, text in re.findall(field, stated, re.MULTILINE):
+        units = dict.fromkeys(m[1] or m[2] for m in _STATED.finditer(" ".join(text.split())))
+        if units:
+            found[name] = " or ".join(units)
+    return found
