@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import io
 import logging
 import socket
@@ -13,7 +14,7 @@ from functools import singledispatch
 from html import escape
 from http import HTTPStatus
 from importlib import import_module
-from typing import Any
+from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
 
 from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, diagnose
@@ -100,7 +101,7 @@ def start_server(host: str, port: int, label: str, access: Access | None = None)
     with contextlib.redirect_stdout(io.StringIO()), _behind(access or Access(host)):
         server = import_viser().ViserServer(host=host, port=port, label=label, verbose=False)
     server.request_share_url = lambda *_, **__: None
-    server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(51, 86, 122))
+    server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(70, 112, 155))
     return server
 
 
@@ -132,8 +133,10 @@ def _behind(access: Access) -> Iterator[None]:
                 message = "".join(f"{refusal.text(language)}\n" for language in LANGUAGES)
                 return connection.respond(HTTPStatus.FORBIDDEN, message)
             response = answer(connection, request)
-            if access.token and response is not None and urlsplit(request.path).path == "/":
-                response.headers["Set-Cookie"] = access.cookie
+            if response is not None and urlsplit(request.path).path == "/":
+                _follow_scheme(response)
+                if access.token:
+                    response.headers["Set-Cookie"] = access.cookie
             return response
 
         own = {"process_request": answered, "max_size": MOST_BYTES, "close_timeout": FAREWELL}
@@ -144,6 +147,25 @@ def _behind(access: Access) -> Iterator[None]:
         yield
     finally:
         websockets.serve = serve
+
+
+_SCHEME: Final = b"""<head><script>
+{
+  const here = new URL(location), dark = matchMedia("(prefers-color-scheme: dark)").matches
+  here.searchParams[dark ? "set" : "delete"]("darkMode", "")
+  if (dark || location.search.includes("darkMode")) history.replaceState(null, "", here)
+}
+</script>"""
+"""viser's page is dark where its address says so: here, if the browser's other pages are."""
+
+
+def _follow_scheme(response: Any) -> None:
+    packed = response.headers.get("Content-Encoding") == "gzip"
+    page = gzip.decompress(response.body) if packed else response.body
+    page = page.replace(b"<head>", _SCHEME, 1)
+    response.body = gzip.compress(page, 1) if packed else page
+    del response.headers["Content-Length"]
+    response.headers["Content-Length"] = str(len(response.body))
 
 
 def stop_server(server: Any) -> None:
