@@ -97,7 +97,7 @@ def test_the_action_is_one() -> None:
 def test_the_action_passes_on_the_sample(installed: Path) -> None:
     result = step("Check", installed)
     assert result.returncode == 0, result.stderr
-    assert result.stdout == "passed: 0 to mend, 1 known\n"
+    assert result.stdout == "passed: 0 to fix, 1 known\n"
 
 
 def test_the_action_fails_at_the_line_of_what_is_new(installed: Path) -> None:
@@ -133,7 +133,7 @@ def test_the_action_installs_what_checking_needs(checkout: Path) -> None:
     assert result.returncode == 0, result.stderr
     result = step("Check", checkout)
     assert result.returncode == 0, result.stderr
-    assert result.stdout == "passed: 0 to mend, 1 known\n"
+    assert result.stdout == "passed: 0 to fix, 1 known\n"
     names = {path.name for path in (checkout.parent / "temp").rglob("*")}
     assert "mujoco" in names
     assert not {"placo", "matplotlib", "clarabel"} & names

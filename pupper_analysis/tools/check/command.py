@@ -74,7 +74,6 @@ def command(
       pupper-analysis check --config robots/pupper-analysis.toml --format github
       pupper-analysis check --format sarif --json check.json
 
-    \b
     Exit status: 0 nothing is new, 1 a finding is new or a model cannot be read, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats

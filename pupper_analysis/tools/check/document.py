@@ -23,7 +23,11 @@ from pupper_analysis.tools.check.remarks import Remark, RemarkState, count_findi
 @build_document.register(RepositoryCheck)
 def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Document:
     """Returns what fails, with its place, and how much is known; see ``build``."""
-    blocks: list[doc.Block] = [_group(group) for group in _groups(check.remarks)]
+    groups = _groups(check.remarks)
+    blocks: list[doc.Block] = [_group(group) for group in groups if not _is_known(group)]
+    if known := tuple(_known(group) for group in groups if _is_known(group)):
+        title = text("count-known", count=len(known))
+        blocks.append(doc.Lines(known, title=title, detail=True))
     if check.stale:
         blocks.append(doc.Lines(tuple(map(doc.tell, stale_entries(check))), "warn", text("stale")))
     blocks.append(_pairs(check.pairs))
@@ -54,10 +58,30 @@ def _groups(remarks: Iterable[Remark]) -> list[list[Remark]]:
     return list(groups.values())
 
 
+def _is_known(group: list[Remark]) -> bool:
+    return group[0].state is RemarkState.KNOWN
+
+
+def _known(group: list[Remark]) -> Text:
+    place = group[0].place or group[0].file
+    name = doc.Name(from_the_root(place) or place)
+    return text("name-note", name=name, note=_message(group[0]))
+
+
+def _message(first: Remark) -> doc.Words:
+    message = doc.tell(first.diagnostic if first.cause is None else first.cause)
+    if not _by_rule(first):
+        return message
+    return text("element-message", element=element_text(first.diagnostic), message=message)
+
+
+def _by_rule(remark: Remark) -> bool:
+    return remark.check == "audit" and remark.kind in RULES
+
+
 def _group(group: list[Remark]) -> doc.Sides:
     first, *others = group
     notes: list[doc.Words] = []
-    message = doc.tell(first.diagnostic if first.cause is None else first.cause)
     if first.cause is not None:
         notes.append(text("this-alone-makes-count-differences", count=len(group)))
         notes.append(doc.tell(first.diagnostic))
@@ -83,15 +107,13 @@ def _group(group: list[Remark]) -> doc.Sides:
         )
         for place in places
     )
-    if first.check == "audit" and first.kind in RULES:
-        message = text("element-message", element=element_text(first.diagnostic), message=message)
+    if _by_rule(first):
         notes.append(rule_words(first.kind, "todo"))
-    sides = doc.Sides(message, columns, tuple(notes), tag)
+    sides = doc.Sides(_message(first), columns, tuple(notes), tag)
     return replace(sides, detail=not any(remark.fails for remark in group))
 
 
 def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
-    """Returns what was checked."""
     listed = list(pairs)
     agree: dict[bool | None, doc.Cell] = {
         True: text("they-agree"),
@@ -120,7 +142,7 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
         (
             doc.Column(text("pair"), left=True),
             doc.Column(text("verdict"), left=True),
-            doc.Column(text("to-mend"), "1"),
+            doc.Column(text("to-fix"), "1"),
             doc.Column(text("known"), "1"),
             doc.Column(text("the-files"), left=True),
             doc.Column(text("files"), left=True),
@@ -138,7 +160,7 @@ def summarise_check(check: RepositoryCheck) -> Text:
     new = [r for r in check.remarks if r.state is not RemarkState.KNOWN]
     known = count_findings(r for r in check.remarks if r.state is RemarkState.KNOWN)
     minor = count_findings(r for r in new if not r.fails)
-    parts = [text("count-to-mend", count=check.failures)]
+    parts = [text("count-to-fix", count=check.failures)]
     if minor:
         parts.append(text("count-of-less-severity-than", count=minor))
     if known:

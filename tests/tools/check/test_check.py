@@ -64,7 +64,7 @@ def test_the_sample_passes_and_stays_as_it_is(folder: Path) -> None:
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     result = run(folder)
     assert result.returncode == 0, result.stdout
-    assert "PASSED pupper-analysis.toml: 0 to mend, 1 known" in result.stdout
+    assert "PASSED pupper-analysis.toml: 0 to fix, 1 known" in result.stdout
     assert "start-outside-limits is switched off: the knee never straightens" in result.stdout
     assert {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()} == before
 
@@ -86,7 +86,14 @@ def test_a_new_difference_fails_at_its_lines(folder: Path) -> None:
     assert "1. error crosscheck upper limit (new) joint hip: upper limit" in result.stdout
     assert f"   hopper.urdf:{urdf_line}   hopper.xml:{line}\n" in result.stdout
     assert "mass" not in result.stdout  # that one is known
-    assert "FAILED pupper-analysis.toml: 1 to mend, 1 known" in result.stdout
+    assert "FAILED pupper-analysis.toml: 1 to fix, 1 known" in result.stdout
+    request = run(folder, "--format", "markdown").stdout
+    new, _, rest = request.partition("<details>")
+    assert "upper limit" in new
+    known, _, _ = rest.partition("</details>")
+    assert known.startswith("<summary>1 known</summary>")
+    assert re.search(r"^- hopper\\?\.urdf:\W*\d+: .*mass", known, re.M)
+    assert "upper limit" not in rest
 
 
 def test_the_same_on_several_joints_is_said_once(folder: Path) -> None:
@@ -96,7 +103,7 @@ def test_the_same_on_several_joints_is_said_once(folder: Path) -> None:
     # The knee first: what it carries is lighter, so that it is felt more.
     assert "joint knee: damping 0.05 N m s/rad in the URDF, 0.06 N m s/rad in the MJCF" in shown
     assert "   likewise on 1 more: hip" in shown
-    assert "FAILED pupper-analysis.toml: 1 to mend" in shown
+    assert "FAILED pupper-analysis.toml: 1 to fix" in shown
 
 
 def test_a_known_difference_that_grows_or_shrinks_has_changed(folder: Path) -> None:
@@ -394,7 +401,7 @@ def test_other_words_are_nothing_new(folder: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_github_shows_what_is_not_known(folder: Path) -> None:
-    assert run(folder, "--format", "github").stdout == "passed: 0 to mend, 1 known\n"
+    assert run(folder, "--format", "github").stdout == "passed: 0 to fix, 1 known\n"
 
 
 REFUSED = {
