@@ -101,8 +101,8 @@ class UrdfFile:
 
         ``package://NAME/...`` and ``model://NAME/...`` are looked up in ``packages``, then in the
         folders of ``ROS_PACKAGE_PATH``, then in the folders above the URDF, as it is named and as
-        its links lead; last, these folders are taken for the package, as a copy may be called
-        otherwise. Other names are relative to the URDF.
+        its links lead; last, these folders are taken for the package or a folder of it, as a copy
+        may be called otherwise. Other names are relative to the URDF.
 
         Returns:
             The file, or None where there is none.
@@ -119,7 +119,10 @@ class UrdfFile:
             found = existing_file(folder / inside)
             if found is not None:
                 return found
-        return None
+        parts = Path(inside).parts
+        copied = (Path(*parts[below:]) for below in range(1, len(parts) - 1))
+        places = (folder / part for part in copied for folder in self.path.absolute().parents)
+        return next(filter(None, map(existing_file, places)), None)
 
     def _package_folders(self, package: str) -> Iterator[Path]:
         if package in self.packages:

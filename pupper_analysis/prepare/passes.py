@@ -276,8 +276,12 @@ def _put_feet(draft: Draft) -> Made:
         if not gone:
             raise
         pointers = [note for note in draft.mjcf.notes if note.code == "files-are-lfs-pointers"]
+        named = [note.values["files"] for note in gone]
         problem = diagnose(
-            "no-feet-as-files-are-missing", problem=error.cause, missing=gone, pointers=pointers
+            "no-feet-as-files-are-missing",
+            files=tuple(name for names in named if isinstance(names, tuple) for name in names),
+            package=next((name for note in gone if (name := note.values.get("package"))), None),
+            pointers=pointers,
         )
         raise ModelError(draft.mjcf.path, problem) from error
     if not feet:

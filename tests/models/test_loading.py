@@ -208,6 +208,10 @@ def test_meshes_of_a_package_are_found_through_links(tmp_path: Path) -> None:
     copied = copy.parents[1] / "r.urdf"
     copied.write_text(urdf(link("a")))
     assert read_urdf(copied).resolve_mesh("package://unheard/meshes/a.stl") == copy
+    # A copy of one robot's folder of a package of many.
+    assert read_urdf(copied).resolve_mesh("package://all/robots/it/meshes/a.stl") == copy
+    assert read_urdf(copied).resolve_mesh("package://all/robots/it/visual/a.stl") is None
+    assert read_urdf(copied).resolve_mesh("package://all/robots/a.stl") is None
 
 
 @pytest.mark.parametrize("name", ["r.urdf", "r.xml"])

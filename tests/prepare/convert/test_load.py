@@ -18,6 +18,7 @@ from pupper_analysis.prepare.convert import meshes
 from pupper_analysis.prepare.convert.load import read_pair
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.pupper.variants import model_folder
+from tests.support.legged import quadruped
 
 URDF, MJCF = model_folder("urdf") / "pupper_v3.urdf", model_folder("mjcf") / "pupper_v3.xml"
 FEET = {
@@ -356,3 +357,17 @@ def test_a_gripper_on_an_arm_is_told_that_it_cannot_stand(tmp_path: Path) -> Non
     )
     with pytest.raises(pa.ConfigurationError, match="fixed base and cannot stand"):
         pa.solve_stand(pa.load_robot(path))
+
+
+def test_feet_whose_meshes_are_missing_are_refused_with_what_to_bring(tmp_path: Path) -> None:
+    """One sentence, in which each thing stands once; no arm, so no word of a fixed base."""
+    path = quadruped(tmp_path).urdf
+    mesh = "package://all/robots/quad/foot.stl"
+    shape = f'<collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>'
+    path.write_text(path.read_text().replace("</link>", shape))
+    with pytest.raises(pa.ConfigurationError) as refused:
+        pa.solve_stand(pa.load_robot(path))
+    said = str(refused.value)
+    assert "cannot stand: no feet were found, and a mesh file is missing" in said
+    assert (said.count(mesh), said.count("--package all=DIR")) == (1, 1)
+    assert "fixed base" not in said
