@@ -250,6 +250,10 @@ def test_robots_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
                 assert found == files | {one for one in VARIANTS if one.startswith(begun)}
             (item,) = robot.shell_complete(click.Context(command), "folder.xml/")
             assert (item.type, item.value) == ("file", "folder.xml/")
+        for other in command.params:
+            if isinstance(other, click.Argument) and other not in robots:
+                (item, *_) = other.shell_complete(click.Context(command), "")
+                assert item.type == "file" or isinstance(other.type, click.Choice), name
 
 
 def test_commands_stand_under_headings(capsys: pytest.CaptureFixture[str]) -> None:

@@ -58,3 +58,11 @@ def test_what_is_typed_with_units_is_the_same(
         tasks.append([task["pitch"], task["height"], task["swing"]["FL"], *task["offset"]])
     assert tasks[0] == pytest.approx(tasks[1], rel=1e-12)
     assert tasks[0] == pytest.approx([0.1, 0.14, 0.01, 0.01, 0.0])
+
+
+def test_an_unknown_option_is_led_to_the_one_that_has_its_words(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    for typed, meant in (("--at", "'--payload-at'"), ("--clearance", "'--ground-clearance'")):
+        assert meant in run_command(capfd, "stand", "v3", typed, "1")[2]
+    assert "'--height'" in run_command(capfd, "stand", "v3", "--heigth", "1")[2]

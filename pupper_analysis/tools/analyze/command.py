@@ -79,7 +79,6 @@ def command(
     MJCF. By default the six variants are analysed. Define a variant of your own with --base,
     --leg-scale and --torso-mass-scale.
 
-    \b
     The output is a verdict and two lines per robot, and a table that compares them. With -v,
     everything is printed: the joints and the directions in which they turn, masses and CoM, the
     stand (PlaCo), foot Jacobians, motor torques and contact forces (Pinocchio), the simulated stand
@@ -93,7 +92,6 @@ def command(
       pupper-analysis analyze v3 --height 0.12 --pitch 0.1
       pupper-analysis analyze go2.xml a1.urdf v3
 
-    \b
     Exit status: 0 all verified, 1 something failed verification or the cross-check,
     2 bad input (an unknown name, an invalid scale, a stance out of reach).
     """  # noqa: D301 - click reads the \b
@@ -219,7 +217,6 @@ def _write(
 
 
 def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
-    """Writes all figures."""
     from pupper_analysis.present.figures.pose import pose_figure
     from pupper_analysis.tools.analyze import render
     from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure

@@ -59,7 +59,6 @@ def command(
       pupper-analysis audit --list-rules
       xacro robot.urdf.xacro | pupper-analysis audit -
 
-    \b
     Exit status: 0 no finding as severe as --fail-on, 1 there is one, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.base.diagnostics import Severity

@@ -41,9 +41,9 @@ def command(
     Examples:
       pupper-analysis best utilisation v3
       pupper-analysis best payload v3-heavy --payload-at 0,0,8cm --figure best.png
-      pupper-analysis best margin original --swing FL=2cm --com inside --self-clearance 4mm
+      pupper-analysis best margin original --swing FL=2cm --com inside \\
+        --self-clearance 4mm
 
-    \b
     Exit status: 0 it holds (and so does its payload), 1 it fails in simulation,
     2 the stance itself is out of reach or not holdable, or bad input.
     """  # noqa: D301 - click reads the \b

@@ -10,7 +10,7 @@ from pupper_analysis.cli import shared
 
 
 @shared.command("contract")
-@click.argument("sources", nargs=-1, required=True)
+@click.argument("sources", nargs=-1, required=True, type=click.Path())
 @click.option(
     "--map",
     "pairs",
@@ -57,10 +57,10 @@ def command(
     Examples:
       pupper-analysis contract go2.xml env_cfgs.py deploy.yaml
       pupper-analysis contract go2.urdf unitree.py:UNITREE_GO2_CFG
-      pupper-analysis contract pupper_v3.urdf pupper_v3.xml config.yaml policy.json -v
+      pupper-analysis contract pupper_v3.urdf pupper_v3.xml config.yaml \\
+        policy.json -v
       pupper-analysis contract g1.xml env_cfgs.py deploy.yaml --format sarif
 
-    \b
     Exit status: 0 they agree, 1 they differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats

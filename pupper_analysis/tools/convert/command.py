@@ -100,11 +100,11 @@ def command(
     \b
     Examples:
       pupper-analysis convert robot.urdf -o new.xml
-      pupper-analysis convert robot.urdf -o stiff.xml --sag 1deg --damping-ratio 1 --armature 0.005
+      pupper-analysis convert robot.urdf -o stiff.xml --sag 1deg \\
+        --damping-ratio 1 --armature 0.005
       pupper-analysis convert arm.urdf -o arm.xml --fixed-base --merge-fixed
       pupper-analysis convert robot.xml -o new.urdf
 
-    \b
     Exit status: 0 both files agree and the robot stands, 1 they do not or it falls (the file is
     written all the same), 2 bad input.
     """  # noqa: D301 - click reads the \b

@@ -83,11 +83,11 @@ def command(
     \b
     Examples:
       pupper-analysis crosscheck go1.urdf go1.xml
-      pupper-analysis crosscheck a1.urdf a1.xml --map lf_haa=FL_hip --tolerance mass=1e-3
+      pupper-analysis crosscheck a1.urdf a1.xml --map lf_haa=FL_hip \\
+        --tolerance mass=1e-3
       pupper-analysis crosscheck robot.urdf robot.xml --strict --format github
       xacro robot.urdf.xacro | pupper-analysis crosscheck - robot.xml
 
-    \b
     Exit status: 0 they agree within the tolerances (a tilted base counts with --same-mount
     alone), 1 they differ, 2 bad input.
     """  # noqa: D301 - click reads the \b

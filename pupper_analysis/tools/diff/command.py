@@ -46,9 +46,9 @@ def command(
     Examples:
       pupper-analysis diff HEAD:robots/go1.urdf robots/go1.urdf
       pupper-analysis diff v1.0:./robot.xml main:./robot.xml
-      pupper-analysis diff robot.urdf longer.urdf --map knee=knee_joint --tolerance mass=1e-3
+      pupper-analysis diff robot.urdf longer.urdf --map knee=knee_joint \\
+        --tolerance mass=1e-3
 
-    \b
     Exit status: 0 they are the same, 1 they are different, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.robot.matching.tolerances import Tolerances

@@ -200,7 +200,6 @@ def command(
       pupper-analysis fit v3 --stands stands.csv --prior kp=0 --report fit.html
       pupper-analysis fit v3 --log hanging.csv --hold-out 0.2
 
-    \b
     Exit status: 0 the model explains the measurements, 1 it does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.fit.result import Fit

@@ -70,10 +70,11 @@ def command(
     \b
     Examples:
       pupper-analysis hold panda.urdf
-      pupper-analysis hold ur5.urdf ur5.xml --joints '*lift*=-90deg' --tool tool0 --payload 3
-      pupper-analysis hold hand.xml --keyframe open --tool thumb_tip --figure held.png
+      pupper-analysis hold ur5.urdf ur5.xml --joints '*lift*=-90deg' \\
+        --tool tool0 --payload 3
+      pupper-analysis hold hand.xml --keyframe open --tool thumb_tip \\
+        --figure held.png
 
-    \b
     Exit status: 0 it holds, 1 it does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.hold.hold import hold_posture

@@ -121,7 +121,6 @@ def command(
       pupper-analysis live long-leg --mujoco --fixed-base
       pupper-analysis live go2.urdf --drop --headless
 
-    \b
     Exit status: 0 it stands, 1 it does not, 130 ended by Ctrl-C, 2 bad input.
     """  # noqa: D301 - click reads the \b
     modes = {"--mujoco": viewer, "--drop": dropped, "--policy": policy is not None}

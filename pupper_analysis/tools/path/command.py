@@ -51,11 +51,11 @@ def command(
 
     \b
     Examples:
-      pupper-analysis path v3 --swing FL=2cm --com inside --seconds 4 --csv lift.csv
+      pupper-analysis path v3 --swing FL=2cm --com inside --seconds 4 \\
+        --csv lift.csv
       pupper-analysis path original --height 14cm
       pupper-analysis path v3-heavy --pitch 5deg --seconds 3 --npz pitch.npz
 
-    \b
     Exit status: 0 the robot follows the path, 1 it does not, 2 out of reach, not holdable or
     bad input.
     """  # noqa: D301 - click reads the \b

@@ -51,9 +51,9 @@ def command(
       pupper-analysis payload v3 --payload-at 0,0,8cm
       pupper-analysis payload go2.urdf --continuous 8
       pupper-analysis payload v3-long-leg --height 15cm --kp 20 --kd 0.5
-      pupper-analysis payload original --swing FL=2cm --com inside --com-margin 1cm
+      pupper-analysis payload original --swing FL=2cm --com inside \\
+        --com-margin 1cm
 
-    \b
     Exit status: 0 it carries something, 1 nothing, or it falls in simulation,
     2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b

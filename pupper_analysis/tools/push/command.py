@@ -55,7 +55,6 @@ def command(
       pupper-analysis push v3 --swing FL=2cm --com inside --com-margin 1cm
       pupper-analysis push --base v3 --torso-mass-scale 1.5 --kp 20 --kd 0.5
 
-    \b
     Exit status: 0 done, 1 a robot falls even without a push, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper.variants import VARIANTS

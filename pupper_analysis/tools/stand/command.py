@@ -73,14 +73,14 @@ def command(
     Examples:
       pupper-analysis stand v3 --swing FL=2cm --com inside --com-margin 1cm
       pupper-analysis stand long-leg --slope 5deg --uphill 90deg --pitch 0.05
-      pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 --figure stance.png
+      pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 \\
+        --figure stance.png
       pupper-analysis stand --base v3 --leg-scale 1.2 --minimum-stiffness
       pupper-analysis stand v3 --height 12cm --csv joints.csv
       pupper-analysis stand go2.urdf --explain
       pupper-analysis stand go1.urdf go1.xml --foot FL=FL_foot --foot FR=FR_foot \\
         --foot RL=RL_foot --foot RR=RR_foot --kp 20 --kd 0.5 --kp '*calf*=30'
 
-    \b
     Exit status: 0 it holds, 1 it fails in simulation, 2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
     if explain:

@@ -110,11 +110,12 @@ def command(
     \b
     Examples:
       pupper-analysis study legs.toml -o legs/ --dry-run
-      pupper-analysis study legs.toml -o legs/ --minimise servo_sag --maximise leg_scale
-      pupper-analysis study legs.toml -o legs/ --report legs.html --maximise leg_scale
+      pupper-analysis study legs.toml -o legs/ --minimise servo_sag \\
+        --maximise leg_scale
+      pupper-analysis study legs.toml -o legs/ --report legs.html \\
+        --maximise leg_scale
       pupper-analysis study legs.toml -o legs/ --write 3
 
-    \b
     Exit status: 0 all designs were measured, 1 the files of a written design give other numbers,
     2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b

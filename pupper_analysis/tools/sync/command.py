@@ -90,10 +90,11 @@ def command(
     Examples:
       pupper-analysis sync robot.urdf robot.xml
       pupper-analysis sync robot.urdf robot.xml --take urdf --dry-run
-      pupper-analysis sync robot.urdf robot.xml --take mjcf:effort --take urdf:2,5-7 --backup
-      pupper-analysis sync robot.urdf robot.xml --take urdf --take mjcf:"link base_link: mass"
+      pupper-analysis sync robot.urdf robot.xml --take mjcf:effort \\
+        --take urdf:2,5-7 --backup
+      pupper-analysis sync robot.urdf robot.xml --take urdf \\
+        --take mjcf:"link base_link: mass"
 
-    \b
     Exit status: 0 the files agree (with --dry-run: would agree), 1 differences remain, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present.document import Report

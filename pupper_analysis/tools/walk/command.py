@@ -86,10 +86,10 @@ def command(
     Examples:
       pupper-analysis walk v3 --policy policy_latest.json --command 0.5,0,0
       pupper-analysis walk go1.xml --policy go1.onnx --seeds 20 --report walk.html
-      pupper-analysis walk v3 --policy policy_latest.json --vary mass,kp,delay --fit fit.json
+      pupper-analysis walk v3 --policy policy_latest.json --vary mass,kp,delay \\
+        --fit fit.json
       pupper-analysis walk v3 --policy policy_latest.json --orders
 
-    \b
     Exit status: 0 every run tracks its command (with --fit, wherever the real robot may be; with
     --orders, nothing walks better than what the policy states), 1 one does not, 2 bad input.
     """  # noqa: D301 - click reads the \b

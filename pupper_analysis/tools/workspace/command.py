@@ -31,9 +31,9 @@ def command(
     Examples:
       pupper-analysis workspace v3 --figure workspace.png
       pupper-analysis workspace v3-heavy --height 12cm --self-clearance 5mm
-      pupper-analysis workspace v3 --swing FL=2cm --com inside --json workspace.json
+      pupper-analysis workspace v3 --swing FL=2cm --com inside \\
+        --json workspace.json
 
-    \b
     Exit status: 0 done, 2 the stance itself is out of reach, or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.stance.workspace import base_workspace

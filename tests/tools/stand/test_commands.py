@@ -210,6 +210,13 @@ def test_the_help_teaches_with_examples(name: str) -> None:
     assert "Exit status:" in (cli.find_command(name).help or "")
 
 
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
+def test_the_help_fits_into_80_columns(name: str) -> None:
+    command = cli.find_command(name)
+    said = command.get_help(click.Context(command, info_name=name, terminal_width=80))
+    assert [line for line in said.splitlines() if len(line) > 80] == []
+
+
 BAD = {
     "CSV in a folder": (["path", "v3", "--seconds", "2", "--csv", "."], "it is a folder"),
     "no duration": (["path", "v3", "--seconds", "-2"], "seconds"),
