@@ -2,9 +2,11 @@
 
     python scripts/check_release.py v0.2.0
     python scripts/check_release.py --dist dist
+    python scripts/check_release.py --index https://github.com/WHO/pupper_analysis v0.2.0
 
 With ``--dist``: whether a wheel and a source distribution hold what they must, and state what
-pyproject.toml states.
+pyproject.toml states. ``--index`` writes the README that the package index shows: its links and
+pictures lead to that tag, and what is installed is the package.
 """
 
 from __future__ import annotations
@@ -114,8 +116,21 @@ def check_distributions(folder: Path, root: Path = ROOT) -> None:
     print(f"{folder}: wheel and source distribution have what they must")
 
 
+def for_index(readme: str, repository: str, tag: str) -> str:
+    """Returns a README whose relative links lead to a tag, where the package index shows it."""
+    where = {"!": f"{repository}/raw/{tag}/", "": f"{repository}/blob/{tag}/"}
+    linked = re.sub(
+        r"(!?)(\[[^\]]*\]\()(?!https?:|#)", lambda link: link[0] + where[link[1]], readme
+    )
+    installed = re.sub(r"pip install git\+\S+(?: +#.*)?", "pip install pupper-analysis", linked)
+    return re.sub(r"(pupper-analysis\[[^\]]*\]) @ git\+[^\s\"]+", r"\1", installed)
+
+
 if __name__ == "__main__":
     if sys.argv[1] == "--dist":
         check_distributions(Path(sys.argv[2]))
+    elif sys.argv[1] == "--index":
+        page = ROOT / "README.md"
+        page.write_text(for_index(page.read_text(encoding="utf-8"), *sys.argv[2:4]), "utf-8")
     else:
         main(sys.argv[1])

@@ -278,6 +278,22 @@ def test_a_release_needs_one_version_everywhere(tmp_path: Path) -> None:
         release.main("v99.0.0")
 
 
+def test_on_the_package_index_the_readme_leads_to_its_tag() -> None:
+    for_index = script("scripts/check_release.py").for_index
+    there = for_index((ROOT / "README.md").read_text(), "https://git.example/us/it", "v1.2.3")
+    targets = re.findall(r"\]\(([^)]+)\)", there)
+    ours = [target for target in targets if target.startswith("https://git.example/us/it/")]
+    assert [target for target in targets if not target.startswith("https://")] == []
+    for target in ours:
+        kind, tag, path = target.removeprefix("https://git.example/us/it/").split("/", 2)
+        assert (kind, tag) == ("raw" if path.endswith(".png") else "blob", "v1.2.3")
+        assert (ROOT / path).is_file()
+    assert "https://git.example/us/it/raw/v1.2.3/docs/images/variants.png" in ours
+    assert "git+" not in there
+    assert "pip install pupper-analysis\n" in there
+    assert 'pip install "pupper-analysis[live,study]"' in there
+
+
 def _wheel(folder: Path, metadata: str, names: list[str]) -> None:
     with zipfile.ZipFile(folder / "some_robot-1.2.3-py3-none-any.whl", "w") as wheel:
         wheel.writestr("some_robot-1.2.3.dist-info/METADATA", metadata)
