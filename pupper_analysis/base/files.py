@@ -285,7 +285,7 @@ def _write(writing: Writing) -> None:
         return
     target, there = target_of(path)
     if there is None or is_replaceable(there):
-        write_together([writing])
+        write_all([writing])
         return
     _refuse_loss(path, target, there, writing.kind, force=writing.force)
     number = _standard_stream(there)
@@ -344,7 +344,7 @@ class Writing:
     force: bool = False
 
 
-def write_together(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Path, ...]:
+def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Path, ...]:
     """Writes several files, or none of them.
 
     All new contents are on the disk, under other names, before the first file is replaced; so is

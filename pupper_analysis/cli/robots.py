@@ -167,7 +167,6 @@ class RobotOptions:
     def _given(
         self, robots: list[str | tuple[str, ...] | VariantSpec]
     ) -> list[str | VariantSpec | RobotFiles]:
-        """Returns robots with what is said of their files."""
         if self._said and not any(isinstance(way, tuple) for way in robots):
             raise ConfigurationError("ROBOT", diagnose("options-of-files-alone"))
         return [RobotFiles(way, self._said) if isinstance(way, tuple) else way for way in robots]

@@ -356,7 +356,6 @@ def placement_of(node: etree._Element) -> pin.SE3:
 
 
 def _place(node: etree._Element, placement: pin.SE3) -> None:
-    """Writes a placement."""
     for name in ("pos", "euler", "quat"):
         node.attrib.pop(name, None)
     position = np.array(placement.translation)

@@ -376,7 +376,6 @@ def _shape(model: mujoco.MjModel, geom: int) -> str:
 
 
 def _pair_names(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ...]:
-    """Returns the names of both geoms of each pair."""
     both = np.column_stack([model.pair_geom1, model.pair_geom2])[pairs]
     return tuple(" and ".join(_names(model, _OBJ.mjOBJ_GEOM, ends)) for ends in both)
 

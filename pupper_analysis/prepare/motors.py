@@ -101,7 +101,6 @@ def _take_gains(
 
 
 def _delete(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
-    """Deletes an actuator with the sensors of it."""
     for sensor in list(spec.sensors):
         if sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and sensor.objname == actuator.name:
             spec.delete(sensor)

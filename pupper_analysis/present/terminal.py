@@ -121,7 +121,6 @@ def print_summary(out: Console, document: Document) -> None:
 
 
 def _count_notes(out: Console, document: Document) -> None:
-    """Says how many notes a document has."""
     if count := len(document.notes):
         said = f"  {count} note{'s' if count > 1 else ''} on what was assumed: -v"
         _say(out, Text(said, "dim"))
@@ -171,7 +170,6 @@ def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = Fals
 
 
 def _print_left_out(out: Console, document: Document) -> None:
-    """Says what the short view has left out."""
     left = [block for block in document.blocks if _left_out(document, block)]
     tables = [_plain(block.title) for block in left if isinstance(block, Table)]
     findings = sum(isinstance(block, Sides) for block in left)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, VariantError
-from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.runs import note_input
 from pupper_analysis.models import mjcf
@@ -141,7 +141,7 @@ def write_variant(
         mjcf_path.parent / meshdir / mesh: (beside / mesh).read_bytes() for mesh in sorted(meshes)
     }
     contents |= {urdf_path: description.urdf.encode(), mjcf_path: mjcf_text.encode()}
-    write_together([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
+    write_all([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
     return urdf_path, mjcf_path
 
 

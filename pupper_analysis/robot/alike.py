@@ -111,8 +111,8 @@ def structure(robot: Robot) -> tuple[Diagnostic, ...]:
     """Tells of limbs without a foot, and of what else of a limb is unlike those that are alike."""
     limbs = limbs_of(robot)
     lacking = limbs_without_feet(robot, limbs)
-    told = {str(message.values["displaced"]) for message in lacking}
-    findings = [*_displaced_bodies(robot, limbs, told), *_joints_unlike(robot, limbs)]
+    displaced = {str(message.values["displaced"]) for message in lacking}
+    findings = [*_displaced_bodies(robot, limbs, displaced), *_joints_unlike(robot, limbs)]
     return (*lacking, *((diagnose("limbs-unlike", findings=findings),) if findings else ()))
 
 
@@ -147,8 +147,8 @@ def limbs_without_feet(robot: Robot, limbs: list[Limb]) -> list[Diagnostic]:
     return messages
 
 
-def _displaced_bodies(robot: Robot, limbs: list[Limb], told: set[str]) -> Iterator[Diagnostic]:
-    """Yields what was not told, and is no image of limbs that are alike, three of each other.
+def _displaced_bodies(robot: Robot, limbs: list[Limb], displaced: set[str]) -> Iterator[Diagnostic]:
+    """Yields other bodies that are no image of limbs that are alike, three of each other.
 
     Of fewer it cannot be known which is meant: fingers, arms and middle legs are each in a place of
     its own.
@@ -166,7 +166,7 @@ def _displaced_bodies(robot: Robot, limbs: list[Limb], told: set[str]) -> Iterat
         if own or not alike:
             continue
         body, gap = _displaced(robot, limb, alike)
-        if body is not None and body not in told:
+        if body is not None and body not in displaced:
             yield diagnose("body-unlike", subject=("body", body), gap=Quantity(gap, "m"))
 
 

@@ -421,7 +421,6 @@ class _Modes:
         return float(-exponent.real / abs(exponent))
 
     def _mode(self, mode: int) -> Mode:
-        """Describes a mode by its number."""
         timestep = float(self._model.opt.timestep)
         value, growth = self._values[mode], float(self._growth[mode])
         constant = timestep / abs(math.log1p(growth)) if growth else math.inf

@@ -158,7 +158,6 @@ class ClearanceShapes:
         return found[:most]
 
     def _places(self, at: Kinematics) -> list[coal.Transform3s]:
-        """Returns where the shapes are."""
         links = [(at.links[shape.link], shape.form.pose) for shape in self.shapes]
         return [
             coal.Transform3s(turn @ pose.rotation, turn @ pose.position + place)

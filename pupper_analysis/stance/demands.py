@@ -140,7 +140,6 @@ def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
 
 
 def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
-    """Returns what the nominal stand has of a field."""
     if field.nominal == "zero":
         return (0.0, 0.0) if field.axes else 0.0
     if field.nominal == "foot_places":

@@ -88,7 +88,7 @@ def explain_refusal(
     if not at_limit and _is_dead_point(robot, nearest):
         blocked = (diagnose("motors-at-dead-point"),)
         missed = {foot: gap for foot, gap in missed.items() if gap >= _LEAST_MISS}
-    basis = _Ways(context, goal, nearest).found() if explain else []
+    basis = _Search(context, goal, nearest).found() if explain else []
     named = {" and ".join(way.demands): way for way in basis}
     least = min(basis, key=lambda way: way.slack, default=None)
     return StanceUnreachableError(
@@ -135,7 +135,7 @@ class _Way:
     stand: Stand
 
 
-class _Ways:
+class _Search:
     """The ways in which a goal that is out of reach may give.
 
     Args:

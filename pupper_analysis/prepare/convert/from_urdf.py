@@ -235,7 +235,6 @@ class UrdfBodies:
         )
 
     def _geometry(self, geometry: etree._Element, kind: str) -> dict[str, str] | None:
-        """Returns the attributes of a geom; None if there is none for it."""
         tag = str(geometry.tag)
         sizes = " ".join(str(geometry.get(word)) for word in _SIZES.get(tag, ()))
         point = tag == "sphere" and is_zero(sizes) and kind == "collision"

@@ -104,7 +104,6 @@ def _name(model: mujoco.MjModel, actuator: int) -> str:
 
 
 def _below(bodies: Iterable[mujoco.MjsBody]) -> Iterator[mujoco.MjsBody]:
-    """Yields bodies, and all that they carry."""
     for body in bodies:
         yield body
         yield from _below(body.bodies)

@@ -187,7 +187,6 @@ def build_report(
 
 
 def _title(documents: Sequence[Document]) -> Words:
-    """Returns what documents are, and what of: a page's title."""
     if not documents:
         return text("report")
     kinds = {in_english(one.kind) for one in documents}

@@ -235,7 +235,6 @@ def _placements(
 def _axes(
     name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
-    """Yields another axis."""
     between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
     if float(np.linalg.norm(np.cross(one.axis, two.axis))) > tolerances.axis or between > 1.0:
         reversed_axis = between > math.pi - tolerances.axis

@@ -342,7 +342,6 @@ def find_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def _drives(scene: NamedModel, motor: int) -> set[int]:
-    """The bodies that a motor acts on."""
     model = scene.model
     kind, (target, other) = int(model.actuator_trntype[motor]), model.actuator_trnid[motor]
     transmission = mujoco.mjtTrn
@@ -466,7 +465,6 @@ def _end_bodies(scene: NamedModel, what: mujoco.mjtObj, target: int) -> set[int]
 
 
 def _end_name(scene: NamedModel, what: mujoco.mjtObj, target: int) -> Diagnostic | Term:
-    """An end's kind and name."""
     if target < 0:
         return Term("a constant")
     name = mujoco.mj_id2name(scene.names, what.value, target) or f"#{target}"

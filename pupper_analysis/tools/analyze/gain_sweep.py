@@ -153,7 +153,6 @@ def sweep_gains(
 
 
 def _values(given: Sequence[float] | None, own: Array | None) -> list[float]:
-    """Returns the values to be tried of one gain."""
     if given is not None:
         return [float(value) for value in given]
     assert own is not None

@@ -165,7 +165,6 @@ def _objective(value: str) -> Objective:
 
 
 def _active(space: StanceSpace, best: EvaluatedStance) -> tuple[str, ...]:
-    """Returns what the best stance lies on."""
     robot = space.robot
 
     def sides(name: str, low: float, value: float, high: float, near: float) -> list[str]:

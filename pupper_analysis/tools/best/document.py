@@ -65,7 +65,6 @@ def _search(best: BestStance) -> doc.Text:
 
 
 def _coordinates(best: BestStance) -> doc.Table:
-    """Returns where the best stance is."""
     rows: list[tuple[doc.Cell, ...]] = []
     for name, value in best.coordinates.items():
         angle = name in ("roll", "pitch", "yaw")

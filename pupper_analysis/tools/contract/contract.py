@@ -171,7 +171,6 @@ def _named_apart(read: Sequence[Source]) -> list[Source]:
 
 
 def _asked(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
-    """Returns the files that are to be read, and the folders."""
     folders, files = [], list[tuple[Path, str]]()
     for each in sources:
         path, name = Path(each), ""
@@ -186,7 +185,6 @@ def _asked(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:
 
 
 def _read(request: Request) -> list[Source]:
-    """Returns what a file holds."""
     ending = request.path.suffix.lower()
     able = [one for one in readers() if ending in one.SUFFIXES]
     if not able:

@@ -269,7 +269,6 @@ def _finding(
     slip: str = "",
     effects: tuple[Diagnostic, ...] = (),
 ) -> Disagreement:
-    """Returns the finding that two sides differ."""
     names, values, places = zip(*((one.source, one.value, one.place) for one in sides),
                                 strict=True)  # fmt: skip
     return Disagreement(what, slip, tuple(filter(None, joints)), names, values, kind.unit,

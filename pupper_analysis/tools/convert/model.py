@@ -17,7 +17,7 @@ from pupper_analysis.base.errors import (
     PupperAnalysisError,
     UnknownNameError,
 )
-from pupper_analysis.base.files import Writing, check_writable, write_together
+from pupper_analysis.base.files import Writing, check_writable, write_all
 from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.runs import note_input, running
@@ -133,7 +133,7 @@ def convert_model(
         draft = urdf_draft(file, output)
         urdf, mjcf = output, source
     contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
-    write_together([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
+    write_all([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
     comparison = compare_models(urdf, mjcf, packages=packages, tolerances=FINE)
     verification, kept = None, None
     failures = list(_disagreements(comparison, draft))

@@ -284,7 +284,6 @@ def _sides(
 
 
 def _effects(difference: Difference) -> doc.Text:
-    """Returns what a difference does."""
     return doc.tell(describe_effects(difference), "" if difference.effects else "quiet")
 
 

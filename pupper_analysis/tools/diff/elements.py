@@ -505,7 +505,6 @@ ROUNDING = 1e-9
 
 
 def _image(model: mujoco.MjModel) -> bytes:
-    """Returns a model as MuJoCo saves it."""
     image = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, image)
     return image.tobytes()

@@ -117,7 +117,6 @@ def _brought(content: bytes, kept: Path) -> bytes:
 def _contents(
     given: str, entries: Sequence[GitEntry], folder: Path | None
 ) -> Iterator[tuple[GitEntry, bytes]]:
-    """Yields what git has of each entry."""
     command = git_command(given, "cat-file", "--batch")
     with subprocess.Popen(
         command,

@@ -171,7 +171,6 @@ def _motors(scene: NamedModel) -> dict[tuple[str, str], Any]:
 
 
 def _target(scene: NamedModel, motor: int) -> str:
-    """Says what a motor acts on, by kind and name."""
     kind = mujoco.mjtTrn(int(scene.model.actuator_trntype[motor])).name.removeprefix("mjTRN_")
     target = int(scene.model.actuator_trnid[motor, 0])
     if kind.startswith("JOINT"):

@@ -99,7 +99,9 @@ def _open(combinations: Iterable[Combination]) -> Iterable[doc.Words]:
     """Yields what cannot be distinguished, and what else to measure."""
     for one in combinations:
         names = doc.Name(", ".join(one.names[:_MOST]) + (", ..." if one.names[_MOST:] else ""))
-        yield text("only-ratio-told" if one.ratio else "only-together-told", names=names)
+        yield text(
+            "only-ratio-determined" if one.ratio else "only-together-determined", names=names
+        )
         if one.measurements:
             named = [
                 text("remedy-and-factor", remedy=text(code), factor=f"{factor:.1f}")
@@ -249,8 +251,8 @@ def _total(mass: Estimate) -> doc.Words:
         "stated": f"{mass.stated:.3f}",
     }
     if mass.determined is Determined.DATA:
-        return text("total-mass-told", **values)
-    return text("total-mass-not-told", **values)
+        return text("total-mass-determined", **values)
+    return text("total-mass-undetermined", **values)
 
 
 def _com(com: Sequence[Estimate]) -> doc.Words:

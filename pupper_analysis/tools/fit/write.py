@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError
-from pupper_analysis.base.files import Writing, whole_file, write_together
+from pupper_analysis.base.files import Writing, whole_file, write_all
 from pupper_analysis.base.inputs import MOST_TEXT, read_input
 from pupper_analysis.base.kinds import FIT_FOLDER, RANGES
 from pupper_analysis.base.provenance import marked_json
@@ -358,7 +358,7 @@ def write_fit(
         Writing(folder / name, content, FIT_FOLDER.files[name.name], force=force)
         for name, content in contents.items()
     ]
-    write_together(writings)
+    write_all(writings)
     return made
 
 

@@ -110,7 +110,6 @@ def shown_scales(units: Iterable[str]) -> NDArray[np.float64]:
 
 
 def _worst(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
-    """Returns the worst posture of each motor."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
@@ -135,7 +134,6 @@ def _worst(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
 
 
 def _payload(hold: Hold) -> doc.Table:
-    """Returns what the motors hold at the tool."""
     payload = hold.payload
     known = (
         ("payload-here", payload.mass, payload.joint),

@@ -173,7 +173,6 @@ class Controls:
         return state.having(payload_at=(x, y, z) if link == self._robot.base else (link, x, y, z))
 
     def _with_lift(self, state: State) -> State:
-        """Returns a state with the chosen foot lifted, or not."""
         others = {foot: height for foot, height in state.swing.items() if foot != self._chosen}
         if self.lifted.value:
             others[self._chosen] = float(self.sliders[LIFTED].value)

@@ -64,7 +64,6 @@ def _judged(answer: Answer, judged: Verdict | None, blocks: Iterable[doc.Block])
 
 
 def _title(answer: Answer) -> doc.Name:
-    """Returns which robot it is, and its mass."""
     robot = answer.robot
     return NOWHERE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
 

@@ -276,7 +276,6 @@ class Scene:
         return self._figures[name]
 
     def _prepare(self, robot: Robot) -> None:
-        """Makes the scene that of a robot."""
         if robot is self._robot:
             return
         for figure in self._figures.values():

@@ -289,7 +289,6 @@ class Session:
             self._panels.answered(answer)
 
     def _tell(self) -> None:
-        """Says what is known of the answer."""
         answer = self._answer
         assert answer is not None
         if answer.unreachable:

@@ -425,7 +425,6 @@ def _typed_options(state: State) -> Iterator[tuple[str, str, str]]:
 
 
 def _typed(field: Field, value: Any) -> str:
-    """Returns how one types a value of a page."""
     if field.kind == "angle":
         return f"{format_number(value)}deg"
     if isinstance(value, tuple):

@@ -117,7 +117,6 @@ def _then(bound: Bound) -> doc.Words:
 
 
 def _failure(failure: Failure, where: Iterable[str]) -> doc.Words:
-    """Says what gives way, and where."""
     failed, named = word(failure.value), ", ".join(where)
     return text("failure-where", failure=failed, where=named) if named else failed
 

@@ -541,5 +541,4 @@ class Run:
 
 
 def _singly(chunk: Chunk) -> Iterator[Chunk]:
-    """Yields a chunk's designs one by one."""
     return split_chunks(chunk.work, chunk.names, chunk.numbers, 1)

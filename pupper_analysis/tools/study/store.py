@@ -22,7 +22,7 @@ from pupper_analysis.base.errors import (
     OutputError,
     StudyError,
 )
-from pupper_analysis.base.files import Writing, whole_file, write_together
+from pupper_analysis.base.files import Writing, whole_file, write_all
 from pupper_analysis.base.inputs import MOST_TEXT, read_input
 from pupper_analysis.base.kinds import EDITED, MODEL, OWN
 from pupper_analysis.tools.study.design import ENDS, Row
@@ -111,7 +111,7 @@ class Store:
         writings = [Writing(before, content + b"\n", EDITED if known else MODEL)]
         if mine and not readme.exists():
             writings.append(Writing(readme, _README.encode(), MODEL))
-        write_together(writings)
+        write_all(writings)
 
     def asked(self) -> dict[str, Any]:
         """Reads what was asked.

@@ -16,7 +16,7 @@ import numpy as np
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
-from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import MOST_FILE, read_input
 from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.results import Result
@@ -114,7 +114,7 @@ def write_design(
     packages = getattr(getattr(study.source, "files", None), "options", {}).get("packages")
     contents = dict(_contents(design.robot.description, packages))
     contents[Path("stance.toml")] = stance_text(design.stand.task).encode()
-    write_together(
+    write_all(
         [
             Writing(into / place, content, MODEL, force=force)
             for place, content in contents.items()

@@ -121,7 +121,6 @@ class MjcfInPlace:
         return pose
 
     def _pose(self, frame: Element) -> pin.SE3:
-        """Returns the pose that a <frame> states."""
         return pin.SE3(stated_rotation(frame, self.units), parse_numbers(frame.get("pos"), "0 0 0"))
 
     def _sections(self, tag: str) -> Iterator[Element]:

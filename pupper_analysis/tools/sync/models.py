@@ -13,7 +13,7 @@ from typing import Final
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, OutputError
-from pupper_analysis.base.files import Writing, clear_left, hidden_token, write_new, write_together
+from pupper_analysis.base.files import Writing, clear_left, hidden_token, write_all, write_new
 from pupper_analysis.base.inputs import read_text
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
@@ -250,7 +250,7 @@ def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...],
         for document in changed:
             refuse_uncommitted(document.path)
     writings = [Writing(d.path, d.rendered(), EDITED, before=d.data) for d in changed]
-    kept = write_together(writings, backup=backup)
+    kept = write_all(writings, backup=backup)
     return tuple(str(d.path) for d in changed), tuple(map(str, kept))
 
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import MOST_FILE, read_input
 from pupper_analysis.base.kinds import hash_of, made_model
 from pupper_analysis.base.runs import note_input, running
@@ -228,7 +228,7 @@ class WrittenNumbers:
             OutputError: If one cannot be written, is there, or is one that the robot was loaded
                 from.
         """
-        write_together(self.writings(Path(folder), force=force))
+        write_all(self.writings(Path(folder), force=force))
 
 
 def _holds(path: Path, content: bytes) -> bool:

@@ -263,7 +263,6 @@ def _walked(
     change: Change,
     workers: int | None,
 ) -> Candidate:
-    """Returns how a policy walks, read so."""
     stage = stage_of(robot, policy)
     cases = [stage.case(command) for command in commands]
     tracked = fallen = 0

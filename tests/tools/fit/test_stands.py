@@ -34,9 +34,9 @@ from pupper_analysis.tools.fit.stands.fit import (
     Logarithms,
     StandFit,
     _whole_com,
-    doubt_surroundings,
     fit_stands,
     parameters_of,
+    suspect_surroundings,
 )
 from pupper_analysis.tools.fit.write import draw_samples
 from pupper_analysis.tools.study.parameters import scale_robot
@@ -660,8 +660,8 @@ def test_two_weak_signs_of_a_slope_are_one() -> None:
     sigma = WIDTH * math.hypot(1, noise)
     one = measured(SLOPE, np.array([2.6, 0.0]) * sigma, noise)
     both = measured(SLOPE, np.array([2.6, -2.7]) * sigma, noise)
-    assert not list(doubt_surroundings(one))
-    (message,) = doubt_surroundings(both)
+    assert not list(suspect_surroundings(one))
+    (message,) = suspect_surroundings(both)
     assert message.code == "ground-slopes"
     assert message.values["axis"] == "y"
     # As measured: not drawn to the level by what was known before.
@@ -672,10 +672,10 @@ def test_soles_that_are_all_a_little_softer_are_softer() -> None:
     noise = 1.0
     sigma = 0.5 * math.hypot(1, noise)
     alike = measured(FEET, 1 + np.array([2.1, 2.2, 2.3, 1.9]) * sigma, noise)
-    messages = list(doubt_surroundings(alike))
+    messages = list(suspect_surroundings(alike))
     assert [one.subject.name for one in messages if one.subject] == ["FL", "FR", "RL"]
     assert messages[0].values["times"] == pytest.approx(1 + 2.1 * sigma)
-    assert not list(doubt_surroundings(measured(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
+    assert not list(suspect_surroundings(measured(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
 
 
 def test_legs_that_are_all_a_little_longer_are_longer() -> None:
@@ -683,15 +683,16 @@ def test_legs_that_are_all_a_little_longer_are_longer() -> None:
     noise, width = 1.0, 5e-4
     sigma = width * math.hypot(1, noise)
     legs = tuple(Parameter("length", foot, "", 0.0, width) for foot in ("FL", "FR", "RL", "RR"))
-    found = list(doubt_surroundings(measured(legs, np.array([2.1, 2.2, 1.9, -2.3]) * sigma, noise)))
+    known = measured(legs, np.array([2.1, 2.2, 1.9, -2.3]) * sigma, noise)
+    found = list(suspect_surroundings(known))
     assert [one.subject.name for one in found if one.subject] == ["FL", "FR", "RR"]
     assert found[2].values["longer"].value == pytest.approx(-2.3 * sigma)
     load, mass = Parameter("load", "scale", "", 0.0, 0.06), Parameter("added", "a", "", 1.0, 0.005)
     off = measured((load, mass), np.array([0.4, 1.0]), 0.5)
-    (said,) = doubt_surroundings(off)
+    (said,) = suspect_surroundings(off)
     assert said.code == "known-mass-contradicts-the-scale"
     assert said.values["load"] == pytest.approx(40)
-    assert not list(doubt_surroundings(measured((load,), np.array([0.4]), 0.5)))
+    assert not list(suspect_surroundings(measured((load,), np.array([0.4]), 0.5)))
 
 
 def test_false_alarms_are_as_rare_as_is_said() -> None:
@@ -700,9 +701,9 @@ def test_false_alarms_are_as_rare_as_is_said() -> None:
     for _ in range(4000):
         true = WIDTH * rng.normal(size=2)
         found = measured(SLOPE, true + noise * WIDTH * rng.normal(size=2), noise)
-        alarms += bool(list(doubt_surroundings(found)))
+        alarms += bool(list(suspect_surroundings(found)))
     assert 1 <= alarms <= 20  # 8 on average
 
 
 def test_what_is_not_told_is_not_doubted() -> None:
-    assert not list(doubt_surroundings(measured(SLOPE, np.array([9.0, 9.0]) * WIDTH, 30.0)))
+    assert not list(suspect_surroundings(measured(SLOPE, np.array([9.0, 9.0]) * WIDTH, 30.0)))

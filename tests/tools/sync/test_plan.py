@@ -506,13 +506,13 @@ def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> 
 LOOP = """
 import sys
 from pathlib import Path
-from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.kinds import EDITED
 path, one, two = Path(sys.argv[1]), b"1" * 4_000_000, b"2" * 4_000_001
 print("begun", flush=True)
 while True:
-    write_together([Writing(path, two, EDITED, before=one)])
-    write_together([Writing(path, one, EDITED, before=two)])
+    write_all([Writing(path, two, EDITED, before=one)])
+    write_all([Writing(path, one, EDITED, before=two)])
 """
 
 

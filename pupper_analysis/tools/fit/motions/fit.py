@@ -288,7 +288,6 @@ def _unexplained(robot: Robot, by_joint: Array, noise: Array, off: float) -> Ite
 
 
 def _notes(motion: Motion, off: float, before: float) -> Iterator[Diagnostic]:
-    """Yields what else is to be said."""
     if off > before:
         yield diagnose(
             "motion-predicted-worse", now=Quantity(off, "rad"), stated=Quantity(before, "rad")

@@ -254,7 +254,6 @@ class _Session:
 def _todo(
     stand: PlannedStand, loads: Mapping[str, Array], before: PlannedStand | None
 ) -> Iterator[str]:
-    """Yields what the person does."""
     if before is None or before.heading != stand.heading:
         heading = Quantity(stand.heading, "rad")
         yield str(diagnose("turn-the-robot", stand=stand.name, heading=heading))

@@ -144,8 +144,8 @@ def describe_stands(
             "friction": equations.noise.friction,
         },
         failures=(
-            *doubt_scale(robot, posterior, weight),
-            *doubt_stands(posterior, equations.noise, expected),
+            *suspect_scale(robot, posterior, weight),
+            *suspect_stands(posterior, equations.noise, expected),
         ),
         diagnostics=(*notes, *_findings(posterior)),
         posterior=posterior,
@@ -247,7 +247,7 @@ def _kp_factor(posterior: Posterior) -> Estimate | None:
 # What a model does not explain of stands: noise, numbers, and what surrounds the robot.
 
 
-def doubt_scale(
+def suspect_scale(
     robot: Robot, posterior: Posterior, weight: float | None = None
 ) -> Iterator[Diagnostic]:
     """Yields that all kp, and the whole mass, are further from the file than files are.
@@ -303,7 +303,7 @@ def _surprise(posterior: Posterior, lines: Array) -> tuple[float, int, Array]:
     sizes = np.sqrt(np.diag(before))
     message = before - lines @ (posterior.covariance / np.outer(width, width)) @ lines.T
     values, vectors = np.linalg.eigh(message / np.outer(sizes, sizes))
-    kept = values > _LEAST_TOLD
+    kept = values > _LEAST_DETERMINED
     moved = vectors[:, kept].T @ (lines @ posterior.moved / sizes)
     far = (before / sizes) @ vectors[:, kept] @ (moved / values[kept])
     return float(np.sum(moved**2 / values[kept])), int(np.count_nonzero(kept)), far
@@ -326,7 +326,7 @@ def _findings(posterior: Posterior) -> Iterator[Diagnostic]:
 _CHANCE = 0.002
 """Probability that a kind is found to be otherwise by chance: of three, 0.6 % of all fits."""
 
-_LEAST_TOLD = 0.02
+_LEAST_DETERMINED = 0.02
 """Of a prior's variance: a direction of which no more is told speaks against nothing."""
 
 _ALSO = 2.0
@@ -348,7 +348,7 @@ _RESIDUALS_CHANCE = 1e-3
 """Probability of residuals that are larger by chance."""
 
 
-def doubt_stands(
+def suspect_stands(
     posterior: Posterior, found: StandNoise, expected: StandNoise
 ) -> Iterator[Diagnostic]:
     """Yields what the model does not explain of the measurements.
@@ -371,7 +371,7 @@ def doubt_stands(
     # What is known before and after differ in variance by what an estimate is surprised by, if the
     # parameter is as it was said to be: one by poor measurements stays near the stated value, and
     # tells as much by a smaller step.
-    surprise = np.sqrt(np.maximum(1 - posterior.shares, _LEAST_TOLD))
+    surprise = np.sqrt(np.maximum(1 - posterior.shares, _LEAST_DETERMINED))
     moved = posterior.moved / surprise
     far = [
         place
@@ -387,14 +387,14 @@ def doubt_stands(
         names = [posterior.parameters[place].name for place in far]
         yield diagnose("far-from-the-file", names=names, widths=abs(float(moved[worst])))
     flatter = min(1.0, found.flatness / expected.flatness)
-    yield from doubt_surroundings(posterior, {"softness": flatter**2})
+    yield from suspect_surroundings(posterior, {"softness": flatter**2})
 
 
 def _is_own(one: Parameter) -> bool:
     return one.kind not in OF_SURROUNDINGS
 
 
-def doubt_surroundings(
+def suspect_surroundings(
     posterior: Posterior, shares: Mapping[str, float] | None = None
 ) -> Iterator[Diagnostic]:
     """Yields what of the surroundings is not as it was said to be, one kind at a time.
@@ -421,7 +421,7 @@ def doubt_surroundings(
         if not freedom or stats.chi2.sf(signs, freedom) > _CHANCE:
             continue
         free = width * far
-        message = np.maximum(1 - posterior.shares[places], _LEAST_TOLD)
+        message = np.maximum(1 - posterior.shares[places], _LEAST_DETERMINED)
         each = np.abs(posterior.moved[places]) / np.sqrt(message)
         if kind == "load":
             yield diagnose("known-mass-contradicts-the-scale", load=100 * float(free[0]))

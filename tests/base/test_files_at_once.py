@@ -11,7 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import OutputError
-from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.kinds import OWN
 from pupper_analysis.tools.sync.models import as_given, stage_files
 from pupper_analysis.tools.sync.xml_bytes import read_document
@@ -35,7 +35,7 @@ def both(folder: Path, **options: bool) -> tuple[Path, ...]:
     wanted = [
         Writing(folder / name, b"new " + name.encode(), OWN, old) for name, old in OLD.items()
     ]
-    return write_together(wanted, **options)
+    return write_all(wanted, **options)
 
 
 def fails_at(what: str, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
@@ -107,7 +107,7 @@ def test_new_files_go_again_if_a_later_one_fails(
 ) -> None:
     fails_at("b", monkeypatch, OSError(errno.EIO, "Input/output error"))
     with pytest.raises(OutputError):
-        write_together([Writing(folder / "new", b"x", OWN), Writing(folder / "b", b"y", OWN)])
+        write_all([Writing(folder / "new", b"x", OWN), Writing(folder / "b", b"y", OWN)])
     assert contents(folder) == OLD
 
 
