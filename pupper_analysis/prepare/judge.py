@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
@@ -97,7 +98,7 @@ def judge(
         remarks=(
             *structure(robot),
             *robot.description.replaced_soles(),
-            *_of_the_files(robot),
+            *remarks_of_files(robot),
             *_buried(robot, stand, statics),
         ),
     )
@@ -218,28 +219,30 @@ def judge_held(
         own=own_run_held(robot, posture.qpos),
         published=as_published_held(robot, posture.qpos, bare.joint_torques),
         converted=robot.description.converted,
-        remarks=(*structure(robot), *_of_the_files(robot)),
+        remarks=(*structure(robot), *remarks_of_files(robot)),
     )
 
 
 _BEARING = {
     *("mass-given", "inertia-repaired", "meshes-left", "files-missing"),
-    *("flat-shape-left", "shape-left", "empty-shape-left"),
+    *("flat-shape-left", "shape-left", "empty-shape-left", "empty-range-left", "effort-negative"),
 }
 """Codes of what is made up for on loading, and is an error of the file: an audit's errors that let
 a robot be simulated."""
 
 
-def _of_the_files(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Tells which errors and assumptions of a robot's files its verdict rests on."""
+def remarks_of_files(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Tells which errors and assumptions of a robot's files all verdicts on it rest on."""
     loaded = as_loaded(robot)
     messages = [note for note in loaded.notes if note.code in _BEARING]
     own, model = loaded.joint_names, loaded.mj_model
-    driving = [
-        name for name in own if model.dof_damping[model.jnt_dofadr[model.joint(name).id]] < 0
-    ]
-    if driving:
-        messages.insert(0, diagnose("joints-damped-negatively", joints=driving))
+    dofs = model.jnt_dofadr[[model.joint(name).id for name in own]]
+    for code, values in (
+        ("joints-rub-negatively", model.dof_frictionloss[dofs]),
+        ("joints-damped-negatively", model.dof_damping[dofs]),
+    ):
+        if (values < 0).any():
+            messages.insert(0, diagnose(code, joints=np.array(own)[values < 0].tolist()))
     made_up = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
     elsewhere = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
     return (*made_up, *elsewhere, *efforts_nobody_meant(robot), *import_refused(robot))

@@ -81,10 +81,29 @@ def test_a_sound_file_has_no_such_line(tmp_path: Path) -> None:
     assert not codes & {"rests-on-made-up", "foot-buried", "gravity-not-the-earths"}
 
 
-def test_what_is_held_has_it_too(tmp_path: Path) -> None:
-    urdf = slipped(tmp_path, SLIPS["triangle-inequality"][0])
+@pytest.mark.parametrize(
+    ("rule", "message"),
+    [
+        ("triangle-inequality", SLIPS["triangle-inequality"][1]),
+        ("range-empty", "joint 'FL_roll' is limited to 0.8 to -0.8"),
+    ],
+)
+def test_what_is_held_has_it_too(tmp_path: Path, rule: str, message: str) -> None:
+    urdf = slipped(tmp_path, SLIPS[rule][0])
     verdict = hold_posture(pa.load_robot(urdf, fixed_base=True)).verdict
-    assert SLIPS["triangle-inequality"][1] in in_words(verdict)
+    assert message in in_words(verdict)
+
+
+def test_dry_friction_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
+    _, mjcf = features.files(tmp_path, features.FEATURES["frictionloss -1"])
+    said = in_words(verdict_of(pa.load_robot(mjcf)))
+    assert "dry friction is negative, and counts as none, at FL_knee, FR_knee, RL_knee" in said
+
+
+def test_an_effort_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
+    urdf = slipped(tmp_path, lambda text: text.replace('effort="80"', 'effort="-80"', 1))
+    said = in_words(verdict_of(pa.load_robot(urdf)))
+    assert "audit lists them): effort limit -80 N m of joint 'FL_roll': it is negative" in said
 
 
 @pytest.mark.parametrize("gravity", ["0 0 -1.62", "0 0 0"])

@@ -38,7 +38,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
         passed=walk.passed,
         verdict=text(word),
         failures=tuple(doc.tell(gait.fall) for gait in fallen[:1] if gait.fall is not None),
-        findings=tuple(_findings(walk)),
+        findings=(*_findings(walk), *map(doc.tell, walk.remarks)),
         notes=robot_notes(robot),
     )
 
@@ -267,7 +267,11 @@ def intervals_document(found: TrackedIntervals, robot: Robot | None = None) -> d
         passed=found.passed,
         verdict=text(word),
         failures=tuple(reasons),
-        findings=(text("walk-commanded", command=_command(found.command)), *_absolute(found)),
+        findings=(
+            text("walk-commanded", command=_command(found.command)),
+            *_absolute(found),
+            *map(doc.tell, found.remarks),
+        ),
         notes=robot_notes(robot),
     )
 

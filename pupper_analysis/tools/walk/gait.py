@@ -15,6 +15,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.base.results import Result
+from pupper_analysis.prepare.judge import remarks_of_files
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import bodies_on_ground
 from pupper_analysis.robot.fall import FALLEN_TILT
@@ -154,6 +155,7 @@ class Walk(Result):
         timestep: s.
         rate: How often the policy was asked (Hz): a whole number of time steps.
         warm_up: What is not looked at (s).
+        remarks: Errors and assumptions of the robot's files that it rests on.
     """
 
     name: str
@@ -168,6 +170,7 @@ class Walk(Result):
     timestep: float
     rate: float
     warm_up: float
+    remarks: tuple[Diagnostic, ...]
 
     @property
     def passed(self) -> bool:
@@ -258,6 +261,7 @@ def simulate_walk(
         timestep=stage.timestep,
         rate=1.0 / (stage.substeps * stage.timestep),
         warm_up=warm_up,
+        remarks=remarks_of_files(robot),
     )
 
 

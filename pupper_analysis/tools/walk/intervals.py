@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
+from pupper_analysis.prepare.judge import remarks_of_files
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.gait import check_runs, command_of, follow
 from pupper_analysis.tools.walk.policy import Policy
@@ -184,6 +185,7 @@ class TrackedIntervals(Result):
         intervals: One for each quantity, the others unchanged.
         rollouts: How many runs were simulated.
         seconds: Simulated in each.
+        remarks: As ``Walk.remarks``.
     """
 
     name: str
@@ -195,6 +197,7 @@ class TrackedIntervals(Result):
     intervals: tuple[TrackedInterval, ...]
     rollouts: int
     seconds: float
+    remarks: tuple[Diagnostic, ...]
     _reported: ClassVar[tuple[str, ...]] = ("passed",)
 
     @property
@@ -317,4 +320,5 @@ def tracked_intervals(
         intervals=tuple(found),
         rollouts=count,
         seconds=float(seconds),
+        remarks=remarks_of_files(robot),
     )

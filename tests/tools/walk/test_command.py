@@ -9,6 +9,7 @@ import pytest
 
 from tests.support import legged
 from tests.support.commands import check_refusal, run_command
+from tests.support.repository import ROOT
 from tests.tools.walk import made
 
 
@@ -28,6 +29,21 @@ def test_walk_stands(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert shown.count('class="scene"') == 1  # the run in three dimensions
     scene = json.loads(shown.partition('class="scene">')[2].partition("</script>")[0])
     assert len(scene["motions"][1]["time"]) == 75  # 3 s at 25 Hz
+
+
+def test_what_an_audit_calls_an_error_is_said(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """As by all other commands that say whether a robot holds."""
+    text = (ROOT / "urdf/pupper_v3.urdf").read_text(encoding="utf-8")
+    text = text.replace("../mjcf/", f"{ROOT}/mjcf/").replace('ixx="7.4e-05"', 'ixx="7.4e-03"', 1)
+    urdf, policy = tmp_path / "robot.urdf", made.still(tmp_path / "still.json")
+    urdf.write_text(text, encoding="utf-8")
+    words = ("walk", str(urdf), "--policy", str(policy), "--command", "0,0,0", "--seconds", "3")
+    for more in ((), ("--vary", "strength", "--seeds", "1")):
+        _, out, err = run_command(capfd, *words, *more)
+        said = "files with defects (audit lists them): the inertia of link 'leg_front_r_1'"
+        assert said in out, err
 
 
 def test_how_far_it_may_change_and_whose_it_is(
