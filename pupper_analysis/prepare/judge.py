@@ -224,7 +224,7 @@ def judge_held(
 
 
 _BEARING = {
-    *("mass-given", "inertia-repaired", "meshes-left", "files-missing"),
+    *("mass-given", "inertia-repaired", "meshes-left", "files-missing", "points-made-spheres"),
     *("flat-shape-left", "shape-left", "empty-shape-left", "empty-range-left", "effort-negative"),
 }
 """Codes of what is made up for on loading, and is an error of the file: an audit's errors that let

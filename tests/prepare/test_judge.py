@@ -100,10 +100,21 @@ def test_dry_friction_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
     assert "dry friction is negative, and counts as none, at FL_knee, FR_knee, RL_knee" in said
 
 
-def test_an_effort_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
-    urdf = slipped(tmp_path, lambda text: text.replace('effort="80"', 'effort="-80"', 1))
-    said = in_words(verdict_of(pa.load_robot(urdf)))
-    assert "audit lists them): effort limit -80 N m of joint 'FL_roll': it is negative" in said
+@pytest.mark.parametrize(
+    ("slip", "message"),
+    [
+        (
+            lambda text: text.replace('effort="80"', 'effort="-80"', 1),
+            "effort limit -80 N m of joint 'FL_roll': it is negative",
+        ),
+        (_shape('<sphere radius="0"/>'), "spheres of radius 0, points that touch"),
+    ],
+)
+def test_impossible_values_stand_in_the_verdict(tmp_path: Path, slip: Slip, message: str) -> None:
+    urdf = slipped(tmp_path, slip)
+    (found,) = (one for one in pa.audit_model(urdf).findings if one.severity == "error")
+    assert found.rule == "value-impossible"
+    assert f"audit lists them): {message}" in in_words(verdict_of(pa.load_robot(urdf)))
 
 
 @pytest.mark.parametrize("gravity", ["0 0 -1.62", "0 0 0"])

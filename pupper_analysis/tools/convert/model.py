@@ -29,7 +29,7 @@ from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.prepare.convert.repair import Repair
 from pupper_analysis.prepare.convert.to_mjcf import MjcfOptions
 from pupper_analysis.prepare.convert.to_urdf import ConversionDraft, urdf_draft
-from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.prepare.judge import judge_stand, remarks_of_files
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.present.verdict import published_clauses
 from pupper_analysis.robot.alike import structure
@@ -145,7 +145,7 @@ def convert_model(
     if draft.failure is None:
         pair = draft.urdf or read_urdf(urdf), read_mjcf(mjcf)
         robot = robot_of(*pair, feet=feet, fixed_base=not draft.stands)
-        unlike = structure(robot)
+        unlike = (*structure(robot), *remarks_of_files(robot))
         failures += [one for one in unlike if one.severity is Severity.ERROR]
     if draft.failure is None and draft.stands:
         verification = verify_stand(robot, solve_stand_on_soft_ground(robot))

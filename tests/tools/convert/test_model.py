@@ -16,6 +16,7 @@ import trimesh
 
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf import silence_mujoco
+from tests.support import features
 from tests.support.commands import Answer, answer
 from tests.support.legged import quadruped as legged
 from tests.support.repository import ROOT
@@ -344,6 +345,14 @@ def test_meshes_that_are_not_there_are_left_out_and_said(tmp_path: Path) -> None
     assert len(found.not_converted) == 2
     assert str(found.not_converted[0]).startswith("mesh files left out, ")
     assert "package://none/gone.stl, far.stl" in str(found.not_converted[0])
+
+
+def test_errors_of_the_source_are_said(tmp_path: Path) -> None:
+    """As by all other commands: the new file has them, too."""
+    _, mjcf = features.files(tmp_path, features.FEATURES["damping -2"])
+    notes = pa.convert_model(mjcf, tmp_path / "new.urdf").notes
+    (message,) = [note for note in notes if note.code == "rests-on-made-up"]
+    assert "damping is negative" in str(message)
 
 
 def test_the_new_file_is_tidy(tmp_path: Path) -> None:
