@@ -272,6 +272,14 @@ def test_the_language_switches_everything(opened: Opened) -> None:
     assert page.locator("h2").first.inner_text() == "Summary"
 
 
+def test_a_page_begins_in_the_language_of_a_chinese_browser(browser: Any, file: Path) -> None:
+    one = Opened(browser, file, locale="zh-CN")
+    assert one.page.locator("html").get_attribute("lang") == "zh-Hans"
+    assert one.page.locator("#language").inner_text() == "English"
+    assert one.complaints == []
+    one.context.close()
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_page_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme: str) -> None:
     one = Opened(browser, file, viewport={"width": 360, "height": 740}, color_scheme=scheme)

@@ -90,12 +90,12 @@ def wear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FootWear]:
 
 def test_one_builder_shows_it_everywhere(wear: FootWear, tmp_path: Path) -> None:
     terminal = printing.printed(wear)
-    assert terminal.startswith("LASTS v9")
+    assert terminal.startswith("WITHSTANDS v9")
     assert re.search(
         r"Wear of the feet\n +wear\nfoot +\(mm/h\)\n─+\nFL +0\.25\nRR +0\.75\n", terminal
     )
     said = write_markdown(build_report([("", wear)]))
-    assert "### ✅ LASTS v9" in said
+    assert "### ✅ WITHSTANDS v9" in said
     assert "| foot | wear (mm/h) |\n| :--- | ---: |\n| FL | 0.25 |\n| RR | 0.75 |" in said
     write_report(wear, tmp_path / "wear.html")
     page = Page((tmp_path / "wear.html").read_text(encoding="utf-8"))

@@ -30,7 +30,7 @@ def test_two_robots_are_pushed(capfd: pytest.CaptureFixture[str], tmp_path: Path
     for name, stance in content.items():
         result = stance["recovery"]
         weakest = f"{result['weakest_impulse']:.2f} N s, "
-        assert f"LASTS {name}: weakest at " in out
+        assert f"WITHSTANDS {name}: weakest at " in out
         assert f"m/s of its {result['mass']:.2f} kg" in out
         assert weakest in out
         assert result["weakest_impulse"] == min(result["impulses"])

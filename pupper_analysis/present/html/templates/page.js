@@ -24,7 +24,7 @@
   }
   document.getElementById("language").addEventListener(
     "click", () => speak(chinese() ? "en" : "zh-Hans"));
-  if (chinese()) speak(root.lang);
+  if (chinese() || navigator.language.startsWith("zh")) speak("zh-Hans");
 
   document.getElementById("theme").addEventListener("click", () => {
     const dark = root.dataset.theme
