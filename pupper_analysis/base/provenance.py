@@ -107,13 +107,9 @@ def marked_json(content: object) -> str:
 
 def _kinds_in(content: object) -> Iterator[type]:
     """Yields the class of each result in a result, or in a container of results."""
-    inside: object = content
     if is_dataclass(content) and not isinstance(content, Diagnostic):
         yield type(content)
-        inside = to_plain(content)
-    if isinstance(inside, Mapping):
-        inside = inside.values()
-    elif not isinstance(inside, list | tuple):
-        return
-    for one in inside:
+        content = to_plain(content)
+    inside = tuple(content.values()) if isinstance(content, Mapping) else content
+    for one in inside if isinstance(inside, list | tuple) else ():
         yield from _kinds_in(one)

@@ -149,13 +149,6 @@ class PinocchioConvention:
             matrix[3:6, 3:6] = np.eye(3)
         return matrix
 
-    def velocity_map_rate(self, qpos: Array, qvel: Array) -> Array:
-        """Returns dT/dt qvel (nv,): the base frame turns under a constant world velocity."""
-        rate = np.zeros(self.nv)
-        if self.floating:
-            rate[:3] = -np.cross(qvel[3:6], rotation_from_quaternion(qpos[3:7]).T @ qvel[:3])
-        return rate
-
 
 @dataclass(frozen=True, eq=False)
 class MujocoConvention:

@@ -16,6 +16,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.structure import Structure
 from pupper_analysis.stance.sag.contact_kinematics import integrate_step
+from tests.robot.test_coordinates import velocity_map_rate
 from tests.stance.sag.test_contact_kinematics import differences
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
@@ -124,7 +125,7 @@ def test_public_coordinates_are_those_of_the_convention(any_robot: pa.Robot) -> 
         qpos, qvel = random_state(any_robot, seed)
         config, data = pa.Configuration(any_robot, qpos, qvel), model.createData()
         q, turn = convention.q(qpos), convention.velocity_map(qpos)
-        rate = convention.velocity_map_rate(qpos, qvel)
+        rate = velocity_map_rate(convention, qpos, qvel)
         upper = np.triu(np.atleast_2d(pin.crba(model, data, q)))
         full = upper + np.triu(upper, 1).T
         numbers_agree(config.mass_matrix(), turn.T @ full @ turn)
