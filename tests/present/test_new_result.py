@@ -102,7 +102,7 @@ def test_one_builder_shows_it_everywhere(wear: FootWear, tmp_path: Path) -> None
     assert page.tables()["Wear of the feet"][1] == {"foot": "RR", "wear (mm/h)": "0.75"}
     chinese = shown(page.root.find("body"), "zh")
     assert all(zh in chinese for _, zh in WORDS.values() if zh != WORDS["wear-title"][1])
-    assert "站立稳定" in chinese
+    assert "承受得住" in chinese
     lines = [line.get("data-labels") for line in page.root.iter("polyline")]
     assert lines[1] == "0 h, 0.00 mm|10 h, 7.50 mm|20 h, 15.00 mm"
 
