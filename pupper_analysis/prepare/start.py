@@ -118,6 +118,9 @@ def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 
 def _laid(robot: Robot, pose: Array) -> Robot | None:
     """Finds a stand on feet that lie where the legs, bent, have them; see ``found_start``."""
+    moved = Configuration(robot, robot.posed(pose)).foot_jacobians().values()
+    if not any((np.abs(jacobian[:, 6:]) > _ROUNDING).any() for jacobian in moved):
+        return None  # wheels turn about their middle, and lie nowhere else
     length = leg_length(robot, robot.posed(pose))
     heights = np.round(length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS), 3)
     heights = heights[heights > 0]

@@ -135,3 +135,26 @@ def test_a_pose_laid_by_its_legs_has_level_soles(tmp_path: Path) -> None:
         assert (joints >= robot.lower_limits).all()
         assert (joints <= robot.upper_limits).all()
     assert start._lay_feet(robot, clip_to_limits(robot), 9.0, 0.05) is None
+
+
+def test_nobody_looks_where_wheels_could_be_laid(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They turn about their middle: TIAGo's arms were moved for a minute, to no avail."""
+    wheels = "".join(
+        f'<body name="{x}{y}" pos="{x} {y} 0"><joint axis="0 1 0"/><geom size="0.1"/></body>'
+        for x in (-0.3, 0.3)
+        for y in (-0.2, 0.2)
+    )
+    path = tmp_path / "cart.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="cart" pos="0 0 0.1"><freejoint/>'
+        f'<geom type="box" size="0.3 0.1 0.05"/>{wheels}</body></worldbody></mujoco>'
+    )
+    robot = pa.load_robot(path)
+    looked: list[float] = []
+    monkeypatch.setattr(start, "_lay_feet", lambda *asked: looked.append(asked[2]))
+    assert start._laid(robot, clip_to_limits(robot)) is None
+    assert looked == []
+    assert start._laid(load("v3"), clip_to_limits(load("v3"))) is None
+    assert len(looked) > start._HEIGHTS
