@@ -422,8 +422,9 @@ def find_start_pose(
     low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
     middle = (low + high) / 2
     found = found_start(robot, [*poses, middle])
-    if found is None:
-        return whole, [diagnose("no-start-pose"), *limbs_aside(whole)]
+    if found is None:  # refused are then the pose that the file asks for, and why that is none
+        kept = _kept(whole, replace(at_home, nominal=home)) if standing else whole
+        return kept, [diagnose("no-start-pose"), *limbs_aside(whole)]
     height = Quantity(found.stand_height, "m")
     return _kept(whole, found), [diagnose("start-pose-found", height=height, keyframes=bool(known))]
 

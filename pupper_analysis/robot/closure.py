@@ -278,7 +278,8 @@ class Closure:
 
     def _jacobian(self, data: mujoco.MjData) -> Array:
         """Returns the derivative (m, nv) in public coordinates where the data are."""
-        rows: Array = data.efc_J.reshape(-1, self._model.nv)[:, self._convention.qvel_index]
+        held = data.efc_J[: data.nefc * self._model.nv]  # room is made for bodies that cannot move
+        rows: Array = held.reshape(-1, self._model.nv)[:, self._convention.qvel_index]
         return rows
 
     def _softness(self, qpos: Array) -> Softness:

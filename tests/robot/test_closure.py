@@ -509,6 +509,15 @@ def test_a_robot_that_is_tied_to_the_world_is_not_predicted(tmp_path: Path) -> N
     assert load(pair).closure is None
 
 
+@pytest.mark.parametrize("tie", ["<weld {}/>", '<connect anchor="0 0 0" {}/>'])
+def test_what_ties_a_base_that_is_held_binds_nothing(tie: str, tmp_path: Path) -> None:
+    """MuJoCo makes room for the rows of bodies that cannot move, and leaves it as it is."""
+    pair = quadruped(tmp_path)
+    bond = "<equality>" + tie.format('body1="trunk"') + "</equality><actuator>"
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", bond))
+    assert pa.load_robot(pair.mjcf, fixed_base=True).closure is None
+
+
 @pytest.mark.longest
 def test_what_ties_a_robot_to_the_world_is_named_where_its_stand_fails(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
