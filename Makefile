@@ -13,11 +13,6 @@ LOWEST_TESTS := $(addprefix tests/,$(addsuffix .py,base/test_results cli/test_sh
 # Inputs of the fuzzer, and more options of tests/fuzz.py.
 N ?= 2000
 FUZZ ?=
-# Rooms of the package whose code `make mutate` changes (all that compute, if empty), how many changes
-# of each, and more options of tests/mutate.py.
-ROOM ?=
-SAMPLE ?= 40
-MUTATE ?=
 # Writes a line with date and commit into docs/data/last-runs.csv.
 RECORDED := $(BIN)/python scripts/record_run.py
 MINOR := $(shell sed -n 's/^requires-python = ">=3\.\([0-9]*\)".*/\1/p' pyproject.toml)
@@ -29,7 +24,7 @@ unexport PYTHONPATH PYTHONHOME
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest test-longest browser durations mutate fuzz coverage benchmark benchmark-quick benchmark-ratios lint types docs docs-links wheel dist clean
+.PHONY: help setup analyze test test-slow test-lowest test-longest browser durations fuzz coverage benchmark benchmark-quick benchmark-ratios lint types docs docs-links wheel dist clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
@@ -45,7 +40,7 @@ test: $(VENV)/.ready ## run the tests, without the long proofs
 test-slow: $(VENV)/.ready ## run the long proofs
 	$(BIN)/python -m pytest -m "slow and not longest"
 
-test-longest: $(VENV)/.ready-mutation ## run the longest proofs, with a few mutants: an hour
+test-longest: $(VENV)/.ready ## run the longest proofs: an hour
 	$(RECORDED) "make test-longest" $(BIN)/python -m pytest -m longest
 
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
@@ -56,9 +51,6 @@ browser: $(VENV)/.ready-dev ## see to a browser for the tests of pages: apt or P
 
 durations: $(VENV)/.ready-dev ## run some cases of each test, and write how long it takes: sets what is slow
 	$(BIN)/python -m pytest --record-durations
-
-mutate: $(VENV)/.ready-mutation ## change SAMPLE operators and numbers of each ROOM: does a test notice?
-	$(BIN)/python tests/mutate.py $(ROOM) --sample $(SAMPLE) $(MUTATE)
 
 fuzz: $(VENV)/.ready ## spoil N files and commands; no traceback, hang or lost file may come of it
 	$(BIN)/python tests/damaged.py 500
@@ -113,10 +105,6 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 
 $(VENV)/.ready-benchmark: $(VENV)/.ready
 	$(BIN)/python -m pip install --quiet --group benchmark
-	@touch $@
-
-$(VENV)/.ready-mutation: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --group mutation
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

@@ -26,7 +26,7 @@ HOW = {
     "Playwright": "make browser",
     "chromium": "make browser",
     "gym[-_]quadruped|example-robot-data|mjlab": ROBOTS,
-    "pre[-_]commit|cosmic[-_]ray": "python -m pip install --group dev --group mutation",
+    "pre[-_]commit": "python -m pip install --group dev",
     "_usd_converter": "python -m pip install it into an environment of its own, on the PATH",
     "^(patch|git) is not": "install it with the system's package manager",
     "recorded with": "the recorded versions: python -m tests.recorded has them",
@@ -47,9 +47,8 @@ GIVEN = (
     "no package index",
     "no file system may be mounted",
     # Of groups that the stages of tests do not install; hooks have a workflow of their own, and
-    # mutants and converters are of the longest stage.
+    # converters are of the longest stage.
     "pre[-_]commit",
-    "cosmic[-_]ray",
     "_usd_converter",
 )
 """Reasons of the environment for which CI may do without a test, loudly."""
