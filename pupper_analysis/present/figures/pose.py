@@ -1,22 +1,19 @@
-"""The figure of how a robot stands: its links as lines, and the polygons under it."""
+"""The figure of how a robot stands, from the right and from above: its links, and what holds it.
+
+Both are the same drawing in two parallel projections.
+"""
 
 from __future__ import annotations
 
-import itertools
 import math
 import textwrap
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
-from matplotlib.ticker import MultipleLocator
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
-from mpl_toolkits.mplot3d.proj3d import proj_transform  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from pupper_analysis.present.figures import style
@@ -139,46 +136,28 @@ def step_corners(seen: StandingScene) -> list[Array]:
     return [step.centre + (signs * step.half) @ step.rotation.T for step in seen.steps]
 
 
-def draw_ground(axes: Any, stand: Stand, seen: StandingScene) -> None:
-    """Draws the plane, where it is no level one, and the steps on it (mm)."""
-    if seen.ground.slope:
-        corners = [1e3 * ground_corners(stand)]
-        axes.add_collection3d(
-            Poly3DCollection(
-                corners, facecolor=_PLANE, alpha=0.8, edgecolor=_EDGE, lw=0.8, zorder=0
-            )
-        )
-    for box in step_corners(seen):
-        faces = [1e3 * box[list(face)] for face in BOX_FACES]
-        axes.add_collection3d(
-            Poly3DCollection(faces, facecolor=_STEP, alpha=0.8, edgecolor=_EDGE, lw=0.7, zorder=0.5)
-        )
+def _seen_from(elevation: float, azimuth: float) -> Array:
+    """Returns the projection (2, 3) to who is in that direction, to the right and upwards (deg)."""
+    up, around = math.radians(elevation), math.radians(azimuth)
+    return np.array(
+        [
+            (-math.sin(around), math.cos(around), 0.0),
+            (-math.sin(up) * math.cos(around), -math.sin(up) * math.sin(around), math.cos(up)),
+        ]
+    )
 
 
-_ELEVATION, _AZIMUTH = 16, -33  # deg: from the front and the right
+_IN_SPACE = _seen_from(16, -33)  # from the front and the right
+_FROM_ABOVE = _seen_from(90, 180)  # forward is up, and left is left
+
 _ARROW = 0.35  # length of the largest force's arrow / length of the support polygon
-_LABEL = (4.6, 2.6)  # width and height of a force's label, in heights of its letters
 _MOST_LABELS = 8  # letters of a foot's name: what there is room for beside the polygon
-_TALL = 1.5  # height / width of what needs room below for what the axes say
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT = "#CFE8F7"
-_COM: dict[str, Any] = {
-    "color": style.GREEN,
-    "marker": "o",
-    "ls": "",
-    "mfc": "white",
-    "mew": 2.2,
-    "ms": 8,
-}
-
-_SWING: dict[str, Any] = {
-    "color": style.BLACK,
-    "marker": "o",
-    "ls": "",
-    "mfc": "white",
-    "mew": 1.6,
-}
+_RING: dict[str, Any] = {"marker": "o", "ls": "", "mfc": "white"}
+_COM: dict[str, Any] = {**_RING, "color": style.GREEN, "mew": 2.2, "ms": 8}
+_SWING: dict[str, Any] = {**_RING, "color": style.BLACK, "mew": 1.6}
 _PROJECTION: dict[str, Any] = {"color": style.GREEN, "marker": "x", "ls": "", "mew": 2.2, "ms": 7}
 
 
@@ -200,20 +179,22 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     figure = style.page_figure(f"{robot.name}: how it stands", 0.6 * style.WIDTH)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=style.FONT, va="top")
-    _draw_in_space(figure, lines, stand, seen)
-    _draw_from_above(figure, lines, stand, seen, statics)
+    space = figure.add_axes((0.01, 0.09, 0.55, 0.77))
+    above = figure.add_axes((0.64, 0.17, 0.35, 0.66))
+    for axes, projection in ((space, _IN_SPACE), (above, _FROM_ABOVE)):
+        _draw_stand(axes, 1e3 * projection, lines, stand, seen)
+    _draw_forces(space, 1e3 * _IN_SPACE, seen)
+    space.set_axis_off()
+    margin = statics.com_margin
+    style.title_panel(above, "from above" + _draw_margin(above, seen, margin))
+    above.set_xlabel("y, left (mm)", size=style.FONT)
+    above.set_ylabel("x, forward (mm)", size=style.FONT)
+    above.xaxis.set_major_formatter(lambda value, _: f"{0.0 - value:g}")
+    above.locator_params(nbins=5)
+    _name_feet(above, seen)
+    leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": style.BLACK, "ms": 4}
     handles: list[Line2D | Patch] = [
-        Line2D(
-            [],
-            [],
-            color=_NEAR_COLOUR,
-            lw=3,
-            marker="o",
-            mfc="white",
-            mec=style.BLACK,
-            ms=4,
-            label="leg",
-        ),
+        Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
         Line2D([], [], color=style.BLACK, marker="o", ls="", ms=6, label="foot"),
         *([Line2D([], [], **_SWING, label="swing foot")] if stand.task.swing else []),
         Patch(facecolor=_BASE_FACE, edgecolor=_BASE_EDGE, label="base"),
@@ -226,237 +207,88 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     style.save_figure(figure, path)
 
 
-def _draw_in_space(figure: Figure, lines: Skeleton, stand: Stand, seen: StandingScene) -> None:
-    # mpl_toolkits has no type information.
-    axes: Any = figure.add_axes((-0.03, 0.165, 0.74, 0.76), projection="3d", computed_zorder=False)
-    axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
-    axes.set_proj_type("ortho")
-    draw_ground(axes, stand, seen)
-    axes.add_collection3d(
-        Poly3DCollection(
-            [1e3 * seen.polygon],
-            facecolor=_SUPPORT,
-            alpha=0.6,
-            edgecolor=style.BLUE,
-            lw=1.2,
-            zorder=1,
-        )
-    )
-    hips = 1e3 * np.array([leg[0] for leg in lines.legs.values()])
+def _draw_stand(
+    axes: Axes, projection: Array, lines: Skeleton, stand: Stand, seen: StandingScene
+) -> None:
+    """Draws a robot that stands, its com and ground, in a projection (2, 3) to mm."""
+
+    def line(points: Array, *marks: str, **how: Any) -> None:
+        axes.plot(*(projection @ np.atleast_2d(points).T), *marks, **how)
+
+    def area(points: Array, **how: Any) -> None:
+        axes.add_patch(Polygon((projection @ points.T).T, **how))
+
+    if seen.ground.slope:
+        area(ground_corners(stand), fc=_PLANE, ec=_EDGE, lw=0.8, zorder=0)
+    boxes = [(box, _STEP, _EDGE, 0.5) for box in step_corners(seen)]
+    boxes += [(box, _BASE_FACE, _BASE_EDGE, 3) for box in lines.boxes]
+    for box, face, edge, order in boxes:
+        for corners in BOX_FACES:
+            area(box[list(corners)], fc=face, ec=edge, alpha=0.4, lw=0.8, zorder=order)
+    area(seen.polygon, fc=_SUPPORT, ec=style.BLUE, hatch="//", alpha=0.7, lw=1.2, zorder=1)
+    hips = np.array([leg[0] for leg in lines.legs.values()])
+    small = 1.0 if len(seen.contacts) == len(seen.points) else 0.45  # of feet with several points
     for foot, leg in lines.legs.items():
         # The viewer stands on the right: the legs of that side hide the base, it hides the others.
-        near = leg[0, 1] < hips[:, 1].mean() / 1e3
+        near = leg[0, 1] < hips[:, 1].mean()
         order = 4 if near else 2
-        x, y, z = 1e3 * leg.T
-        axes.plot(
-            x,
-            y,
-            z,
-            color=_NEAR_COLOUR if near else _FAR_COLOUR,
-            lw=4.5,
-            solid_capstyle="round",
-            zorder=order,
-        )
-        axes.plot(
-            x[:-1], y[:-1], z[:-1], "o", color="white", mec=style.BLACK, mew=0.8, ms=4, zorder=order
-        )
+        colour = _NEAR_COLOUR if near else _FAR_COLOUR
+        line(leg, color=colour, lw=4, solid_capstyle="round", zorder=order)
+        line(leg[:-1], "o", color="white", mec=style.BLACK, mew=0.8, ms=4, zorder=order)
         mark = _SWING if foot in stand.task.swing else {"color": style.BLACK, "marker": "o"}
-        axes.plot(x[-1:], y[-1:], z[-1:], **mark, ms=7 * _small(seen), zorder=order)
+        line(leg[-1], **mark, ms=7 * small, zorder=order)
     for arm in lines.arms:
-        axes.plot(*(1e3 * arm.T), color=_FAR_COLOUR, lw=2.5, solid_capstyle="round", zorder=2)
-    for box in lines.boxes:
-        faces = [1e3 * box[list(face)] for face in BOX_FACES]
-        axes.add_collection3d(
-            Poly3DCollection(faces, fc=_BASE_FACE, alpha=0.45, ec=_BASE_EDGE, lw=0.9, zorder=3)
-        )
+        line(arm, color=_FAR_COLOUR, lw=2.5, solid_capstyle="round", zorder=2)
     around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
-    axes.plot(*np.concatenate([around, around[:1]]).T, color=_BASE_EDGE, lw=2.2, zorder=3)
-    com, below = 1e3 * seen.com, 1e3 * seen.below
-    axes.plot(*np.array([com, below]).T, color=style.GREEN, ls="--", lw=1.2, zorder=6)
-    axes.plot(com[:1], com[1:2], com[2:], **_COM, zorder=6)
-    axes.plot(below[:1], below[1:2], below[2:], **_PROJECTION, zorder=6)
-    _draw_forces(axes, lines, seen)
+    line(np.concatenate([around, around[:1]]), color=_BASE_EDGE, lw=2.2, zorder=3)
+    line(np.array([seen.com, seen.below]), color=style.GREEN, ls="--", lw=1.2, zorder=6)
+    line(seen.com, **_COM, zorder=6)
+    line(seen.below, **_PROJECTION, zorder=6)
+    axes.set_aspect("equal")
+    axes.margins(0.06)
 
 
-def _draw_forces(axes: Any, lines: Skeleton, seen: StandingScene) -> None:
-    """Draws the contact forces as arrows that end at the feet, after the axes (mm) are fitted."""
-    forces = {one.foot: one.force for one in seen.contacts}
-    tips = {one.foot: one.point for one in seen.contacts}
-    largest = max(float(np.linalg.norm(force)) for force in forces.values())
+def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
+    """Draws the contact forces as arrows that end at the feet, in a projection (2, 3) to mm."""
+    largest = max(float(np.linalg.norm(one.force)) for one in seen.contacts)
     scale = _ARROW * float(np.ptp(seen.polygon[:, :2], axis=0).max()) / largest
-    tails = {foot: tips[foot] - scale * force for foot, force in forces.items()}
-    _fit(axes, 1e3 * np.concatenate([lines.points(), list(tails.values())]))
-    # In the projection that the axes have now: an arrow's head in space would be seen askew.
-    projection = axes.get_proj()
-    drawn = {
-        foot: [proj_transform(*(1e3 * end), projection)[:2] for end in (tails[foot], tips[foot])]
-        for foot in forces
-    }
-    aside = _aside(axes, {foot: tail for foot, (tail, _) in drawn.items()})
-    for foot, force in forces.items():
-        tail, tip = drawn[foot]
+    arrow = {"arrowstyle": "-|>", "color": style.RED, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
+    for one in seen.contacts:
+        tail = one.point - scale * one.force
+        tip, end = (tuple(projection @ place) for place in (one.point, tail))
+        axes.annotate("", tip, end, zorder=7, arrowprops=arrow)  # type: ignore[arg-type]
+        axes.plot(*end, alpha=0.0)  # so that there is room for it
+
+
+def _name_feet(axes: Axes, seen: StandingScene) -> None:
+    """Names the feet beside their contacts from above (mm), with what each carries."""
+    middle = seen.points[:, 1].mean()
+    for one in seen.contacts:
+        side = -1 if one.point[1] > middle else 1
+        short = len(one.foot) <= _MOST_LABELS
+        name = one.foot if short else f"{one.foot[: _MOST_LABELS - 1]}…"
         axes.annotate(
-            f"{_named(foot)}\n{np.linalg.norm(force):.2f} N",
-            tail,
-            (aside[foot], -1),
+            f"{name}\n{np.linalg.norm(one.force):.2f} N",
+            tuple(1e3 * _FROM_ABOVE @ one.point),
+            (9 * side, 0),
             textcoords="offset points",
             size=style.FONT,
             color=style.RED,
-            ha="center",
-            va="top",
-            zorder=7,
-            parse_math=False,
-            bbox={"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.75},
-        )
-        axes.annotate(
-            "",
-            tip,
-            tail,
-            zorder=7,
-            arrowprops={
-                "arrowstyle": "-|>",
-                "color": style.RED,
-                "lw": 1.8,
-                "shrinkA": 0,
-                "shrinkB": 0,
-            },
-        )
-
-
-def _aside(axes: Any, labels: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    """Returns by how much labels are moved to the side, in points, so that none hides another.
-
-    Args:
-        axes: In space.
-        labels: {foot: the middle of its label's top}, in the axes' projection.
-    """
-    axes.apply_aspect()  # which drawing does, too late for this
-    places = {foot: axes.transData.transform(place) for foot, place in labels.items()}  # pixels
-    wide, high = (size * style.FONT * style.DPI / 72 for size in _LABEL)
-    moved = dict.fromkeys(labels, 0.0)
-    for _ in labels:  # to move one aside may bring it to the next
-        for one, two in itertools.combinations(labels, 2):
-            across = places[two][0] + moved[two] - places[one][0] - moved[one]
-            lacks = wide - abs(across)
-            if lacks > 0 and abs(places[two][1] - places[one][1]) < high:
-                way = math.copysign(lacks / 2, across)
-                moved[one], moved[two] = moved[one] - way, moved[two] + way
-    return {foot: 72 / style.DPI * by for foot, by in moved.items()}
-
-
-def _named(foot: str) -> str:
-    """Returns a foot's name, or its beginning."""
-    return foot if len(foot) <= _MOST_LABELS else f"{foot[: _MOST_LABELS - 1]}…"
-
-
-def _small(seen: StandingScene) -> float:
-    """Returns the size of a foot's mark: smaller where feet have several contact points."""
-    return 1.0 if len(seen.contacts) == len(seen.points) else 0.45
-
-
-def _fit(axes: Any, shown: Array) -> None:
-    """Gives axes in space equal scales, and limits around points (n, 3) (mm)."""
-    room = float(np.ptp(shown, axis=0).max()) / 300
-    low = shown.min(axis=0) - room * np.array([35, 20, 50])
-    high = shown.max(axis=0) + room * np.array([20, 35, 10])
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    tall = (high - low)[2] > _TALL * (high - low)[:2].max()
-    axes.set_box_aspect(high - low, zoom=0.87 if tall else 1.02)
-    # No ticks in the corners, where those of two axes meet, nor below the ground.
-    first, last = low + 30 * room, high - 15 * room
-    first[2] = 0.0
-    step = _tick_step(shown)
-    names = ("x, forward", "y, left", "z, up")
-    for index, axis in enumerate((axes.xaxis, axes.yaxis, axes.zaxis)):
-        axis.set_ticks(np.arange(step * np.ceil(first[index] / step), last[index], step))
-        axis.set_tick_params(labelsize=style.FONT, pad=-2)
-        axis.set_label_text(f"{names[index]} (mm)", fontsize=style.FONT)
-        axis.labelpad = 0
-        axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
-
-
-def _draw_from_above(
-    figure: Figure, lines: Skeleton, stand: Stand, seen: StandingScene, statics: GravityCompensation
-) -> None:
-    axes = figure.add_axes((0.735, 0.17, 0.255, 0.66))
-    style.title_panel(axes, "from above")
-    points, polygon = 1e3 * seen.points[:, :2], 1e3 * seen.polygon[:, :2]
-    # Forward is up and left is left: y is drawn to the left, x upwards.
-    axes.add_patch(
-        Polygon(polygon[:, ::-1], fc=_SUPPORT, ec=style.BLUE, hatch="//", lw=1.2, zorder=1)
-    )
-    for box in lines.boxes:
-        outline = 1e3 * hull_corners(box)
-        axes.plot(outline[:, 1], outline[:, 0], color=_BASE_EDGE, lw=1.0, zorder=2)
-    for leg in lines.legs.values():
-        axes.plot(
-            1e3 * leg[:, 1],
-            1e3 * leg[:, 0],
-            color=_FAR_COLOUR,
-            lw=3,
-            solid_capstyle="round",
-            zorder=2,
-        )
-    for box in step_corners(seen):
-        outline = 1e3 * hull_corners(box)
-        axes.plot(outline[:, 1], outline[:, 0], color=_FAR_COLOUR, lw=1.0, ls="--", zorder=1.5)
-    for foot in stand.task.swing:
-        for point in stand.foot_targets if foot not in stand.foot_targets else (foot,):
-            x, y = 1e3 * stand.foot_targets[point][:2]
-            axes.plot(y, x, **_SWING, ms=6 * _small(seen), zorder=3)
-    middle = points.mean(axis=0)
-    for x, y in points:
-        axes.plot(y, x, "o", color=style.BLACK, ms=6 * _small(seen), zorder=3)
-    for contact in seen.contacts:
-        foot, (x, y) = contact.foot, 1e3 * contact.point[:2]
-        left = y > middle[1]
-        axes.annotate(
-            _named(foot),
-            (y, x),
-            (-7 if left else 7, 0),
-            textcoords="offset points",
-            size=style.FONT,
-            ha="right" if left else "left",
+            ha="right" if side < 0 else "left",
             va="center",
             parse_math=False,
         )
-    _draw_margin(axes, seen, statics.com_margin)
-    shown = 1e3 * lines.points()
-    axes.set_aspect("equal")
-    room = float(np.ptp(shown, axis=0).max()) / 300
-    axes.set_xlim(shown[:, 1].max() + 55 * room, shown[:, 1].min() - 55 * room)
-    axes.set_ylim(shown[:, 0].min() - 15 * room, shown[:, 0].max() + 15 * room)
-    axes.xaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
-    axes.yaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
-    axes.set_xlabel("y, left (mm)", size=style.FONT)
-    axes.set_ylabel("x, forward (mm)", size=style.FONT)
+    wide = np.array(axes.get_xlim())
+    axes.set_xlim(wide + 0.35 * np.ptp(wide) * np.array([-1, 1]))
 
 
-def _draw_margin(axes: Axes, seen: StandingScene, margin: float | None) -> None:
-    """Draws the com from above (mm), and its margin (m) to the edge of the support polygon."""
-    com = 1e3 * seen.com[:2]
-    axes.plot(com[1], com[0], **_PROJECTION, zorder=5)
-    if margin is not None:
-        ring = np.concatenate([seen.polygon, seen.polygon[:1]])[:, :2]
-        edge = nearest_edge_point(1e3 * ring, com)
-        axes.plot((com[1], edge[1]), (com[0], edge[0]), color=style.GREEN, lw=1.6, zorder=4)
-        axes.plot(edge[1], edge[0], "o", color=style.GREEN, ms=4, zorder=4)
-        axes.annotate(
-            f"margin {1e3 * margin:.1f} mm",
-            (com[1], com[0]),
-            (0, 8),
-            textcoords="offset points",
-            size=style.FONT,
-            ha="center",
-            va="bottom",
-            color="#00644A",
-            bbox={"fc": "white", "ec": "none", "pad": 1.5, "alpha": 0.9},
-            zorder=6,
-        )
-
-
-def _tick_step(points: Array) -> float:
-    """Returns a round distance of ticks, at most half of the span of points (n, 3) (mm)."""
-    span = float(np.ptp(points, axis=0).max()) / 2
-    power = 10.0 ** math.floor(math.log10(span))
-    return power * max(factor for factor in (1, 2, 5) if factor * power <= span)
+def _draw_margin(axes: Axes, seen: StandingScene, margin: float | None) -> str:
+    """Draws the com's margin (m) to the support polygon's edge, from above; returns its words."""
+    if margin is None:
+        return ""
+    ring = np.concatenate([seen.polygon, seen.polygon[:1]])[:, :2]
+    edge = np.array([*nearest_edge_point(ring, seen.com[:2]), 0.0])
+    (x, y), (there, up) = 1e3 * _FROM_ABOVE @ seen.com, 1e3 * _FROM_ABOVE @ edge
+    axes.plot((x, there), (y, up), color=style.GREEN, lw=1.6, zorder=8)
+    axes.plot(there, up, "o", color=style.GREEN, ms=4, zorder=8)
+    return f": com margin {1e3 * margin:.1f} mm"

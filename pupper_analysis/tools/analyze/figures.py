@@ -19,7 +19,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import in_english, text
 from pupper_analysis.present.documents.loads import torque_plot
-from pupper_analysis.present.documents.simulated import height_plot
+from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.figures import style
 from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.tools.analyze.sweep import deviation_table
