@@ -38,6 +38,7 @@ from pathlib import Path
 from types import FrameType
 from xml.sax.saxutils import quoteattr
 
+import click
 import hypothesis
 from hypothesis import strategies as st
 
@@ -135,7 +136,7 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
         yield f"it took {taken:.0f} s"
     if "Traceback (most recent call last)" in said:
         yield f"a traceback: {said[-500:]}"
-    yield from _shown(said, github="github" in case.arguments)
+    yield from _shown(said, case.arguments)
     yield from _written(folder, before, may_write=command == "sync")
     if status == 0 and command in ("audit", "crosscheck", "stand", "convert", "check"):
         refusal = _refused(folder, case)
@@ -185,8 +186,10 @@ def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, flo
     return status, out.getvalue(), time.process_time() - start
 
 
-def _shown(said: str, *, github: bool) -> Iterator[str]:
-    for letter in sorted(set(said) - {"\n"}):
+def _shown(said: str, arguments: tuple[str, ...]) -> Iterator[str]:
+    github = "github" in arguments
+    joiner = "\u2060" if "markdown" in arguments else ""  # which keeps names from acting there
+    for letter in sorted(set(said) - {"\n", joiner}):
         if unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Zl", "Zp"):
             yield f"{letter!a} is shown as it is: {_around(said, letter)!a}"
     obeyed = re.search(r"(?m)^\s*(::|##\[).*$", said)
@@ -293,45 +296,15 @@ NAMES = (
         "\n##[error]owned",
         "\u009b",
     ),
-    *(
-        "\u202ename",
-        "\u2028",
-        "<script>alert(1)</script>",
-        "::error::owned",
-        "[red]name[/red]",
-        "[/]",
-    ),
-    *("%s", "{0}", "--help", "\ufeff", "\u0000"[:0], "x" * 3000, "world", "base", "universe"),
-    *(
-        "root_joint",
-        "__free__",
-        "__root__",
-        "NaN",
-        "null",
-        "'",
-        '"',
-        "&",
-        "]]>",
-        "-->",
-        "\U0001f980",
-    ),
+    *("\u202ename", "\u2028", "<script>alert(1)</script>", "::error::owned", "[red]name[/red]"),
+    *("[/]", "%s", "{0}", "--help", "\ufeff", "x" * 3000, "world", "base", "universe", "NaN"),
+    *("root_joint", "__free__", "__root__", "null", "'", '"', "&", "]]>", "-->", "\U0001f980"),
 )
 
 _REFERENCES = (
+    *("joint", "joint1", "joint2", "site", "body", "body1", "body2", "geom", "geom1", "geom2"),
     *(
-        "joint",
-        "joint1",
-        "joint2",
-        "site",
-        "body",
-        "body1",
-        "body2",
-        "geom",
-        "geom1",
-        "geom2",
         "link",
-    ),
-    *(
         "mesh",
         "material",
         "class",
@@ -339,10 +312,10 @@ _REFERENCES = (
         "tendon",
         "actuator",
         "objname",
-        "actuator",
         "file",
+        "reftype",
     ),
-    *("reftype", "refname", "name", "key", "texture", "hfield", "target", "refsite", "cranksite"),
+    *("refname", "name", "key", "texture", "hfield", "target", "refsite", "cranksite"),
 )
 
 _RICH = """
@@ -497,118 +470,85 @@ def spoilt_files(draw: st.DrawFn, pair: tuple[bytes, bytes] | None = None) -> di
 
 # ------------------------------------------------------------------------------------- commands
 
-_NUMBERS = (
+_TEXTS = (
     *ABSURD,
-    "0.1",
-    "0.2",
-    "5deg",
-    "10cm",
-    "90deg",
-    "1e6",
-    "-0.3",
-    "3.2",
-    "cm",
-    "5 deg",
-    "50",
+    *(
+        "0.1",
+        "0.2",
+        "5deg",
+        "10cm",
+        "90deg",
+        "1e6",
+        "-0.3",
+        "3.2",
+        "cm",
+        "5 deg",
+        "50",
+        "0.01,0.02",
+    ),
+    *("0,0", "1e308,0", "nan,0", ",", "1,2,3", "inf,inf", "1cm,2cm", "a,b", "centre"),
+    *("inside", "FL=2cm", "FL=1e9", "FL=nan", "FL", "=1", "XX=1cm", "FL=1cm,2cm", "FL=0,0,0", "="),
+    *(
+        "a=b",
+        "*=5",
+        "x=5",
+        "*_3=1e9",
+        "*=nan",
+        "*=-1",
+        "hip0=hip1",
+        "hip0=knee0",
+        "foot0",
+        "home",
+        "x=.",
+    ),
+    *("mass=1", "mass=nan", "mass=-1", "mass=1e308", "v3", "skeleton", "1.1", "1e-6", "1kg"),
 )
-_PAIRS = (
-    "0,0",
-    "0.01,0.02",
-    "1e308,0",
-    "nan,0",
-    ",",
-    "1,2,3",
-    "inf,inf",
-    "1cm,2cm",
-    "a,b",
-    "centre",
-)
-_FEET = ("FL=2cm", "FL=1e9", "FL=nan", "FL", "=1", "XX=1cm", "FL=1cm,2cm", "FL=0,0,0", "FL=1,2,3")
+"""What is given to an option whose type says no more."""
 
-STANCE = {
-    "--base": ("v3", "skeleton", "x", ""),
-    "--leg-scale": ("1.1", "0", "-1", "1e-6", "1e9", "nan", "inf"),
-    "--torso-mass-scale": ("1.1", "0", "-1", "1e9", "nan"),
-    "--foot": ("FL", "x", ""),
-    "--map": ("a=b", "=", "a", ""),
-    "--keyframe": ("home", "x", ""),
-    "--height": _NUMBERS,
-    "--roll": _NUMBERS,
-    "--pitch": _NUMBERS,
-    "--yaw": _NUMBERS,
-    "--offset": _PAIRS,
-    "--com": (*_PAIRS, "inside"),
-    "--com-margin": _NUMBERS,
-    "--joint-margin": _NUMBERS,
-    "--ground-clearance": _NUMBERS,
-    "--self-clearance": _NUMBERS,
-    "--move": _FEET,
-    "--swing": _FEET,
-    "--step": _FEET,
-    "--slope": _NUMBERS,
-    "--uphill": _NUMBERS,
-    "--kp": (*_NUMBERS, "*=5", "x=5", "*_3=1e9", "*=nan", "="),
-    "--kd": (*_NUMBERS, "*=0.1"),
-    "--integrator": ("euler", "implicitfast", "rk4", "x"),
-    "--json": ("out.json", "-", "", "no/such/x.json", "/dev/null/x", ".", "x" * 300, "a\0b"[:1]),
-}
-
-COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
-    "stand": {**STANCE, "--minimum-stiffness": (), "--figure": ("out.png", ".", "")},
-    "workspace": {**STANCE, "--figure": ("out.png", ".")},
-    "payload": STANCE,
-    "best": STANCE,
-    "path": {
-        **STANCE,
-        "--seconds": ("1", "0", "-1", "nan", "1e9", "1e-9", "inf", "x"),
-        "--csv": ("out.csv", "-", "."),
-        "--npz": ("out.npz", ".", "-"),
-    },
-    "push": {**STANCE, "--directions": ("1", "0", "-1", "1e3", "x"), "--resolution": _NUMBERS},
-    "analyze": {
-        "--list": (),
-        "--base": ("v3", "x"),
-        "--leg-scale": ("nan", "-1", "1e9"),
-        "--height": ("nan", "1e9", "-1"),
-        "--json": ("out.json", "."),
-        "--no-figures": (),
-    },
-    "live": {"--seconds": ("0", "-1", "nan", "x", "1e-9"), "--mujoco": (), "--fixed-base": ()},
-}
-
-_MODELS = {
-    "--format": ("github", "junit", "text", "x", "sarif"),
-    "--json": ("out.json", "-", ".", "robot.xml/x", "robot.xml", "./robot.urdf"),
-    "--tolerance": ("mass=1", "mass=nan", "mass=-1", "x=1", "mass", "=", "mass=1e308"),
-    "--map": ("hip0=hip1", "x=y", "=", "hip0=hip0", "hip0=knee0"),
-    "--map-file": ("robot.xml", "none.toml", "."),
-    "--foot": ("foot0", "x", ""),
-    "--package": ("x=.", "x", "=", "x=none"),
-    "--strict": (),
-    "--all": (),
-    "--fine": (),
-    "--take": ("urdf", "mjcf", "mjcf:*", "urdf:x", "1", "", "0", "urdf:1"),
-    "--dry-run": (),
-    "--backup": (),
-    "--force": (),
+_VALUES = {
+    "--json": ("out.json", "-", "", "no/such/x.json", ".", "x" * 300, "robot.xml", "./robot.urdf"),
+    "--figure": ("out.png", ".", ""),
     "--report": ("out.html", "-", ".", "no/such/x.html"),
-    "--fixed-base": (),
-    "--free-base": (),
-    "--merge-fixed": (),
-    "--armature": ("0.01", "*=1e9", "-1", "nan", "x=1", "*hip*=0.02", "="),
-    "--sag": ("1deg", "0", "-1", "nan", "1e9", "1cm"),
-    "--damping-ratio": ("1", "0", "nan", "1e9"),
+    "--csv": ("out.csv", "-", "."),
+    "--npz": ("out.npz", ".", "-"),
+    "--take": ("urdf", "mjcf", "mjcf:*", "urdf:x", "1", "", "0", "urdf:1"),
     "--config": ("pupper-analysis.toml", "none.toml", "."),
-    "--update-baseline": (),
-    "--figures": (),
-    "--workers": ("1", "0", "x"),
 }
-_COMMON = ("--json", "--tolerance", "--map", "--map-file", "--foot", "--package")
-OF_MODELS = {
-    "audit": ("--format", "--json", "--package", "--report", "--force"),
-    "crosscheck": (*_COMMON, "--format", "--strict", "--all", "--report", "--force"),
-    "sync": (*_COMMON, "--take", "--dry-run", "--backup", "--force", "--fine"),
-}
+"""{option: what is given}; to others what their types say."""
+
+
+@functools.cache
+def options_of(command: str) -> dict[str, tuple[str, ...]]:
+    """Returns {option of a command: what is given to it}; of a flag nothing."""
+    from pupper_analysis import cli
+
+    found = {}
+    for one in cli.find_command(command).params:
+        if not isinstance(one, click.Option):
+            continue
+        name = max(one.opts, key=len)
+        if one.is_flag:
+            found[name] = ()
+        elif isinstance(one.type, click.Choice):
+            found[name] = (*map(str, one.type.choices), "x", "")
+        elif isinstance(one.type, click.Path) and name not in _VALUES:
+            found[name] = ("robot.xml", "none.toml", ".", "")
+        else:
+            found[name] = _VALUES.get(name, _TEXTS)
+    left = ("--output", "--write", "--list-rules", "--list-metrics")
+    return {name: given for name, given in found.items() if name not in left}
+
+
+def _options(draw: st.DrawFn, command: str, most: int, least: int = 0) -> list[str]:
+    """Draws some of a command's options, with what is given to them."""
+    known = options_of(command)
+    names = st.sampled_from(sorted(known))
+    chosen = draw(st.lists(names, min_size=least, max_size=most, unique=True))
+    return [
+        word
+        for name in chosen
+        for word in ([name, draw(st.sampled_from(known[name]))] if known[name] else [name])
+    ]
 
 
 @st.composite
@@ -616,43 +556,20 @@ def on_files(draw: st.DrawFn) -> Case:
     """Draws a command on spoilt files."""
     models = ["audit"] * 20 + ["crosscheck"] * 18 + ["sync"] * 10
     command = draw(st.sampled_from([*models, *["stand"] * 6, "payload"]))
-    files = draw(spoilt_files(None if command in OF_MODELS else _legged()))
+    files = draw(spoilt_files(None if command in models else _legged()))
     more: list[str] = []
-    if command in OF_MODELS:
-        most = draw(st.sampled_from([0, 0, 0, 1, 2]))
-        options = draw(st.lists(st.sampled_from(OF_MODELS[command]), max_size=most, unique=True))
-        more = [word for option in options for word in _said(draw, option, _MODELS[option])]
+    if command in models:
+        more = _options(draw, command, draw(st.sampled_from([0, 0, 0, 1, 2])))
         if command == "sync" and "--take" not in more:
             more += ["--take", draw(st.sampled_from(["urdf", "mjcf"]))]
     if command == "audit":
         paths = [draw(st.sampled_from(["robot.urdf", "robot.xml"]))]
-    elif command in OF_MODELS:
+    elif command in models:
         paths = ["robot.urdf", "robot.xml"]
     else:
         paths = ["--urdf", "robot.urdf", "--mjcf", "robot.xml"]
     return Case((command, *paths, *more), files)
 
-
-def _said(draw: st.DrawFn, option: str, values: tuple[str, ...]) -> list[str]:
-    return [option, draw(st.sampled_from(values))] if values else [option]
-
-
-OF_FILES = {
-    "convert": (
-        "--json",
-        "--foot",
-        "--fixed-base",
-        "--free-base",
-        "--merge-fixed",
-        "--armature",
-        "--sag",
-        "--damping-ratio",
-        "--package",
-    ),
-    "check": ("--json", "--format", "--all", "--config", "--update-baseline", "--force"),
-    "diff": ("--json", "--map", "--package", "--tolerance", "--force"),
-    "study": ("--json", "--workers"),
-}
 
 _TOML = {
     "pupper-analysis.toml": """
@@ -684,21 +601,10 @@ ground_clearance = 0.0
 }
 
 _TOML_VALUES = (
-    *(
-        "nan",
-        "inf",
-        "-1",
-        "0",
-        '""',
-        "[]",
-        "{}",
-        "true",
-        "1e400",
-        "99999999999999999999",
-        "[1, 'a']",
-    ),
-    *("{ grid = [0, 1, 1e9] }", "{ grid = [1, 0, -1] }", "{ uniform = [1, 0] }", "1979-05-27"),
+    *("nan", "inf", "-1", "0", '""', "[]", "{}", "true", "1e400", "99999999999999999999"),
+    *("[1, 'a']", "{ grid = [0, 1, 1e9] }", "{ grid = [1, 0, -1] }", "{ uniform = [1, 0] }"),
     *('"../x"', '"\\u202e"', '"\\n::error::owned"', "{ normal = [0, -1] }", "[[1]]", '"v3"'),
+    "1979-05-27",
 )
 
 
@@ -731,10 +637,8 @@ def on_projects(draw: st.DrawFn) -> Case:
     """Draws a command on several files, of which one or some are spoilt; or on standard input."""
     command = draw(st.sampled_from(["diff", "diff", "check", "check", "convert", "study", "-"]))
     files = draw(spoilt_files())
-    most = draw(st.sampled_from([0, 0, 1, 2]))
-    names = OF_FILES.get(command, ("--json",))
-    options = draw(st.lists(st.sampled_from(names), max_size=most, unique=True))
-    more = [word for option in options for word in _said(draw, option, _MODELS[option])]
+    of = "audit" if command == "-" else command
+    more = _options(draw, of, draw(st.sampled_from([0, 0, 1, 2])))
     which = draw(st.sampled_from(["robot.urdf", "robot.xml"]))
     if command == "diff":
         whole = draw(st.sampled_from(_base_files()))
@@ -747,8 +651,9 @@ def on_projects(draw: st.DrawFn) -> Case:
     if command == "-":
         files[STDIN] = files[which]
         others = ["-", "robot.xml"] if which == "robot.urdf" else ["robot.urdf", "-"]
-        chosen = draw(st.sampled_from([["audit", "-"], ["crosscheck", *others]]))
-        return Case((*chosen, *more), files)
+        if draw(st.booleans()):
+            return Case(("crosscheck", *others, "--json", "out.json"), files)
+        return Case(("audit", "-", *more), files)
     name = "study.toml" if command == "study" else "pupper-analysis.toml"
     text = _TOML[name].encode()
     for _ in range(draw(st.sampled_from([0, 1, 1, 2]))):
@@ -765,9 +670,7 @@ def on_variants(draw: st.DrawFn) -> Case:
     # A push is simulated for half a minute if nothing is wrong with its arguments.
     commands = ["stand"] * 5 + ["payload"] * 3 + ["workspace", "best", "path", "push", "analyze"]
     command = draw(st.sampled_from([*commands, "live"]))
-    known = COMMANDS[command]
-    chosen = draw(st.lists(st.sampled_from(sorted(known)), min_size=1, max_size=3, unique=True))
-    words = [word for option in chosen for word in _said(draw, option, known[option])]
+    words = _options(draw, command, 3, least=1)
     names = [
         "v3",
         "v3",
