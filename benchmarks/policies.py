@@ -32,7 +32,7 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.tools.contract.readers import read_onnx
 from pupper_analysis.tools.walk.gait import simulate_walk
-from pupper_analysis.tools.walk.onnx_file import network_of
+from pupper_analysis.tools.walk.network_files import onnx_network
 from pupper_analysis.tools.walk.policy import Policy
 
 COMMAND, SECONDS, WARM_UP = np.array([0.5, 0.0, 0.0]), 8.0, 2.0
@@ -139,7 +139,7 @@ def runner_of(path: Path) -> tuple[Callable[[Any], Any], str]:
     try:
         import onnxruntime
     except ImportError:
-        network = network_of(path, read_onnx(path))
+        network = onnx_network(path, read_onnx(path))
         return lambda seen: network.forward(seen[None])[0][0], "our network"
     session = onnxruntime.InferenceSession(str(path))
     name = session.get_inputs()[0].name

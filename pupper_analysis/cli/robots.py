@@ -143,7 +143,7 @@ class RobotOptions:
             ConfigurationError: If it is given in several ways.
             VariantError: If a word names no robot.
         """
-        from pupper_analysis.pupper.named import one_of_words
+        from pupper_analysis.pupper.variant_files import one_of_words
 
         found = one_of_words(words)
         robots = [way for way in (found, self._derived, self._named) if way is not None]
@@ -159,7 +159,7 @@ class RobotOptions:
             ConfigurationError: If options are for files, and there are none.
             VariantError: If a word names no robot.
         """
-        from pupper_analysis.pupper.named import split_words
+        from pupper_analysis.pupper.variant_files import split_words
 
         robots = [*split_words(words), self._derived, self._named]
         return self._given([way for way in robots if way is not None])

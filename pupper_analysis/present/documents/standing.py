@@ -1,14 +1,20 @@
-"""What documents of stands share: the robot as it was loaded, what is asked, the ground, units."""
+"""What documents of stands share: the robot, what is asked, the ground, units, simulations."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import Any
+
+import numpy as np
 
 from pupper_analysis.base.diagnostics import merge_diagnostics
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import Column, Text, Words, tell, text
-from pupper_analysis.present.documents.sources import files_text
+from pupper_analysis.present.documents.loads import proof_text
+from pupper_analysis.present.documents.sources import files_text, page_of
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -76,3 +82,121 @@ def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
     )
     columns = quantity_columns()
     return doc.Table(text("stance"), columns, rows, detail=True)
+
+
+def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
+    """Draws the base's height over the simulated time, with feed-forward and without.
+
+    Args:
+        runs: The simulations.
+        task: The height that was asked for (m).
+    """
+    series = [
+        doc.Series(
+            text("with-feed-forward") if run.feedforward else text("without"),
+            run.time,
+            1e3 * run.height,
+            note=_lost(run),
+            fails=bool(run.failures),
+        )
+        for run in runs
+    ]
+    ends = np.array([runs[0].time[0], max(run.time[-1] for run in runs)])
+    asked = doc.Name(f"{1e3 * task:.1f} mm")
+    series.append(
+        doc.Series(text("task"), ends, np.full(2, 1e3 * task), note=asked, reference=True)
+    )
+    return doc.LinePlot(
+        text("height-of-the-simulated-base"),
+        doc.Axis(text("time"), "s", ".2f"),
+        doc.Axis(text("base-height"), "mm", ".2f"),
+        series,
+        text("plot-height-lost"),
+    )
+
+
+def _lost(run: StandVerification) -> doc.Words:
+    lost = doc.number_cell(run.height_loss, ".2f", scale=1e3).text
+    return text("loss-fails", loss=lost) if run.failures else doc.Name(f"{lost} mm")
+
+
+def motions_of(runs: Sequence[StandVerification]) -> list[doc.Motion]:
+    """Returns the simulated motions."""
+    return [
+        doc.Motion(
+            text("simulated-with-feed-forward")
+            if run.feedforward
+            else text("simulated-without-feed-forward"),
+            run.motion_time,
+            run.motion,
+        )
+        for run in runs
+    ]
+
+
+def contact_text(sag: float) -> doc.Text:
+    """Says how much deeper the feet are in the ground, or how much less deep.
+
+    Args:
+        sag: By which contacts lower the base (m); below zero where servos that give way take load
+            off the contacts.
+    """
+    shown = f"{1e3 * abs(sag):.2f}"
+    return text("contacts-rise" if sag < 0 and float(shown) else "contacts-sink", depth=shown)
+
+
+def run_rows(
+    runs: Sequence[Any], names: Collection[str] | None = None
+) -> tuple[tuple[doc.Cell, ...], ...]:
+    """Returns what simulations made of a stand: a row per quantity, a column per run.
+
+    Args:
+        runs: ``StandVerification`` each, or what else has the quantities, such as ``SteadyState``.
+        names: Keys of the quantities; by default all.
+    """
+    return tuple(
+        (
+            text(name),
+            *(doc.number_cell(of(run), format, scale=scale) for run in runs),
+            doc.Name(unit),
+        )
+        for name, unit, of, format, scale in _QUANTITIES
+        if names is None or name in names
+    )
+
+
+def simulated_table(run: StandVerification) -> doc.Table:
+    """Returns what one simulation made of a stand."""
+    return doc.Table(
+        text("simulation", seconds=f"{run.duration:g}"),
+        quantity_columns(text("with-feed-forward") if run.feedforward else text("without")),
+        run_rows([run]),
+        (),
+        (page_of("explanation/verification.md", "Random stances"), proof_text(run)),
+        detail=True,
+    )
+
+
+SAG = ("loss-of-height", "of-it-servo-sag", "of-it-contact-softness")
+"""Quantities of a run that are predicted, too."""
+
+_QUANTITIES: tuple[tuple[str, str, Callable[[StandVerification], float], str, float], ...] = (
+    ("base-height", "mm", lambda run: run.base_height, ".2f", 1e3),
+    ("loss-of-height", "mm", lambda run: run.height_loss, ".3f", 1e3),
+    ("of-it-servo-sag", "mm", lambda run: run.servo_sag, ".3f", 1e3),
+    ("of-it-contact-softness", "mm", lambda run: run.contact_sag, "+.3f", 1e3),
+    (
+        "deviation-of-height-last-second",
+        "mm",
+        lambda run: run.height_deviation,
+        ".5f",
+        1e3,
+    ),
+    ("drift-of-height-last-second", "mm/s", lambda run: run.height_drift, "+.4f", 1e3),
+    ("tilt-against-the-task", "°", lambda run: math.degrees(run.tilt), ".4f", 1.0),
+    ("foot-slip", "mm", lambda run: max(run.foot_slip.values()), ".4f", 1e3),
+    ("joint-error", "°", lambda run: math.degrees(run.joint_error), ".2g", 1.0),
+    ("torque-off-prediction-of-the-largest", "%", lambda run: run.torque_error, ".3f", 100.0),
+    ("vertical-foot-force-off-prediction", "%", lambda run: run.force_error, ".3f", 100.0),
+)
+"""What is shown of a run: name, unit, value in SI units, its format, and what it is scaled by."""

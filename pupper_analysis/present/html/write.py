@@ -7,18 +7,23 @@ files that are compared, the MJCF's shapes and the URDF's joints as lines over e
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import singledispatch
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import mujoco
+import numpy as np
 import orjson
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis import __version__
 from pupper_analysis.base.arguments import check_type
@@ -34,8 +39,12 @@ from pupper_analysis.present.document import (
     Block,
     Document,
     Lines,
+    Motion,
+    MotionScene,
+    OtherScene,
     Plot,
     Report,
+    StandScene,
     Table,
     Text,
     View,
@@ -44,19 +53,6 @@ from pupper_analysis.present.document import (
 from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.present.html.plots import draw_svg
-from pupper_analysis.robot.robot import Robot
-
-if TYPE_CHECKING:
-    import jinja2
-import base64
-from collections.abc import Sequence
-from functools import singledispatch
-
-import mujoco
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from pupper_analysis.present.document import Motion, MotionScene, OtherScene, StandScene
 from pupper_analysis.present.scene import (
     JointAxis,
     describe_scene,
@@ -66,6 +62,11 @@ from pupper_analysis.present.scene import (
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_summaries
+from pupper_analysis.robot.robot import Robot
+
+if TYPE_CHECKING:
+    import jinja2
+
 
 Array = NDArray[np.float64]
 

@@ -20,18 +20,20 @@ from pupper_analysis.present.documents.loads import (
     view_block,
 )
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.documents.simulated import (
-    contact_text,
-    height_plot,
-    motions_of,
-    run_rows,
-)
 from pupper_analysis.present.documents.sources import (
     files_text,
     is_derived,
     page_of,
 )
-from pupper_analysis.present.documents.standing import ground_word, quantity_columns, task_text
+from pupper_analysis.present.documents.standing import (
+    contact_text,
+    ground_word,
+    height_plot,
+    motions_of,
+    quantity_columns,
+    run_rows,
+    task_text,
+)
 from pupper_analysis.present.verdict import lines_to_read, verdict_of_files
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification

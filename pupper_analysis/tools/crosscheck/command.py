@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.matching_options import (
+from pupper_analysis.cli.shared import (
     frame_option,
     map_file_option,
     map_option,

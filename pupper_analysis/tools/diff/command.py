@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.matching_options import fine_tolerance_option, with_changes
+from pupper_analysis.cli.shared import fine_tolerance_option, with_changes
 
 
 @shared.command("diff")

@@ -11,8 +11,14 @@ from pupper_analysis.base.errors import PupperAnalysisError, StanceUnreachableEr
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import contact_table, torque_table
-from pupper_analysis.present.documents.simulated import SAG, run_rows, simulated_table
-from pupper_analysis.present.documents.standing import quantity_columns, stand_table, task_text
+from pupper_analysis.present.documents.standing import (
+    SAG,
+    quantity_columns,
+    run_rows,
+    simulated_table,
+    stand_table,
+    task_text,
+)
 from pupper_analysis.present.verdict import clause_text, verdict_clauses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode

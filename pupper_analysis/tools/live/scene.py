@@ -52,8 +52,6 @@ def colour_of(utilisation: float | None) -> Colour:
     """Returns the colour of a motor's utilisation, in parts of its limit; None without a limit."""
     if utilisation is None or not math.isfinite(utilisation):
         return UNLIMITED
-    if utilisation > 1.0:
-        return BEYOND
     for (low, one), (high, other) in pairwise(SCALE):
         if utilisation <= high:
             share = (utilisation - low) / (high - low)

@@ -13,16 +13,14 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.loads import load_blocks, view_block
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.documents.simulated import (
-    contact_text,
-    height_plot,
-    motions_of,
-    simulated_table,
-)
 from pupper_analysis.present.documents.standing import (
+    contact_text,
     ground_text,
     ground_word,
+    height_plot,
+    motions_of,
     robot_notes,
+    simulated_table,
     stand_table,
     task_text,
 )

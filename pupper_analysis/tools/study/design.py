@@ -46,8 +46,7 @@ from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.spec_state import state_of
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
-from pupper_analysis.pupper.named import split_word
-from pupper_analysis.pupper.variant_files import describe_variant
+from pupper_analysis.pupper.variant_files import describe_variant, split_word
 from pupper_analysis.pupper.variants import BASES, Scaled, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot, rebuild_robot
 from pupper_analysis.robot.robot import Robot

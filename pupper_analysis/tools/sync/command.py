@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.matching_options import (
+from pupper_analysis.cli.modes import refuse_alone, refuse_idle
+from pupper_analysis.cli.shared import (
     fine_tolerance_option,
     frame_option,
     map_file_option,
@@ -18,7 +19,6 @@ from pupper_analysis.cli.matching_options import (
     mapped_names,
     with_changes,
 )
-from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 
 if TYPE_CHECKING:
     from pupper_analysis.tools.sync.models import Sync

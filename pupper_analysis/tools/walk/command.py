@@ -98,8 +98,11 @@ def command(
     if vary is None:
         refuse_alone(["--vary"], "fitted")
     from pupper_analysis.tools.walk.gait import simulate_walk
-    from pupper_analysis.tools.walk.intervals import QUANTITIES, tracked_intervals
-    from pupper_analysis.tools.walk.measured import measured_intervals
+    from pupper_analysis.tools.walk.intervals import (
+        QUANTITIES,
+        measured_intervals,
+        tracked_intervals,
+    )
     from pupper_analysis.tools.walk.orders import rank_orders
     from pupper_analysis.tools.walk.policy import Policy
 

@@ -10,9 +10,15 @@ from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import is_input, read_toml
 from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import onnx, read_onnx, tables
-from pupper_analysis.tools.walk import onnx_file, rtneural, torchscript
 from pupper_analysis.tools.walk.contract import Contract, contract_of, of_rtneural, of_source
 from pupper_analysis.tools.walk.network import Network
+from pupper_analysis.tools.walk.network_files import (
+    TORCHSCRIPT,
+    onnx_network,
+    read_rtneural,
+    rtneural_network,
+    torchscript_network,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +56,13 @@ class Policy:
         except InputError as error:
             raise ModelError(error.path, error.cause) from error
         if path.suffix == ".json":
-            values = rtneural.read_values(path)
-            network, read = rtneural.network_of(path, values), tables.read
+            values = read_rtneural(path)
+            network, read = rtneural_network(path, values), tables.read
             own = of_rtneural(values, network.inputs, network.outputs)
-        elif path.suffix in torchscript.SUFFIXES:  # states nothing but its weights
-            network, read, own = torchscript.network_of(path), None, {}
+        elif path.suffix in TORCHSCRIPT:  # states nothing but its weights
+            network, read, own = torchscript_network(path), None, {}
         else:
-            network, read, own = onnx_file.network_of(path, read_onnx(path)), onnx.read, {}
+            network, read, own = onnx_network(path, read_onnx(path)), onnx.read, {}
         for source in () if read is None else read(Request(path)):
             own = of_source(source) | own
         stated = [(str(path), own), *([(str(beside), toml)] if there else [])]

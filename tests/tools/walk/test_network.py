@@ -15,7 +15,7 @@ import pytest
 
 from pupper_analysis.base.errors import MissingPackageError, ModelError
 from pupper_analysis.tools.contract.readers import read_onnx
-from pupper_analysis.tools.walk import onnx_file, rtneural, torchscript
+from pupper_analysis.tools.walk import network_files
 from pupper_analysis.tools.walk.network import ACTIVATIONS, Network, gru
 from pupper_analysis.tools.walk.policy import Policy
 from tests.tools.walk import made
@@ -43,7 +43,7 @@ def rows(count: int, size: int, seed: int = 0) -> Any:
 
 
 def read(layers: list[dict[str, Any]]) -> Network:
-    return rtneural.network_of(Path("made.json"), {"layers": layers})
+    return network_files.rtneural_network(Path("made.json"), {"layers": layers})
 
 
 @pytest.mark.parametrize("activation", BY_LOOPS)
@@ -126,7 +126,7 @@ def test_a_row_does_not_depend_on_its_neighbours() -> None:
 def read_graph(data: bytes, folder: Path) -> Network:
     path = folder / "made.onnx"
     path.write_bytes(data)
-    return onnx_file.network_of(path, read_onnx(path))
+    return network_files.onnx_network(path, read_onnx(path))
 
 
 def made_graphs() -> dict[str, bytes]:
@@ -177,20 +177,6 @@ def test_onnx_as_by_onnxruntime(kind: str, tmp_path: Path) -> None:
         assert found == pytest.approx(action, abs=ALIKE)  # theirs is of single precision
 
 
-def test_onnx_as_by_loops(tmp_path: Path) -> None:
-    """Without onnxruntime, too: the same layers by loops, weights rounded as the file has them."""
-    draw = np.random.default_rng(6)
-    layers = [
-        (draw.normal(size=(6, 8)), draw.normal(size=8)),
-        (draw.normal(size=(8, 5)), np.ones(5)),
-    ]
-    network = read_graph(made.dense_onnx(layers, "Elu"), tmp_path)
-    row = rows(1, 6)[0]
-    single = [[part.astype(np.float32).astype(float) for part in layer] for layer in layers]
-    hidden = [BY_LOOPS["elu"](x) for x in product(row, *single[0])]
-    assert network.forward(row[None])[0][0] == pytest.approx(product(hidden, *single[1]), abs=ALIKE)
-
-
 def refused(layers: list[dict[str, Any]]) -> str:
     with pytest.raises(ModelError) as caught:
         read(layers)
@@ -207,12 +193,12 @@ def test_what_is_no_policy_of_rtneural_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "policy.json"
     path.write_text('{"kp":\n nothing}')
     with pytest.raises(ModelError, match=r"policy\.json:2: it is no JSON"):
-        rtneural.read_values(path)
+        network_files.read_rtneural(path)
     path.write_text('{"layers": 3}')
     with pytest.raises(ModelError, match="no list of layers"):
-        rtneural.read_values(path)
+        network_files.read_rtneural(path)
     with pytest.raises(ModelError, match="missing"):
-        rtneural.read_values(tmp_path / "missing.json")
+        network_files.read_rtneural(tmp_path / "missing.json")
 
 
 def test_what_does_not_fit_names_its_layer() -> None:
@@ -273,7 +259,7 @@ def _saved(torch: Any, module: Any, path: Path) -> Path:
 def test_torchscript_as_by_loops(torch: Any, tmp_path: Path) -> None:
     layers = torch.nn.Linear(7, 9), torch.nn.ELU(), torch.nn.Linear(9, 4)
     path = _saved(torch, torch.nn.Sequential(*layers), tmp_path / "plain.pt")
-    network, given = torchscript.network_of(path), rows(5, 7)
+    network, given = network_files.torchscript_network(path), rows(5, 7)
     found, _ = network.forward(given)
     assert (network.inputs, network.outputs) == (7, 4)
     for row, out in zip(given, found, strict=True):
@@ -303,12 +289,12 @@ def test_torchscript_that_cannot_be_run_in_lockstep_is_refused(torch: Any, tmp_p
         warnings.simplefilter("ignore")
         torch.jit.save(torch.jit.trace(Counting(), torch.zeros(1, 3), check_trace=False), str(path))
     with pytest.raises(ModelError, match="keeps a state"):
-        torchscript.network_of(path)
+        network_files.torchscript_network(path)
     pickled = tmp_path / "pickled.pt"
     torch.save(torch.nn.Linear(3, 2).state_dict(), str(pickled))
     with pytest.raises(ModelError, match="no network"):
-        torchscript.network_of(pickled)
+        network_files.torchscript_network(pickled)
     bad = torch.nn.Linear(3, 2)
     bad.weight.data[0, 0] = math.nan
     with pytest.raises(ModelError, match="weight"):
-        torchscript.network_of(_saved(torch, bad, tmp_path / "nan.pt"))
+        network_files.torchscript_network(_saved(torch, bad, tmp_path / "nan.pt"))

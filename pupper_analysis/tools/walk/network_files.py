@@ -1,21 +1,31 @@
-"""ONNX: the network of a feed-forward or recurrent policy, made of its file's graph.
+"""Networks of policies, read from their files: ONNX, RTNeural's JSON, TorchScript.
 
-Only what policies consist of is known; what is not is refused by its operator's name. Nothing is
-executed but the operations of ``network``. Fields are numbered as in onnx.proto (ONNX 1.16).
+Of ONNX only what policies consist of is known; what is not is refused by its operator's name.
+Nothing is executed but the operations of ``network``. Fields are numbered as in onnx.proto (ONNX
+1.16). RTNeural's JSON is a chain of dense, recurrent and activation layers. TorchScript is a
+program of its own, which torch's interpreter runs (it has no Python): it is read by
+``torch.jit.load`` alone, and nothing is unpickled; its rows are evaluated one by one, so that what
+a run gives does not depend on how many others are evaluated with it.
 """
 
 from __future__ import annotations
 
+import io
 import struct
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import InputError, MissingPackageError, ModelError
+from pupper_analysis.base.inputs import MOST_FILE, read_input
+from pupper_analysis.models.places import Place, refuse_file, refuse_input
 from pupper_analysis.tools.contract.readers import (
     OnnxFile,
     gather_fields,
@@ -30,6 +40,7 @@ from pupper_analysis.tools.walk.network import (
     Node,
     Operation,
     checked,
+    dense,
     elu,
     gru,
     lstm,
@@ -76,7 +87,7 @@ def _tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
     return name, found.reshape(dims).astype(np.float64)
 
 
-def network_of(path: Path, file: OnnxFile) -> Network:
+def onnx_network(path: Path, file: OnnxFile) -> Network:
     """Returns the network of an ONNX file.
 
     Args:
@@ -265,3 +276,150 @@ _OPERATORS: dict[str, Make] = {
     "LSTM": _lstm,
     **dict.fromkeys(_IGNORED, _plain(ACTIVATIONS["linear"])),
 }
+
+
+_ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}
+"""How many arrays of weights a layer has."""
+
+
+def read_rtneural(path: Path) -> dict[str, Any]:
+    """Returns what RTNeural's JSON holds.
+
+    Raises:
+        ModelError: If it cannot be read, or has no list of layers.
+    """
+    try:
+        values = orjson.loads(read_input(path, MOST_FILE))
+    except InputError as error:
+        raise refuse_input(path, error) from error
+    except orjson.JSONDecodeError as error:
+        message = diagnose("contract-no-json", problem=error.msg)
+        raise refuse_file(Place(path, error.lineno), message) from error
+    if not isinstance(values, dict) or not isinstance(values.get("layers"), list):
+        raise ModelError(path, diagnose("contract-no-rtneural"))
+    return values
+
+
+def rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
+    """Returns the network of an RTNeural JSON.
+
+    Args:
+        path: The file, for messages.
+        values: Its content.
+
+    Raises:
+        ModelError: If a layer is of another kind, or sizes do not fit; it names the layer.
+    """
+    layers = values["layers"]
+    if not layers:
+        raise ModelError(path, diagnose("no-network"))
+    nodes: list[Node] = []
+    constants: dict[str, Array] = {}
+    memory: list[tuple[str, str, int]] = []
+    last = "observation"
+    inputs = 0
+    for number, layer in enumerate(layers, 1):
+        kind = layer.get("type") if isinstance(layer, dict) else None
+        name = f"layer {number} ({kind})"
+        after = f"value {number}"
+        if kind in _ARRAYS:
+            arrays = _weights(path, name, layer, _ARRAYS[kind])
+            if not inputs:
+                inputs = len(arrays[0])
+            named = tuple(f"{name}, weights {index}" for index in range(1, len(arrays) + 1))
+            constants |= dict(zip(named, arrays, strict=True))
+            if kind == "lstm":
+                size, state = len(arrays[1]), (f"{name} h", f"{name} c")
+                ahead = (after, f"{name} c next")
+                nodes.append(Node(name, lstm, (last, *state, *named), ahead))
+                memory += zip(state, ahead, (size, size), strict=True)
+            elif kind == "gru":
+                nodes.append(Node(name, gru, (last, f"{name} h", *named), (after,)))
+                memory.append((f"{name} h", after, len(arrays[1])))
+            else:
+                nodes.append(Node(name, dense, (last, *named), (after,)))
+            last = after
+        elif kind != "activation":
+            known = (*_ARRAYS, "activation")
+            raise ModelError(path, diagnose("layer-unknown", layer=name, known=known))
+        activation = layer.get("activation") or "linear"
+        if activation not in ACTIVATIONS:
+            problem = diagnose("layer-unknown", layer=f"{name}: {activation}", known=ACTIVATIONS)
+            raise ModelError(path, problem)
+        if kind not in ("gru", "lstm") and activation != "linear":  # theirs are inside
+            shaped = f"{after} {activation}"
+            nodes.append(Node(name, ACTIVATIONS[activation], (last,), (shaped,)))
+            last = shaped
+    return checked(path, nodes, constants, ("observation", last), memory, inputs)
+
+
+def _weights(path: Path, name: str, layer: dict[str, Any], count: int) -> list[Array]:
+    """Returns the arrays of a layer; biases are vectors, or two of them for a GRU."""
+    given = layer.get("weights")
+    if not isinstance(given, list) or len(given) != count:
+        raise ModelError(path, diagnose("layer-weights", layer=name, count=count))
+    try:
+        arrays = [np.array(one, dtype=np.float64) for one in given]
+    except (ValueError, TypeError) as error:
+        raise ModelError(path, diagnose("layer-weights", layer=name, count=count)) from error
+    fits = all(one.ndim == 2 for one in arrays[:-1])
+    if not fits or arrays[-1].ndim not in (1, 2) or sum(one.size for one in arrays) > MOST_WEIGHTS:
+        raise ModelError(path, diagnose("layer-weights", layer=name, count=count))
+    return arrays
+
+
+TORCHSCRIPT = (".pt", ".pth", ".jit", ".ts")
+"""How files of TorchScript are called."""
+
+_MOST_BYTES = 4 * MOST_WEIGHTS
+"""Of a file of TorchScript: as many weights in single precision as any network may have."""
+
+
+def torchscript_network(path: Path) -> Network:
+    """Returns the network of a TorchScript file.
+
+    Raises:
+        MissingPackageError: If torch is not installed.
+        ModelError: If it is none, or keeps a state of its own from one observation to the next.
+    """
+    try:
+        data = read_input(path, _MOST_BYTES)
+    except InputError as error:
+        raise ModelError(error.path, error.cause) from error
+    try:
+        torch = import_module("torch")
+    except ImportError as error:
+        raise MissingPackageError("torch", "torch") from error
+    try:
+        with warnings.catch_warnings():  # torch has had successors of this format since 2.9
+            warnings.simplefilter("ignore")
+            module = torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
+    except Exception as error:  # torch's reader raises whatever its C++ throws
+        raise ModelError(path, diagnose("no-network")) from error
+    weights = dict(module.named_parameters())
+    count = sum(int(one.numel()) for one in weights.values())
+    if count > MOST_WEIGHTS:
+        problem = diagnose("too-many-weights", layer="", count=count, most=MOST_WEIGHTS)
+        raise ModelError(path, problem)
+    first = next((one for one in weights.values() if one.ndim == 2), None)
+    if first is None:
+        raise ModelError(path, diagnose("no-network"))
+    kind, size = first.dtype, int(first.shape[1])
+
+    def apply(value: Array) -> Any:
+        with torch.no_grad():
+            try:
+                made = [module(torch.tensor(row, dtype=kind)).double().numpy() for row in value]
+            except (RuntimeError, AttributeError) as error:  # sizes; a tuple where one is due
+                raise ValueError(str(error)) from error
+        return np.stack(made)
+
+    constants = {name: one.detach().double().numpy() for name, one in weights.items()}
+    node = Node("TorchScript", apply, ("observation",), ("action",))
+    network = checked(path, [node], constants, ("observation", "action"), [], size)
+    zeros, ones = np.zeros((1, size)), np.ones((1, size))
+    before = network.forward(zeros)[0]
+    network.forward(ones)
+    if not np.array_equal(before, network.forward(zeros)[0], equal_nan=True):
+        raise ModelError(path, diagnose("network-keeps-state"))
+    return network
