@@ -40,9 +40,6 @@ from tests.support.repository import ROOT
 FOLDERS = ("docs/how-to", "docs/tutorials", "docs/explanation", "docs/zh", "docs/zh/how-to")
 """Of pages whose every block is run, beside the README."""
 
-ELSEWHERE = ("docs/explanation/architecture.md",)
-"""Pages whose blocks are parts of a package: `tests/present/test_new_result.py` runs them."""
-
 NEVER = {
     "pip install": "it needs the network",
     "--bridge ros2": "it needs a robot's own computer",
@@ -127,8 +124,7 @@ def late_lines(block: Block) -> int:
 def pages() -> list[Path]:
     """The pages whose blocks are run."""
     found = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
-    shown = [path for path in found if path.relative_to(ROOT).as_posix() not in ELSEWHERE]
-    return [ROOT / "README.md", *shown]
+    return [ROOT / "README.md", *found]
 
 
 def english(page: Path) -> Path:
