@@ -65,12 +65,6 @@ def test_a_process_of_a_study_needs_no_opengl(tmp_path: Path) -> None:
     assert (result.stdout, result.stderr) == ("osmesa\n", "")
 
 
-def test_what_works_is_left_alone(tmp_path: Path) -> None:
-    code = "import pupper_analysis, mujoco; print(mujoco.MjModel.__name__)"
-    result = run("-c", code, folder=tmp_path, gl="disable")
-    assert result.stdout == "MjModel\n", result.stderr
-
-
 def test_a_command_loads_no_opengl_that_it_does_not_draw_with(tmp_path: Path) -> None:
     """GLFW starts a process of its own to be loaded: a tenth of the time of `stand v3`."""
     code = """

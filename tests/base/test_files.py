@@ -30,7 +30,7 @@ from pupper_analysis.base.kinds import (
 )
 from pupper_analysis.base.provenance import marked_json
 from pupper_analysis.base.runs import note_input, running
-from tests.support.commands import answer, run_command
+from tests.support.commands import run_command
 from tests.support.repository import ROOT
 
 
@@ -93,15 +93,6 @@ def test_links_are_followed(tmp_path: Path) -> None:
         assert real.read_text() == text
         assert not real.is_symlink()
     assert sorted(tmp_path.rglob("*")) == [link, real.parent, real]
-
-
-def test_a_hard_link_keeps_the_old_file(tmp_path: Path) -> None:
-    """A file takes the place of the name that was given, in one step: docs/how-to/output.md."""
-    given, other = tmp_path / "given", tmp_path / "other"
-    given.write_text("old")
-    other.hardlink_to(given)
-    write(given, text="new")
-    assert (given.read_text(), other.read_text()) == ("new", "old")
 
 
 def test_links_in_a_circle_are_refused(tmp_path: Path) -> None:
@@ -233,12 +224,6 @@ def test_dash_is_standard_output(
     assert "intervals" in json.loads(out) or json.loads(out)
     assert "height" in err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_dash_can_be_asked_for_once(tmp_path: Path) -> None:
-    result = answer("path", "v3", "--seconds", "1", "--csv", "-", "--json", "-", folder=tmp_path)
-    assert result.returncode == 2
-    assert "two results" in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -42,12 +42,6 @@ def test_json_page_markdown_and_pictures_say_where_they_come_from(tmp_path: Path
         assert f"mujoco {mujoco.__version__}" in shown
 
 
-def test_in_python_there_is_no_command() -> None:
-    found = find_provenance()
-    assert (found.command, found.files) == ("", {})
-    assert found.lines()[0] == found.date
-
-
 def test_of_many_files_a_page_lists_the_first() -> None:
     many = replace(find_provenance(), files={f"{n:02}.stl": "0" * 64 for n in range(20)})
     assert "11.stl" in many.lines()[-2]

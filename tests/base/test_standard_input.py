@@ -132,20 +132,3 @@ def test_missing_standard_input_is_refused(capfd, monkeypatch) -> None:
     status, _, err = run_command(capfd, "audit", "-")
     assert status == 2
     assert "standard input cannot be read" in err
-
-
-def test_a_file_of_that_name_is_a_file(capfd) -> None:
-    Path("standard input").write_text(urdf_text(arm()))
-    status, _, _ = run_command(capfd, "audit", "standard input")
-    assert status in (0, 1)
-
-
-def test_convert_reads_standard_input(capfd, given) -> None:
-    text = urdf_text(arm())
-    Path("robot.urdf").write_text(text)
-    run_command(capfd, "convert", "robot.urdf", "-o", "one.xml")
-    given(text)
-    status, _, err = run_command(capfd, "convert", "-", "-o", "two.xml")
-    assert status in (0, 1), err
-    expected = Path("one.xml").read_text().replace("robot.urdf", str(STANDARD_INPUT))
-    assert Path("two.xml").read_text() == expected

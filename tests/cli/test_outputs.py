@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import importlib
 import json
 import os
 import re
@@ -17,7 +16,6 @@ import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import click
 import pytest
@@ -430,30 +428,3 @@ def test_a_file_system_that_is_read_only_is_found_before_the_work(full: Path) ->
         assert (given.returncode, given.stdout) == (2, ""), given
         assert one_line(given)
         assert "no file may be made" in given.stderr
-
-
-def test_a_folder_whose_place_a_file_takes_meanwhile_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fill(tmp_path)
-    (tmp_path / "into").mkdir()
-    audited = importlib.import_module("pupper_analysis.tools.audit.audit").audit_model
-
-    def meanwhile(*words: Any, **given: Any) -> Any:
-        (tmp_path / "into").rmdir()
-        if taken:
-            (tmp_path / "into").write_text("mine")
-        return audited(*words, **given)
-
-    monkeypatch.setattr("pupper_analysis.tools.audit.audit.audit_model", meanwhile)
-    words = ("audit", "robot.urdf", "--json", "into/a.json")
-    taken = False  # and then the folder is made again
-    assert answer(*words, folder=tmp_path).returncode < 2
-    assert (tmp_path / "into" / "a.json").is_file()
-    shutil.rmtree(tmp_path / "into")
-    (tmp_path / "into").mkdir()
-    taken = True
-    given = answer(*words, folder=tmp_path)
-    assert given.returncode == 2, given
-    assert len([line for line in given.stderr.splitlines() if "error" in line]) == 1
-    assert (tmp_path / "into").read_text() == "mine"

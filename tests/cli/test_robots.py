@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
-import sys
 from pathlib import Path
 
 import pytest
@@ -73,15 +70,6 @@ def test_robots_of_one_name_are_told_apart() -> None:
     assert names == ["v3 (a.urdf)", "v3 (b.xml)", "v3 (b.xml) 2", "v3"]
 
 
-def test_a_urdf_and_its_mjcf_are_one_robot(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    page = tmp_path / "payload.json"
-    status, _, _ = run_command(capfd, "payload", str(URDF), str(MJCF), "--json", str(page))
-    assert status == 0
-    assert json.loads(page.read_text())["name"] == "pupper_v3"
-
-
 @pytest.mark.parametrize(
     ("words", "options", "message"),
     [
@@ -118,29 +106,6 @@ def test_robots_of_files_stand_beside_variants(capfd: pytest.CaptureFixture[str]
     assert "(from one file)" in verdicts[0]
     assert "one file" not in verdicts[1]
     assert "2 of 2 verified" in out
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [("stand --explain", "4 feet"), ("live --mujoco", "nq=19"), ("live --drop", "stable)")],
-)
-def test_modes_without_a_stance_take_one_file(
-    capfd: pytest.CaptureFixture[str], line: str, said: str
-) -> None:
-    headless = ["--headless"] if line.startswith("live") else []
-    status, out, _ = run_command(capfd, *line.split(), str(MJCF), *headless)
-    assert status == 0
-    assert said in out
-
-
-def test_standard_input_is_a_robot(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    text = io.BytesIO(URDF.read_bytes())
-    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(text))
-    status, out, _ = run_command(capfd, "stand", "--explain", "-")
-    assert status == 0
-    assert "was made of standard input in memory" in out.replace("\n", " ")
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,6 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.servo_tuning import SAG, held_gains
-from pupper_analysis.present.documents import sources
-from pupper_analysis.present.html import plots
 from pupper_analysis.pupper.derive import derive_mjcf
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.floor import floor_of, level_ground
@@ -51,9 +49,6 @@ def test_a_held_joint_is_no_stiffer_than_the_time_step_allows() -> None:
     """The step is half a radian of the servo's own motion: h sqrt(kp / I)."""
     kp, _ = held_gains(rods(1e-2), None, None)
     np.testing.assert_allclose(1e-2 * np.sqrt(kp / (2 * 0.1**2)), 0.5, rtol=1e-2)
-
-
-# ------------------------------------------------------------------------------------- the page
 
 
 # --------------------------------------------------------------------------------------- models
@@ -157,21 +152,3 @@ def test_joints_that_miss_their_prediction_by_milliradians_do_not_verify_it() ->
     assert found.force_error < 0.01
     assert 1e-3 < found.joint_error < 1e-2
     assert not found.passed
-
-
-# ------------------------------------------------------------------------------------- in words
-
-
-def test_a_long_element_is_quoted_from_its_beginning(tmp_path: Path) -> None:
-    rows = ['<geom name="a"', *(f'  a{number}="1"' for number in range(4)), '  b="2"/>']
-    (tmp_path / "part.xml").write_text("<x>\n" + "\n".join(rows))
-    quoted = sources.quote_line("part.xml:7", str(tmp_path / "main.xml"))
-    assert quoted == "\n".join(row.strip() for row in rows)
-
-
-@pytest.mark.parametrize("ends", [(2.0, 300.0), (1.0, 100.0)])
-def test_a_logarithmic_axis_has_its_ends(ends: tuple[float, float]) -> None:
-    low, high = (math.log10(end) for end in ends)
-    written = plots._values(plots.Axis("gain", "", ".3g", log=True), low, high, ())
-    assert (min(written), max(written)) == pytest.approx(ends)
-    assert len(written) >= 7

@@ -104,34 +104,3 @@ def test_the_check_sees_a_stand_that_is_a_little_off() -> None:
         assert not stances.check_forces(demand, statics)
         pushed = {foot: 1.001 * force for foot, force in statics.contact_forces.items()}
         assert stances.check_forces(demand, replace(statics, contact_forces=pushed))
-
-
-def test_the_check_finds_stands_that_are_in_reach() -> None:
-    """Least squares find every stand that the solver finds; else confirming says nothing."""
-    robot, random = load("original"), np.random.default_rng(5)
-    found = 0
-    while found < 8:
-        task = stances.random_task(robot, random)
-        try:
-            pa.solve_stand(robot, task, explain=False)
-        except (pa.StanceUnreachableError, pa.ConfigurationError):
-            continue
-        found += 1
-        assert stances.Demand(robot, task).nearest(random) < stances.REACHED, task
-
-
-def test_the_check_knows_what_can_be_held() -> None:
-    """Level ground with the com inside or outside; slopes under and over the friction's angle."""
-    robot = load("v3")
-    demand = stances.Demand(robot, pa.StandTask())
-    for shift, held in ((0.0, True), (0.074, True), (0.076, False), (0.2, False)):
-        com = demand.centre + np.array([shift, 0.0, 0.12])
-        assert demand.holdable(com, inner=True) is held
-        assert demand.holdable(com, inner=False) is held
-    friction = min(contact.sliding_friction for contact in robot.contacts.values())
-    for factor, held in ((0.98, True), (1.02, False)):
-        slope = float(np.arctan(factor * friction))
-        demand = stances.Demand(robot, pa.StandTask(ground=pa.Ground(slope, 0.4)))
-        com = demand.centre + np.array([0.0, 0.0, 0.01])
-        assert demand.holdable(com, inner=True) is held
-        assert demand.holdable(com, inner=False) is held

@@ -1,4 +1,4 @@
-"""Results are shown as golden documents have it, and each cell is the same wherever it is shown.
+"""Results are shown as golden documents have it, and each cell is the same on a page.
 
 ``golden/*.md`` are documents of results whose numbers are all different (``stubs``), as Markdown:
 what a change of a builder changes is read in their diff.
@@ -7,7 +7,6 @@ what a change of a builder changes is read in their diff.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from functools import cache
 
@@ -23,7 +22,6 @@ from pupper_analysis.present.document import (
 )
 from pupper_analysis.present.html.write import render_page
 from pupper_analysis.present.markdown import write_markdown
-from tests.support import printing
 from tests.support.html_page import Page
 from tests.support.repository import ROOT
 from tests.support.stubs import (
@@ -31,9 +29,6 @@ from tests.support.stubs import (
 )
 
 GOLDEN = ROOT / "tests" / "golden"
-
-BARS = dict.fromkeys(map(ord, "█▏▎▍▌▋▊▉"))
-"""What draws shares of a whole on a terminal."""
 
 Rows = list[dict[str, str]]
 
@@ -63,31 +58,6 @@ def said(table: Table) -> Rows:
     return [dict(zip(heads, map(plain, row), strict=True)) for row in table.rows]
 
 
-def in_markdown(text: str) -> list[Rows]:
-    """The tables of a Markdown text."""
-    found, joiner = [], "\u2060"
-    for lines in re.findall(r"(?m)(?:^\|.*\|\n)+", text.replace(joiner, "")):
-        split = [re.split(r"(?<!\\)\|", line)[1:-1] for line in lines.splitlines()]
-        cells = [[re.sub(r"\\(.)", r"\1", one).strip().strip("*") for one in row] for row in split]
-        found.append([dict(zip(cells[0], row, strict=True)) for row in cells[2:]])
-    return found
-
-
-def on_a_terminal(table: Table, text: str) -> Rows:
-    """The rows of a table as a wide terminal shows it: columns have two blanks between them."""
-    lines = text[text.index(f"\n{in_english(table.title)}\n") :].splitlines()[2:]
-    rule = next(number for number, line in enumerate(lines) if line.startswith("─"))
-    shown = lines[:rule] + lines[rule + 1 : rule + 1 + len(table.rows)]
-    wide = max(map(len, shown))
-    blank = "".join(
-        " " if all(line.ljust(wide)[at] == " " for line in shown) else "x" for at in range(wide)
-    )
-    places = [found.span() for found in re.finditer(r"x+( x+)*", blank)]
-    split = [[" ".join(line[a:b].translate(BARS).split()) for a, b in places] for line in shown]
-    heads = [" ".join(filter(None, parts)) for parts in zip(*split[:rule], strict=True)]
-    return [dict(zip(heads, row, strict=True)) for row in split[rule:]]
-
-
 def without_lines(rows: Rows) -> list[list[str]]:
     """What is in each row: headers and cells without what is broken into lines."""
     return [[" ".join(one.split()).replace(" (–)", "") for one in (*row, *row.values())]
@@ -100,20 +70,12 @@ def test_documents_are_the_golden_ones(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", REPORTS)
-def test_cells_are_the_same_wherever_they_are_shown(name: str) -> None:
-    """On a terminal, on a page and in Markdown: each in its column, under its name and unit."""
-    shown = report(name)
-    expected = [without_lines(said(table)) for table in tables(shown)]
+def test_cells_of_a_page_are_the_documents(name: str) -> None:
+    """Each in its column, under its name and unit; a terminal's: ``test_terminal.py``."""
+    expected = [without_lines(said(table)) for table in tables(report(name))]
     assert expected
-    commented = [without_lines(rows) for rows in in_markdown(write_markdown(shown))]
-    # Where something compares documents, a comment has that alone.
-    assert commented == expected[: sum(isinstance(one, Table) for one in shown.overview) or None]
-    read = [without_lines(rows) for rows in Page(render_page(shown)).every_table()]
+    read = [without_lines(rows) for rows in Page(render_page(report(name))).every_table()]
     assert read == expected
-    for document in shown.documents:
-        text = printing.printed(document, width=600)
-        for table in (block for block in document.blocks if isinstance(block, Table)):
-            assert without_lines(on_a_terminal(table, text)) == without_lines(said(table))
 
 
 def write(names: Iterable[str]) -> None:

@@ -67,12 +67,6 @@ def test_places_of_annotations_are_file_and_line(place: str | None, parameters: 
     assert write_github([Annotation("warning", "t", "m", place)]) == f"::warning {parameters}::m"
 
 
-def test_control_characters_are_escaped() -> None:
-    line = write_github([Annotation("notice", "a: b, c %\nd", "5 %: a, b\r\n100 %25", None)])
-    assert line == "::notice title=a%3A b%2C c %25%0Ad::5 %25: a, b%0D%0A100 %2525"
-    assert "\n" not in line
-
-
 TEXT = st.text(st.sampled_from("ab%:,\n\r=0A25D3C ") | st.characters(codec="utf-8"), max_size=30)
 
 

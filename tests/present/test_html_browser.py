@@ -21,7 +21,6 @@ from pupper_analysis.tools.analyze.comparison import (
 )
 from tests.present.test_html import EVIL, analysis, evil_analysis
 from tests.support.variants import load
-from tests.tools.study.test_document import outcome
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = ("--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader")
@@ -124,22 +123,6 @@ def test_views_that_nobody_has_scrolled_to_are_on_paper_too(browser: Any, file: 
     one.context.close()
 
 
-def test_a_page_is_whole_beneath_the_navigation(opened: Opened) -> None:
-    canvas = stage(opened)
-    opened.page.evaluate(
-        """() => { const top = document.querySelector(".canvas").getBoundingClientRect().top;
-        scrollTo({ top: scrollY + top + 150, behavior: "instant" }); }"""
-    )
-    opened.page.evaluate("window.report.views[0].turn(0.1, 0)")
-    opened.page.wait_for_timeout(300)
-    box = canvas.bounding_box()
-    assert box["y"] == pytest.approx(-150, abs=2)
-    seen = Image.open(io.BytesIO(opened.page.screenshot())).convert("RGB")
-    below = np.asarray(seen).astype(int)[60 : int(box["y"] + box["height"]) - 4, 100:1000]
-    assert (below.std(axis=1).sum(axis=1) > 3).mean() > 0.95  # of the rows have lines of the floor
-    opened.page.locator(".reset").click()
-
-
 def test_joints_are_drawn_where_pinocchio_has_them(opened: Opened) -> None:
     """By the page's own transforms of the MJCF's axes; Pinocchio's are the URDF's."""
     stage(opened)
@@ -180,15 +163,6 @@ def test_a_joint_lights_up_and_says_what_it_does(opened: Opened) -> None:
     assert orange.sum() > ((dark[..., 0] > 190) & (dark[..., 1] < 140) & (dark[..., 2] < 70)).sum()
     button.blur()
     assert opened.page.locator(".hint").inner_text().startswith("Drag to turn")
-
-
-def test_parts_can_be_hidden(opened: Opened) -> None:
-    canvas = stage(opened)
-    shapes = opened.page.locator("[data-layer=shapes]")
-    shapes.uncheck()
-    hidden = opened.pixels(canvas)
-    assert ((hidden[..., 0] > 150) & (hidden[..., 2] < 90)).mean() < 0.003
-    shapes.check()
 
 
 def test_the_simulated_motion_can_be_stepped_through(opened: Opened) -> None:
@@ -292,40 +266,6 @@ def test_a_page_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, sch
     assert light == (scheme == "light")
     one.page.locator("#theme").click()
     assert one.page.evaluate("getComputedStyle(document.body).backgroundColor") != colour
-    assert one.complaints == []
-    one.context.close()
-
-
-def test_a_study_tells_its_cells_and_designs(browser: Any, tmp_path: Path) -> None:
-    file = tmp_path / "study.html"
-    pa.report.write_report(outcome(), file)
-    one = Opened(browser, file, viewport={"width": 1000, "height": 900})
-    page, table = one.page, outcome().table
-    tip = page.locator("#tip")
-
-    def point(drawing: Any, line: str, index: int, off: tuple[float, float]) -> None:
-        drawing.scroll_into_view_if_needed()
-        place = drawing.locator(line).first.evaluate(
-            "(line, i) => { const m = line.getScreenCTM(); const p = line.points[i];"
-            "return [m.a * p.x + m.e, m.d * p.y + m.f]; }",
-            index,
-        )
-        page.mouse.move(place[0] + off[0], place[1] + off[1])
-
-    cells = page.locator("figure.plot", has_text="peak_utilisation over").locator("svg").first
-    point(cells, ".unseen", 4, (70, 40))  # far from its middle, but in the cell
-    chosen = table[(table["leg_scale"] == 1.0) & (table["height"] == 0.15)]["peak_utilisation"]
-    assert f"leg_scale 1, height 0.15: {chosen.iloc[0]:.4g}" in tip.inner_text()
-    designs = page.locator("figure.table", has_text="no.").last
-    designs.locator("th", has_text="servo_sag").locator("button").click()
-    texts = designs.locator("tbody tr td:nth-child(6)").all_inner_texts()
-    shown = [float(text) for text in texts if text != "-"]
-    assert shown == sorted(shown)
-    assert len(shown) == 12
-    page.locator("#language").click()
-    page.set_viewport_size({"width": 360, "height": 740})
-    wide = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
-    assert wide[0] <= wide[1]
     assert one.complaints == []
     one.context.close()
 

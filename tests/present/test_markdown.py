@@ -6,10 +6,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import click
 import pytest
 
-from pupper_analysis import cli
 from pupper_analysis.present.document import (
     Column,
     Document,
@@ -110,12 +108,6 @@ def test_a_document_is_markdown() -> None:
     )
 
 
-def test_where_several_are_compared_each_is_told_in_short() -> None:
-    shown = write_markdown(Report(text("report"), (DOCUMENT, DOCUMENT), (TABLE,)))
-    assert shown.count("Motor torques") == 1
-    assert shown.count("### ❌ FAILS v3") == 2
-
-
 EVIL = (
     "@everyone",
     "#1",
@@ -174,15 +166,6 @@ def test_a_comment_has_room_for_it() -> None:
     assert len(shown) < MOST_LETTERS
     assert shown.startswith("### ❌ FAILS v3\n\n- **it fell over**")
     assert "`--json` has all numbers" in shown
-
-
-def test_every_command_with_a_result_has_it() -> None:
-    for name in cli.group.list_commands(click.Context(cli.group)):
-        options = {option.name: option for option in cli.find_command(name).params}
-        assert ("style" in options) == ("json_path" in options), name
-        if "style" in options:
-            assert "markdown" in options["style"].type.choices  # type: ignore[attr-defined]
-            assert "everything" in options
 
 
 def test_markdown_is_all_that_stands_on_standard_output(tmp_path: Path) -> None:

@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from types import SimpleNamespace as Stub
-from typing import Any
 
-import numpy as np
 import pytest
 
 from pupper_analysis.models.transmission import Drive, MadeServo
-from pupper_analysis.present.document import Document, LinePlot, Table, in_english
+from pupper_analysis.present.document import Document
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.tools.analyze import comparison
-from pupper_analysis.tools.analyze.document import analysis_document
-from pupper_analysis.tools.best.document import best_document
-from pupper_analysis.tools.best.search import Objective
-from pupper_analysis.tools.crosscheck.document import comparison_document
 from pupper_analysis.tools.path.document import path_document
 from pupper_analysis.tools.payload.document import payload_document
-from pupper_analysis.tools.payload.limit import PayloadLimit
 from pupper_analysis.tools.stand.document import stance_document
 from tests.support import printing
 from tests.support.stubs import (
     ANALYSIS,
     SERVOS,
     STAND,
-    best,
-    files,
     loaded,
     problem,
     run,
@@ -41,12 +31,6 @@ def printed(shown: Document) -> list[str]:
     """The words that are printed, without rules and bars."""
     text = printing.printed(shown, width=240)
     return [word for word in text.split() if word.strip("─█▏▎▍▌▋▊▉")]
-
-
-def test_legs_of_one_joint_have_no_thigh() -> None:
-    stub: Any = Stub(**{**vars(ANALYSIS), "thigh_length": None})
-    text = " ".join(printed(analysis_document(stub)))
-    assert "thigh -, calf 112.2 mm" in text
 
 
 def test_what_is_compared_is_what_is_meant() -> None:
@@ -112,29 +96,6 @@ def test_a_stance_that_fails() -> None:
     assert "HOLDS" not in text
 
 
-def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
-    limit = object.__new__(PayloadLimit)  # whose document is found by its type
-    vars(limit).update({**vars(loaded()), **loaded().bounds, "binding": "servos"})
-    best = Stub(
-        objective=Objective.PAYLOAD, value=2.349, nominal_value=1.118, evaluations=5,
-        coordinates={"yaw": math.radians(-3.3)}, active=(), payload=limit,
-    )  # fmt: skip
-    study: Any = Stub(best=best, stance=stance(), passed=True)
-    text = " ".join(printed(best_document(study)))
-    assert "best of 5 stances: payload 2.34 kg, against 1.11 kg as asked height 104.4 mm" in text
-    assert "yaw -3.3 °" in text
-    assert "nudged: at 3.46 s the robot tips (FL)" in text
-
-
-def test_the_height_along_a_path_is_drawn_in_millimetres() -> None:
-    (drawn,) = [
-        block.series[0].y
-        for block in path_document(there()).blocks
-        if isinstance(block, LinePlot) and block.y.unit == "mm"
-    ]
-    np.testing.assert_allclose(drawn, 123.0)
-
-
 def test_limits_say_that_their_servos_were_made_up() -> None:
     """Of a robot without servos nobody stated what it can carry, or be pushed by."""
     made = MadeServo("knee", 320.0, 16.0, Drive.MOTOR)
@@ -151,23 +112,3 @@ def test_motors_without_a_limit_are_named() -> None:
     text = " ".join(printed(payload_document(loaded("hip", "knee"))))
     assert "Motors without effort limit, which set no payload: 2 (hip, knee)." in text
     assert "Motors without" not in " ".join(printed(payload_document(loaded())))
-
-
-def test_the_rest_of_a_best_stance_is_the_stance_s_own() -> None:
-    shown, alone = best_document(best()), stance_document(stance())
-    titles = [[in_english(one.title) for one in document.blocks if isinstance(one, Table)]
-              for document in (shown, alone)]  # fmt: skip
-    assert set(titles[1]) < set(titles[0])
-    assert shown.findings[1:] == alone.findings
-
-
-def test_what_engines_make_of_one_file_is_seen_where_they_differ() -> None:
-    """Columns of one file are in a short view only if something in them is more than tolerated."""
-    found = files()
-    short = printing.printed(comparison_document(found), width=240, everything=False)
-    assert "(URDF)" not in short.partition("Deviation")[2]
-    assert "On each file alone, engines and readers agree within 3.3e-13." in short
-    found.check.quantities[0].edges["engines (URDF)"] = 1.7e-3
-    odd = printing.printed(comparison_document(found), width=240, everything=False)
-    assert "1.7e-03" in odd.partition("Deviation")[2]
-    assert "agree within 4.4e-14." in odd

@@ -152,12 +152,6 @@ def test_paths_are_relative_to_the_checkout(
     assert from_root(inside / "a.urdf") == "a.urdf"
 
 
-def test_outside_the_checkout_it_is_a_whole_uri(tmp_path: Path) -> None:
-    run = checked_log(write_sarif([finding(place=str(tmp_path / "a b.urdf"))]))
-    uri = run["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
-    assert uri == (tmp_path / "a b.urdf").as_uri()
-
-
 def test_of_the_commands(tmp_path: Path) -> None:
     text = (ROOT / "urdf" / "pupper_skeleton.urdf").read_text()
     text = text.replace('<mass value="1.506"/>', '<mass value="-1.506"/>')

@@ -22,7 +22,6 @@ from pupper_analysis.present.document import (
 from pupper_analysis.present.terminal import MOST_NOTES, SafeConsole, print_document
 from tests.support.commands import run_command
 from tests.support.printing import printed
-from tests.support.repository import ROOT
 from tests.support.stubs import problem
 
 
@@ -60,12 +59,6 @@ def test_every_cell_is_there_in_any_width(columns: int, rows: int, width: int) -
             assert sum(f" {cell.text}" in line for line in lines) == 1
     for column in made.columns[1:]:
         assert str(column.name.text).split()[1] in " ".join(lines)  # type: ignore[union-attr]
-
-
-def test_a_table_of_few_rows_is_turned_over() -> None:
-    lines = shown(table(17, 3))
-    assert lines[3].split() == ["joint", "joint_0", "joint_1", "joint_2"]
-    assert lines[5].split() == ["column", "1", "(N", "m)", "0000.01", "0001.01", "0002.01"]
 
 
 def test_sentences_are_wrapped_and_names_are_not() -> None:
@@ -142,13 +135,3 @@ def test_a_stand_fits_80_columns_and_its_files_are_confirmed(
     tables = [line for line in lines if re.search("─|^(leg_|[FR][RL] )", line)]
     assert len(tables) == 12 + 4 + 4 + 5
     assert max(map(len, tables)) <= 80
-
-
-def test_nothing_is_confirmed_where_data_goes_to_standard_output(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    file = str(ROOT / "urdf" / "pupper_v3.urdf")
-    _, out, err = run_command(capfd, "audit", file, "--json", "-")
-    assert out.startswith("{")
-    assert err.startswith("OK")
-    assert "written" not in out + err

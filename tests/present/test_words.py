@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import ast
 import re
-import tomllib
 from collections.abc import Iterator
 
 import pytest
 
 from pupper_analysis.base.diagnostics import LANGUAGES, phrase
-from pupper_analysis.base.diagnostics.catalogue import LINED, list_entries, word_files
 from pupper_analysis.present.document import Name, join_words, text, word
 from pupper_analysis.tools.study.measures import METRICS
 from tests.base.diagnostics.test_diagnostic import HAN, TERMS, TEXTS, made_calls, uses, written
@@ -36,15 +34,6 @@ def said() -> Iterator[tuple[str, str, set[str] | None]]:
                 choices += [one.body, one.orelse]
             elif isinstance(one, ast.Constant) and isinstance(one.value, str):
                 yield f"{module}:{node.lineno}", one.value, known
-
-
-def test_files_with_a_line_per_entry_are_what_toml_reads() -> None:
-    assert LINED[:2] == ("terms.toml", "texts.toml")
-    for file, words in zip(LINED, (TERMS, TEXTS), strict=False):
-        assert set(list_entries(file)) == set(words)
-    assert set(TEXTS).isdisjoint(TERMS)
-    rooms = list(tomllib.loads(word_files()["terms"].read_text(encoding="utf-8")))
-    assert rooms == sorted(rooms), "terms are in alphabetical order"
 
 
 @pytest.mark.parametrize("words", [TEXTS, TERMS], ids=["texts", "terms"])

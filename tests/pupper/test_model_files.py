@@ -1,20 +1,18 @@
 """The model files themselves: what they say, and that they say the same."""
 
 from collections.abc import Callable
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from tests.support.bodies import BODIES, assert_same_bodies, mujoco_bodies, pinocchio_bodies
 from tests.support.engines import mujoco_at
 from tests.support.repository import ROOT
-from tests.support.states import numbers, positions
+from tests.support.states import numbers
 from tests.support.variants import BASES, load
 
 MJCF = ROOT / "mjcf"
@@ -33,60 +31,11 @@ def base(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def urdf_of(base: str) -> ElementTree.Element:
-    return ElementTree.parse(ROOT / "urdf" / f"{BASES[base]}.urdf").getroot()
-
-
 def compiled(file: str) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(MJCF / file))
 
 
-def attribute(element: ElementTree.Element, path: str, name: str) -> float:
-    child = element.find(path)
-    assert child is not None
-    return float(child.attrib[name])
-
-
 # ------------------------------------------------------------------------------------- numbers
-
-
-@pytest.mark.parametrize(
-    ("file", "sizes", "mass"),
-    [
-        ("pupper_v3.xml", (19, 18, 12), 3.170),
-        ("pupper_v3_fixed.xml", (12, 12, 12), 3.170),
-        ("pupper_skeleton.xml", (19, 18, 12), 2.710),
-    ],
-)
-def test_mjcf_sizes_and_mass(file: str, sizes: tuple[int, ...], mass: float) -> None:
-    model = compiled(file)
-    assert (model.nq, model.nv, model.nu) == sizes
-    assert model.body_mass.sum() == pytest.approx(mass, abs=1e-12)
-
-
-AXES = {
-    f"leg_{end}_{side}_{number}": axis
-    for end in ("front", "back")
-    for side, axes in (
-        ("r", [(0, -1, 0), (-1, 0, 0), (0, -1, 0)]),
-        ("l", [(0, 1, 0), (-1, 0, 0), (0, 1, 0)]),
-    )
-    for number, axis in enumerate(axes, 1)
-}
-"""Of v3: _1 and _3 turn about y (pitch) and _2 about x (roll)."""
-AXES |= {
-    f"{leg}_{joint}": (1, 0, 0) if joint == "HAA" else (0, 1, 0)
-    for leg in LEGS["original"]
-    for joint in SEGMENTS["original"]
-}
-
-
-def test_axes_at_zero_angles(base: str) -> None:
-    robot = load(base)
-    config, data = pa.Configuration(robot, robot.neutral()), mujoco_at(robot, robot.neutral())
-    for name in robot.joint_names:
-        np.testing.assert_allclose(data.joint(name).xaxis, AXES[name], atol=1e-15)
-        np.testing.assert_allclose(config.joint_axis(name), AXES[name], atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -146,26 +95,6 @@ def test_actuators_are_in_the_tutorials_order() -> None:
         assert load(base).joint_names == tuple(expected)
 
 
-@pytest.mark.parametrize(
-    ("file", "qpos", "ctrl"),
-    [
-        ("pupper_v3.xml", [0, 0, 0.28, 1, 0, 0, 0, *[0] * 12], [0] * 12),
-        ("pupper_v3_fixed.xml", [0] * 12, [0] * 12),
-        (
-            "pupper_skeleton.xml",
-            [0, 0, 0.158, 1, 0, 0, 0, *[0, 0.9014, -1.5083] * 4],
-            [0, 0.9014, -1.5083] * 4,
-        ),
-    ],
-)
-def test_the_home_keyframe_is_the_robots_pose(
-    file: str, qpos: list[float], ctrl: list[float]
-) -> None:
-    key = compiled(file).key("home")
-    np.testing.assert_allclose(key.qpos, qpos)
-    np.testing.assert_allclose(key.ctrl, ctrl)
-
-
 # ------------------------------------------------------------------------------------- symmetry
 
 
@@ -185,132 +114,11 @@ def test_left_bodies_mirror_the_right_ones(variant: str, source: str) -> None:
     np.testing.assert_allclose(torso.inertia[[0, 1], [1, 2]], 0, atol=1e-15)
 
 
-@pytest.mark.parametrize("source", BODIES)
-def test_front_and_rear_legs_are_alike(variant: str, source: str) -> None:
-    base = "v3" if variant.startswith("v3") else "original"
-    bodies = BODIES[source](load(variant))
-    legs = LEGS[base]
-    for front, rear in (("FR", "RR"), ("FL", "RL")):
-        hips = [bodies[legs[leg] + SEGMENTS[base][0]].position for leg in (front, rear)]
-        for segment in SEGMENTS[base]:
-            one, two = (bodies[legs[leg] + segment] for leg in (front, rear))
-            assert two.mass == pytest.approx(one.mass, rel=1e-12)
-            np.testing.assert_allclose(two.com - hips[1], one.com - hips[0], atol=1e-12)
-            np.testing.assert_allclose(two.inertia, one.inertia, atol=1e-15)
-
-
 # ------------------------------------------------------------------------------------- two files
 
 
 def test_urdf_and_mjcf_agree_to_rounding(robot: pa.Robot) -> None:
     assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-12)
-
-
-def test_skeleton_urdf_states_what_mujoco_integrates_from_the_shapes() -> None:
-    """The MJCF gives no inertia at all; the URDF gives every one."""
-    spec = mujoco.MjSpec.from_file(str(MJCF / "pupper_skeleton.xml"))
-    assert not any(body.explicitinertial for body in spec.bodies)
-    model = spec.compile()
-    for link in urdf_of("original").iter("link"):
-        name, inertial = link.attrib["name"], link.find("inertial")
-        if not name.endswith(("_hip", "_thigh")) or inertial is None:
-            continue
-        body = model.body(name)
-        assert body.mass[0] == pytest.approx(attribute(inertial, "mass", "value"), rel=1e-12)
-        stated = [attribute(inertial, "inertia", axis) for axis in ("ixx", "iyy", "izz")]
-        np.testing.assert_allclose(sorted(stated), sorted(body.inertia), rtol=1e-12)
-
-
-def test_limits_and_friction_agree(base: str) -> None:
-    model = compiled(f"{BASES[base]}.xml")
-    joints = [node for node in urdf_of(base).iter("joint") if node.attrib["type"] == "revolute"]
-    assert len(joints) == 12
-    for node in joints:
-        joint = model.joint(node.attrib["name"])
-        low, high = joint.range
-        dof = int(joint.dofadr[0])
-        actuator = model.actuator(node.attrib["name"])
-        for path, name, value in (
-            ("limit", "lower", low),
-            ("limit", "upper", high),
-            ("limit", "effort", actuator.forcerange[1]),
-            ("limit", "effort", -actuator.forcerange[0]),
-            ("limit", "velocity", 100.0),
-            ("dynamics", "damping", float(np.ravel(model.dof_damping[dof])[0])),
-            ("dynamics", "friction", float(np.ravel(model.dof_frictionloss[dof])[0])),
-        ):
-            assert attribute(node, path, name) == pytest.approx(value, rel=1e-12), name
-        assert joint.limited[0]
-        assert actuator.forcelimited[0]
-
-
-@pytest.mark.parametrize(
-    ("base", "armature", "damping", "friction"),
-    [("v3", 0.0016, 0.01, 0.01), ("original", 0.003, 0.04, 0.002)],
-)
-def test_joints_have_the_robots_constants(
-    base: str, armature: float, damping: float, friction: float
-) -> None:
-    model = compiled(f"{BASES[base]}.xml")
-    np.testing.assert_allclose(model.dof_armature, [0] * 6 + [armature] * 12)
-    np.testing.assert_allclose(np.ravel(model.dof_frictionloss), [0] * 6 + [friction] * 12)
-    np.testing.assert_allclose(model.dof_damping.reshape(18, -1)[:, 0], [0] * 6 + [damping] * 12)
-
-
-@pytest.mark.parametrize(
-    ("leg", "limits"),
-    [
-        ("leg_front_r_", [(-1.22, 2.51), (-0.42, 3.14), (-2.79, 0.71)]),
-        ("leg_back_r_", [(-1.22, 2.51), (-0.42, 3.14), (-2.79, 0.71)]),
-        ("leg_front_l_", [(-2.51, 1.22), (-3.14, 0.42), (-0.71, 2.79)]),
-        ("leg_back_l_", [(-2.51, 1.22), (-3.14, 0.42), (-0.71, 2.79)]),
-    ],
-)
-def test_v3_joint_limits(leg: str, limits: list[tuple[float, float]]) -> None:
-    model = compiled("pupper_v3.xml")
-    for number, expected in enumerate(limits, start=1):
-        np.testing.assert_allclose(model.joint(f"{leg}{number}").range, expected)
-
-
-def test_limits_of_the_skeleton_are_alike_in_all_legs() -> None:
-    ranges = compiled("pupper_skeleton.xml").jnt_range[1:].reshape(4, 3, 2)
-    np.testing.assert_array_equal(
-        ranges, np.tile([(-0.8, 0.8), (-1.8, 1.2), (-2.6, 0.1)], (4, 1, 1))
-    )
-
-
-def test_sites_are_links(base: str) -> None:
-    """Every site of the MJCF (feet and IMU) is a link of the URDF, at the same place."""
-    robot = load(base)
-    sites = {robot.mj_model.site(index).name for index in range(robot.mj_model.nsite)}
-    links = {link.attrib["name"] for link in urdf_of(base).iter("link")}
-    bodies = {robot.mj_model.body(index).name for index in range(1, robot.mj_model.nbody)}
-    assert "body_imu_site" in sites
-    assert len(sites) == 5
-    assert sites | bodies == links
-    joints = {node.attrib["name"] for node in urdf_of(base).iter("joint")}
-    assert set(robot.joint_names) < joints
-
-
-# ------------------------------------------------------------------------------------- servos
-
-
-@pytest.mark.parametrize(
-    ("base", "kp", "kd", "limit"), [("v3", 5.0, 0.1, 3.0), ("original", 60.0, 1.0, 18.0)]
-)
-@given(data=st.data())
-def test_servos_have_the_robots_gains(
-    base: str, kp: float, kd: float, limit: float, data: st.DataObject
-) -> None:
-    robot = load(base)
-    qpos = data.draw(positions(robot))
-    rates, ctrl = data.draw(numbers(12, 9.0)), data.draw(numbers(12, 2.0))
-    mj = mujoco_at(robot, qpos, np.concatenate([np.zeros(6), rates]))
-    mj.ctrl[:] = ctrl
-    mujoco.mj_forward(robot.mj_model, mj)
-    law = np.clip(kp * (ctrl - qpos[7:]) - kd * rates, -limit, limit)
-    np.testing.assert_allclose(mj.actuator_force, law, atol=1e-12)
-    np.testing.assert_allclose(mj.qfrc_actuator, [*[0] * 6, *law], atol=1e-12)
 
 
 # ------------------------------------------------------------------------------------- sensors
@@ -336,17 +144,6 @@ def test_sensors_by_name(
     }.items():
         np.testing.assert_allclose(mj.sensor(name).data, expected, atol=1e-12, err_msg=name)
     assert abs(mj.sensor("body_quat").data @ quat) == pytest.approx(1.0, abs=1e-12)
-
-
-# ------------------------------------------------------------------------------------- shapes
-
-
-def test_meshes_do_not_collide() -> None:
-    with_meshes = compiled("pupper_v3.xml")
-    drawn = with_meshes.geom_type == mujoco.mjtGeom.mjGEOM_MESH.value
-    assert drawn.sum() == 13  # torso, and three per leg
-    assert not with_meshes.geom_contype[drawn].any()
-    assert not with_meshes.geom_conaffinity[drawn].any()
 
 
 @pytest.mark.parametrize(
@@ -379,26 +176,14 @@ def test_feet_are_spheres_of_the_robots_radius(
             np.testing.assert_allclose(model.geom_solimp[geom, :3], solimp)
 
 
+# ------------------------------------------------------------------------------------- shapes
+
+
 def test_the_robot_does_not_touch_itself(robot: pa.Robot, stand: pa.Stand) -> None:
     """In its stand it touches the ground with its feet alone."""
     mj = mujoco_at(robot, stand.qpos - np.eye(robot.nq)[2] * 1e-3)
     assert mj.ncon == 4
     assert all(robot.mj_model.geom_bodyid[pair].min() == 0 for pair in mj.contact.geom)
-
-
-@pytest.mark.parametrize(
-    ("file", "timestep", "impratio"),
-    [
-        ("pupper_v3.xml", 0.002, 100),
-        ("pupper_v3_fixed.xml", 0.002, 100),
-        ("pupper_skeleton.xml", 0.004, 50),
-    ],
-)
-def test_simulation_options_are_the_robots(file: str, timestep: float, impratio: float) -> None:
-    option = compiled(file).opt
-    assert (option.timestep, option.impratio) == (timestep, impratio)
-    assert option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC.value
-    np.testing.assert_allclose(option.gravity, [0, 0, -9.81])
 
 
 # ------------------------------------------------------------------------------------- fixed base
@@ -461,19 +246,3 @@ def test_holding_the_base_takes_the_base_rows_away() -> None:
     np.testing.assert_allclose(two.mass_matrix(), one.mass_matrix()[6:, 6:], atol=1e-15)
     np.testing.assert_allclose(two.gravity(), one.gravity()[6:], atol=1e-15)
     np.testing.assert_allclose(two.center_of_mass(), one.center_of_mass(), atol=1e-15)
-
-
-@pytest.mark.parametrize("name", ["pupper_v3", "pupper_skeleton"])
-def test_materials_are_defined_and_have_one_colour_in_both_files(name: str) -> None:
-    root = ElementTree.parse(ROOT / "urdf" / f"{name}.urdf").getroot()
-    defined = {
-        material.get("name"): material.find("color").get("rgba").split()
-        for material in root.findall("material")
-    }
-    used = {material.get("name") for material in root.iter("material")}
-    model = mujoco.MjModel.from_xml_path(str(ROOT / "mjcf" / f"{name}.xml"))
-    assert used == set(defined)
-    for material, colour in defined.items():
-        np.testing.assert_allclose(
-            model.mat(material).rgba, np.array(colour, dtype=float), atol=1e-6
-        )

@@ -109,21 +109,6 @@ def test_the_action_fails_at_the_line_of_what_is_new(installed: Path) -> None:
     assert f"::error file=hopper.urdf,line={line},title=upper limit of hip::" in result.stdout
 
 
-def test_the_action_has_its_inputs(installed: Path) -> None:
-    (installed / "robots and more").mkdir()
-    for name in ("hopper.urdf", "hopper.xml", "pupper-analysis.toml"):
-        shutil.move(installed / name, installed / "robots and more" / name)
-    config = "robots and more/pupper-analysis.toml"
-    output = installed / "the results.sarif"
-    result = step("Check", installed, config=config, format="sarif", output=str(output))
-    assert result.returncode == 1, result.stderr  # the baseline stayed behind
-    assert result.stdout == ""
-    assert '"uri": "robots%20and%20more/hopper.urdf"' in output.read_text()
-    result = step("Check", installed, config="none.toml")
-    assert result.returncode == 2
-    assert "none.toml" in result.stderr
-
-
 @pytest.mark.longest
 def test_the_action_installs_what_checking_needs(checkout: Path) -> None:
     """From the package index, as on GitHub; without PlaCo and Matplotlib."""
@@ -238,54 +223,3 @@ def test_the_hook_is_one() -> None:
         wanted = path.suffix in (".urdf", ".xml", ".toml")
         assert bool(re.search(hook["files"], path.name)) is wanted
     assert re.search(hook["files"], "models/robot.mjcf")
-
-
-def test_pre_commit_takes_the_hook() -> None:
-    clientlib = pytest.importorskip("pre_commit.clientlib", reason="pre-commit is not installed")
-    (hook,) = clientlib.load_manifest(str(ROOT / ".pre-commit-hooks.yaml"))
-    assert hook["id"] == "pupper-analysis-check"
-    config = clientlib.load_config(str(SAMPLE / ".pre-commit-config.yaml"))
-    assert [one["id"] for one in config["repos"][0]["hooks"]] == list(HOOKS)
-
-
-@pytest.mark.parametrize("mass", ["0.22", "0.3"])
-def test_pre_commit_runs_the_hook(installed: Path, mass: str) -> None:
-    """With the entry of the hook, in an environment that has it installed."""
-    pytest.importorskip("pre_commit", reason="pre-commit is not installed")
-    text = (installed / "hopper.xml").read_text()
-    (installed / "hopper.xml").write_text(text.replace("0.22", mass))
-    local = {**HOOKS["pupper-analysis-check"], "language": "system"}
-    config = {"repos": [{"repo": "local", "hooks": [local]}]}
-    (installed / ".pre-commit-config.yaml").write_text(yaml.safe_dump(config))
-    programs = installed.parent / "temp" / "pupper-analysis" / "bin"
-    given = {
-        **environment(installed),
-        "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
-        "PRE_COMMIT_HOME": str(installed.parent / "cache"),
-        "GIT_CONFIG_GLOBAL": os.devnull,
-    }
-    for command in (["git", "init", "--quiet"], ["git", "add", "."]):
-        subprocess.run(command, cwd=installed, env=given, check=True)
-    result = subprocess.run(
-        [sys.executable, "-m", "pre_commit", "run", "--all-files"],
-        cwd=installed,
-        env=given,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    passed = mass == "0.22"
-    assert result.returncode == (0 if passed else 1), result.stdout + result.stderr
-    assert ("Passed" if passed else "Failed") in result.stdout
-    assert ("0.3 kg in the MJCF" in result.stdout) is not passed
-
-
-def test_the_sample_uses_the_action_and_the_hook() -> None:
-    workflow = read(SAMPLE / ".github" / "workflows" / "models.yml")
-    steps = workflow["jobs"]["check"]["steps"]
-    assert [re.sub("@.*", "", one["uses"]) for one in steps] == [
-        "actions/checkout",
-        "OWNER/pupper_analysis",
-    ]
-    (repository,) = read(SAMPLE / ".pre-commit-config.yaml")["repos"]
-    assert [hook["id"] for hook in repository["hooks"]] == list(HOOKS)

@@ -8,7 +8,6 @@ from types import ModuleType
 import pytest
 
 from tests.support.repository import script
-from tests.support.rooms import FLOOR
 
 
 @pytest.fixture
@@ -20,14 +19,6 @@ def test_committed_picture_is_current(drawing: ModuleType) -> None:
     assert drawing.embedded() == drawing.facts(drawing.folder_graph(), drawing.tool_graph()), (
         "draw it again: python docs/draw_architecture.py"
     )
-
-
-def test_folders_are_those_of_the_layers_and_no_arrow_points_up(drawing: ModuleType) -> None:
-    graph = drawing.folder_graph()
-    assert set(graph) == set(FLOOR)
-    for folder, below in graph.items():
-        for other in below:
-            assert FLOOR[other] < FLOOR[folder], f"{folder} imports {other}"
 
 
 def test_the_house_has_few_folders_and_arrows(drawing: ModuleType) -> None:

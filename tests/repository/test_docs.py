@@ -6,14 +6,11 @@ import ast
 import csv
 import importlib
 import re
-import tarfile
 import tomllib
-import zipfile
 from pathlib import Path
 
 import click
 import pytest
-import yaml
 
 import pupper_analysis as pa
 from pupper_analysis import cli
@@ -161,112 +158,9 @@ def test_the_reference_has_all_there_is(generated: Path) -> None:
     assert tables.count("\n## ") == len(list(DATA.glob("*.csv")))
 
 
-def test_what_is_generated_is_plain_text(generated: Path) -> None:
-    pages = script("docs/pages.py")
-    assert pages._plain("a_b *c* [d] `e_f` $g") == r"a\_b \*c\* \[d\] `e_f` \$g"
-    assert pages._readable("{name!r}[limit? beyond {limit:.2f}], {n|foot|feet}") == (
-        "⟨name⟩ beyond ⟨limit⟩, feet"
-    )
-    assert pages._readable("{given}: write {{values = [1]}}") == "⟨given⟩: write {values = [1]}"
-    lines = ["least |f_t| of name_, ``a_``", "code::", "", "    x_ = *y", "so *it*"]
-    pages.plain_text(lines)
-    assert lines == [
-        r"least \|f_t\| of name\_, ``a_``", "code::", "", "    x_ = *y", r"so \*it\*"
-    ]  # fmt: skip
-
-
-def test_modules_named_in_docstrings_are_there() -> None:
-    for path in PACKAGE.rglob("*.py"):
-        for name in re.findall(r"``pupper_analysis\.([a-z_.]+)``", path.read_text()):
-            importlib.import_module(f"pupper_analysis.{name}")
-
-
 def test_every_room_is_described_in_the_architecture() -> None:
     described = [row[0] for row in rows("docs/explanation/architecture.md") if len(row) == 4]
     assert described == [f"`{room}/`" for room in FLOOR]
-
-
-def test_every_room_has_an_answer_to_where_a_new_thing_goes() -> None:
-    places = " ".join(row[1] for row in rows("docs/explanation/architecture.md") if len(row) == 2)
-    asked = {room for room in FLOOR if re.search(rf"`{room}/", places)}
-    assert asked == set(FLOOR)
-
-
-GLOSSARY = [row for row in rows("docs/reference/glossary.md") if len(row) == 3]
-
-
-@pytest.mark.parametrize(
-    ("term", "place"),
-    {
-        "metric": "tools/push/metrics.py",
-        "failure": "diagnose(",
-        "friction cone": "statics/cone_program.py",
-        "effort": "models/efforts.py",
-        "solimp": "robot/contact.py",
-        "static stability": "robot/stability.py",
-        "armature": "models/conversion.py",
-        "rule of the audit": "tools/audit/rules/catalogue.toml",
-        "translation": "texts.toml",
-        "closed loop": "robot/closure.py",
-        "eigenvalue": "robot/stability.py",
-    }.items(),
-)
-def test_a_search_for_the_fields_term_finds_its_place_first(term: str, place: str) -> None:
-    table = [row for row in rows("docs/explanation/architecture.md") if len(row) == 2]
-    found = next(row for row in table if term in row[0])
-    assert place in found[1]
-    assert (PACKAGE / place).exists() or "/" not in place
-
-
-def test_words_of_the_glossary_are_used_in_their_homes() -> None:
-    """In docstrings or names, or a module's own, with blanks, hyphens or underscores."""
-    for row in GLOSSARY:
-        home = re.fullmatch(r"`([a-z_/]+\.py)`", row[2])
-        assert home is not None, row[2]
-        text = re.sub(r"[\s_\-\"]+", " ", home[1] + (PACKAGE / home[1]).read_text()).lower()
-        joined = text.replace(" ", "")
-        for word in row[0].lower().split(", "):
-            plain = re.sub(r"[\s\-]+", " ", word)
-            known = plain in text or plain.replace(" ", "") in joined
-            assert known, f"{word!r} is not in {home[1]}"
-
-
-def test_contributing_names_targets_that_are_there() -> None:
-    targets = set(re.findall(r"^([a-z-]+):.*## ", (ROOT / "Makefile").read_text(), re.M))
-    named = set(re.findall(r"`make ([a-z-]+)", (ROOT / "CONTRIBUTING.md").read_text()))
-    assert named <= targets
-    assert {"setup", "test", "lint", "types", "docs", "coverage"} <= named
-
-
-def test_the_workflow_runs_what_ci_runs() -> None:
-    """Both call the Makefile's targets.
-
-    The lowest versions and the longest proofs are for the workflow alone; the quick benchmark is
-    one of the tests in the other, where ratios of times are measured, too: its last job calls it.
-    """
-    workflow = (ROOT / ".github" / "workflows" / "ci.yml").read_text()
-    script = (ROOT / ".ci" / "run").read_text()
-    targets = set(re.findall(r"^([a-z-]+):.*## ", (ROOT / "Makefile").read_text(), re.M))
-    called = set(re.findall(r"\bmake ((?:[a-z-]+ ?)+)", script))
-    ours = {word for words in called for word in words.split()} & targets
-    theirs = {
-        word for words in re.findall(r"run: make (.+)$", workflow, re.M) for word in words.split()
-    } & targets
-    assert {"test", "lint", "types", "docs"} <= theirs
-    assert theirs == ours - {"setup", "test-slow", "benchmark-ratios"} | {
-        "test-lowest",
-        "test-longest",
-        "benchmark-quick",
-    }
-    assert ".ci/run" in workflow
-
-
-def test_hooks_are_the_projects_own_tools() -> None:
-    text = (ROOT / ".pre-commit-config.yaml").read_text()
-    assert re.findall(r"repo: (\S+)", text) == ["local"]
-    entries = [entry.split()[:2] for entry in re.findall(r"entry: (.+)$", text, re.M)]
-    assert {runner for runner, _ in entries} == {".ci/tool"}
-    assert {tool for _, tool in entries} == {"ruff", "mypy", "lint-imports"}
 
 
 def test_a_release_needs_one_version_everywhere(tmp_path: Path) -> None:
@@ -292,87 +186,6 @@ def test_on_the_package_index_the_readme_leads_to_its_tag() -> None:
     assert "git+" not in there
     assert "pip install pupper-analysis\n" in there
     assert 'pip install "pupper-analysis[live,study]"' in there
-
-
-def _wheel(folder: Path, metadata: str, names: list[str]) -> None:
-    with zipfile.ZipFile(folder / "some_robot-1.2.3-py3-none-any.whl", "w") as wheel:
-        wheel.writestr("some_robot-1.2.3.dist-info/METADATA", metadata)
-        for name in names:
-            wheel.writestr(name, "")
-
-
-def test_distributions_are_checked_before_they_are_published(tmp_path: Path) -> None:
-    """A project of its own: sound, then without a file, with an old README, of another Python."""
-    check = script("scripts/check_release.py")
-    root, dist = tmp_path / "root", tmp_path / "dist"
-    for folder in (root / "pupper_analysis", root / "urdf", root / "mjcf", dist):
-        folder.mkdir(parents=True)
-    (root / "pyproject.toml").write_text(
-        '[project]\nname = "some-robot"\nversion = "1.2.3"\nreadme = "README.md"\n'
-        'requires-python = ">=3.11"\nclassifiers = ["Typing :: Typed"]\n'
-        "[project.optional-dependencies]\nlive = []\n"
-    )
-    (root / "README.md").write_text("# Robot\n")
-    (root / "pupper_analysis/words.toml").touch()
-    (root / "urdf/a.urdf").touch()
-    names = ["pupper_analysis/words.toml", "pupper_analysis/pupper/urdf/a.urdf"]
-    sound = (
-        "Metadata-Version: 2.4\nName: some-robot\nVersion: 1.2.3\nRequires-Python: >=3.11\n"
-        "Classifier: Typing :: Typed\nProvides-Extra: live\n\n# Robot\n"
-    )
-    with tarfile.open(dist / "some_robot-1.2.3.tar.gz", "w:gz") as source:
-        for name in (
-            "README.md",
-            "LICENSE",
-            "CHANGELOG.md",
-            "CITATION.cff",
-            "tests",
-            "pyproject.toml",
-        ):
-            source.addfile(tarfile.TarInfo(f"some_robot-1.2.3/{name}"))
-    _wheel(dist, sound, names)
-    assert list(check.faults(dist, root)) == []
-    _wheel(dist, sound, names[1:])
-    assert list(check.faults(dist, root)) == ["the wheel lacks pupper_analysis/words.toml"]
-    for old, new, word in (
-        ("# Robot", "# Old", "README"),
-        (">=3.11", ">=3.10", "Requires-Python"),
-        ("Provides-Extra: live\n", "", "Provides-Extra"),
-        ("Typed", "Untyped", "Classifier"),
-    ):
-        _wheel(dist, sound.replace(old, new), names)
-        (found,) = check.faults(dist, root)
-        assert word in found
-    _wheel(dist, sound, names)
-    (dist / "some_robot-1.2.2.tar.gz").touch()
-    with pytest.raises(SystemExit, match=r"1\.2\.2"):
-        check.check_distributions(dist, root)
-
-
-def test_pythons_of_the_classifiers_are_tested_on_both_systems() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    stated = [
-        one.rpartition(" ")[2] for one in project["classifiers"] if re.search(r":: 3\.\d", one)
-    ]
-    workflow = (ROOT / ".github/workflows/ci.yml").read_text()
-    tested = re.search(r"python-version: \[(.+)\]", workflow)
-    systems = re.search(r"os: \[(.+)\]", workflow)
-    assert tested is not None
-    assert systems is not None
-    assert re.findall(r"[\d.]+", tested[1]) == stated
-    assert project["requires-python"] == f">={stated[0]}"
-    assert [one.strip() for one in systems[1].split(",")] == ["ubuntu-latest", "macos-latest"]
-
-
-def test_issues_ask_for_the_result_as_data() -> None:
-    for path in (ROOT / ".github/ISSUE_TEMPLATE").glob("*.yml"):
-        form = yaml.safe_load(path.read_text())
-        if path.name != "config.yml":
-            assert {"name", "description", "body"} <= form.keys()
-    wrong = yaml.safe_load((ROOT / ".github/ISSUE_TEMPLATE/wrong-answer.yml").read_text())
-    (asked,) = [one for one in wrong["body"] if one["id"] == "json"]
-    assert "--json" in asked["attributes"]["description"]
-    assert asked["validations"]["required"]
 
 
 def test_workflows_call_targets_that_are_there() -> None:

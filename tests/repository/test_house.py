@@ -7,21 +7,14 @@ from __future__ import annotations
 
 import ast
 import graphlib
-import re
 from collections.abc import Iterator
 from itertools import chain
 
 import pytest
 
-from tests.support.rooms import PACKAGE, trees
+from tests.support.rooms import trees
 
 pytestmark = pytest.mark.usefixtures("syntax")
-
-
-def test_modules_need_no_banners() -> None:
-    for path in trees():
-        text = (PACKAGE / path).read_text(encoding="utf-8")
-        assert not re.findall(r"^ *# ?[-=#*]{4,}.*", text, re.MULTILINE), path
 
 
 def imported(tree: ast.Module) -> Iterator[str]:

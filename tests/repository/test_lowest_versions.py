@@ -6,8 +6,6 @@ import runpy
 from collections.abc import Callable
 from importlib.metadata import version
 
-import pytest
-
 from tests.support.repository import ROOT
 
 PROJECT = (ROOT / "pyproject.toml").read_text()
@@ -26,15 +24,3 @@ def test_every_requirement_has_a_lowest_version_and_ours_are_not_below() -> None
     for name, bound in found.items():
         assert f'"{name}>={bound}' in PROJECT
         assert numbers(version(name)) >= numbers(bound), name
-
-
-@pytest.mark.parametrize("requirement", ["numpy", "numpy==2.3", "numpy<3"])
-def test_a_requirement_without_a_lowest_version_is_refused(requirement: str) -> None:
-    text = f'''
-    [project]
-    dependencies = ["{requirement}"]
-    [dependency-groups]
-    test = []
-    '''
-    with pytest.raises(ValueError, match="no lower bound"):
-        lowest(text)

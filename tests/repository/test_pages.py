@@ -39,22 +39,3 @@ def test_few_blocks_are_run_nowhere() -> None:
         "--bridge ros2",
     )
     assert all(any(words in line for words in unreachable) for line in left), left
-
-
-def test_a_wrong_number_or_status_of_a_page_is_found(tmp_path: Path) -> None:
-    block = pages.Block(
-        "page", 1, "python", "print('height 0.1315 m')\n", output=["height ... m\n"]
-    )
-    assert pages.run_page([block], tmp_path) == {"python": 1}
-    block.output.append("height 0.1316 m\n")
-    with pytest.raises(AssertionError, match=r"0\.1316"):
-        pages.run_page([block], tmp_path)
-    exits = pages.Block("page", 1, "sh", "pupper-analysis nothing  # exits 2\nfalse\n")
-    with pytest.raises(AssertionError, match="exit status 1, not 0"):
-        pages.run_page([exits], tmp_path)
-
-
-def test_what_is_in_a_chinese_page_as_in_the_english_one_runs_once() -> None:
-    page = ROOT / "docs/zh/how-to/stand.md"
-    assert "pupper-analysis stand v3" in page.read_text()
-    assert "pupper-analysis stand v3\n" not in "".join(b.text for b in pages.blocks_of(page))

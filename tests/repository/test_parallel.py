@@ -8,7 +8,6 @@ import multiprocessing
 import os
 import pickle
 import pkgutil
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -88,20 +87,6 @@ def test_every_error_comes_back_whole(
         assert (back.args, vars(back), str(back)) == (one.args, vars(one), str(one))
 
 
-@COPIES
-def test_an_error_with_a_stand_comes_back_whole(copied: Callable[[Any], Any]) -> None:
-    with pytest.raises(pa.StanceUnreachableError) as caught:
-        pa.solve_stand(load("v3"), pa.StandTask(height=0.5))
-    error, back = caught.value, copied(caught.value)
-    assert isinstance(back.nearest, pa.Stand)
-    assert (back.shortfall, back.limits, back.possible) == (
-        error.shortfall,
-        error.limits,
-        error.possible,
-    )
-    np.testing.assert_array_equal(back.nearest.qpos, error.nearest.qpos)
-
-
 # -------------------------------------------------------------------------------------- robots
 
 
@@ -155,16 +140,6 @@ def test_a_pickled_robot_stands_the_same(variant: str) -> None:
         simulated = pa.verify_stand(first, one, duration=2.0).base_height
         again = pa.verify_stand(second, two, duration=2.0).base_height
         assert again == pytest.approx(simulated, rel=1e-9)
-
-
-def test_a_changed_robot_comes_back_changed(tiny: pa.Robot) -> None:
-    heavy = pa.robot.with_payload(tiny, 0.123456789, (0.0123456789, 0.0, 0.1))
-    back = pickled(heavy)
-    assert back.total_mass == heavy.total_mass
-    assert_same_model(heavy.mj_model, back.mj_model)
-    assert_same_model(
-        heavy.description.mjcf.copy().compile(), back.description.mjcf.copy().compile(), REBUILT
-    )
 
 
 DIGITS = """
@@ -245,44 +220,6 @@ def test_a_robot_needs_no_files_any_more(tiny_files: Files, tmp_path: Path) -> N
     assert_same_model(robot.mj_model, back.description.mjcf.copy().compile(), REBUILT)
 
 
-def test_meshes_come_along(tmp_path: Path) -> None:
-    pa.pupper.write_variant("v3", tmp_path)
-    spec = mujoco.MjSpec.from_file(str(tmp_path / "mjcf" / "v3.xml"))
-    model, state = spec.copy().compile(), state_of(spec)
-    for mesh in (tmp_path / "mjcf" / "meshes").iterdir():
-        mesh.unlink()
-    assert_same_model(model, spec_from(state).compile(), REBUILT)
-
-
-# -------------------------------------------------------------------------------------- results
-
-
-@pytest.mark.longest
-@COPIES
-def test_results_come_back_the_same(copied: Callable[[Any], Any]) -> None:
-    robot, stand = load("v3"), stand_of("v3")
-    for result in (
-        stand,
-        stand.task,
-        pa.gravity_compensation(pa.Configuration(robot, stand.qpos)),
-        pa.verify_stand(robot, stand, duration=2.0),
-        pa.steady_state(robot, stand),
-        pa.payload_limit(robot, stand),
-        pa.stance.stance_path(robot, [pa.StandTask(), pa.StandTask(pitch=0.02)], 0.5),
-        pa.stance.base_workspace(robot),
-        pa.cross_check(robot, configurations=3),
-        pa.matching.Tolerances(),
-        pa.VARIANTS["v3"],
-    ):
-        back = copied(result)
-        assert type(back) is type(result)
-        assert pa.results.to_json(back) == pa.results.to_json(result)
-    config = copied(pa.Configuration(robot, stand.qpos))
-    np.testing.assert_array_equal(
-        config.mass_matrix(), pa.Configuration(robot, stand.qpos).mass_matrix()
-    )
-
-
 # -------------------------------------------------------------------------------------- processes
 
 
@@ -312,27 +249,6 @@ def test_twenty_threads_at_once() -> None:
     with ThreadPoolExecutor(20) as pool:
         found = list(pool.map(lambda height: heights(robot, height), HEIGHTS))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
-
-
-def test_twenty_threads_load_their_own() -> None:
-    with ThreadPoolExecutor(20) as pool:
-        robots = list(pool.map(lambda _: pa.load_variant("v3-heavy"), range(20)))
-    assert {robot.fingerprint for robot in robots} == {load("v3-heavy").fingerprint}
-
-
-@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="Linux alone has files in memory")
-def test_a_killed_worker_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As none is made, none can be left, at whatever moment it is killed."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("a temporary file on disk")
-
-    for name in ("mkstemp", "mkdtemp", "TemporaryDirectory", "NamedTemporaryFile"):
-        monkeypatch.setattr(tempfile, name, refuse)
-    shapes = ClearanceShapes(load("v3"))
-    near = shapes.between_links(stand_of("v3").qpos)
-    assert near is not None
-    assert near.distance > 0
 
 
 def test_without_files_in_memory_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,19 +33,6 @@ def shell(page: Path) -> list[str]:
     return [line.partition("  #")[0].strip() for line in "".join(blocks).splitlines()]
 
 
-def test_the_two_commands_are_targets() -> None:
-    commands = [line for line in shell(ROOT / "README.md") if line.startswith("make ")]
-    assert commands == ["make analyze", "make test"]
-    makefile = (ROOT / "Makefile").read_text()
-    for command in commands:
-        assert re.search(rf"^{command.split()[1]}:", makefile, flags=re.MULTILINE)
-
-
-def test_it_is_read_in_four_minutes() -> None:
-    """At most 800 words, with commands and tables."""
-    assert len(README.split()) <= 800
-
-
 def test_the_table_of_variants_is_true() -> None:
     rows = re.findall(r"^\| ([\w-]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| (.*) \|$", README, re.M)
     assert [row[0] for row in rows] == list(pa.VARIANTS)

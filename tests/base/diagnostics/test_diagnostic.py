@@ -28,13 +28,11 @@ from pupper_analysis.base.diagnostics import (
     entry,
     is_term,
     merge_diagnostics,
-    term,
 )
 from pupper_analysis.base.diagnostics.catalogue import word_files
 from pupper_analysis.base.diagnostics.templates import fill_template, format_number
-from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import to_json
-from tests.support.rooms import PACKAGE, trees
+from tests.support.rooms import trees
 
 WORDS = {
     whose: tomllib.loads(path.read_text(encoding="utf-8")) for whose, path in word_files().items()
@@ -152,25 +150,6 @@ def test_every_template_gets_its_values() -> None:
     assert lacking == {}
 
 
-def test_terms_are_said_in_both_languages() -> None:
-    assert term("joint", "zh") == "关节"
-    assert term("no such term", "zh") == "no such term"
-
-
-def test_no_program_reads_its_own_prose() -> None:
-    """No test on a sentence: neither on a note's words, nor on an error's."""
-    reads = re.compile(
-        r"""["'] (?:not )?in (?:note|sentence|str\(error\)|error\.problem)\b"""
-        r"""|\b(?:note|sentence|message|problem)\.(?:startswith|endswith|partition)\("""
-    )
-    found = {
-        str(path.relative_to(PACKAGE))
-        for path in sorted(PACKAGE.rglob("*.py"))
-        if any(map(reads.search, path.read_text(encoding="utf-8").splitlines()))
-    }
-    assert found == set()
-
-
 SENTENCE = re.compile("[a-z]+ [a-z]+ [a-z]+")
 
 
@@ -249,25 +228,6 @@ def test_what_is_within_is_said_in_the_same_language() -> None:
     assert within.text("zh") == "feet：没有关节 'knee'；现有：hip、foot"
 
 
-def test_a_difference_is_said_in_both_languages() -> None:
-    entry = diagnose(
-        "inertia-entry-differs",
-        entry="ixx",
-        one=Quantity(0.018, "kg m^2"),
-        two=Quantity(0.016, "kg m^2"),
-        guess=diagnose("relative-change", change=Quantity(-0.0739, "1")),
-        first=Term("the URDF"),
-        second=Term("the MJCF"),
-    )
-    message = diagnose(
-        "inertia-differs", subject=("body", "base"), entries=[entry, entry], guess=None
-    )
-    english = "ixx 0.018 kg m^2 in the URDF, 0.016 kg m^2 in the MJCF (-7.39 %)"
-    assert str(message) == f"link base: inertia about the com: {english}; {english}"
-    chinese = "ixx 在 URDF 中为 0.018 kg m^2，在 MJCF 中为 0.016 kg m^2（-7.39 %）"
-    assert message.text("zh") == f"连杆 base：关于质心的惯量：{chinese}；{chinese}"
-
-
 # --- diagnostics
 
 
@@ -321,16 +281,6 @@ def test_arrays_become_tuples_and_what_is_no_value_is_refused() -> None:
     assert diagnose("problem", problem=Path("a/b")).values["problem"] == "a/b"
     with pytest.raises(TypeError):
         diagnose("problem", problem=object())
-
-
-def test_an_error_says_where_it_was_and_carries_its_facts() -> None:
-    error = ModelError("a.urdf", diagnose("feet-miss-targets", feet=("FL",))).at("at 0.5 s")
-    assert str(error) == "at 0.5 s: a.urdf: the feet miss their targets: FL"
-    assert error.problem == "the feet miss their targets: FL"
-    assert error.diagnostic.text("zh") == "at 0.5 s：a.urdf：各足未到达目标：FL"
-    again = pickle.loads(pickle.dumps(error))
-    assert again.diagnostic == error.diagnostic
-    assert str(again) == str(error)
 
 
 @pytest.mark.parametrize(

@@ -174,93 +174,6 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
 
 
-def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
-    solid = opened.pixels()
-    opened.set("roll (°)", 35)
-    with pytest.raises(pa.StanceUnreachableError) as refused:
-        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(35.0)))
-    limit = np.degrees(refused.value.limits["roll"]["roll"])
-    opened.says(f"{limit:.1f} deg")
-    assert opened.torques() == []
-
-    def ghostly() -> bool:
-        shown = opened.pixels()
-        yellow = (shown[..., 0] > 150) & (shown[..., 2] < 110)
-        return differs(shown, solid) > 0.01 and bool(yellow.mean() < 0.002)
-
-    wait_for(ghostly, "the robot still stands there")
-    empty = opened.pixels()
-    grey = np.abs(empty - np.array([200, 208, 218])).max(axis=-1) < 45
-    assert grey.mean() > 0.01
-    opened.button("Go to the nearest stance")
-    opened.takes(pa.stance.solve_stand_as_simulated(load("v3"), refused.value.nearest.task))
-
-
-def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
-    def twin() -> bool:
-        """Whether something is orange, which the torso's yellow is not, shadowed or not."""
-        red, green, blue = np.moveaxis(opened.pixels(), -1, 0)
-        return bool(((red > 100) & (red > 1.5 * green) & (green > 1.5 * blue)).mean() > 0.004)
-
-    assert not twin()
-    opened.tab("MuJoCo")
-    opened.button("Simulate")
-    opened.says("HOLDS")
-    opened.says("base height")
-    wait_for(twin, "no robot is played")
-    opened.set("impulse (N s)", 6)
-    opened.button("Push it")
-    opened.says("Pushed with 6.00 N s towards 90°")
-    opened.says("touches the ground")
-    opened.tab("Stance")
-    opened.set("roll (°)", 3)
-    opened.takes(
-        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(3.0)))
-    )
-    # It was about another stance.
-    wait_for(lambda: "Pushed" not in " ".join(opened.all_words()), "an old result is left")
-    wait_for(lambda: not twin(), "the robot of another stance is left")
-
-
-def test_two_browsers_play_on_their_own(
-    opened: Opened,
-    browser: Any,  # noqa: F811
-    served: Page,
-) -> None:
-    other = Opened(browser, served.address)
-    other.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
-    assert len(served.sessions) == 2
-    assert len(threads()) == 4
-    other.set("pitch (°)", 6)
-    opened.set("roll (°)", 4)
-    other.takes(
-        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(pitch=np.radians(6.0)))
-    )
-    opened.takes(
-        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(4.0)))
-    )
-    other.tab("Body")
-    other.set("leg length", 1.3)
-    long = pa.load_variant(pa.pupper.VariantSpec("v3", 1.3))
-    other.takes(
-        pa.stance.solve_stand_on_soft_ground(long, pa.StandTask(pitch=np.radians(6.0))), long
-    )
-    opened.takes(
-        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(4.0)))
-    )
-    # Closed in the midst of a simulation: nothing is left, and the other one plays on.
-    other.tab("MuJoCo")
-    other.button("Simulate")
-    other.close()
-    wait_for(lambda: len(served.sessions) == 1, "a session is left")
-    wait_for(lambda: len(threads()) == 2, f"threads are left: {threads()}")
-    opened.set("roll (°)", 5)
-    opened.takes(
-        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(5.0)))
-    )
-    assert other.complaints == []
-
-
 def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) -> None:  # noqa: F811
     state = State(height=122.0, swing={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
     address = served.address.removeprefix("http://").removesuffix("/")
@@ -274,16 +187,6 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     with one.page.expect_download() as caught:
         one.button("Save the stance, for --stance")
     assert Path(caught.value.path()).read_text() == write_stance_file(state)
-    one.close()
-    assert one.complaints == []
-
-
-@pytest.mark.parametrize("state", ["nonsense", "lift:tail,20"])
-def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> None:  # noqa: F811
-    address = served.address.removeprefix("http://")
-    one = Opened(browser, f"{served.address}?websocket=ws://{address}?state={state}")
-    one.page.get_by_text("This state cannot be shown").wait_for(state="attached")
-    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
     one.close()
     assert one.complaints == []
 

@@ -25,10 +25,8 @@ from pupper_analysis.present.scene import Contact
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.command import read_stance
-from pupper_analysis.tools.live.controls import CONTROLS, fine_step, ranges_of, round_up
 from pupper_analysis.tools.live.documents import (
     failure_document,
-    refusal_document,
     stance_document,
 )
 from pupper_analysis.tools.live.model import (
@@ -48,17 +46,14 @@ from pupper_analysis.tools.live.scene import (
     colour_of,
     force_arrows,
     parts_of,
-    to_css,
     triangles_of,
 )
 from pupper_analysis.tools.live.state import (
     LiveVariants,
     State,
     load_source,
-    parse_length,
     parse_state,
     write_command,
-    write_link,
     write_stance_file,
 )
 from tests.support.commands import answer as run_command
@@ -147,12 +142,6 @@ def test_any_state_is_what_it_says(state: State) -> None:
 def test_what_is_no_state_is_refused(words: str, message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
         parse_state(words)
-
-
-@pytest.mark.parametrize("length", [0.1, 131.51, 120.0, 1e-7, -33.3, 1e20])
-def test_lengths_are_those_that_are_typed(length: float) -> None:
-    assert parse_length(length) == pytest.approx(length / 1000, rel=1e-15)
-    assert parse_length(131.3) == 0.1313
 
 
 def test_an_answer_is_the_python_interfaces() -> None:
@@ -252,16 +241,6 @@ def test_what_is_wrong_is_in_the_answer(state: State, kind: type[Exception]) -> 
     assert render_panel(stance_document(found, None, None), ENGLISH)
 
 
-def test_robots_are_kept_and_not_all_of_them() -> None:
-    model = model_of()
-    first = model.robot(State(leg_scale=1.1))
-    assert model.robot(State(leg_scale=1.1, roll=3.0)) is first
-    for scale in np.linspace(1.2, 1.9, 9):
-        model.robot(State(leg_scale=float(scale)))
-    assert model.robot(State(leg_scale=1.9)) is model.robot(State(leg_scale=1.9))
-    assert model.robot(State(leg_scale=1.1)) is not first
-
-
 def outcome(found: Answer) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
     assert found.stand is not None
     assert found.statics is not None
@@ -323,12 +302,6 @@ def test_a_page_begins_with_the_stance_of_a_file(tmp_path: Path) -> None:
         read_stance(str(file))
 
 
-def test_links_are_addresses() -> None:
-    assert write_link("127.0.0.1:80", State()) == "http://127.0.0.1:80/"
-    assert "&" not in write_link("127.0.0.1:80", RICH)
-    assert "#" not in write_link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))
-
-
 def test_nothing_in_a_name_acts() -> None:
     found = model_of().answer(State())
     assert found.robot is not None
@@ -348,26 +321,6 @@ def test_nothing_in_a_name_acts() -> None:
         assert "<img" not in html
         assert "\u202e" not in html
         assert "&lt;img" in html
-
-
-def test_the_words_tell_the_numbers() -> None:
-    found = model_of().answer(State(height=120.0))
-    assert found.stand is not None
-    assert found.statics is not None
-    settled = predict_sag(found)
-    html = render_panel(
-        stance_document(found, settled, expect_verdict(found, closely=True)), ENGLISH
-    )
-    assert ">120.0</td><td>mm<" in html
-    assert f">{1e3 * found.stand.com_margin:.1f}</td><td>mm<" in html
-    for torque in found.statics.joint_torques:
-        assert f">{torque:+.4f}<" in html
-    for share in found.statics.motor_utilisation:
-        assert f"width:{3 * share:.2f}em;background:{to_css(colour_of(share))}" in html
-    assert settled.settled is not None
-    assert f">{1e3 * settled.settled.height_loss:.3f}</td><td>mm<" in html
-    assert "being worked out" in render_panel(stance_document(found, None, None), ENGLISH)
-    assert "being worked out" not in html
 
 
 def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
@@ -412,17 +365,6 @@ def test_errors_are_in_the_units_of_the_page(words: str, said: str) -> None:
     found = model_of().answer(parse_state(words))
     assert said in str(found.refusal)
     assert re.search("[\u4e00-\u9fff]", Language("zh").sentence(found.refusal.diagnostic))
-
-
-def test_what_is_possible_is_said() -> None:
-    found = model_of().answer(State(height=250.0))
-    error = explain_unreachable(found)
-    assert error is not None
-    message = render_panel(refusal_document(found, error, pending=False), ENGLISH)
-    assert f"height {1e3 * error.limits['height']['height']:g} mm." in message
-    both = model_of().answer(State(roll=35.0))
-    joints = render_panel(refusal_document(both, explain_unreachable(both), pending=False), ENGLISH)
-    assert "leg_front_l_2 (+24.1 deg)" in joints  # of 0.42 rad
 
 
 def test_colours_tell_how_hard_a_motor_works() -> None:
@@ -475,19 +417,6 @@ def test_a_robots_shapes_are_where_mujoco_has_them() -> None:
     near = [np.linalg.norm(mesh.vertices - place, axis=1).min() for (body, _), mesh in parts.items()
             if body == model.geom_bodyid[geom]]  # fmt: skip
     assert min(near) < 1e-6
-
-
-@pytest.mark.parametrize("name", ["v3", "original"])
-def test_sliders_hold_what_a_page_opens_with(name: str) -> None:
-    spans = ranges_of(load(name), {"leg_scale": 1.0, "torso_mass_scale": 1.0})
-    for span in spans.values():
-        assert span.low <= span.value <= span.high
-        assert 0 < span.step < span.high - span.low
-    assert spans["height"].value == 1e3 * load(name).stand_height
-    for name, axis in (("move_x", "forward"), ("move_y", "to the left")):
-        assert axis in CONTROLS[name].hint("en")
-    assert fine_step(100.0) == 0.5
-    assert round_up(131.0) == 150.0
 
 
 def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -566,27 +495,3 @@ def test_arrows_begin_on_the_ground_and_point_as_forces_do() -> None:
     along = end - begin
     np.testing.assert_allclose(np.cross(along, force), 0.0, atol=1e-15)
     assert along @ force > 0
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"height": 120.0, "roll": 5.0, "swing": {"FL": 20.0}},
-        {"place": "inside", "heights": {"RR": 4.0}, "slope": 3.0, "uphill": 90.0},
-        {"place": "offset", "offset": (4.0, -3.0), "payload": 1.5, "payload_at": (0.0, 0.0, 80.0)},
-        {"kp": 20.0, "kd": 0.5},
-        {
-            "posture": {"*elbow*": -0.5, "neck": 0.0},
-            "payload": 1.0,
-            "payload_at": ("hand", 0, 0, 5),
-        },
-    ],
-)
-def test_the_pages_file_is_the_pages_stance(tmp_path: Path, values: dict[str, Any]) -> None:
-    state, file = State(**values), tmp_path / "page.toml"
-    file.write_text(write_stance_file(state))
-    begun = read_stance(str(file))
-    assert begun.task() == state.task()
-    assert begun.payload == state.payload
-    assert not state.payload or begun.payload_point() == state.payload_point()
-    assert (begun.kp, begun.kd) == (state.kp, state.kd)

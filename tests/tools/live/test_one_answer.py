@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.analyze.analysis import analyze_variant
 from pupper_analysis.tools.live.model import Model, predict_sag, simulate_stance
 from pupper_analysis.tools.live.state import LiveVariants, State
-from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.commands import answer as run_command
 from tests.support.variants import load
 
@@ -62,39 +60,6 @@ def test_commands_page_and_interface_tell_the_same_of_a_stance(tmp_path: Path) -
     # What is predicted is what is simulated: of one and the same stand, each way.
     assert played.verification.joint_torques == pytest.approx(held.joint_torques, abs=1e-6)
     assert played.sagging.base_height == pytest.approx(rest.base_height, abs=5e-4)
-
-
-@pytest.mark.parametrize("task", [TASK, pa.StandTask(swing={"FL": 0.02}, com="inside")])
-def test_what_is_studied_is_the_stand_that_is_told(
-    task: pa.StandTask, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    robot = load("v3")
-    stand = pa.stance.solve_stand_as_simulated(robot, task)
-    assert any(stand.depths.values())
-
-    for name, module in (("stance", "stand.stance"), ("robot", "analyze.analysis")):
-        monkeypatch.setattr(f"pupper_analysis.tools.{module}.verify_stand", Stop(name))
-    for study in (study_stance, analyze_variant):
-        with pytest.raises(StoppedError) as caught:
-            study(robot, task)  # type: ignore[operator]
-        assert caught.value.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
-
-
-class StoppedError(Exception):
-    """What would be simulated."""
-
-    def __init__(self, stand: pa.Stand) -> None:
-        self.stand = stand
-
-
-class Stop:
-    """Stands for a simulation, and tells of what."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __call__(self, _: pa.Robot, stand: pa.Stand, **__: object) -> None:
-        raise StoppedError(stand)
 
 
 def test_out_of_reach_on_soft_ground_it_is_the_stand_on_rigid_ground() -> None:

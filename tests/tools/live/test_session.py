@@ -112,14 +112,6 @@ def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
     assert write_link("here:1", last) == page.session._panels._link.value
 
 
-def test_a_phone_has_the_numbers_above_its_controls(server: Any) -> None:
-    numbers = render.Numbers(server.gui, Language(), "solving")
-    numbers.content = "<p>0.47 N m</p>"
-    assert numbers.content == "<p>0.47 N m</p>"
-    assert "<p>0.47 N m</p></details>" in numbers._narrow.content
-    assert "max-width" in numbers._narrow.content
-
-
 def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sag is held back; the page has the torques, and says that it is worked out."""
     go_on = threading.Event()
@@ -245,17 +237,6 @@ def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
         assert f">{torque:+.4f}<" in page.numbers
 
 
-def test_what_does_not_stand_is_not_simulated_and_what_is_shown_is_saved(page: Open) -> None:
-    page.ask(State(height=500.0))
-    wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
-    page.session.simulate()
-    assert "no stance" in page.result
-    page.ask(State())
-    wait_for(lambda: "in balance" in page.numbers, "it does not stand")
-    page.session._panels._save()
-    assert set(page.browser.saved) == {"stance.toml"}
-
-
 def test_what_is_typed_beyond_a_slider_stays_when_another_one_moves(page: Open) -> None:
     class Event:
         client = object()
@@ -275,14 +256,6 @@ def test_what_is_typed_beyond_a_slider_stays_when_another_one_moves(page: Open) 
     assert page.controls.state == asked
     wait_for(lambda: page.shows(asked), "not shown")
     assert "payload=12" in page.session._panels._command.value
-
-
-def test_values_beyond_a_slider_make_it_longer(page: Open) -> None:
-    assert page.controls.sliders["payload"].max < 20.0
-    page.ask(State(payload=20.0))
-    wait_for(lambda: page.shows(State(payload=20.0)), "not shown")
-    assert page.controls.sliders["payload"].max == 20.0
-    assert page.controls.sliders["payload"].value == 20.0
 
 
 def test_a_bug_is_told_and_the_page_lives_on(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:

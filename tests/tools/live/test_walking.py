@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.render import Language
-from pupper_analysis.tools.live.walking import WalkPage, WalkSession
+from pupper_analysis.tools.live.walking import WalkSession
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Lockstep, push_forces, simulate_cases, stage_of
 from tests.support.variants import load
@@ -78,10 +77,3 @@ def test_a_push_gives_the_whole_robot_its_impulse(tmp_path: Path) -> None:
     momentum = stage.robot.total_mass * data.subtree_linvel[0]
     # Legs swing meanwhile: the integrator keeps momentum to the first order of its step.
     assert momentum[:2] == pytest.approx([0.6, -0.2], rel=1e-3)
-
-
-def test_a_page_is_served_and_ends(tmp_path: Path) -> None:
-    policy = Policy.load(made.still(tmp_path / "still.json"))
-    page = WalkPage(load("v3"), policy, np.zeros(3))
-    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", page.address)
-    page.close()

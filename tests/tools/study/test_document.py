@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -15,9 +14,8 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.present.document import Report
 from pupper_analysis.present.markdown import write_markdown
-from pupper_analysis.tools.study.document import duration_text, study_document
+from pupper_analysis.tools.study.document import study_document
 from pupper_analysis.tools.study.outcome import (
-    Cells,
     main_effects,
 )
 from pupper_analysis.tools.study.plots import colour_of_share
@@ -69,21 +67,6 @@ def test_the_front_is_of_what_stands_in_what_is_better() -> None:
     pd.testing.assert_frame_equal(found.front, expected)
 
 
-def test_main_effects_are_shares_of_an_additive_function() -> None:
-    """Of y = 3 a + b on a grid the variances are 9 var(a) and var(b)."""
-    a, b = (values.ravel() for values in np.meshgrid(np.linspace(0, 1, 12), np.linspace(0, 1, 12)))
-    table = pd.DataFrame({"a": a, "b": b, "y": 3 * a + b, "noise": 0.0, "same": 0.075})
-    table["noise"] = np.random.default_rng(1).normal(size=len(table))
-    table.loc[::2, "same"] += 1e-16
-    shares = main_effects(table, ("a", "b"), "y")
-    assert shares["a"] == pytest.approx(0.9, abs=0.01)
-    assert shares["b"] == pytest.approx(0.1, abs=0.08)
-    assert max(main_effects(table, ("a", "b"), "noise").values()) < 0.1
-    assert main_effects(table, ("a", "b"), "same") == {"a": 0.0, "b": 0.0}
-    table.loc[table["a"] > 0.5, "y"] = np.nan  # designs without a value do not count
-    assert main_effects(table, ("a", "b"), "y")["a"] == pytest.approx(0.675, abs=0.08)
-
-
 def test_shares_on_a_full_grid_are_plain_and_leave_the_interaction(tmp_path: Path) -> None:
     """Of y = a + 2 a b, a and b from 0 to 1: 4, 1 and what they make only together."""
     axes = np.array([0.0, 0.5, 1.0])
@@ -116,27 +99,6 @@ def test_main_effects_agree_with_sobol_s_first_indices() -> None:
     assert [shares[n] for n in "xyz"] == pytest.approx([0.314, 0.442, 0.0], abs=0.02)
 
 
-def test_cells_of_few_designs_are_wide() -> None:
-    values = np.linspace(0.0, 1.0, 48)
-    cells = Cells(values)
-    assert len(cells.centres) == 4
-    assert np.bincount(cells.index).tolist() == [12, 12, 12, 12]
-    assert len(Cells(np.linspace(0, 1, 24)).centres) == 24  # each has its own
-
-
-def test_what_makes_no_sense_is_refused(tmp_path: Path) -> None:
-    study = pa.Study("v3", {"kp": [5.0, 10.0]}, ["sag"])
-    with pytest.raises(pa.StudyError, match=r"no study\.json"):
-        pa.study.study_outcome(study, tmp_path)
-    with pytest.raises(pa.ConfigurationError, match="no 'mass'; it has sag, kp"):
-        study_with(tmp_path, study, minimise=["mass"])
-    with pytest.raises(pa.ConfigurationError, match="once"):
-        study_with(tmp_path, study, minimise=["sag"], maximise=["sag"])
-    other = pa.Study("v3", {"kp": [6.0, 11.0]}, ["sag"])
-    with pytest.raises(pa.ConfigurationError, match="no design of this study yet"):
-        pa.study.study_outcome(other, tmp_path / "there")
-
-
 def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.study.StudyOutcome:
     with ThreadPoolExecutor(1) as thread:
         study.run(tmp_path / "there", executor=thread)
@@ -144,41 +106,6 @@ def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.stud
 
 
 # The page
-
-
-def test_the_page_has_the_table_s_numbers() -> None:
-    found = outcome()
-    page = Page(written(found, robots=False))
-    tables = page.tables()
-    designs = tables["Designs"]
-    assert len(designs) == 18
-    for row, (_, design) in zip(designs, found.table.iterrows(), strict=True):
-        assert float(row["leg_scale"]) == design["leg_scale"]
-        if np.isfinite(design["servo_sag"]):
-            assert float(row["servo_sag (m)"]) == pytest.approx(design["servo_sag"], rel=1e-4)
-        else:
-            assert row["servo_sag (m)"] == "-"
-            assert row["failure"] == design["failure"]
-    failed = {row["failure"]: row for row in tables["What failed, by kind"]}
-    assert failed["unreachable"]["designs (–)"] == "6"
-    assert failed["unreachable"]["share (–)"].startswith("33.3%")
-    varied = {row["parameter"]: row for row in tables["Parameters"]}
-    assert varied["height (m)"]["range or values"] == "0.12, 0.15, 0.5"
-    front = next(rows for title, rows in tables.items() if "Pareto front" in title)
-    assert [float(row["leg_scale"]) for row in front] == found.front["leg_scale"].to_list()
-    assert "18 designs, of which 6 failed" in page.shown()
-    values = {row["metric"]: row for row in tables["Metrics"]}
-    sag = found.table["servo_sag"]
-    for name, value in (("least", sag.min()), ("median", sag.median()), ("greatest", sag.max())):
-        assert float(values["servo_sag"][name]) == pytest.approx(float(value), rel=1e-4)
-
-
-def test_shares_are_in_their_columns() -> None:
-    tables = Page(written(outcome(), robots=False)).tables()
-    shares = next(rows for title, rows in tables.items() if title.startswith("Sensitivity"))
-    row = next(r for r in shares if r["metric"] == "servo_sag" and r["parameter"] == "kp")
-    (sag,) = [one for one in outcome().measured if one.metric == "servo_sag"]
-    assert row["alone (–)"].startswith(f"{sag.alone['kp']:.1%}")
 
 
 def drawing(page: Page, title: str) -> object:
@@ -237,33 +164,6 @@ def test_a_failure_s_reason_is_in_chinese_too() -> None:
     assert "stance out of reach" in shown(row, "zh")
 
 
-def test_of_many_designs_the_first_are_listed() -> None:
-    many = pd.concat([outcome().table] * 30, ignore_index=True)
-    page = Page(written(replace(outcome(), table=many, designs=len(many)), robots=False))
-    assert "240 more are in the study's folder" in page.shown()
-
-
-def test_the_page_is_in_both_languages() -> None:
-    root = Page(written(outcome(), robots=False)).root.find("body")
-    for element in [e for e in root.iter() if (e.get("class") or "") in ("name", "said")]:
-        element.clear(keep_tail=True)
-    root.find(".//button[@id='language']").text = ""
-    assert not re.search(r"[\u4e00-\u9fff]", shown(root, "en"))
-    for tag in ("h1", "h3", "summary"):
-        for title in (shown(heading, "zh") for heading in root.iter(tag)):
-            assert not title or re.search(r"[\u4e00-\u9fff]", title), title
-
-
-def test_a_study_without_spread_or_failures_has_a_page(tmp_path: Path) -> None:
-    study = pa.Study("v3", {"kp": [8.0]}, ["com_margin"])
-    one = study_with(tmp_path, study)
-    assert one.axes == ()
-    assert one.objectives == {}
-    text = Page(written(one, robots=False)).shown()
-    assert "1 designs, of which 0 failed" in text
-    assert "No design failed." in text
-
-
 def test_the_command_writes_it(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(
         'robot = "v3"\nmeasure = ["servo_sag", "peak_utilisation"]\n'
@@ -280,10 +180,3 @@ def test_the_command_writes_it(tmp_path: Path) -> None:
     page = Page((tmp_path / "r.html").read_text())
     assert any("servo_sag (min), leg_scale (max)" in title for title in page.tables())
     assert (tmp_path / "out" / "front.png").stat().st_size > 5000
-
-
-@pytest.mark.parametrize("seconds", [30.0, 119.0, 600.0, 7199.0, 7200.0, 86000.0, 1e5, 1e6])
-def test_a_duration_is_what_it_says_in_the_greatest_fitting_unit(seconds: float) -> None:
-    number, unit = duration_text(seconds).split()
-    assert float(number) * {"s": 1, "min": 60, "h": 3600}[unit] == pytest.approx(seconds, rel=0.02)
-    assert unit == "h" or float(number) < 120

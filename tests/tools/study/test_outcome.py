@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,29 +14,17 @@ from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Phrase, Quantity, Source, Term, Vector, diagnose
-from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.figures import style
 from pupper_analysis.present.figures.drawing import write_plots
-from pupper_analysis.present.markdown import write_markdown
-from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.fit.write import write_randomisation
 from pupper_analysis.tools.study.design import from_record, to_record
 from pupper_analysis.tools.study.outcome import (
-    Cells,
     main_effects,
     mean_map,
     pareto_front,
     split_panels,
-    study_outcome,
 )
 from pupper_analysis.tools.study.plots import draw_study, mean_plots
-
-
-@pytest.fixture(scope="module")
-def thread() -> Iterator[Executor]:
-    with ThreadPoolExecutor(1) as executor:
-        yield executor
-
 
 # ----------------------------------------------------------------------------- fronts
 
@@ -103,20 +89,6 @@ def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
     assert 0 < found["x"] < 1
 
 
-def test_cells_lie_about_their_middles() -> None:
-    """Many values: cells of one width, each about its middle, with the designs that are in it."""
-    values = np.random.default_rng(0).uniform(2.0, 5.0, 400)
-    cells = Cells(values)
-    assert not cells.levels
-    width = (values.max() - values.min()) / len(cells.centres)
-    np.testing.assert_allclose(np.diff(cells.edges), width)
-    assert (np.abs(values - cells.centres[cells.index]) <= width / 2 * (1 + 1e-9)).all()
-    few = Cells(np.array([1.0, 4.0, 1.0, 2.0]))
-    assert few.levels
-    np.testing.assert_allclose(few.centres[few.index], [1.0, 4.0, 1.0, 2.0])
-    np.testing.assert_allclose(few.edges, [0.5, 1.5, 3.0, 5.0])
-
-
 def test_maps_have_their_cells_where_they_are(table: pd.DataFrame, tmp_path: Path) -> None:
     """Viridis: dark blue is little, yellow is much; grey is not known."""
     drawn = draw_study(table, ("x", "y"), tmp_path, {"x": "max", "m": "min"})
@@ -158,18 +130,6 @@ def test_a_panel_for_each_value_of_another_variable_and_crossed_means_of_more(
         mean_plots(table, "x", "z", "m")
     with pytest.raises(pa.ConfigurationError, match="it is empty"):
         mean_plots(table.iloc[:0], "x", "y", "m")
-
-
-def test_the_outcome_of_one_file_says_so(tmp_path: Path, thread: Executor) -> None:
-    study = pa.Study(
-        {"base": str(model_folder("mjcf") / "pupper_v3.xml"), "keyframe": "home"},
-        {"payload": [0.0, 0.5]},
-        ["peak_utilisation"],
-    )
-    study.run(tmp_path, executor=thread)
-    outcome = study_outcome(study, tmp_path)
-    assert (outcome.robot, outcome.converted) == ("pupper_v3.xml", "urdf")
-    assert "from one file" in write_markdown(build_report([("", outcome)], (), ()))
 
 
 def test_randomisation_as_yaml(tmp_path: Path) -> None:

@@ -67,18 +67,6 @@ def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
     assert row["peak_utilisation"] == pytest.approx(statics.motor_utilisation.max(), rel=1e-9)
 
 
-def test_what_fails_is_a_row_with_its_reason(undisturbed: pd.DataFrame) -> None:
-    soft = undisturbed[undisturbed["kp"] == 0.2]
-    assert set(soft["failure"]) == {"no equilibrium"}
-    assert soft["reason"].str.startswith("no equilibrium: ").all()
-    assert set(soft["failed_metric"]) == {"base_height"}
-    assert soft["servo_sag"].isna().all()
-    assert soft["peak_utilisation"].notna().all()  # what can be told is told
-    others = undisturbed[undisturbed["kp"] > 0.2]
-    assert others["failure"].isna().all()
-    assert others["servo_sag"].notna().all()
-
-
 def test_what_does_not_stand_is_told_as_zero_and_has_no_sag(
     threads: Executor, tmp_path: Path
 ) -> None:
@@ -190,10 +178,6 @@ def test_of_other_versions_no_result_is_taken(
 # ----------------------------------------------------------------------------- going on
 
 
-def counted(seen: list[int]) -> Any:
-    return lambda progress: seen.append(progress.done)
-
-
 def test_what_is_there_is_not_done_again(
     undisturbed: pd.DataFrame, tmp_path: Path, threads: Executor
 ) -> None:
@@ -217,12 +201,6 @@ def test_a_changed_study_has_its_own_rows_alone(tmp_path: Path, threads: Executo
     everything = pa.read_study(tmp_path, everything=True)
     assert len(everything) == 3
     assert everything["peak_utilisation"].notna().sum() == 1
-
-
-def test_more_samples_are_added_to_fewer(tmp_path: Path, threads: Executor) -> None:
-    vary = {"kp": pa.study.uniform(5, 20)}
-    study(vary, "servo_sag", samples=4).execute(tmp_path, executor=threads)
-    assert study(vary, "servo_sag", samples=6).execute(tmp_path, executor=threads).done == 2
 
 
 def test_what_comes_twice_is_done_once(tmp_path: Path, threads: Executor) -> None:
@@ -585,25 +563,6 @@ def test_the_study_command_writes_its_results(
     assert columns["kp"] == [0.2, 10.0, 0.2, 10.0]
     assert columns["servo_sag"][0] is None
     assert columns["servo_sag"][1] == table["servo_sag"][1]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (LEGS.replace("kp", "kq"), "no such number"),
-        (LEGS.replace("servo_sag", "sagging"), "there is no metric 'sagging'"),
-        ("robot =", "not a TOML file"),
-    ],
-)
-def test_the_command_refuses_before_anything_runs(
-    text: str, message: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    (tmp_path / "study.toml").write_text(text)
-    arguments = ["study", str(tmp_path / "study.toml"), "-o", str(tmp_path / "out")]
-    status, _, err = run_command(capfd, *arguments)
-    assert status == 2
-    assert message in err
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.longest

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -32,19 +31,11 @@ from pupper_analysis.tools.study.parameters import (
     with_gains,
     without_visuals,
 )
-from pupper_analysis.tools.study.study import Estimate, names_of
+from pupper_analysis.tools.study.study import names_of
 from pupper_analysis.tools.study.variables import BLOCK, Sampling, make_variable
 from tests.support import slips, study_metrics
 from tests.support.commands import answer
-from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
-
-V3 = {
-    "urdf": str(ROOT / "urdf" / "pupper_v3.urdf"),
-    "mjcf": str(ROOT / "mjcf" / "pupper_v3.xml"),
-    "feet": ["leg_front_r_3_foot_site", "leg_front_l_3_foot_site",
-             "leg_back_r_3_foot_site", "leg_back_l_3_foot_site"],
-}  # fmt: skip
 
 
 def study(vary: Mapping[str, Any], *metrics: Any, robot: Any = "v3", **options: Any) -> pa.Study:
@@ -52,10 +43,6 @@ def study(vary: Mapping[str, Any], *metrics: Any, robot: Any = "v3", **options: 
 
 
 # ----------------------------------------------------------------------------- variables
-
-
-def test_a_grid_has_both_ends_and_even_steps() -> None:
-    assert pa.study.linspace(0.8, 1.6, 5).levels == pytest.approx((0.8, 1.0, 1.2, 1.4, 1.6))
 
 
 @pytest.mark.parametrize(
@@ -74,11 +61,6 @@ def test_quantiles_are_those_of_the_distribution(given: Any, known: Any) -> None
     if given.levels:
         expected = np.array(given.levels)[expected.astype(int)]
     assert given.at(shares) == pytest.approx(expected, rel=1e-9)
-
-
-def test_no_share_is_infinitely_far() -> None:
-    ends = pa.study.normal(0.0, 1.0).at(np.array([0.0, 1.0]))
-    assert ends == pytest.approx(stats.norm.ppf([2.0**-33, 1 - 2.0**-33]), rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -154,21 +136,6 @@ def test_a_longer_sequence_begins_with_the_shorter_one() -> None:
     assert not np.array_equal(all_of(Sampling(variables, 100, 4)), short)
 
 
-def test_a_sequence_is_more_even_than_chance() -> None:
-    """The mean of a uniform variable over n of Sobol's points errs by 1/n, not by 1/sqrt(n)."""
-    points = all_of(Sampling({"a": pa.study.uniform(0, 1), "b": pa.study.uniform(0, 1)}, 1024, 1))
-    assert np.abs(points.mean(axis=0) - 0.5).max() < 2e-3
-    assert abs((points[:, 0] * points[:, 1]).mean() - 0.25) < 4e-3
-    assert np.unique(points[:, 0]).size == 1024
-
-
-def test_samples_go_with_distributions() -> None:
-    with pytest.raises(pa.ConfigurationError, match="payload is a distribution"):
-        study({"payload": pa.study.uniform(0, 1)})
-    with pytest.raises(pa.ConfigurationError, match="6 designs"):
-        study({"payload": [0, 1], "kp": [5, 10, 20]}, samples=10)
-
-
 def test_a_designs_hash_is_of_its_numbers_by_name() -> None:
     block = np.array([[1.0, 2.0], [2.0, 1.0], [-0.0, 3.0], [0.0, 3.0]])
     names = names_of("x", ("a", "b"), block)
@@ -197,13 +164,6 @@ def test_a_designs_hash_is_of_its_numbers_by_name() -> None:
 def test_numbers_that_make_no_sense_are_refused(vary: dict[str, Any], message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
         study(vary)
-
-
-def test_patterns_that_match_nothing_are_refused() -> None:
-    with pytest.raises(pa.UnknownNameError, match="no body 'leg_9'; there are: base_link"):
-        study({"mass:leg_9": [1.1]})
-    with pytest.raises(pa.UnknownNameError, match="no joint 'knee'"):
-        study({"effort:knee": [1.1]})
 
 
 def local_function(robot: pa.Robot, stand: pa.Stand, more: float) -> float:
@@ -247,23 +207,6 @@ def test_a_dry_run_runs_no_code_beside_the_file(tmp_path: Path) -> None:
     assert "its code is executed" in " ".join(answer("study", "--help").stdout.split())
 
 
-def test_other_arguments_are_checked() -> None:
-    with pytest.raises(pa.ConfigurationError, match="there twice"):
-        study({"kp": [5]}, "servo_sag", "servo_sag")
-    with pytest.raises(pa.ConfigurationError, match="time_limit"):
-        study({"kp": [5]}, time_limit=0)
-    with pytest.raises(pa.ConfigurationError, match="neither"):
-        study({"kp": [5]}, robot=3)
-    with pytest.raises(pa.ConfigurationError, match=r"a variant has base, leg_scale.*no 'legs'"):
-        study({"kp": [5]}, robot={"base": "v3", "legs": 2})
-    with pytest.raises(pa.ConfigurationError, match="give urdf, mjcf or both"):
-        study({"kp": [5]}, robot={"feet": V3["feet"]})
-    with pytest.raises(pa.VariantError, match="known variants"):
-        study({"kp": [5]}, robot="v4")
-    with pytest.raises(pa.ConfigurationError, match="no such number"):
-        study({"leg_scale": [1.0]}, robot=V3)  # a pair of files has no scales
-
-
 # ----------------------------------------------------------------------------- files
 
 
@@ -304,22 +247,6 @@ def test_a_file_says_the_same_as_python(tmp_path: Path) -> None:
     assert [names for names, _ in read.designs()] == [names for names, _ in made.designs()]
     again = pa.Study.of(made.asked() | {"stand": {"height": 0.12, "ground": {"slope": 0.05}}})
     assert [names for names, _ in again.designs()] == [names for names, _ in made.designs()]
-
-
-def test_a_module_beside_the_file_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    (tmp_path / "measures_of_mine.py").write_text(
-        "def height(robot, stand):\n    return float(stand.qpos[2])\n"
-    )
-    (tmp_path / "mine.toml").write_text(
-        'robot = "v3"\nmeasure = ["measures_of_mine:height"]\n[vary]\nkp = [5]\n'
-    )
-    study = pa.Study.read(tmp_path / "mine.toml")
-    assert [one.name for one in study.metrics] == ["height"]
-    assert sys.path[-1] == str(tmp_path)
-    with ThreadPoolExecutor(1) as thread:
-        table = study.run(tmp_path / "out", executor=thread)
-    assert 0.1 < table["height"].iloc[0] < 0.2
 
 
 @pytest.mark.parametrize(
@@ -421,25 +348,6 @@ def bias(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
     return np.array(data.qfrc_bias[robot.mj_convention.qvel_index])
 
 
-def test_offsets_of_coms_are_numbers_of_a_study() -> None:
-    """The stand's com is kept over the feet: the base goes back by m / M of the offset."""
-    before = load("v3")
-    name = f"com_x:{before.base}"
-    maker = Maker(study({name: [0.0, 0.02]}).source, pa.StandTask(), (0.0, 0.0, 0.0))
-    still, moved = (maker.design({name: value}) for value in (0.0, 0.02))
-    share = float(before.pin_model.inertias[1].mass) / before.total_mass
-    back = moved.stand.qpos[0] - still.stand.qpos[0]
-    assert -0.03 < back < -0.5 * share * 0.02
-    assert moved.stand.com_margin == pytest.approx(still.stand.com_margin, abs=1e-9)
-    assert (
-        scale_robot(before, {name: 0.01, f"mass:{before.base}": 1.5}).total_mass > before.total_mass
-    )
-    with pytest.raises(pa.ConfigurationError, match="no parameter of a model"):
-        study({"com_w:base": [0.0]})
-    with pytest.raises(pa.ConfigurationError, match="offset of nan"):
-        scale_robot(before, {name: math.nan})
-
-
 def test_each_parameter_has_a_factor_of_its_own() -> None:
     """One line is twelve variables, each of one link: the masses of both models are theirs."""
     vary = {
@@ -500,7 +408,6 @@ def test_gains_and_friction_are_what_the_predictions_read() -> None:
 
 def test_what_is_only_looked_at_makes_no_difference() -> None:
     """The plain robot stands, sags and moves in MuJoCo as the whole one, to the last bit."""
-    from pupper_analysis.robot.build import rebuild_robot
 
     robot, stand = load("v3"), stand_of("v3")
     bare = rebuild_robot(robot, mjcf=without_visuals(robot.description).mjcf)
@@ -614,14 +521,6 @@ def test_the_com_with_its_payload_is_over_the_feet() -> None:
     assert design.robot.total_mass == pytest.approx(load("v3").total_mass + 1.0)
 
 
-def test_what_is_carried_is_sought_where_the_payload_is() -> None:
-    place = (0.0, 0.0, 0.08)
-    design = Maker(study({"kp": [5.0]}).source, pa.StandTask(), place).design({})
-    there = pa.payload_limit(load("v3"), point=place).mass
-    assert METRICS["payload_limit"].function(design) == pytest.approx(there, rel=1e-9)
-    assert there != pytest.approx(pa.payload_limit(load("v3")).mass, rel=0.01)
-
-
 @pytest.mark.longest
 def test_measures_that_simulate_are_what_their_names_say() -> None:
     robot, stand = load("v3"), stand_of("v3")
@@ -644,18 +543,6 @@ def test_measures_that_simulate_are_what_their_names_say() -> None:
     assert simulating == {*expected, "yaw_range"}
 
 
-def test_an_offset_may_vary_where_no_com_is_asked_for(tmp_path: Path) -> None:
-    one = study({"offset_x": [0.0, 0.01]}, "com_margin", robot="v3")
-    with ThreadPoolExecutor(1) as executor:
-        table = one.run(tmp_path, executor=executor)
-    margins = [float(margin) for margin in table["com_margin"]]
-    for offset, margin in zip((0.0, 0.01), margins, strict=True):
-        stand = pa.solve_stand(load("v3"), pa.StandTask(offset=(offset, 0.0)))
-        assert margin == pytest.approx(stand.com_margin, abs=1e-9)
-    with pytest.raises(pa.ConfigurationError, match="not both"):
-        study({"offset_x": [0.0, 0.01]}, "com_margin", stand=pa.StandTask(com="inside"))
-
-
 def test_offsets_are_forward_and_to_the_left(tmp_path: Path) -> None:
     """v3 is longer than wide: the same offset leaves less to the left than forward."""
     vary = {"offset_x": [0.0, 0.01], "offset_y": [0.0, 0.02]}
@@ -673,8 +560,3 @@ def test_offsets_are_forward_and_to_the_left(tmp_path: Path) -> None:
         (margin,) = alone.run(tmp_path / "alone", executor=executor)["com_margin"]
     both = table[(table["offset_x"] == 0.01) & (table["offset_y"] == 0.02)]["com_margin"]
     assert margin == pytest.approx(float(both.iloc[0]), abs=1e-9)
-
-
-def test_workers_share_the_designs_that_are_left() -> None:
-    asked = Estimate(10, there=4, seconds_each=0.5, slowest=0.7, failures=(), left_out=())
-    assert asked.seconds(workers=3) == pytest.approx(1.0)

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import shlex
 from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import TYPED, read_stance_file, task_of
-from pupper_analysis.tools.study.design import Maker
 from pupper_analysis.tools.study.write import WrittenDesign, stance_text, write_design
-from tests.support.commands import answer
 from tests.support.legged import quadruped
 
 METRICS = ["total_mass", "peak_utilisation", "torque", "servo_sag", "stands"]
@@ -61,17 +56,6 @@ def test_bare_engines_read_the_design(heavy: WrittenDesign) -> None:
     assert model.body_mass.sum() == pytest.approx(sum(one.mass for one in urdf.inertias), rel=1e-9)
     assert model.actuator_gainprm[:, 0] == pytest.approx(10.0)
     assert model.actuator_biasprm[:, 1] == pytest.approx(-10.0)
-
-
-def test_stand_of_the_files_is_that_of_the_design(heavy: WrittenDesign) -> None:
-    """The command that is printed, beside the same design made in memory, on soft ground."""
-    words = shlex.split(heavy.command)[1:]
-    found = json.loads(answer(*words, "--json", "-").stdout)
-    study = pa.Study("v3", {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}, METRICS)
-    design = Maker(study.source, study.task, study.point).design(heavy.numbers)
-    torques = pa.stance.stand_statics(design.robot, design.held).joint_torques
-    held = found["statics"]["joint_torques"]
-    np.testing.assert_allclose(held, torques, rtol=1e-9, atol=1e-9)
 
 
 def test_ones_own_robot_with_its_payload_and_stance(tmp_path: Path) -> None:
@@ -134,14 +118,3 @@ def test_a_stance_as_a_file_is_the_stance(tmp_path: Path) -> None:
         if not (TYPED[name].per or TYPED[name].axes or TYPED[name].choices):
             values[name] = shared.parse_measure(name, TYPED[name].kind, value, value)
     assert task_of(values) == task
-
-
-def test_the_command_writes_and_proves(tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text(
-        'robot = "v3"\nmeasure = ["total_mass"]\n[vary]\nkp = { values = [5, 10] }\n'
-    )
-    done = answer("study", str(tmp_path / "s.toml"), "-o", str(tmp_path / "o"), "--write", "2")
-    assert done.returncode == 0, done.stderr
-    assert "Design 2" in done.stdout
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "o/design-2/v3-leg1-torso1.xml"))
-    assert model.actuator_gainprm[:, 0] == pytest.approx(10)

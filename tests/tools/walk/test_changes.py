@@ -13,9 +13,13 @@ import pytest
 
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.tools.walk.gait import follow
-from pupper_analysis.tools.walk.intervals import WARM_UP, changed_case, tracked_intervals
-from pupper_analysis.tools.walk.measured import measured_intervals
-from pupper_analysis.tools.walk.orders import Orders, limbs_of, rank_orders
+from pupper_analysis.tools.walk.intervals import (
+    WARM_UP,
+    changed_case,
+    measured_intervals,
+    tracked_intervals,
+)
+from pupper_analysis.tools.walk.orders import Orders, rank_orders
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import simulate_cases, stage_of
 from tests.support.variants import load
@@ -81,13 +85,6 @@ def test_a_push_is_its_impulse(still: Policy) -> None:
     alone = next(iter(simulate_cases(stage, cases[:1], 2.1, 1.0)))  # nothing stays of a push
     beside = next(iter(simulate_cases(stage, cases, 2.1, 1.0)))
     assert (alone.states == beside.states).all()
-
-
-def test_limbs() -> None:
-    robot = load("v3")
-    assert limbs_of(robot, robot.joint_names) == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
-    mixed = robot.joint_names[::3] + robot.joint_names[1::3] + robot.joint_names[2::3]
-    assert limbs_of(robot, mixed)[0] == [0, 4, 8]
 
 
 @pytest.fixture(scope="module")

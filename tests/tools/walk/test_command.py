@@ -63,16 +63,6 @@ def test_how_far_it_may_change_and_whose_it_is(
     assert "电机力矩上限" in page.read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
-def test_no_reading_of_a_stand_walks(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    policy = made.still(tmp_path / "still.json")
-    status, out, _ = run_command(
-        capfd, "walk", "v3", "--policy", str(policy), "--orders", "--seconds", "3"
-    )
-    assert status == 1
-    assert "NONE WALKS v3 by still.json" in out
-
-
 def test_what_does_not_track_exits_with_1(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -149,12 +149,6 @@ def test_a_rate_is_a_whole_number_of_time_steps_and_both_are_said(still: Policy)
         assert any(f"asked at {shown}" in one for one in how), how
 
 
-def test_standing_does_not_track_a_speed(still: Policy) -> None:
-    walk = simulate_walk(load("v3"), still, (0.5, 0, 0), seconds=3.0)
-    assert walk.gaits[0].fall is None
-    assert not walk.passed
-
-
 @pytest.mark.parametrize(
     ("changed", "text"),
     [

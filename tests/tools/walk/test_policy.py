@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -99,25 +98,3 @@ def test_rtneural_of_pupper(tmp_path: Path) -> None:
 def test_a_contract_that_cannot_be(tmp_path: Path, old: str, new: str, text: str) -> None:
     assert old in TOML
     assert text in refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
-
-
-def test_files_that_are_none(tmp_path: Path) -> None:
-    assert "no such file" in refusal(tmp_path / "none.onnx")
-    bad = tmp_path / "bad.json"
-    bad.write_text('{"layers": [', encoding="utf-8")
-    assert "JSON" in refusal(bad)
-    bad.write_text('{"layers": [1]}', encoding="utf-8")
-    assert "layer 1" in refusal(bad)
-    (tmp_path / "bad.onnx").write_bytes(b"\x80\x04\x95pickle")
-    assert "no ONNX model" in refusal(tmp_path / "bad.onnx")
-
-
-def test_a_network_of_another_size(tmp_path: Path) -> None:
-    path = made.still(tmp_path / "p.json", observation_history=2)
-    assert "takes 36" in refusal(path)
-    path = made.still(tmp_path / "p.json", default_joint_pos=[0.0] * 11)
-    assert "default" in refusal(path)
-    values = json.loads(made.still(tmp_path / "p.json").read_text())
-    values["layers"][0]["weights"][0][3][4] = None
-    path.write_text(json.dumps(values))
-    assert "layer 1 (dense)" in refusal(path)
