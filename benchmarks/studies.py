@@ -152,7 +152,7 @@ def overhead() -> None:
 
 def finding() -> None:
     """How long legs and how heavy a torso do v3's motors (3 N m) and servos (5 N m/rad) bear?"""
-    from pupper_analysis.present.figures import style
+    from pupper_analysis.present.figures import drawing
     from pupper_analysis.tools.study.outcome import pareto_front
 
     vary = {
@@ -169,7 +169,7 @@ def finding() -> None:
     heaviest = stands.groupby(["kp", "leg_scale"])["torso_mass_scale"].max()
     print(heaviest.unstack(0).to_string())
     said = "The longest legs and the heaviest v3 that stay up on their servos"
-    figure = style.page_figure(said, 3.4, layout="constrained")
+    figure = drawing.page_figure(said, 3.4, layout="constrained")
     axes = figure.add_subplot()
     axes.set(xlabel="length of the legs / v3's", ylabel="mass of the robot (kg)")
     for kp, part in stands.groupby("kp"):
@@ -178,10 +178,10 @@ def finding() -> None:
         look = {"color": dots.get_facecolor()[0, :3], "marker": "o", "ms": 3.5}
         label = f"kp {kp:g} N m/rad: no other design beats these"
         axes.plot(front["leg_scale"], front["total_mass"], label=label, **look)
-    style.title_panel(axes, "")
-    axes.legend(fontsize=style.FONT, frameon=False)
+    drawing.title_panel(axes, "")
+    axes.legend(fontsize=drawing.FONT, frameon=False)
     docs = Path(__file__).parents[1] / "docs" / "images"
-    style.save_figure(figure, docs / "study_front.png")
+    drawing.save_figure(figure, docs / "study_front.png")
 
 
 VICTIM = """

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from pupper_analysis.base.errors import OutputError
-from pupper_analysis.present.figures.style import save_figure
+from pupper_analysis.present.figures.drawing import save_figure
 from pupper_analysis.present.html.write import write_report
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, write_plan
 from pupper_analysis.tools.fit.write import write_randomisation

@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.pose import (
     draw_skeleton,
     ground_corners,
@@ -60,7 +60,7 @@ def analysis_of(name: str) -> Any:
 def check_picture(path: Path) -> None:
     assert path.read_bytes().startswith(b"\x89PNG")
     pixels = imread(path)
-    assert pixels.shape[1] == pytest.approx(178 / 25.4 * style.DPI, abs=1)
+    assert pixels.shape[1] == pytest.approx(178 / 25.4 * drawing.DPI, abs=1)
     assert pixels.shape[0] > 300
     # Drawn on everywhere: white between, and something in each ninth of it.
     drawn_on = (pixels[..., :3] < 1.0).any(axis=-1)
@@ -79,7 +79,7 @@ def other(analysis: Any, **changes: Any) -> Any:
 def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments: Any) -> Figure:
     """The figure that a function draws, instead of its file."""
     kept: list[Figure] = []
-    monkeypatch.setattr(style, "save_figure", lambda figure, path: kept.append(figure))
+    monkeypatch.setattr(drawing, "save_figure", lambda figure, path: kept.append(figure))
     draw(*arguments, Path("unused.png"))
     return kept[0]
 

@@ -1,31 +1,55 @@
-"""Plots drawn by matplotlib: mark by mark what a page draws as SVG."""
+"""Plots drawn by matplotlib, mark by mark what a page draws as SVG; and what all figures share."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import GENERATOR, PICTURE
+from pupper_analysis.base.provenance import find_provenance
 from pupper_analysis.present.document import Plot, Words, in_english
-from pupper_analysis.present.figures import style
 from pupper_analysis.present.html.plots import Drawing, Mark, draw_svg
 
+DPI = 180
+FONT = 8  # pt
+
+# Okabe and Ito's colours, which the colour-blind can tell apart.
+BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#D55E00",
+    "#56B4E9",
+    "#000000",
+    "#6B7280",
+)
+
+GRID = "#E3E6EB"
+COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
+
+WIDTH = 178 / 25.4
+"""A page's text (inch)."""
+
 _COLOURS = {
-    **{f"s{index}": colour for index, colour in enumerate(style.COLOURS)},
-    "bar": style.SKY,
-    "other": style.BLACK,
-    "limit": style.RED,
-    "cross": style.RED,
-    "axis": style.GREY,
-    "grid": style.GRID,
+    **{f"s{index}": colour for index, colour in enumerate(COLOURS)},
+    "bar": SKY,
+    "other": BLACK,
+    "limit": RED,
+    "cross": RED,
+    "axis": GREY,
+    "grid": GRID,
     "empty": "0.93",
 }
 """{class of the page's style sheet: colour}."""
@@ -73,10 +97,10 @@ def write_plots(
     shared = {name: kind for name, kind in legends[0].items()
               if all(one.get(name) == kind for one in legends)}  # fmt: skip
     legend = [*(_handle(name, kind) for name, kind in shared.items()), *notes]
-    across = style.WIDTH / columns
+    across = WIDTH / columns
     # A legend has a line for every two of its entries, which may be long.
     room = 0.45 + 0.45 * len(rows) * bool(names or len(plots) > 1) + 0.09 * len(legend)
-    figure = style.page_figure(
+    figure = page_figure(
         in_english(title or plots[0].title), across * sum(heights) + room, layout="constrained"
     )
     grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
@@ -85,14 +109,14 @@ def write_plots(
         axes = figure.add_subplot(grid[divmod(index, columns)])
         size = _LETTERS * 72 * across / drawing.width
         _draw(drawing, axes, size)
-        style.title_panel(axes, name)
+        title_panel(axes, name)
         own = [_handle(*one) for one in legends[index].items() if one[0] not in shared]
         if own:
             axes.legend(handles=own, loc="upper center", bbox_to_anchor=(0.5, 0.0), fontsize=size,
                         ncols=2, frameon=False)  # fmt: skip
     if legend:
-        style.put_legend(figure, legend, columns=2)
-    style.save_figure(figure, path)
+        put_legend(figure, legend, columns=2)
+    save_figure(figure, path)
 
 
 def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
@@ -125,7 +149,7 @@ def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
 
 
 def _line(kind: str, width: float) -> dict[str, Any]:
-    colour = _COLOURS.get(kind, style.GREY)
+    colour = _COLOURS.get(kind, GREY)
     return {"color": colour, "ls": _DASHES.get(kind, "-"), "lw": _WIDTHS.get(kind, width)}
 
 
@@ -149,3 +173,64 @@ def _handle(name: str, kind: str) -> Artist:
     if kind in _DASHES or kind == "s0" or kind == "other":
         return Line2D([], [], label=name, **_line(kind, 1.3))
     return Patch(color=_COLOURS.get(kind, kind), label=name)
+
+
+def page_figure(
+    title: str,
+    height: float,
+    *,
+    width: float = WIDTH,
+    layout: Literal["constrained"] | None = None,
+) -> Figure:
+    """Returns an empty figure with a title (inch); ``layout`` is Matplotlib's."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout=layout)
+    figure.suptitle(title, x=0.012, ha="left", size=FONT + 2, weight="bold", parse_math=False)
+    return figure
+
+
+def title_panel(axes: Axes, title: str) -> None:
+    """Gives a panel its title, and the look of all panels."""
+    axes.set_title(title, size=FONT, weight="bold", loc="left", pad=4, parse_math=False)
+    axes.tick_params(labelsize=FONT)
+    for spine in ("top", "right"):
+        axes.spines[spine].set_visible(False)
+
+
+_CROWDED_LEGEND = 8
+"""Entries of a legend that need less room between them to stand in one line."""
+
+
+def put_legend(figure: Figure, handles: Sequence[Artist], *, columns: int | None = None) -> None:
+    """Puts a legend under a figure, in one line or in columns."""
+    figure.legend(
+        handles=list(handles),
+        loc="outside lower center" if figure.get_layout_engine() else "lower center",
+        ncols=columns or len(handles),
+        fontsize=FONT,
+        frameon=False,
+        handletextpad=0.5,
+        columnspacing=1.4 if len(handles) < _CROWDED_LEGEND else 0.8,
+        handlelength=2.0 if len(handles) < _CROWDED_LEGEND else 1.6,
+    )
+
+
+def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> None:
+    """Writes a figure as a PNG, and its folder if need be; no half-written file is ever there.
+
+    Args:
+        figure: The figure.
+        path: The file.
+        force: Replace what is no figure of ours, too.
+
+    Raises:
+        OutputError: If the file cannot be written, or is no figure of ours.
+    """
+    from pupper_analysis import __version__
+
+    FigureCanvasAgg(figure)
+    made = {
+        "Software": f"{GENERATOR} {__version__}",
+        "Source": "\n".join(find_provenance().lines()),
+    }
+    with whole_file(Path(path), PICTURE, force=force) as file:
+        figure.savefig(file, format="png", metadata=made)

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
 
-from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.scene import StandingScene, describe_scene
 from pupper_analysis.robot.robot import Robot
 
@@ -156,9 +156,9 @@ _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT = "#CFE8F7"
 _RING: dict[str, Any] = {"marker": "o", "ls": "", "mfc": "white"}
-_COM: dict[str, Any] = {**_RING, "color": style.GREEN, "mew": 2.2, "ms": 8}
-_SWING: dict[str, Any] = {**_RING, "color": style.BLACK, "mew": 1.6}
-_PROJECTION: dict[str, Any] = {"color": style.GREEN, "marker": "x", "ls": "", "mew": 2.2, "ms": 7}
+_COM: dict[str, Any] = {**_RING, "color": drawing.GREEN, "mew": 2.2, "ms": 8}
+_SWING: dict[str, Any] = {**_RING, "color": drawing.BLACK, "mew": 1.6}
+_PROJECTION: dict[str, Any] = {"color": drawing.GREEN, "marker": "x", "ls": "", "mew": 2.2, "ms": 7}
 
 
 def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: str | Path) -> None:
@@ -176,9 +176,9 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
         OutputError: If the file cannot be written.
     """
     lines, seen = draw_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
-    figure = style.page_figure(f"{robot.name}: how it stands", 0.6 * style.WIDTH)
+    figure = drawing.page_figure(f"{robot.name}: how it stands", 0.6 * drawing.WIDTH)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
-    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=style.FONT, va="top")
+    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=drawing.FONT, va="top")
     space = figure.add_axes((0.01, 0.09, 0.55, 0.77))
     above = figure.add_axes((0.64, 0.17, 0.35, 0.66))
     for axes, projection in ((space, _IN_SPACE), (above, _FROM_ABOVE)):
@@ -186,25 +186,25 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     _draw_forces(space, 1e3 * _IN_SPACE, seen)
     space.set_axis_off()
     margin = statics.com_margin
-    style.title_panel(above, "from above" + _draw_margin(above, seen, margin))
-    above.set_xlabel("y, left (mm)", size=style.FONT)
-    above.set_ylabel("x, forward (mm)", size=style.FONT)
+    drawing.title_panel(above, "from above" + _draw_margin(above, seen, margin))
+    above.set_xlabel("y, left (mm)", size=drawing.FONT)
+    above.set_ylabel("x, forward (mm)", size=drawing.FONT)
     above.xaxis.set_major_formatter(lambda value, _: f"{0.0 - value:g}")
     above.locator_params(nbins=5)
     _name_feet(above, seen)
-    leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": style.BLACK, "ms": 4}
+    leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": drawing.BLACK, "ms": 4}
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
-        Line2D([], [], color=style.BLACK, marker="o", ls="", ms=6, label="foot"),
+        Line2D([], [], color=drawing.BLACK, marker="o", ls="", ms=6, label="foot"),
         *([Line2D([], [], **_SWING, label="swing foot")] if stand.task.swing else []),
         Patch(facecolor=_BASE_FACE, edgecolor=_BASE_EDGE, label="base"),
-        Line2D([], [], color=style.RED, marker=r"$\uparrow$", ls="", ms=9, label="contact force"),
+        Line2D([], [], color=drawing.RED, marker=r"$\uparrow$", ls="", ms=9, label="contact force"),
         Line2D([], [], **_COM, label="com"),
         Line2D([], [], **_PROJECTION, label="com's projection"),
-        Patch(facecolor=_SUPPORT, edgecolor=style.BLUE, hatch="//", label="support polygon"),
+        Patch(facecolor=_SUPPORT, edgecolor=drawing.BLUE, hatch="//", label="support polygon"),
     ]
-    style.put_legend(figure, handles)
-    style.save_figure(figure, path)
+    drawing.put_legend(figure, handles)
+    drawing.save_figure(figure, path)
 
 
 def _draw_stand(
@@ -225,7 +225,7 @@ def _draw_stand(
     for box, face, edge, order in boxes:
         for corners in BOX_FACES:
             area(box[list(corners)], fc=face, ec=edge, alpha=0.4, lw=0.8, zorder=order)
-    area(seen.polygon, fc=_SUPPORT, ec=style.BLUE, hatch="//", alpha=0.7, lw=1.2, zorder=1)
+    area(seen.polygon, fc=_SUPPORT, ec=drawing.BLUE, hatch="//", alpha=0.7, lw=1.2, zorder=1)
     hips = np.array([leg[0] for leg in lines.legs.values()])
     small = 1.0 if len(seen.contacts) == len(seen.points) else 0.45  # of feet with several points
     for foot, leg in lines.legs.items():
@@ -234,14 +234,14 @@ def _draw_stand(
         order = 4 if near else 2
         colour = _NEAR_COLOUR if near else _FAR_COLOUR
         line(leg, color=colour, lw=4, solid_capstyle="round", zorder=order)
-        line(leg[:-1], "o", color="white", mec=style.BLACK, mew=0.8, ms=4, zorder=order)
-        mark = _SWING if foot in stand.task.swing else {"color": style.BLACK, "marker": "o"}
+        line(leg[:-1], "o", color="white", mec=drawing.BLACK, mew=0.8, ms=4, zorder=order)
+        mark = _SWING if foot in stand.task.swing else {"color": drawing.BLACK, "marker": "o"}
         line(leg[-1], **mark, ms=7 * small, zorder=order)
     for arm in lines.arms:
         line(arm, color=_FAR_COLOUR, lw=2.5, solid_capstyle="round", zorder=2)
     around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
     line(np.concatenate([around, around[:1]]), color=_BASE_EDGE, lw=2.2, zorder=3)
-    line(np.array([seen.com, seen.below]), color=style.GREEN, ls="--", lw=1.2, zorder=6)
+    line(np.array([seen.com, seen.below]), color=drawing.GREEN, ls="--", lw=1.2, zorder=6)
     line(seen.com, **_COM, zorder=6)
     line(seen.below, **_PROJECTION, zorder=6)
     axes.set_aspect("equal")
@@ -252,7 +252,7 @@ def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
     """Draws the contact forces as arrows that end at the feet, in a projection (2, 3) to mm."""
     largest = max(float(np.linalg.norm(one.force)) for one in seen.contacts)
     scale = _ARROW * float(np.ptp(seen.polygon[:, :2], axis=0).max()) / largest
-    arrow = {"arrowstyle": "-|>", "color": style.RED, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
+    arrow = {"arrowstyle": "-|>", "color": drawing.RED, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
     for one in seen.contacts:
         tail = one.point - scale * one.force
         tip, end = (tuple(projection @ place) for place in (one.point, tail))
@@ -272,8 +272,8 @@ def _name_feet(axes: Axes, seen: StandingScene) -> None:
             tuple(1e3 * _FROM_ABOVE @ one.point),
             (9 * side, 0),
             textcoords="offset points",
-            size=style.FONT,
-            color=style.RED,
+            size=drawing.FONT,
+            color=drawing.RED,
             ha="right" if side < 0 else "left",
             va="center",
             parse_math=False,
@@ -289,6 +289,6 @@ def _draw_margin(axes: Axes, seen: StandingScene, margin: float | None) -> str:
     ring = np.concatenate([seen.polygon, seen.polygon[:1]])[:, :2]
     edge = np.array([*nearest_edge_point(ring, seen.com[:2]), 0.0])
     (x, y), (there, up) = 1e3 * _FROM_ABOVE @ seen.com, 1e3 * _FROM_ABOVE @ edge
-    axes.plot((x, there), (y, up), color=style.GREEN, lw=1.6, zorder=8)
-    axes.plot(there, up, "o", color=style.GREEN, ms=4, zorder=8)
+    axes.plot((x, there), (y, up), color=drawing.GREEN, lw=1.6, zorder=8)
+    axes.plot(there, up, "o", color=drawing.GREEN, ms=4, zorder=8)
     return f": com margin {1e3 * margin:.1f} mm"

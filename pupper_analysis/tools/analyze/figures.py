@@ -20,7 +20,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import in_english, text
 from pupper_analysis.present.documents.loads import torque_plot
 from pupper_analysis.present.documents.standing import height_plot
-from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.tools.analyze.sweep import deviation_table
 
@@ -97,30 +97,30 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         )
         sweep = analysis.sweep
         columns = len(sweep.kd) * min(_COLUMNS, len(analyses))
-        _write_cells(axes, tables[index], norm, style.FONT * min(1.0, _ROOMY / columns))
-        style.title_panel(axes, analysis.name)
+        _write_cells(axes, tables[index], norm, drawing.FONT * min(1.0, _ROOMY / columns))
+        drawing.title_panel(axes, analysis.name)
         axes.set_xticks(range(len(sweep.kd)), [f"{value:g}" for value in sweep.kd])
         axes.set_yticks(range(len(sweep.kp)), [f"{value:g}" for value in sweep.kp])
         axes.tick_params(length=0)
-        axes.set_xlabel("kd (N m s/rad)", size=style.FONT)
-        axes.set_ylabel("kp (N m/rad)", size=style.FONT)
+        axes.set_xlabel("kd (N m s/rad)", size=drawing.FONT)
+        axes.set_ylabel("kp (N m/rad)", size=drawing.FONT)
         _label_outside(axes, index, len(analyses))
     colours = figure.colorbar(
         image, ax=panels, shrink=0.9, pad=0.015, aspect=20 * -(-len(panels) // _COLUMNS)
     )
-    colours.set_label("deviation (mm)", size=style.FONT)
-    colours.ax.tick_params(labelsize=style.FONT, which="both")
+    colours.set_label("deviation (mm)", size=drawing.FONT)
+    colours.ax.tick_params(labelsize=drawing.FONT, which="both")
     colours.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     colours.ax.yaxis.set_minor_locator(NullLocator())
     colours.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     disturbance = f"vertical disturbance of {sweep.amplitude:g} N at {sweep.frequency:g} Hz"
     named = [
-        Patch(fill=False, edgecolor=style.RED, lw=2, label="no stable rest"),
-        Patch(facecolor="#F1F1F1", edgecolor=style.GREY, hatch="////", label="fell"),
+        Patch(fill=False, edgecolor=drawing.RED, lw=2, label="no stable rest"),
+        Patch(facecolor="#F1F1F1", edgecolor=drawing.GREY, hatch="////", label="fell"),
         Line2D([], [], ls="", label=disturbance),
     ]
-    style.put_legend(figure, named)
-    style.save_figure(figure, path)
+    drawing.put_legend(figure, named)
+    drawing.save_figure(figure, path)
 
 
 def _panels(analyses: Sequence[object], title: str, row_height: float) -> tuple[Figure, list[Axes]]:
@@ -129,7 +129,7 @@ def _panels(analyses: Sequence[object], title: str, row_height: float) -> tuple[
         raise ConfigurationError("analyses", diagnose("no-robot-to-draw"))
     columns = min(_COLUMNS, len(analyses))
     rows = -(-len(analyses) // columns)
-    figure = style.page_figure(title, rows * row_height + 0.75, layout="constrained")
+    figure = drawing.page_figure(title, rows * row_height + 0.75, layout="constrained")
     grid = figure.add_gridspec(rows, columns)
     panels = [figure.add_subplot(grid[divmod(index, columns)]) for index in range(len(analyses))]
     return figure, panels
@@ -161,14 +161,19 @@ def _write_cells(axes: Axes, table: doc.Table, norm: LogNorm, size: float) -> No
             at: dict[str, Any] = {"size": size, "ha": "center", "va": "center", "in_layout": False}
             if not isinstance(cell, doc.Number):
                 place = (column - 0.5, row - 0.5)
-                look: dict[str, Any] = {"fc": "#F1F1F1", "ec": style.GREY, "hatch": "////", "lw": 0}
+                look: dict[str, Any] = {
+                    "fc": "#F1F1F1",
+                    "ec": drawing.GREY,
+                    "hatch": "////",
+                    "lw": 0,
+                }
                 axes.add_patch(Rectangle(place, 1, 1, **look))
                 box = {"fc": "white", "ec": "none", "pad": 1.0}
                 axes.text(column, row, in_english(cell), bbox=box, **at)
                 continue
             said = f"{cell.value:.3f}" if cell.value < 10 else f"{cell.value:.0f}"
-            shade = "white" if norm(cell.value) < 0.5 else style.BLACK
+            shade = "white" if norm(cell.value) < 0.5 else drawing.BLACK
             axes.text(column, row, said, color=shade, **at)
             if cell.mark:
                 place = (column - 0.46, row - 0.46)
-                axes.add_patch(Rectangle(place, 0.92, 0.92, fill=False, ec=style.RED, lw=2.2))
+                axes.add_patch(Rectangle(place, 0.92, 0.92, fill=False, ec=drawing.RED, lw=2.2))

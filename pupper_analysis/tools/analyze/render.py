@@ -30,13 +30,13 @@ from scipy import ndimage
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.models.mjcf import JointKind, compile_spec
+from pupper_analysis.present.figures.drawing import save_figure
 from pupper_analysis.present.figures.pose import (
     BOX_FACES,
     Skeleton,
     draw_skeleton,
     hull_corners,
 )
-from pupper_analysis.present.figures.style import save_figure
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.tools.analyze.analysis import leg_lengths

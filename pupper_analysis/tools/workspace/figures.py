@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.pose import Skeleton, draw_skeleton, hull_corners
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
@@ -30,7 +30,7 @@ _VIEWS = {
 """{direction: where it is seen from, which axes are drawn to the right (y: to the left) and up}."""
 
 _AXES = ("x, forward (mm)", "y, left (mm)", "z, up (mm)")
-_END_COLOURS = {"low": style.BLUE, "high": style.RED}
+_END_COLOURS = {"low": drawing.BLUE, "high": drawing.RED}
 
 
 def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -> None:
@@ -45,7 +45,7 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
         OutputError: If the file cannot be written.
     """
     title = f"{robot.name}: how far the base can go with its feet planted, each way alone"
-    figure = style.page_figure(title, 0.68 * style.WIDTH, layout="constrained")
+    figure = drawing.page_figure(title, 0.68 * drawing.WIDTH, layout="constrained")
     start = workspace.start
     panels = figure.subplots(2, 3).flat
     for axes, (direction, interval) in zip(panels, workspace.intervals.items(), strict=True):
@@ -57,9 +57,9 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
             title = f"{1e3 * low:.1f} to {1e3 * high:.1f} mm"
         else:
             title = f"{1e3 * low:+.1f} to {1e3 * high:+.1f} mm"
-        style.title_panel(axes, f"{direction}: {title}")
+        drawing.title_panel(axes, f"{direction}: {title}")
         drawn = [draw_skeleton(robot, start.qpos)]
-        _draw(axes, drawn[0], style.GREY, across, up)
+        _draw(axes, drawn[0], drawing.GREY, across, up)
         for end, value in (("low", low), ("high", high)):
             drawn.append(draw_skeleton(robot, solve_stand_at(robot, start, direction, value).qpos))
             _draw(axes, drawn[-1], _END_COLOURS[end], across, up)
@@ -69,15 +69,15 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
         axes.set_aspect("equal")
         if across == 1:
             axes.invert_xaxis()
-        axes.set_xlabel(f"{_AXES[across]}; {view}", size=style.FONT)
-        axes.set_ylabel(_AXES[up], size=style.FONT)
+        axes.set_xlabel(f"{_AXES[across]}; {view}", size=drawing.FONT)
+        axes.set_ylabel(_AXES[up], size=drawing.FONT)
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(4))
-    names = {"start": style.GREY, "least value": style.BLUE, "greatest value": style.RED}
-    style.put_legend(
+    names = {"start": drawing.GREY, "least value": drawing.BLUE, "greatest value": drawing.RED}
+    drawing.put_legend(
         figure, [Line2D([], [], color=color, lw=2, label=name) for name, color in names.items()]
     )
-    style.save_figure(figure, path)
+    drawing.save_figure(figure, path)
 
 
 def _draw(axes: Axes, lines: Skeleton, color: str, across: int, up: int) -> None:

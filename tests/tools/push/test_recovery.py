@@ -16,7 +16,7 @@ import pytest
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis.present.figures.style import DPI
+from pupper_analysis.present.figures.drawing import DPI
 from pupper_analysis.present.verdict import in_words
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground

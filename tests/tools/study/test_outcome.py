@@ -14,7 +14,7 @@ from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Phrase, Quantity, Source, Term, Vector, diagnose
-from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.tools.fit.write import write_randomisation
 from pupper_analysis.tools.study.design import from_record, to_record
@@ -123,7 +123,7 @@ def test_a_panel_for_each_value_of_another_variable_and_crossed_means_of_more(
         write_plots(plots, tmp_path / f"{name}.png")
     panels, mean, plain = (imread(tmp_path / f"{n}.png") for n in ("panels", "mean", "plain"))
     assert panels.shape[1] >= plain.shape[1]
-    grey = to_rgb(style.GREY)
+    grey = to_rgb(drawing.GREY)
     lines = [int((np.abs(one[..., :3] - grey).max(axis=2) < 0.02).sum()) for one in (mean, plain)]
     assert lines[0] > lines[1] + 100  # across the cells
     with pytest.raises(pa.ConfigurationError, match="no 'z'; there are x, y, m"):

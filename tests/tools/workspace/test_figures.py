@@ -9,20 +9,20 @@ import pytest
 from matplotlib.figure import Figure
 
 import pupper_analysis as pa
-from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures import drawing
 from pupper_analysis.tools.workspace import figures as workspace_figure
 from tests.support.variants import load
 
 
 def test_every_direction_has_its_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
-    save = style.save_figure
+    save = drawing.save_figure
 
     def keep(figure: Figure, path: Path) -> None:
         drawn.append(figure)
         save(figure, path)
 
-    monkeypatch.setattr(style, "save_figure", keep)
+    monkeypatch.setattr(drawing, "save_figure", keep)
     robot = load("v3")
     workspace = pa.stance.base_workspace(robot, pa.StandTask(ground=pa.Ground(0.1), pitch=-0.1))
     workspace_figure.workspace_figure(robot, workspace, tmp_path / "workspace.png")
