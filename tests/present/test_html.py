@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import re
 from dataclasses import dataclass, replace
 from functools import cache
@@ -32,6 +33,7 @@ from pupper_analysis.present.document import (
     Table,
     Text,
     View,
+    number_cell,
     tell,
 )
 from pupper_analysis.present.documents import sources
@@ -501,6 +503,31 @@ def test_directions_are_as_seen_from_above() -> None:
     assert back[1] > right[1]
     assert left[0] < ahead[0] == pytest.approx(back[0])
     assert right[0] > back[0]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0, 10, [0, 2, 4, 6, 8, 10]),
+        (-3, 3, [-2, 0, 2]),
+        (0.11, 0.13, [0.11, 0.115, 0.12, 0.125, 0.13]),
+    ],
+)
+def test_ticks_are_round(low: float, high: float, expected: list[float]) -> None:
+    assert plots.round_ticks(low, high) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "expected"),
+    [
+        (-1e-9, "+.3f", "+0.000"),
+        (None, ".1f", "-"),
+        (0.1234, ".1%", "12.3%"),
+        (math.inf, "g", "inf"),
+    ],
+)
+def test_numbers_are_written(value: float | None, form: str, expected: str) -> None:
+    assert number_cell(value, form).text == expected
 
 
 # Files and commands

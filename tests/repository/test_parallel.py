@@ -220,6 +220,15 @@ def test_a_robot_needs_no_files_any_more(tiny_files: Files, tmp_path: Path) -> N
     assert_same_model(robot.mj_model, back.description.mjcf.copy().compile(), REBUILT)
 
 
+def test_meshes_come_along(tmp_path: Path) -> None:
+    pa.pupper.write_variant("v3", tmp_path)
+    spec = mujoco.MjSpec.from_file(str(tmp_path / "mjcf" / "v3.xml"))
+    model, state = spec.copy().compile(), state_of(spec)
+    for mesh in (tmp_path / "mjcf" / "meshes").iterdir():
+        mesh.unlink()
+    assert_same_model(model, spec_from(state).compile(), REBUILT)
+
+
 # -------------------------------------------------------------------------------------- processes
 
 
