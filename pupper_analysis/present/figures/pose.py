@@ -256,7 +256,7 @@ def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
     for one in seen.contacts:
         tail = one.point - scale * one.force
         tip, end = (tuple(projection @ place) for place in (one.point, tail))
-        axes.annotate("", tip, end, zorder=7, arrowprops=arrow)  # type: ignore[arg-type]
+        axes.annotate("", tip, end, zorder=7, arrowprops=arrow)
         axes.plot(*end, alpha=0.0)  # so that there is room for it
 
 
