@@ -91,7 +91,7 @@ def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> float:
         postures = rng.uniform(*motions.ranges.T, size=(SAMPLES, robot.nu))
     else:  # each loop that bends is closed anew, by some 15 ms
         bends = bool(motions.bent.any())
-        postures = np.array(motions.random(BOUND if bends else SAMPLES, between=bends))
+        postures = np.array(motions.random(BOUND if bends else SAMPLES))
     same = bool(motions.constant.all())  # couplings pass on the same parts everywhere
     parts = np.eye(robot.nu) if alone else by_motors(robot, postures[0], np.eye(robot.nu))
     most = np.zeros(robot.nu)

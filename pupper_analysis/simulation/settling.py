@@ -17,16 +17,15 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import find_instability
-from pupper_analysis.simulation.nudge import measure_response, simulate_nudge
+from pupper_analysis.simulation.monitor import LAST
 from pupper_analysis.simulation.rollout import (
     STATE,
     Standing,
     begin_stand,
     simulate,
 )
-from pupper_analysis.simulation.stability import evaluate_stability
-from pupper_analysis.simulation.verify import NUDGED, RESTING, SETTLED_DRIFT
-from pupper_analysis.simulation.watch import LAST
+from pupper_analysis.simulation.stability import measure_response, simulate_nudge, stability_after
+from pupper_analysis.simulation.verify import NUDGED, SETTLED_DRIFT
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
@@ -128,9 +127,7 @@ def comes_to_rest(
     if last is None:
         return False
     model, state = held.drive.model, last.states[-1]
-    judged = evaluate_stability(held.drive, state, held.ctrl, 0.0)
-    if judged.speed > RESTING:
-        judged = evaluate_stability(held.drive, held.start, held.ctrl)
+    judged = stability_after(held.drive, held.start, state, held.ctrl)
     if not judged.lasts():
         return False
     later = simulate_nudge(model, state, held.ctrl, _time_to_forget(judged))

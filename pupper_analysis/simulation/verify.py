@@ -6,6 +6,7 @@ loops that give way, constraints that it does not know, soles that touch at more
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -28,10 +29,14 @@ from pupper_analysis.simulation.causes import (
     find_instability,
     too_stiff,
 )
-from pupper_analysis.simulation.nudge import Nudge, measure_response, simulate_nudge
+from pupper_analysis.simulation.monitor import LAST, SimulationSettings, Watch, watch_contacts
 from pupper_analysis.simulation.rollout import begin_stand, check_stand, simulate
-from pupper_analysis.simulation.stability import evaluate_stability
-from pupper_analysis.simulation.watch import LAST, SimulationSettings, Watch, watch_contacts
+from pupper_analysis.simulation.stability import (
+    Nudge,
+    measure_response,
+    simulate_nudge,
+    stability_after,
+)
 from pupper_analysis.stance.soft_ground import open_loops
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -176,9 +181,6 @@ ANOTHER_ROBOT = 1e-3
 SETTLED_DRIFT = 5e-4
 """A base whose height changes faster than this in the last second has not settled (m/s)."""
 
-RESTING = 5e-3
-"""What moves faster does not rest (m/s, rad/s): feet creep by less."""
-
 SOFT = 1e-4
 """Ground into which feet sink deeper than their stand has them by this is soft (m)."""
 
@@ -309,40 +311,24 @@ def verify_stand(
     held = begin_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
     robot, drive, prediction = held.robot, held.drive, held.prediction
     start, ctrl = held.start, held.ctrl
-    timestep = float(drive.model.opt.timestep)
-    quiet = simulate(
-        drive.model, start, np.tile(ctrl, (max(2, round((duration - after) / timestep)), 1))
-    )
-    diverged = monitor.has_diverged(quiet, timestep)
-    later = simulate_nudge(drive.model, quiet[-1], ctrl, after) if after and not diverged else None
-    states = quiet if later is None else np.concatenate([quiet, later])
+    upright = monitor.Upright.of(robot, stand.qpos, stand.task.rotation())
+    run = settle_and_nudge(drive, start, ctrl, duration - after, after, upright.has_collapsed)
     predicted = robot.per_foot(prediction.contact_forces)
     light = LIGHT * sum(force[2] for force in predicted.values())
     loaded = {foot for foot, force in predicted.items() if force[2] >= FORCE_TOLERANCE * light}
-    watch = watch_contacts(robot, drive.model, stand, states, ctrl, len(quiet), loaded)
-    judged = evaluate_stability(drive, quiet[-1], ctrl, 0.0)
-    # What threw it off grew where it began: a wreck that lies at rest has a spectrum of its own.
-    if _collapses(robot, stand, quiet, timestep):
-        judged = evaluate_stability(drive, start, ctrl, 0.0)
-    elif judged.speed > RESTING:
-        judged = evaluate_stability(drive, start, ctrl)
-    nudge = (
-        None
-        if later is None
-        else measure_response(drive.model, quiet[-1], later, quiet[-round(LAST / timestep) :])
-    )
-    seen = _Seen(states, len(quiet), watch, judged, nudge)
+    watch = watch_contacts(robot, drive.model, stand, run.states, ctrl, run.settling, loaded)
     found = replace(
-        _measured(robot, stand, drive, prediction, seen, light), feedforward=feedforward
+        _measured(robot, stand, drive, prediction, run, watch, upright, light),
+        feedforward=feedforward,
     )
-    failures = _failures(robot, stand, states, watch, found)
+    failures = _failures(robot, upright, run.states, watch, found)
     if failures:
         failures += [*too_stiff(robot, stand, drive), *find_creep(robot, stand, prediction)]
     failures += find_instability(found.stability, found.nudge)
     stays = not failures
     if feedforward:
         failures += _deviations(robot, stand, watch, found, prediction, alone=stays)
-    failures += find_chatter(robot, drive, states, ctrl) if failures else []
+    failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
     return replace(found, passed=not failures, failures=tuple(failures), stays=stays)
 
 
@@ -362,14 +348,55 @@ def _time_after(duration: float, nudged: float | None) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """What was simulated: the states, of which so many settle before the nudge, and their looks."""
+class Settled:
+    """What became of a command.
+
+    Attributes:
+        states: (n, size) after each step.
+        settling: How many of them are before the nudge.
+        last: The last second of these.
+        diverged: Whether they broke down.
+        stability: Of where it settled.
+        nudge: What became of the nudge; None if it was not given.
+    """
 
     states: Array
     settling: int
-    watch: Watch
+    last: Array
+    diverged: bool
     stability: Stability
     nudge: Nudge | None
+
+
+def settle_and_nudge(
+    drive: Servos,
+    start: Array,
+    ctrl: Array,
+    seconds: float,
+    after: float,
+    lost: Callable[[Array], bool],
+) -> Settled:
+    """Simulates what a state settles at under a command, and then what becomes of a nudge.
+
+    Args:
+        drive: What is simulated.
+        start: (size,) the state.
+        ctrl: (nu,) the command.
+        seconds: For how long it settles (s).
+        after: How long the nudge is simulated (s); 0: there is none.
+        lost: Tells whether a state is no longer what was to be held.
+    """
+    model = drive.model
+    timestep = float(model.opt.timestep)
+    quiet = simulate(model, start, np.tile(ctrl, (max(2, round(seconds / timestep)), 1)))
+    diverged, last = monitor.has_diverged(quiet, timestep), quiet[-round(LAST / timestep) :]
+    gone = diverged or lost(quiet[-1])
+    judged, states, nudge = stability_after(drive, start, quiet[-1], ctrl, lost=gone), quiet, None
+    if after and not diverged:
+        later = simulate_nudge(model, quiet[-1], ctrl, after)
+        nudge = measure_response(model, quiet[-1], later, last)
+        states = np.concatenate([quiet, later])
+    return Settled(states, len(quiet), last, diverged, judged, nudge)
 
 
 @np.errstate(invalid="ignore", over="ignore")  # of what has diverged: it is judged to have
@@ -378,7 +405,9 @@ def _measured(
     stand: Stand,
     drive: Servos,
     prediction: GravityCompensation,
-    seen: _Seen,
+    run: Settled,
+    watch: Watch,
+    upright: monitor.Upright,
     light: float,
 ) -> StandVerification:
     """Compares a rollout with what was predicted, and does not judge it yet.
@@ -387,8 +416,7 @@ def _measured(
     more.
     """
     timestep = float(drive.model.opt.timestep)
-    states, watch, drops = seen.states, seen.watch, seen.watch.drops(stand)
-    settled = states[seen.settling - round(LAST / timestep) : seen.settling]
+    states, settled, drops = run.states, run.last, watch.drops(stand)
     resting = monitor.base_heights(robot, settled)
     base_height = float(resting.mean())
     height_loss = float(stand.qpos[2]) - base_height
@@ -412,7 +440,7 @@ def _measured(
         passed=True,
         failures=(),
         stays=True,
-        collapses=_collapses(robot, stand, states, timestep),
+        collapses=upright.has_collapsed(states[-1]) or monitor.has_diverged(states, timestep),
         feedforward=True,
         integrator=drive.integrator,
         timestep=timestep,
@@ -439,8 +467,8 @@ def _measured(
         force_error=float(force_error),
         mujoco_foot_error=foot_error,
         mujoco_residual=residual,
-        stability=seen.stability,
-        nudge=seen.nudge,
+        stability=run.stability,
+        nudge=run.nudge,
         time=states[::step, 0].copy(),
         height=monitor.base_heights(robot, states[::step]).copy(),
         motion_time=states[::frame, 0].copy(),
@@ -448,17 +476,10 @@ def _measured(
     )
 
 
-def _collapses(robot: Robot, stand: Stand, states: Array, timestep: float) -> bool:
-    """Tells whether a robot no longer stands at the end, in any way."""
-    upright = monitor.Upright.of(robot, stand.qpos, stand.task.rotation())
-    return upright.has_collapsed(states[-1]) or monitor.has_diverged(states, timestep)
-
-
 def _failures(
-    robot: Robot, stand: Stand, states: Array, watch: Watch, found: StandVerification
+    robot: Robot, upright: monitor.Upright, states: Array, watch: Watch, found: StandVerification
 ) -> list[Diagnostic]:
     """Says why the robot does not stand still on its feet, if it does not."""
-    upright = monitor.Upright.of(robot, stand.qpos, stand.task.rotation())
     failures = list(watch.failures)
     if monitor.has_diverged(states, found.timestep):
         failures.insert(0, monitor.tell_divergence(found.integrator, found.timestep))
@@ -474,6 +495,30 @@ def _failures(
     return failures
 
 
+def deviations(
+    joint: float, torque: float, way: float = 0.0, share: float = 0.0
+) -> list[Diagnostic]:
+    """Says so if joints (rad) or torques (in parts) are off what was predicted.
+
+    By more than what friction may hold them off: a way (rad), and a share of a torque.
+    """
+    off = []
+    if not joint < JOINT_TOLERANCE + way:
+        off.append(diagnose("joint-off", error=Quantity(joint, "rad")))
+    if not torque < FORCE_TOLERANCE + share:
+        off.append(diagnose("motor-torque-off", error=torque))
+    return off
+
+
+def two_robots(robot: Robot, residual: float, weight: float) -> list[Diagnostic]:
+    """Says so if MuJoCo's balance is off (N, N m) by more of a weight (N) than one robot's is."""
+    if not residual > ANOTHER_ROBOT * weight:
+        return []
+    mjcf = Quantity(robot.mj_model.body_subtreemass[0], "kg")
+    urdf = Quantity(robot.total_mass, "kg")
+    return [diagnose("files-of-two-robots", mjcf=mjcf, residual=residual, urdf=urdf)]
+
+
 def _deviations(
     robot: Robot,
     stand: Stand,
@@ -484,24 +529,12 @@ def _deviations(
     alone: bool,
 ) -> list[Diagnostic]:
     """Says what is not as predicted; soft ground may be why, if that ``alone`` is wrong."""
-    off = []
-    if not found.joint_error < JOINT_TOLERANCE:
-        off.append(diagnose("joint-off", error=Quantity(found.joint_error, "rad")))
-    if not found.torque_error < FORCE_TOLERANCE:
-        off.append(diagnose("motor-torque-off", error=found.torque_error))
+    off = deviations(found.joint_error, found.torque_error)
     if not found.force_error < FORCE_TOLERANCE:
         off.append(diagnose("foot-force-off", error=found.force_error))
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
-    if off and found.mujoco_residual > ANOTHER_ROBOT * weight:
-        off.append(
-            diagnose(
-                "files-of-two-robots",
-                mjcf=Quantity(robot.mj_model.body_subtreemass[0], "kg"),
-                residual=found.mujoco_residual,
-                urdf=Quantity(robot.total_mass, "kg"),
-            )
-        )
-        return off
+    if off and (two := two_robots(robot, found.mujoco_residual, weight)):
+        return [*off, *two]
     if off and watch.touching:
         return [*off, *(diagnose("parts-touch", bodies=pair) for pair in watch.touching)]
     if off and (acts := closed_loops(robot, stand, ANOTHER_ROBOT * weight)):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TypeGuard
 
 import mujoco
 import numpy as np
@@ -27,9 +26,11 @@ _UNMOVED = 1e-9
 _SHARES = (0.29, 0.71, 1.0)
 """Parts of a range, either way, at which it is seen whether joints follow in proportion."""
 
+_SAMPLES = 24
+"""Looks along a joint that others follow in proportion, where torques are no single wave."""
+
 _PLACES = 25
-"""Positions of a joint that leads a loop, in which this is closed, once for all searches: between
-two of them, 3 degrees apart for a gripper, a torque is off its peak by some 1e-4."""
+"""Of a joint that leads a loop, which takes 15 ms to close: 3 degrees apart for a gripper."""
 
 _FEWER = 9
 """Of each of several joints that lead one loop, which is closed at their combinations."""
@@ -73,34 +74,25 @@ class JointMotions:
         self.constant = np.ones(count, dtype=bool)
         self.bent = np.zeros(count, dtype=bool)
         self.moved = [np.array([joint]) for joint in self.free]
-        self._loop = [np.zeros(0, dtype=np.int64) for _ in self.free]
+        self._loop = [np.array([joint]) for joint in self.free]
         self._closed: dict[tuple[float, ...], Array | None] = {}
         self._tendons = tendon_ranges(robot)
         if self._closure is not None:
             self._bind(self._closure)
         self._go_along_tendons()
 
-    def random(self, count: int, *, between: bool = False) -> list[Array]:
-        """Returns random postures (nu,), their loops closed: the same ones each time.
-
-        Args:
-            count: How many.
-            between: Also between the places at which loops are closed once for all.
-        """
+    def random(self, count: int) -> list[Array]:
+        """Returns so many random postures (nu,), their loops closed: the same ones each time."""
         random, found = np.random.default_rng(0), []
         for _ in range(count):
             qpos = self.origin.copy()
-            for way, bends in enumerate(self.bent):
-                share = random.uniform()
-                if bends:
-                    place = self._place(qpos, way, round(share * (self._places(way) - 1)))
-                    qpos = place if self._kept(place) else qpos
-                    low, high = self.ranges[self.free[way]]
-                    near = self.bend(qpos, way, low + share * (high - low)) if between else None
-                    qpos = near if self._kept(near) else qpos
-                else:
-                    low, high = self.span(qpos, way)
-                    qpos = self.along(qpos, way, low + share * (high - low))
+            for way in range(len(self.free)):
+                share, (low, high) = random.uniform(), self.span(qpos, way)
+                if self.bent[way]:
+                    last = self.places(way) - 1
+                    share = round(share * last) / last
+                there = self.along(qpos, way, low + share * (high - low))
+                qpos = qpos if there is None else there
             found.append(qpos)
         return found
 
@@ -108,10 +100,12 @@ class JointMotions:
         """Returns how far (rad, m) joints can go along a way from a posture, back and forth."""
         step, lead = self.steps[:, way], self.free[way]
         moving = self.moved[way]
+        if self.bent[way]:  # how far what follows lets it go is seen by closing the loop
+            low, high = self.ranges[lead] - qpos[lead]
+            return float(low), float(high)
         if len(moving) == 1 and step[lead] == 1.0:
             ends = self.ranges[[lead]] - qpos[lead]
         else:
-            moving = moving[np.abs(step[moving]) > _UNMOVED]  # near the posture, of one that bends
             ends = (self.ranges[moving] - qpos[moving, None]) / step[moving, None]
         tendons = self._tendons
         rates = tendons.coefficients @ step
@@ -121,81 +115,39 @@ class JointMotions:
         ends.sort(axis=1)
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
-    def along(self, qpos: Array, way: int, length: float) -> Array:
-        """Returns the posture (nu,) that is so far along a way, which does not bend (rad, m)."""
-        moved: Array = qpos + length * self.steps[:, way]
-        return moved
+    def places(self, way: int) -> int:
+        """Returns at how many places a way is looked at; loops are closed once for all at these."""
+        if not self.bent[way]:
+            return _SAMPLES
+        return _PLACES if len(np.intersect1d(self._loop[way], self.free)) == 1 else _FEWER
 
-    def places(self, qpos: Array, way: int) -> list[Array | None]:
-        """Returns postures (nu,) along a way that bends, over its range, with loops closed.
+    def along(self, qpos: Array, way: int, length: float) -> Array | None:
+        """Returns the posture (nu,) that is so far along a way (rad, m), its loop closed.
 
-        None where one does not close, or takes others, or tendons, beyond their ranges.
+        None if that does not close there, or takes others, or tendons, beyond their ranges.
         """
-        found = [self._place(qpos, way, number) for number in range(self._places(way))]
-        return [place if self._kept(place) else None for place in found]
-
-    def closed_before(self, qpos: Array, way: int) -> list[Array]:
-        """Returns postures (nu,) with the loop of a way, which bends, as it was closed so far."""
-        loop, found = self._loop[way], []
-        leading = np.intersect1d(loop, self.free)
-        for key, own in self._closed.items():
-            numbers, positions = key[: len(leading)], key[len(leading) :]
-            if own is not None and numbers == tuple(leading.tolist()):
-                moved = qpos.copy()
-                moved[leading], moved[self._followers(way)] = positions, own
-                found.append(moved)
-        return [place for place in found if self._kept(place)]
-
-    def around(self, qpos: Array, way: int) -> tuple[float, float]:
-        """Returns positions a place before and after that of the joint of a way (rad, m)."""
-        low, high = self.ranges[self.free[way]]
-        here, apart = float(qpos[self.free[way]]), float(high - low) / (self._places(way) - 1)
-        return max(float(low), here - apart), min(float(high), here + apart)
-
-    def bend(self, qpos: Array, way: int, position: float) -> Array | None:
-        """Returns the posture (nu,) with the joint of a way, which bends, elsewhere (rad, m).
-
-        None if its loop does not close there, or takes others, or tendons, beyond their ranges.
-        """
-        moved = self._bent(qpos, way, position)
-        return moved if self._kept(moved) else None
-
-    def _bent(self, qpos: Array, way: int, position: float) -> Array | None:
-        """Returns the same, wherever that takes tendons."""
+        if not self.bent[way]:
+            moved: Array = qpos + length * self.steps[:, way]
+            return moved
         assert self._closure is not None
-        moved, followers = qpos.copy(), self._followers(way)
-        moved[self.free[way]] = position
-        moving = np.isin(np.arange(len(qpos)), followers).astype(np.float64)
-        closed = self._closure.closed(moved, moving)
-        if closed is None:
+        bent, loop = qpos.copy(), self._loop[way]
+        bent[self.free[way]] += length
+        following = np.intersect1d(loop, self._closure.following)
+        leading = np.setdiff1d(loop, following)
+        key = (*leading.tolist(), *bent[leading].round(9).tolist())
+        if key not in self._closed:  # once for all searches
+            moving = np.isin(np.arange(len(qpos)), following).astype(np.float64)
+            closed, own = self._closure.closed(bent, moving), None
+            if closed is not None:
+                low, high = self.ranges[following].T
+                near = np.clip(closed[following], low, high)
+                own = near if (np.abs(near - closed[following]) <= _BEYOND).all() else None
+            self._closed[key] = own
+        followed = self._closed[key]
+        if followed is None:
             return None
-        low, high = self.ranges[followers].T
-        own = closed[followers]
-        if ((own < low - _BEYOND) | (own > high + _BEYOND)).any():
-            return None
-        moved[followers] = np.clip(own, low, high)
-        return moved
-
-    def _place(self, qpos: Array, way: int, number: int) -> Array | None:
-        """Returns the posture in which a joint is at one of its places; None if no loop closes."""
-        loop, lead, moved = self._loop[way], self.free[way], qpos.copy()
-        low, high = self.ranges[lead]
-        moved[lead] = low + (high - low) * number / (self._places(way) - 1)
-        leading = np.setdiff1d(loop, self._following)
-        key = tuple(np.concatenate([leading, moved[leading].round(9)]).tolist())
-        followers = self._followers(way)
-        if key not in self._closed:
-            closed = self._bent(moved, way, float(moved[lead]))
-            self._closed[key] = None if closed is None else closed[followers]
-        own = self._closed[key]
-        if own is None:
-            return None
-        moved[followers] = own
-        return moved
-
-    def _kept(self, qpos: Array | None) -> TypeGuard[Array]:
-        """Tells whether there is a posture (nu,), with tendons in their ranges."""
-        return qpos is not None and bool((self._tendons.room(qpos) >= -AT_END).all())
+        bent[following] = followed
+        return bent if (self._tendons.room(bent) >= -AT_END).all() else None
 
     def _go_along_tendons(self) -> None:
         """Adds the ways of two joints on one tendon: at its end neither has a way of its own."""
@@ -208,19 +160,7 @@ class JointMotions:
                 self.free += (self.free[one],)
                 self.moved.append(np.flatnonzero(np.abs(step) > _UNMOVED))
                 self.bent = np.append(self.bent, False)
-                self._loop.append(np.zeros(0, dtype=np.int64))
-
-    def _followers(self, way: int) -> IntArray:
-        """Returns the joints of the loop of a way that follow."""
-        return np.intersect1d(self._loop[way], self._following)
-
-    def _places(self, way: int) -> int:
-        """Returns at how many positions of the joint of a way its loop is closed."""
-        return _PLACES if len(np.intersect1d(self._loop[way], self.free)) == 1 else _FEWER
-
-    @property
-    def _following(self) -> IntArray:
-        return np.setdiff1d(np.arange(len(self.origin)), self.free)
+                self._loop.append(np.array([self.free[one]]))
 
     def _bind(self, closure: Closure) -> None:
         """Takes loops and couplings into account."""
@@ -248,7 +188,7 @@ class JointMotions:
         """Tells whether joints that follow a way in proportion leave its loop open somewhere."""
         ends = np.array(self.span(self.origin, way))
         return any(
-            closure.open_by(self.along(self.origin, way, float(share * end))) > _OPEN
+            closure.open_by(self.origin + share * end * self.steps[:, way]) > _OPEN
             for share in _SHARES
             for end in ends
         )
