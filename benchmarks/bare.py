@@ -146,7 +146,10 @@ def _quantities(robot: pa.Robot, stand: pa.Stand) -> Job:
         return np.array(feet), com, inertia, pin.computeGeneralizedGravity(model, data, q)
 
     def accuracy() -> Accuracy:
-        turn = robot.pin_convention.velocity_map(stand.qpos)
+        turn = np.zeros((robot.nv, robot.nv))  # v_pin = turn qvel
+        turn[:3, :3] = pa.Configuration(robot, stand.qpos).base_rotation().T
+        turn[3:6, 3:6] = np.eye(3)
+        turn[robot.pin_convention.v_index, np.arange(6, robot.nv)] = 1.0
         feet, com, upper, gravity = bare()
         inertia = np.triu(upper) + np.triu(upper, 1).T
         expected = feet @ turn, com, turn.T @ inertia @ turn, turn.T @ gravity

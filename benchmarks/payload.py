@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 import pupper_analysis as pa
-from pupper_analysis.tools.payload.trial import PayloadTrial
+from pupper_analysis.tools.payload.limit import PayloadTrial
 
 
 def kilograms(mass: float) -> str:

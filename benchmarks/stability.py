@@ -30,13 +30,13 @@ from pupper_analysis.robot.stability import (
     step_stability,
 )
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.nudge import LEFT, NUDGE, measure_response
 from pupper_analysis.simulation.rollout import (
     STATE,
     full_state,
     place_on_ground,
     simulate,
 )
+from pupper_analysis.simulation.stability import LEFT, NUDGE, measure_response
 
 Array = NDArray[np.float64]
 

@@ -158,12 +158,12 @@ def _names(model: mujoco.MjModel, kind: mujoco.mjtObj, numbers: Iterable[int]) -
     return tuple(_name(model, kind, int(number)) for number in numbers)
 
 
-def _motor_names(model: mujoco.MjModel, motors: list[int]) -> tuple[str, ...]:
+def _motor_names(model: mujoco.MjModel, motors: Iterable[int]) -> tuple[str, ...]:
     """Returns actuators' names, or else their joints'."""
-    named = {m: mujoco.mj_id2name(model, _OBJ.mjOBJ_ACTUATOR, m) for m in motors}
     return tuple(
-        name or _name(model, _OBJ.mjOBJ_JOINT, int(model.actuator_trnid[m, 0]))
-        for m, name in named.items()
+        mujoco.mj_id2name(model, _OBJ.mjOBJ_ACTUATOR, int(motor))
+        or _name(model, _OBJ.mjOBJ_JOINT, int(model.actuator_trnid[motor, 0]))
+        for motor in motors
     )
 
 
@@ -177,124 +177,121 @@ COMMANDS = ("bias", "gain", "gaintype", "gear")
 """The codes of what makes another target of a command."""
 
 
-def _numerics(model: mujoco.MjModel) -> Iterator[Candidate]:
-    """How MuJoCo integrates, and how exactly it solves for constraint forces."""
+def _set(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], None]:
+    """Returns what gives elements of a model's arrays, or its options, other values.
 
-    def finer(other: mujoco.MjModel) -> None:
-        other.opt.timestep = min(model.opt.timestep / 2, _FINE)
-        other.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value
-
-    integrator = mujoco.mjtIntegrator(int(model.opt.integrator)).name.removeprefix("mjINT_")
-    if not model.actuator_delay.any():  # else its samples would last for less
-        yield Candidate("timestep", (f"{model.opt.timestep:g} s ({integrator})",), finer)
-    newton = mujoco.mjtSolver.mjSOL_NEWTON.value
-    rough = model.opt.iterations < _ITERATIONS or model.opt.tolerance > _TOLERANCE
-    if rough or model.opt.solver != newton:
-
-        def exact(other: mujoco.MjModel) -> None:
-            other.opt.solver = newton
-            other.opt.iterations = max(model.opt.iterations, _ITERATIONS)
-            other.opt.tolerance = min(model.opt.tolerance, _TOLERANCE)
-
-        kind = mujoco.mjtSolver(int(model.opt.solver)).name.removeprefix("mjSOL_")
-        yield Candidate("iterations", (f"{kind}, {model.opt.iterations} iterations",), exact)
-
-
-def _set(fields: str, where: Any, value: Any = 0) -> Callable[[mujoco.MjModel], None]:
-    """Returns what gives elements of a model's arrays another value: by default none."""
+    Args:
+        changes: (fields, which of their elements, the value); of an option's, the element is None.
+    """
 
     def switch_off(other: mujoco.MjModel) -> None:
-        for field in fields.split():
-            attrgetter(field)(other)[where] = value
+        for fields, where, value in changes:
+            for field in fields.split():
+                if where is None:
+                    setattr(other.opt, field, value)
+                else:
+                    attrgetter(field)(other)[where] = value
 
     return switch_off
 
 
+def _if_any(
+    code: str, elements: tuple[str, ...], fields: str, where: Any, value: Any = 0
+) -> Iterator[Candidate]:
+    """Yields what gives elements another value, by default none, if there are any."""
+    if elements:
+        yield Candidate(code, elements, _set((fields, where, value)))
+
+
+def _numerics(model: mujoco.MjModel) -> Iterator[Candidate]:
+    """How MuJoCo integrates, and how exactly it solves for constraint forces."""
+    option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
+    integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
+    if not model.actuator_delay.any():  # else its samples would last for less
+        finer = _set(
+            ("timestep", None, min(option.timestep / 2, _FINE)),
+            ("integrator", None, mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value),
+        )
+        yield Candidate("timestep", (f"{option.timestep:g} s ({integrator})",), finer)
+    rough = option.iterations < _ITERATIONS or option.tolerance > _TOLERANCE
+    if rough or option.solver != newton:
+        exact = _set(
+            ("solver", None, newton),
+            ("iterations", None, max(option.iterations, _ITERATIONS)),
+            ("tolerance", None, min(option.tolerance, _TOLERANCE)),
+        )
+        kind = mujoco.mjtSolver(int(option.solver)).name.removeprefix("mjSOL_")
+        yield Candidate("iterations", (f"{kind}, {option.iterations} iterations",), exact)
+
+
+def _joints_of(bare: Bare, robot: Robot) -> NDArray[np.int64]:
+    """Returns the ids of the robot's joints in a model."""
+    return np.array([bare.model.joint(name).id for name in robot.joint_names])
+
+
+def _motors_of(bare: Bare, robot: Robot) -> NDArray[np.int64]:
+    """Returns the ids of the motors at the robot's joints in a model."""
+    joints = _joints_of(bare, robot).tolist()
+    return np.array([m for joint in joints for m in drives_of(bare.model, joint)], dtype=np.int64)
+
+
 def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Forces beside the law of position servos: biases, gains that are no stiffness, delays."""
-    model = bare.model
-    motors = [m for name in robot.joint_names for m in drives_of(model, model.joint(name).id)]
-    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
-    biased = [
-        m
-        for m in motors
-        if model.actuator_biastype[m] == affine and model.actuator_biasprm[m, 0] != 0
-    ]
-    if biased:
-        yield Candidate("bias", _motor_names(model, biased), _set("actuator_biasprm", (biased, 0)))
-    uneven = [
-        m
-        for m in motors
-        if model.actuator_biastype[m] == affine
-        and 0 < -model.actuator_biasprm[m, 1] != model.actuator_gainprm[m, 0] > 0
-    ]
-    if uneven:
-        even = _set("actuator_gainprm", (uneven, 0), -model.actuator_biasprm[uneven, 1])
-        yield Candidate("gain", _motor_names(model, uneven), even)
-    fixed = mujoco.mjtGain.mjGAIN_FIXED.value
-    varying = [
-        m
-        for m in motors
-        if model.actuator_biastype[m] == affine and model.actuator_gaintype[m] != fixed
-    ]
-    if varying:
-        steady = _set("actuator_gaintype", varying, fixed)
-        yield Candidate("gaintype", _motor_names(model, varying), steady)
-    late = [m for m in motors if model.actuator_delay[model.actuator_ctrladr[m]] > 0]
-    if late:
-        prompt = _set("actuator_delay", model.actuator_ctrladr[late])
-        yield Candidate("delay", _motor_names(model, late), prompt)
+    model, motors = bare.model, _motors_of(bare, robot)
+    fixed, affine = mujoco.mjtGain.mjGAIN_FIXED.value, mujoco.mjtBias.mjBIAS_AFFINE.value
+    controls = model.actuator_ctrladr[motors]
+    served = motors[model.actuator_biastype[motors] == affine]
+    gain, stiffness = model.actuator_gainprm[served, 0], -model.actuator_biasprm[served, 1]
+    biased = served[model.actuator_biasprm[served, 0] != 0]
+    uneven = served[(stiffness > 0) & (stiffness != gain) & (gain > 0)]
+    varying = served[model.actuator_gaintype[served] != fixed]
+    late = model.actuator_delay[controls] > 0
+    named = {code: _motor_names(model, which) for code, which in (
+        ("bias", biased), ("gain", uneven), ("gaintype", varying), ("delay", motors[late])
+    )}  # fmt: skip
+    even = -model.actuator_biasprm[uneven, 1]
+    yield from _if_any("bias", named["bias"], "actuator_biasprm", (biased, 0))
+    yield from _if_any("gain", named["gain"], "actuator_gainprm", (uneven, 0), even)
+    yield from _if_any("gaintype", named["gaintype"], "actuator_gaintype", varying, fixed)
+    yield from _if_any("delay", named["delay"], "actuator_delay", controls[late])
 
 
 def _signs(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Signs that are seldom meant: of an actuator's gear, of a joint's damping."""
-    model = bare.model
-    joints = [model.joint(name).id for name in robot.joint_names]
-    turned = [
-        m for joint in joints for m in drives_of(model, joint) if actuator_gear(model, m)[0] < 0
-    ]
-    if turned:
-        outputs = model.actuator_outadr[turned]
-        straight = _set("actuator_gear", (outputs, 0), -model.actuator_gear[outputs, 0])
-        yield Candidate("gear", _motor_names(model, turned), straight)
-    driving = [joint for joint in joints if model.dof_damping[model.jnt_dofadr[joint]] < 0]
-    if driving:
-        undamped = _set("dof_damping", model.jnt_dofadr[driving])
-        yield Candidate("damping", _names(model, _OBJ.mjOBJ_JOINT, driving), undamped)
+    model, joints = bare.model, _joints_of(bare, robot)
+    turned = [m for m in _motors_of(bare, robot).tolist() if actuator_gear(model, m)[0] < 0]
+    outputs = model.actuator_outadr[turned]
+    straight = -model.actuator_gear[outputs, 0]
+    named = _motor_names(model, turned)
+    yield from _if_any("gear", named, "actuator_gear", (outputs, 0), straight)
+    driving = joints[model.dof_damping[model.jnt_dofadr[joints]] < 0]
+    named = _names(model, _OBJ.mjOBJ_JOINT, driving)
+    yield from _if_any("damping", named, "dof_damping", model.jnt_dofadr[driving])
 
 
 def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Forces beside gravity and motors: springs, joints' limits, fluids; and gravity aside."""
-    model = bare.model
-    sprung = {
-        kind: (stiff != 0) | higher.any(axis=1)
-        for kind, stiff, higher in (
+    model, joints = bare.model, _joints_of(bare, robot)
+    linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
+    sprung = [
+        _names(model, kind, np.flatnonzero((stiff != 0) | poly.any(axis=1)))
+        for kind, stiff, poly in (
             (_OBJ.mjOBJ_JOINT, model.jnt_stiffness, model.jnt_stiffnesspoly),
             (_OBJ.mjOBJ_TENDON, model.tendon_stiffness, model.tendon_stiffnesspoly),
         )
-    }
-    listed = sum((_names(model, kind, np.flatnonzero(of)) for kind, of in sprung.items()), ())
-    if listed:
-        linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
-        yield Candidate("spring", listed, _set(f"{linear} {higher}", slice(None)))
-    joints = [model.joint(name).id for name in robot.joint_names]
-    limited = [joint for joint in joints if model.jnt_limited[joint]]
-    if limited:
-        listed = _names(model, _OBJ.mjOBJ_JOINT, limited)
-        yield Candidate("range", listed, _set("jnt_limited", limited))
+    ]
+    yield from _if_any("spring", (*sprung[0], *sprung[1]), f"{linear} {higher}", slice(None))
+    limited = joints[model.jnt_limited[joints] != 0]
+    yield from _if_any("range", _names(model, _OBJ.mjOBJ_JOINT, limited), "jnt_limited", limited)
     if model.opt.density or model.opt.viscosity:
-
-        def empty(other: mujoco.MjModel) -> None:
-            other.opt.density = other.opt.viscosity = 0.0
-
         parts = [f"density {model.opt.density:g} kg/m^3", f"viscosity {model.opt.viscosity:g} Pa s"]
         if model.opt.wind.any():
             parts.append(f"wind ({', '.join(f'{speed:g}' for speed in model.opt.wind)}) m/s")
-        yield Candidate("fluid", tuple(parts), empty)
+        yield Candidate("fluid", tuple(parts), _set(("density viscosity", None, 0.0)))
     if model.opt.gravity[:2].any():
         down = 0.0, 0.0, -np.linalg.norm(model.opt.gravity)
-        upright = _set("opt.gravity", slice(None), down)
         stated = ", ".join(f"{part:g}" for part in model.opt.gravity)
+        upright = _set(("opt.gravity", slice(None), down))
         yield Candidate("gravity", (f"({stated}) m/s^2",), upright)
 
 
@@ -340,26 +337,19 @@ def _contacts(bare: Bare) -> Iterator[Candidate]:
     model = bare.model
     touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     even = model.pair_friction[:, 0] == model.pair_friction[:, 1]  # else see ``_pairs``
-    for code in ("slippery", "soft"):
-        found = np.flatnonzero(_are_bad(model, "geom", code) & touch)
-        stated = np.flatnonzero(_are_bad(model, "pair", code) & (even | (code == "soft")))
-        if not len(found) and not len(stated):
-            continue
-
-        def sound(
-            other: mujoco.MjModel,
-            code: str = code,
-            found: NDArray[np.intp] = found,
-            stated: NDArray[np.intp] = stated,
-        ) -> None:
-            if code == "slippery":
-                other.geom_friction[found, 0] = _GRIP
-                other.pair_friction[stated, :2] = _GRIP
-            else:
-                other.geom_solref[found] = other.pair_solref[stated] = _OWN_SOLREF
-
-        shapes = dict.fromkeys(_shape(model, geom) for geom in found.tolist())
-        yield Candidate(code, (*shapes, *_pair_names(model, stated)), sound)
+    slips = np.flatnonzero(_are_bad(model, "geom", "slippery") & touch)
+    paired = np.flatnonzero(_are_bad(model, "pair", "slippery") & even)
+    gives = np.flatnonzero(_are_bad(model, "geom", "soft") & touch)
+    both = np.flatnonzero(_are_bad(model, "pair", "soft"))
+    for code, geoms, pairs, sound in (
+        ("slippery", slips, paired, (("geom_friction", (slips, 0), _GRIP),
+                                     ("pair_friction", (paired, slice(2)), _GRIP))),
+        ("soft", gives, both, (("geom_solref", gives, _OWN_SOLREF),
+                               ("pair_solref", both, _OWN_SOLREF))),
+    ):  # fmt: skip
+        if len(geoms) or len(pairs):
+            shapes = dict.fromkeys(_shape(model, geom) for geom in geoms.tolist())
+            yield Candidate(code, (*shapes, *_pair_names(model, pairs)), _set(*sound))
 
 
 def _are_bad(model: mujoco.MjModel, of: str, code: str) -> NDArray[np.bool_]:
@@ -381,117 +371,85 @@ def _pair_names(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ..
 
 
 def _excludes(model: mujoco.MjModel) -> Iterator[Candidate]:
-    """A pair of bodies that do not touch, one of which is the world."""
+    """A pair of bodies that do not touch, one of which is the world, or is fixed to it."""
+    still = {0, *np.flatnonzero(model.body_weldid == 0).tolist()}
     for number in range(model.nexclude):
         pair = divmod(int(model.exclude_signature[number]), 1 << 16)
-        if 0 not in pair and not set(pair) & _still(model):
-            continue
-        names = " and ".join(_name(model, _OBJ.mjOBJ_BODY, body) for body in pair)
-        yield Candidate("exclude", (names,), _set("exclude_signature", number))  # world and itself
-
-
-def _still(model: mujoco.MjModel) -> set[int]:
-    return set(np.flatnonzero(model.body_weldid == 0).tolist())
+        if still & set(pair):
+            names = " and ".join(_names(model, _OBJ.mjOBJ_BODY, pair))
+            yield from _if_any("exclude", (names,), "exclude_signature", number)  # world and itself
 
 
 def _options(model: mujoco.MjModel) -> Iterator[Candidate]:
-    override = mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
-    if model.opt.enableflags & override:
-
-        def plain(other: mujoco.MjModel) -> None:
-            other.opt.enableflags &= ~override
-
-        yield Candidate("override", ("flag override",), plain)
-    if model.opt.disableactuator:
-
-        def enabled(other: mujoco.MjModel) -> None:
-            other.opt.disableactuator = 0
-
-        yield Candidate("actuatorgroupdisable", ("option actuatorgroupdisable",), enabled)
-    if model.opt.jacobian != mujoco.mjtJacobian.mjJAC_DENSE.value and mujoco.mj_isSparse(model):
-
-        def dense(other: mujoco.MjModel) -> None:
-            other.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE.value
-
-        yield Candidate("solver", ("option jacobian",), dense)
+    flags, override = model.opt.enableflags, mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
+    dense = mujoco.mjtJacobian.mjJAC_DENSE.value
+    sparse = model.opt.jacobian != dense and mujoco.mj_isSparse(model)
+    for acts, code, element, field, value in (
+        (flags & override, "override", "flag override", "enableflags", flags & ~override),
+        (
+            model.opt.disableactuator,
+            *("actuatorgroupdisable", "option actuatorgroupdisable", "disableactuator", 0),
+        ),
+        (sparse, "solver", "option jacobian", "jacobian", dense),
+    ):
+        yield from _if_any(code, (element,) if acts else (), field, None, value)
 
 
 def _equalities(model: mujoco.MjModel) -> Iterator[Candidate]:
     """Welds and connections of the robot to what stands in the world, or is moved by hand."""
-    kinds = (mujoco.mjtEq.mjEQ_WELD.value, mujoco.mjtEq.mjEQ_CONNECT.value)
-    for number in np.flatnonzero(np.isin(model.eq_type, kinds)).tolist():
-        if not model.eq_active0[number]:
-            continue
+    kinds = {mujoco.mjtEq.mjEQ_WELD.value: "weld", mujoco.mjtEq.mjEQ_CONNECT.value: "connect"}
+    for number in np.flatnonzero(np.isin(model.eq_type, list(kinds)) & model.eq_active0).tolist():
         ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
         if model.eq_objtype[number] == _OBJ.mjOBJ_SITE.value:
             ends = [int(model.site_bodyid[end]) for end in ends]
-        if not any(model.body_weldid[end] == 0 or model.body_mocapid[end] >= 0 for end in ends):
-            continue
-        kind = "weld" if model.eq_type[number] == kinds[0] else "connect"
-        name = mujoco.mj_id2name(model, _OBJ.mjOBJ_EQUALITY, number)
-        both = " and ".join(_name(model, _OBJ.mjOBJ_BODY, end) for end in ends)
-        yield Candidate(kind, (name or both,), _set("eq_active0", number))
+        if any(model.body_weldid[end] == 0 or model.body_mocapid[end] >= 0 for end in ends):
+            name = mujoco.mj_id2name(model, _OBJ.mjOBJ_EQUALITY, number)
+            both = " and ".join(_names(model, _OBJ.mjOBJ_BODY, ends))
+            kind = kinds[int(model.eq_type[number])]
+            yield from _if_any(kind, (name or both,), "eq_active0", number)
 
 
 def _limits(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Limits of commands and forces, one kind for all joints that have it."""
-    model = bare.model
-    joints = [model.joint(name).id for name in robot.joint_names]
-    motors = [motor for joint in joints for motor in drives_of(model, joint)]
-    ranged = [m for m in motors if model.actuator_ctrllimited[model.actuator_ctrladr[m]]]
-    if ranged:
-        any_command = _set("actuator_ctrllimited", model.actuator_ctrladr[ranged])
-        yield Candidate("ctrlrange", _motor_names(model, ranged), any_command)
-    forced = [motor for motor in motors if model.actuator_forcelimited[motor]]
-    if forced:
-        any_force = _set("actuator_forcelimited", forced)
-        yield Candidate("forcerange", _motor_names(model, forced), any_force)
-    clamped = [joint for joint in joints if model.jnt_actfrclimited[joint]]
-    if clamped:
-        listed = _names(model, _OBJ.mjOBJ_JOINT, clamped)
-        yield Candidate("actuatorfrcrange", listed, _set("jnt_actfrclimited", clamped))
+    model, joints, motors = bare.model, _joints_of(bare, robot), _motors_of(bare, robot)
+    controls = model.actuator_ctrladr[motors]
+    cut = model.actuator_ctrllimited[controls] != 0
+    ranged = _motor_names(model, motors[cut])
+    yield from _if_any("ctrlrange", ranged, "actuator_ctrllimited", controls[cut])
+    forced = motors[model.actuator_forcelimited[motors] != 0]
+    named = _motor_names(model, forced)
+    yield from _if_any("forcerange", named, "actuator_forcelimited", forced)
+    clamped = joints[model.jnt_actfrclimited[joints] != 0]
+    named = _names(model, _OBJ.mjOBJ_JOINT, clamped)
+    yield from _if_any("actuatorfrcrange", named, "jnt_actfrclimited", clamped)
 
 
 def _motors(bare: Bare) -> Iterator[Candidate]:
     """Motors at tendons, sites and bodies: thrusters, servos of tendons, adhesion; slow filters."""
-    model = bare.model
-    others = other_motors(model)
-    if others:
-        silent = _set("actuator_gainprm actuator_biasprm", others)
-        listed = _names(model, _OBJ.mjOBJ_ACTUATOR, others)
-        yield Candidate("motors-elsewhere", listed, silent)
-
-    slow = [
-        motor
-        for motor in range(model.nactuator if model.na else 0)
-        if int(model.actuator_dyntype[motor]) in FILTERS
-        and model.actuator_dynprm[motor, 0] > SETTLES
-    ]
-    if slow:
-        quick = _set("actuator_dynprm", (slow, 0), SETTLES)
-        yield Candidate("timeconst", _motor_names(model, slow), quick)
+    model, others = bare.model, other_motors(bare.model)
+    named = _names(model, _OBJ.mjOBJ_ACTUATOR, others)
+    yield from _if_any("motors-elsewhere", named, "actuator_gainprm actuator_biasprm", others)
+    filtered = np.isin(model.actuator_dyntype, FILTERS)
+    slow = np.flatnonzero(filtered & (model.actuator_dynprm[:, 0] > SETTLES))
+    named = _motor_names(model, slow)
+    yield from _if_any("timeconst", named, "actuator_dynprm", (slow, 0), SETTLES)
 
 
 def _pairs(model: mujoco.MjModel) -> Iterator[Candidate]:
     """Friction of a pair of geoms that is not the same along both of its axes."""
     uneven = np.flatnonzero(model.pair_friction[:, 0] != model.pair_friction[:, 1])
-    if len(uneven):
-        most = model.pair_friction[uneven][:, :2].max(axis=1)
-        even = _set("pair_friction", (uneven, slice(2)), most[:, None])
-        yield Candidate("pair-friction", _pair_names(model, uneven), even)
+    most = model.pair_friction[uneven][:, :2].max(axis=1, initial=0.0)[:, None]
+    at, named = (uneven, slice(2)), _pair_names(model, uneven)
+    yield from _if_any("pair-friction", named, "pair_friction", at, most)
 
 
 def _passive(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Joints that are held at zero in what is computed, and move in the file; soft bodies."""
-    model = bare.model
-    loose = loose_joints(bare, robot)
-    if loose:
-        locked = _set("dof_damping", model.jnt_dofadr[loose], _LOCKED)
-        yield Candidate("loose-joints", _names(model, _OBJ.mjOBJ_JOINT, loose), locked)
-    if model.nflex:
-        untouched = _set("flex_contype flex_conaffinity", slice(None))
-        listed = _names(model, _OBJ.mjOBJ_FLEX, range(model.nflex))
-        yield Candidate("flex", listed, untouched)
+    model, loose = bare.model, loose_joints(bare, robot)
+    named = _names(model, _OBJ.mjOBJ_JOINT, loose)
+    yield from _if_any("loose-joints", named, "dof_damping", model.jnt_dofadr[loose], _LOCKED)
+    named = _names(model, _OBJ.mjOBJ_FLEX, range(model.nflex))
+    yield from _if_any("flex", named, "flex_contype flex_conaffinity", slice(None))
 
 
 def _shapes(bare: Bare, robot: Robot) -> Iterator[Candidate]:
@@ -506,14 +464,10 @@ def _shapes(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     by_hand = model.body_mocapid[model.body_weldid[model.geom_bodyid]] >= 0
     still = ((model.body_weldid[model.geom_bodyid] == 0) | by_hand) & touch
     plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
-    for code, geoms in (
-        ("shapes-beside-feet", kept),
-        ("obstacles", np.flatnonzero(still & ~plane).tolist()),
-    ):
-        if geoms:
-            bodies = dict.fromkeys(_shape(model, geom) for geom in geoms)
-            off = _set("geom_contype geom_conaffinity", geoms)
-            yield Candidate(code, tuple(bodies), off)
+    obstacles = np.flatnonzero(still & ~plane).tolist()
+    for code, geoms in (("shapes-beside-feet", kept), ("obstacles", obstacles)):
+        bodies = tuple(dict.fromkeys(_shape(model, geom) for geom in geoms))
+        yield from _if_any(code, bodies, "geom_contype geom_conaffinity", geoms)
 
 
 def _untouched(bare: Bare, robot: Robot) -> list[int]:

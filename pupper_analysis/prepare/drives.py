@@ -28,7 +28,7 @@ from pupper_analysis.prepare.bare import published_model
 from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.own_run import rests_by_itself
 from pupper_analysis.prepare.servo_tuning import FINER, held_gains, suggested_gains
-from pupper_analysis.prepare.visuals import take_visuals_of
+from pupper_analysis.prepare.touching import take_visuals_of
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, own_servos

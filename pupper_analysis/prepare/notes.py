@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.transmission import MadeServo, is_at_one_joint
+from pupper_analysis.prepare.contact_points import BALL
 from pupper_analysis.prepare.feet import Foot, is_ball
-from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot

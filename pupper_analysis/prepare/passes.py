@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +20,8 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.base.errors import ModelError, PupperAnalysisError
+from pupper_analysis.base.errors import ConfigurationError, ModelError, PupperAnalysisError
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.additions import (
     GRIP,
     Addition,
@@ -27,18 +29,16 @@ from pupper_analysis.models.additions import (
     Options,
 )
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import has_free_joint, name_all
+from pupper_analysis.models.mjcf import JointKind, has_free_joint, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import (
     drives,
-    keyframes,
     notes,
     start,
     touching,
 )
 from pupper_analysis.prepare.base import free_base, free_of_friction, place_base_frame
-from pupper_analysis.prepare.draft import Draft, PassRun
 from pupper_analysis.prepare.feet import (
     Foot,
     apart_at,
@@ -47,21 +47,238 @@ from pupper_analysis.prepare.feet import (
     named_foot,
     with_feet,
 )
-from pupper_analysis.prepare.limits import bound_turning_joints, couple_mimics, narrow_limits
-from pupper_analysis.prepare.motors import one_at_each_joint
-from pupper_analysis.prepare.parts import with_parts
-from pupper_analysis.prepare.ready import Request
-from pupper_analysis.prepare.simulable import check_masses
-from pupper_analysis.prepare.solver import choose_exact_solver
-from pupper_analysis.prepare.start import find_start_pose, start_of
-from pupper_analysis.prepare.visuals import leave_out_visuals, take_visuals_of
+from pupper_analysis.prepare.joints import (
+    bound_turning_joints,
+    couple_mimics,
+    joints_of_several_motors,
+    narrow_limits,
+    one_at_each_joint,
+    with_parts,
+)
+from pupper_analysis.prepare.simulable import (
+    check_masses,
+    check_simulable,
+    choose_exact_solver,
+    solver_error,
+)
+from pupper_analysis.prepare.start import find_start_pose, first_stand, start_of
+from pupper_analysis.prepare.touching import leave_out_visuals, take_visuals_of
 from pupper_analysis.robot.build import build_robot, equipped_robot, with_knowledge_of
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.floor import level_ground
-from pupper_analysis.robot.matching.match import match_models
+from pupper_analysis.robot.matching.match import Match, match_models
+from pupper_analysis.robot.matching.urdf import urdf_mimics
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
+
+_FEWEST = 3  # contact points on which a robot stands
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What is asked for when a robot is loaded.
+
+    Attributes:
+        feet: {foot: its frames in URDF and MJCF}; None: they are looked for.
+        fixed_base: Whether the base is fixed in the world.
+        name: The robot's name; None: the MJCF's.
+        joints: {joint in the URDF: joint in the MJCF}.
+        keyframe: The MJCF's keyframe to start from; None: the first in which the robot stands.
+        as_is: Whether no servos are added, and no shapes altered.
+    """
+
+    feet: Mapping[str, tuple[str, str]] | None = None
+    fixed_base: bool = False
+    name: str | None = None
+    joints: Mapping[str, str] | None = None
+    keyframe: str | None = None
+    as_is: bool = False
+
+
+def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:
+    """Builds the robot of two files as they are; None if something is to be made up for.
+
+    They are ready where feet are named, whose frames both have, and joints alike; where nothing
+    else lies in the scene, and the ground is level or missing. A robot without feet, whose base is
+    held, is ready only if it is to be taken as it is: it may lack servos, or overlap.
+
+    Raises:
+        ModelError: If they are ready, and make no robot all the same.
+    """
+    if request.feet is None or request.joints or request.keyframe is not None:
+        return None
+    if not _same_joints(urdf, mjcf.spec) or not _known(urdf, mjcf.spec, request):
+        return None
+    if not request.fixed_base and not _may_stand(urdf, mjcf.spec):
+        return None
+    robot = _built(urdf, mjcf, request)
+    if robot is None or (robot.floating and _needs_more(robot)):
+        return None
+    if robot.floating and not request.as_is and not _may_be_commanded_to_stand(robot):
+        return None
+    if not (robot.floating or request.feet or request.as_is):
+        return None
+    said = (*notes.bound_joints(robot), *notes.tell_uncommanded(robot))
+    return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))
+
+
+def _same_joints(urdf: UrdfFile, spec: mujoco.MjSpec) -> bool:
+    """Tells whether both have joints of the same names, of one robot alone."""
+    tree = urdf.tree
+    moving = {
+        joint.name for joint in tree.joints.values() if joint.kind not in ("fixed", "floating")
+    }
+    free = [joint for joint in spec.joints if joint.type == JointKind.FREE]
+    hinges = {joint.name for joint in spec.joints if joint.type != JointKind.FREE}
+    return moving == hinges and len(free) <= 1
+
+
+def _known(urdf: UrdfFile, spec: mujoco.MjSpec, request: Request) -> bool:
+    """Tells whether both have the frames of the feet that are named."""
+    places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
+    named = (request.feet or {}).values()
+    return all(one in urdf.tree.links and other in places for one, other in named)
+
+
+def _may_stand(urdf: UrdfFile, spec: mujoco.MjSpec) -> bool:
+    """Tells whether nothing is to be done to the ground, and no joint follows in the URDF alone.
+
+    A ground that is missing is no reason; one that is not level at z = 0, or has more on it, is.
+    So is a base that hangs by its free joint's friction.
+    """
+    if urdf_mimics(urdf.root):
+        return False
+    if not any(joint.type == JointKind.FREE for joint in spec.joints):
+        return True
+    mine = spec.copy()
+    changed = [*level_ground(mine), *free_of_friction(mine)]
+    return all(change.code == "ground-added" for change in changed)
+
+
+def _built(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:
+    """Builds the robot; None if a foot is named for a body whose sole is no sphere around it."""
+    feet = request.feet or {}
+    description = Description(
+        name=request.name or mjcf.spec.modelname,
+        urdf=urdf.text,
+        urdf_source=urdf.path,
+        mjcf=mjcf.spec,
+        mjcf_source=mjcf.path,
+        contact_points=feet,
+    )
+    try:
+        return build_robot(description, fixed_base=request.fixed_base)
+    except ModelError:
+        bodies = {body.name for body in mjcf.spec.bodies}
+        if request.fixed_base or not all(other in bodies for _, other in feet.values()):
+            raise
+        return None
+
+
+def _may_be_commanded_to_stand(robot: Robot) -> bool:
+    """Tells whether there are servos, and a stand at the height that the keyframe gives it.
+
+    What stands at no height, on two points, needs none.
+    """
+    if len(robot.contact_points) < _FEWEST:
+        return True
+    return set(robot.joint_names) <= own_servos(robot).keys() and first_stand(robot) is not None
+
+
+def _needs_more(robot: Robot) -> bool:
+    """Tells whether joints lack limits, have several motors, or are not solved for exactly."""
+    endless = robot.closure is not None and bool(robot.pin_convention.unbounded.any())
+    return (
+        endless or bool(joints_of_several_motors(robot.mj_model)) or solver_error(robot) is not None
+    )
+
+
+_FREE_IN_PARTS = 4
+"""Joints of a base that is free by three slides and a ball joint, or more."""
+
+
+@dataclass(frozen=True)
+class PassRun(Result):
+    """A pass that was run.
+
+    Attributes:
+        name: What it is called.
+        does: What it does, in words.
+        done: What it had to do, or found; empty where the files needed nothing.
+    """
+
+    name: str
+    does: Term
+    done: tuple[Diagnostic, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A robot as far as it is made.
+
+    Attributes:
+        urdf: As it was read.
+        mjcf: As it was read.
+        request: What is asked for.
+        spec: The MJCF's, changed.
+        keyframes: {name: {joint: position}} of the MJCF's that may be started from.
+        found: Whose joint is whose; from the pass ``match`` on.
+        description: Both files made alike; from the pass ``match`` on.
+        ready: The robot of both files as they are, if they are ready: then no pass applies.
+        built: The robot; from the pass ``build`` on.
+        refused: Why no robot with a free base can be made: then only ``hold-base`` applies.
+        runs: The passes that were run.
+    """
+
+    urdf: UrdfFile
+    mjcf: MjcfFile
+    request: Request
+    spec: mujoco.MjSpec
+    keyframes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    found: Match | None = None
+    description: Description | None = None
+    ready: Robot | None = None
+    built: Robot | None = None
+    refused: ModelError | None = None
+    runs: tuple[PassRun, ...] = ()
+
+    @classmethod
+    def of(cls, urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Draft:
+        """Begins with two files.
+
+        Raises:
+            ModelError: If they are ready, and make no robot.
+        """
+        return cls(urdf, mjcf, request, mjcf.spec, ready=ready_robot(urdf, mjcf, request))
+
+    @property
+    def may_be_held(self) -> bool:
+        """Whether its base may be fixed, as the file has it, though it was to be free."""
+        if self.request.fixed_base or has_free_joint(self.mjcf.spec):
+            return False
+        tops = (len(list(body.joints)) for body in self.mjcf.spec.worldbody.bodies)
+        return max(tops, default=0) < _FREE_IN_PARTS
+
+    @property
+    def match(self) -> Match:
+        """Whose joint is whose."""
+        assert self.found is not None
+        return self.found
+
+    @property
+    def described(self) -> Description:
+        """Both files, made alike."""
+        assert self.description is not None
+        return self.description
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        made = self.built or self.ready
+        assert made is not None
+        return made
+
 
 Array = NDArray[np.float64]
 
@@ -169,9 +386,7 @@ def _name_elements(draft: Draft) -> Made:
     name_all(spec, set())
     if draft.request.feet is None:  # a foot may be named by a shape that is only seen
         leave_out_visuals(spec)
-    known = keyframes.choose_keyframes(
-        draft.mjcf, keyframes.list_keyframes(spec), draft.request.keyframe
-    )
+    known = start.choose_keyframes(draft.mjcf, start.list_keyframes(spec), draft.request.keyframe)
     return replace(draft, spec=spec, keyframes=known), ()
 
 
@@ -212,7 +427,7 @@ def _couple_mimics(draft: Draft) -> Made:
 def _build_held(draft: Draft) -> Made:
     if draft.request.feet:
         raise ModelError(draft.mjcf.path, diagnose("feet-of-fixed-base"))
-    described = keyframes.with_keyframes(draft.described, draft.keyframes)
+    described = start.with_keyframes(draft.described, draft.keyframes)
     robot = build_robot(described, fixed_base=draft.request.fixed_base)
     return replace(draft, description=described, built=robot), ()
 
@@ -304,7 +519,7 @@ def _add_motors(draft: Draft) -> Made:
 
 @_pass(Term("finds a pose in which it stands"), _on_feet)
 def _start_pose(draft: Draft) -> Made:
-    sunk = keyframes.resting_depths(draft.mjcf.model)
+    sunk = start.resting_depths(draft.mjcf.model)
     robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk)
     return replace(draft, built=robot), (*notes.tell_planar(robot), *pose)
 
@@ -433,3 +648,57 @@ def _passed(draft: Draft) -> Draft:
                 run = PassRun(each.name, each.does, tuple(done))
                 draft = replace(draft, runs=(*draft.runs, run))
     return draft
+
+
+Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
+
+
+def robot_of(
+    urdf: UrdfFile,
+    mjcf: MjcfFile,
+    *,
+    feet: Feet | None = None,
+    fixed_base: bool = False,
+    name: str | None = None,
+    joints: Mapping[str, str] | None = None,
+    keyframe: str | None = None,
+    as_is: bool = False,
+) -> Robot:
+    """Makes a robot of two files that have been read, as they are, or made ready in memory.
+
+    What its arguments mean says ``load_robot``, which reads the files.
+    """
+    frames = None if feet is None else feet_frames(feet)
+    request = Request(frames, fixed_base, name, joints, keyframe, as_is)
+    robot, _ = prepare_robot(urdf, mjcf, request)
+    return robot
+
+
+def prepare_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
+    """Makes two files a robot; returns the passes that were run, too: none if they are ready.
+
+    Raises:
+        ModelError: If no robot can be made of them.
+        UnknownNameError: If a foot, joint or keyframe is not there.
+    """
+    check_simulable(mjcf)
+    return run_passes(urdf, mjcf, request)
+
+
+def feet_frames(feet: Feet) -> dict[str, tuple[str, str]]:
+    """Returns {foot: its frames in URDF and MJCF}.
+
+    Raises:
+        ConfigurationError: If a frame is neither a name nor a pair of names, or named twice.
+    """
+    named = dict(feet) if isinstance(feet, Mapping) else {foot: foot for foot in feet}
+    if len(named) < len(feet):
+        raise ConfigurationError("feet", diagnose("feet-named-twice", feet=map(str, feet)))
+    frames = {}
+    for foot, frame in named.items():
+        pair = (frame, frame) if isinstance(frame, str) else tuple(np.atleast_1d(frame).tolist())
+        if len(pair) != 2 or not all(isinstance(name, str) for name in pair):
+            problem = diagnose("foot-frame-not-valid", subject=("foot", foot), frame=repr(frame))
+            raise ConfigurationError("feet", problem)
+        frames[foot] = (str(pair[0]), str(pair[1]))
+    return frames

@@ -26,7 +26,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.mjcf import free_joints
@@ -138,16 +137,6 @@ class PinocchioConvention:
         if not self.floating:
             return joints
         return np.concatenate([q[:3], q[[6, 3, 4, 5]], joints])
-
-    def velocity_map(self, qpos: Array) -> Array:
-        """Returns T (nv, nv), with v_pin = T qvel."""
-        n = self.base_nv
-        matrix = np.zeros((self.nv, self.nv))
-        matrix[self.v_index, n + np.arange(len(self.v_index))] = 1.0
-        if self.floating:
-            matrix[:3, :3] = rotation_from_quaternion(qpos[3:7]).T
-            matrix[3:6, 3:6] = np.eye(3)
-        return matrix
 
 
 @dataclass(frozen=True, eq=False)

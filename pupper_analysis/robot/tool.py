@@ -161,22 +161,6 @@ def check_point(point: ArrayLike) -> Array:
     return np.array([check_length("point", value) for value in place])
 
 
-def carrying_link(robot: Robot, body: int, place: Array) -> tuple[str, Array]:
-    """Returns the link of the URDF that moves with a body of the MJCF, and a point's place in it.
-
-    Args:
-        robot: The robot.
-        body: The body's number.
-        place: (3,) the point, in the body's frame (m).
-
-    Returns:
-        The link's name, and the place (3,) in the link's frame (m).
-    """
-    data = _at_zero(robot)
-    world = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
-    return _carried(robot, body, world)
-
-
 def _at_zero(robot: Robot) -> mujoco.MjData:
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, robot.neutral())

@@ -2,10 +2,10 @@ from ..tools.analyze.gain_sweep import GainSweep as GainSweep
 from ..tools.analyze.gain_sweep import sweep_gains as sweep_gains
 from ..tools.path.tracking import PathTracking as PathTracking
 from ..tools.path.tracking import track_path as track_path
-from ..tools.payload.trial import PayloadTrial as PayloadTrial
-from ..tools.payload.trial import simulate_payload as simulate_payload
+from ..tools.payload.limit import PayloadTrial as PayloadTrial
+from ..tools.payload.limit import simulate_payload as simulate_payload
+from ..tools.push.bench import PushTrial as PushTrial
+from ..tools.push.bench import simulate_push as simulate_push
 from ..tools.push.recovery import PushRecovery as PushRecovery
-from ..tools.push.trial import PushTrial as PushTrial
-from ..tools.push.trial import simulate_push as simulate_push
 from .stability import stand_stability as stand_stability
 from .verify import StandVerification as StandVerification

@@ -14,7 +14,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import Mode, Stability, servo_stability
 from pupper_analysis.simulation.monitor import Watcher
-from pupper_analysis.simulation.nudge import LEFT, Nudge
+from pupper_analysis.simulation.stability import LEFT, Nudge
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 

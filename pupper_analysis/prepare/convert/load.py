@@ -22,7 +22,7 @@ from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.convert.root import with_one_robot
 from pupper_analysis.prepare.convert.to_mjcf import bare_mjcf
 from pupper_analysis.prepare.convert.to_urdf import urdf_draft
-from pupper_analysis.prepare.load import Feet, robot_of
+from pupper_analysis.prepare.passes import Feet, robot_of
 from pupper_analysis.robot.robot import PublishedFile, Robot
 
 _OF_A_URDF = ("armature-from-mjcf", "effort-unstated", "fixed-base-stands", "root-link-left-out")

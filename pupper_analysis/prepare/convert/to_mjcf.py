@@ -23,7 +23,7 @@ from pupper_analysis.prepare.convert.repair import (
     merge_fixed,
     repaired_urdf,
 )
-from pupper_analysis.prepare.load import Feet
+from pupper_analysis.prepare.passes import Feet
 
 LIMBS = 2
 """A base that carries so many limbs or more is free, as in ``load_robot``."""

@@ -29,8 +29,7 @@ from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.sag.contact_kinematics import Solution
-from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, Units
+from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, Solution, Units
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import interpolate_drop

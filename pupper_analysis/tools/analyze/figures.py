@@ -22,7 +22,7 @@ from pupper_analysis.present.documents.loads import torque_plot
 from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.drawing import write_plots
-from pupper_analysis.tools.analyze.sweep import deviation_table
+from pupper_analysis.tools.analyze.document import deviation_table
 
 if TYPE_CHECKING:
     from pupper_analysis.tools.analyze.analysis import Analysis

@@ -37,8 +37,12 @@ from pupper_analysis.simulation.rollout import (
     place_on_ground,
     roll_out,
 )
-from pupper_analysis.simulation.stability import MEETING, evaluate_stability, rest_state
-from pupper_analysis.simulation.verify import RESTING
+from pupper_analysis.simulation.stability import (
+    MEETING,
+    RESTING,
+    evaluate_stability,
+    rest_state,
+)
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
@@ -235,7 +239,7 @@ class _Trial:
                 self._starts[kp] = place_on_ground(robot, drive, stand, self.torques)
                 with suppress(PupperAnalysisError):
                     pose = steady_state(self.plain, stand, kp=kp)
-                    start = rest_state(robot, drive, pose, ctrl)
+                    start = rest_state(robot, drive, pose.qpos, ctrl)
                     self._rests[kp] = None if pose.failures else start
 
         def simulate(cell: tuple[float, float]) -> tuple[float, Stability | None]:

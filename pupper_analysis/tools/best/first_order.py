@@ -20,7 +20,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool, with_payload
-from pupper_analysis.stance.sag.contact_kinematics import Anchor, ContactKinematics
+from pupper_analysis.stance.sag.equilibrium import Anchor, ContactKinematics
 from pupper_analysis.stance.stand import Stand, stand_contacts
 from pupper_analysis.statics.equilibrium import borne_by_motors, hold_loads
 

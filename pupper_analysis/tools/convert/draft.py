@@ -27,9 +27,8 @@ from pupper_analysis.prepare.convert.from_urdf import WORLD, UrdfBodies
 from pupper_analysis.prepare.convert.to_mjcf import LIMBS, BareMjcf, MjcfOptions
 from pupper_analysis.prepare.convert.to_urdf import ConversionDraft
 from pupper_analysis.prepare.drives import held_gains_of, servos_of
-from pupper_analysis.prepare.load import robot_of
 from pupper_analysis.prepare.notes import describe_span
-from pupper_analysis.prepare.passes import ground_of_urdf
+from pupper_analysis.prepare.passes import ground_of_urdf, robot_of
 from pupper_analysis.prepare.servo_tuning import Requirement, three_digits
 from pupper_analysis.prepare.start import start_of
 from pupper_analysis.robot.configuration import Configuration

@@ -30,15 +30,15 @@ from pupper_analysis.prepare.convert.repair import Repair
 from pupper_analysis.prepare.convert.to_mjcf import MjcfOptions
 from pupper_analysis.prepare.convert.to_urdf import ConversionDraft, urdf_draft
 from pupper_analysis.prepare.judge import judge_stand, remarks_of_files
-from pupper_analysis.prepare.load import Feet, robot_of
+from pupper_analysis.prepare.passes import Feet, robot_of
 from pupper_analysis.present.verdict import published_clauses
 from pupper_analysis.robot.alike import structure
 from pupper_analysis.robot.compare.compare import Comparison, compare_models
 from pupper_analysis.robot.compare.differences import OF_INERTIALS
 from pupper_analysis.robot.stability import LASTING, Stability, step_stability
 from pupper_analysis.simulation.causes import find_instability
-from pupper_analysis.simulation.nudge import Nudge, measure_response, simulate_nudge
 from pupper_analysis.simulation.rollout import full_state
+from pupper_analysis.simulation.stability import Nudge, measure_response, simulate_nudge
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground

@@ -26,8 +26,8 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.document import hardest_motor
 from pupper_analysis.tools.live.access import without_folders
 from pupper_analysis.tools.live.model import Answer, PredictedSag
+from pupper_analysis.tools.push.bench import PushTrial
 from pupper_analysis.tools.push.document import trial_document
-from pupper_analysis.tools.push.trial import PushTrial
 from pupper_analysis.tools.stand.stance import Stance
 
 NOWHERE = doc.Name("")

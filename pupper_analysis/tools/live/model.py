@@ -31,7 +31,7 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.live.state import LiveSource, State
-from pupper_analysis.tools.push.trial import PushTrial, simulate_push
+from pupper_analysis.tools.push.bench import PushTrial, simulate_push
 from pupper_analysis.tools.stand.stance import Stance, study_stance
 
 Array = NDArray[np.float64]

@@ -52,7 +52,6 @@ class Effort:
         zero_moment_point: (3,) on the ground (m).
         zmp_margin: Of its projection from the edge of the support polygon (m).
         com_margin: Of the com's (m).
-        infeasible: Why no contact forces do, or None.
     """
 
     qvel: Array
@@ -64,7 +63,6 @@ class Effort:
     zero_moment_point: Array
     zmp_margin: float
     com_margin: float
-    infeasible: StaticsInfeasibleError | None
 
 
 def path_effort(
@@ -72,8 +70,6 @@ def path_effort(
     place: PathPlace,
     rate: float,
     acceleration: float,
-    *,
-    beyond: bool = False,
 ) -> Effort:
     """Returns what a sample of a path takes, with minimum tangential forces.
 
@@ -85,10 +81,9 @@ def path_effort(
         place: The sample.
         rate: Of the segment's share (1/s).
         acceleration: Of it (1/s^2).
-        beyond: Where no contact forces do, return those of feet that are held to the ground.
 
     Raises:
-        StaticsInfeasibleError: If no contact forces do, unless ``beyond``.
+        StaticsInfeasibleError: If no contact forces do.
     """
     qvel, qacc = place.motion(rate, acceleration)
     config, stand = Configuration(robot, place.qpos, qvel), place.stand
@@ -96,15 +91,9 @@ def path_effort(
     def balance(feet: Sequence[str], *, held: bool = False) -> InverseDynamics:
         return inverse_dynamics(config, qacc, feet, normals=stand.normals, held=held)
 
-    infeasible = None
-    try:
-        whole = balance(stand.stance_feet)
-    except StaticsInfeasibleError as error:
-        if not beyond:
-            raise
-        infeasible, whole = error, balance(stand.stance_feet, held=True)
+    whole = balance(stand.stance_feet)
     parts = [(1.0, whole)]
-    for feet, near, full in _fading(place) if infeasible is None else ():
+    for feet, near, full in _fading(place):
         # Fewer feet can carry only where the zero-moment point is between them; so their share
         # grows with its distance from the edge, and with the way.
         inside = max(0.0, balance(feet, held=True).zmp_margin or 0.0)
@@ -133,7 +122,6 @@ def path_effort(
         zero_moment_point=whole.zero_moment_point,
         zmp_margin=com_margin(whole.zero_moment_point, points),
         com_margin=com_margin(config.center_of_mass(), points),
-        infeasible=infeasible,
     )
 
 
@@ -209,9 +197,6 @@ class StancePath(Tabular):
         peak_time: When (s).
         peak_speed_utilisation: The largest joint speed / velocity limit of the URDF.
         fastest_joint: The joint with that.
-        infeasible: (n,) where no contact forces do, so that ``forces`` are those of feet that were
-            held to the ground, and pull or slip. None of them unless the path was asked for
-            ``beyond`` what contacts allow.
     """
 
     stances: tuple[Stand, ...]
@@ -236,7 +221,6 @@ class StancePath(Tabular):
     peak_time: float
     peak_speed_utilisation: float
     fastest_joint: str
-    infeasible: NDArray[np.bool_]
 
     def _columns(self) -> dict[str, Array]:
         angles = dict(zip(self.joint_names, self.joint_positions().T, strict=True))
@@ -316,7 +300,6 @@ def stance_path(
     *,
     rate: float = 50.0,
     rolling: bool = True,
-    beyond: bool = False,
 ) -> StancePath:
     """Finds a smooth path through stances, solved on the whole body at every sample.
 
@@ -344,8 +327,6 @@ def stance_path(
         seconds: Time for all (s).
         rate: Least number of samples per second (Hz); a segment has ``LEAST_PER_SEGMENT`` or more.
         rolling: Whether the feet roll; otherwise their centres stay, and they must slip.
-        beyond: Return also a path that contacts do not allow, being too fast: with the torques of
-            feet that are held to the ground, and ``infeasible`` where.
 
     Raises:
         ConfigurationError: If an argument is out of its range; or the stances cannot follow each
@@ -364,7 +345,7 @@ def stance_path(
         _, rate, acceleration = minimum_jerk(place.progress)
         motion = rate / duration, acceleration / duration**2
         try:
-            efforts.append(path_effort(robot, place, *motion, beyond=beyond))
+            efforts.append(path_effort(robot, place, *motion))
         except StaticsInfeasibleError as error:
             raise error.at(geometry.where(index)) from None
     time = np.linspace(0.0, float(seconds), len(efforts))
@@ -404,7 +385,6 @@ def stance_path(
         peak_time=float(time[peak[0]]),
         peak_speed_utilisation=float(speeds[fastest]),
         fastest_joint=robot.joint_names[int(fastest[1])],
-        infeasible=np.array([effort.infeasible is not None for effort in efforts]),
     )
 
 

@@ -18,8 +18,7 @@ from pupper_analysis.present.documents.standing import (
 from pupper_analysis.present.verdict import judged_document, verdict_of_files
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.trial import Failure
-from pupper_analysis.tools.payload.limit import Bound, PayloadLimit
-from pupper_analysis.tools.payload.trial import PayloadTrial
+from pupper_analysis.tools.payload.limit import Bound, PayloadLimit, PayloadTrial
 
 
 @build_document.register(PayloadLimit)

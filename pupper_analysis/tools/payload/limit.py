@@ -21,17 +21,72 @@ from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos
+from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
 from pupper_analysis.simulation.rollout import begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability
-from pupper_analysis.simulation.trial import Failure
+from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
 from pupper_analysis.simulation.verdict import Asked, Verdict, beyond_limits
 from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
 from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.tools.payload.trial import PayloadTrial, simulate_payload
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadTrial(NudgeTrial):
+    """Simulations of a loaded stand that is nudged from all sides.
+
+    Attributes:
+        mass: Of the payload (kg).
+    """
+
+    mass: float
+
+
+@check_arguments
+def simulate_payload(
+    robot: Robot,
+    stance: StandTask | Stand,
+    mass: float,
+    point: Place = (0.0, 0.0, 0.0),
+    *,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    duration: float = LASTING,
+    dry_friction: bool = False,
+) -> PayloadTrial:
+    """Simulates a stance with a mass on the robot, as ``simulate_nudges`` does.
+
+    It begins in the stand that ``stand --payload`` judges (``solve_loaded_stand``), with
+    feed-forward for the load.
+
+    Args:
+        robot: The robot.
+        stance: The stance; of a stand, its task.
+        mass: Of the payload (kg).
+        point: Where it is, as in ``with_payload``.
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+        duration: Simulated time (s), at least 2.
+        dry_friction: Keep the model's dry friction of joints and rolling feet.
+
+    Returns:
+        What happened.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
+        ModelError: If the model has no position servos, and kp and kd are not both given.
+        StanceUnreachableError: If the stance is out of reach with that load.
+        StaticsInfeasibleError: If no contact forces balance it.
+    """
+    loaded, stand = solve_loaded_stand(robot, stance, mass, point)
+    seen = simulate_nudges(
+        loaded, stand, kp=kp, kd=kd, duration=duration, dry_friction=dry_friction
+    )
+    return PayloadTrial(**vars(seen), mass=float(mass))
+
 
 Array = NDArray[np.float64]
 

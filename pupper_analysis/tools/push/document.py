@@ -21,8 +21,8 @@ from pupper_analysis.present.documents.standing import (
 )
 from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.push.bench import PushTrial
 from pupper_analysis.tools.push.recovery import PushedStance, PushRecovery
-from pupper_analysis.tools.push.trial import PushTrial
 
 
 @build_document.register(PushedStance)

@@ -116,11 +116,10 @@ def _explain(asked: RobotAndTask, words: tuple[str, ...], json_path: Path | None
     """Lists what two files lack to be a robot that can stand, and what is done about it."""
     from pupper_analysis.models.mjcf import silence_mujoco
     from pupper_analysis.prepare.convert.load import read_pair
-    from pupper_analysis.prepare.load import feet_frames
-    from pupper_analysis.prepare.ready import Request
+    from pupper_analysis.prepare.passes import Request, feet_frames
     from pupper_analysis.present.document import Report
     from pupper_analysis.tools.stand.document import preparation_document
-    from pupper_analysis.tools.stand.loading import explain_loading
+    from pupper_analysis.tools.stand.stance import explain_loading
 
     meant = asked.which.one(words)
     if not isinstance(meant, RobotFiles):

@@ -28,8 +28,7 @@ from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState
-from pupper_analysis.tools.stand.loading import Preparation
-from pupper_analysis.tools.stand.stance import Stance
+from pupper_analysis.tools.stand.stance import Preparation, Stance
 
 
 @build_document.register(Preparation)
