@@ -1,4 +1,4 @@
-"""Several files are written together, or none of them; `sync` of two files is such a case."""
+"""Several files are written together, or none of them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from pathlib import Path
 
 import pytest
 
-import pupper_analysis as pa
 from pupper_analysis.base.errors import OutputError
 from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.kinds import OWN
-from tests.support.robots import changed, quadruped, write_parts
 
 OLD = {"a": b"old a", "b": b"old b"}
 
@@ -172,23 +170,3 @@ def test_contents_are_on_the_disk_before_any_file_is_replaced(
     monkeypatch.setattr(Path, "replace", replaced)
     both(folder)
     assert done[:4] == ["fsync", "fsync", "rename", "rename"]
-
-
-@pytest.mark.parametrize("problem", ["read-only", "full"])
-def test_sync_of_both_sides_is_all_or_nothing(
-    problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The URDF was rewritten already when the MJCF could not be."""
-    robot = quadruped()
-    other = changed(changed(robot, "base", mass=7.0), "thigh1", damping=0.3)
-    files = write_parts(tmp_path, robot, other)
-    before = contents(tmp_path)
-    if problem == "read-only":
-        monkeypatch.setattr(os, "access", deny(files.mjcf.resolve()))
-    else:
-        fails_at(files.mjcf.name, monkeypatch, OSError(errno.ENOSPC, "No space left on device"))
-    take = ["mjcf:link base: mass", "urdf:damping"]
-    with pytest.raises(pa.OutputError) as raised:
-        pa.sync_models(files.urdf, files.mjcf, take=take)
-    assert str(files.mjcf) in str(raised.value)
-    assert contents(tmp_path) == before

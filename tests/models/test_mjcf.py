@@ -18,7 +18,6 @@ from pupper_analysis.robot.compare.compare import compare_models
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.convert.model import convert_model
 from pupper_analysis.tools.diff.compare import diff_models
-from pupper_analysis.tools.sync.models import sync_models
 from tests.support.robots import Files, mjcf_text, quadruped, urdf_text
 
 FRAMES = """<mujoco><worldbody>
@@ -81,7 +80,7 @@ def test_what_is_no_number_is_refused(tmp_path: Path, old: str, new: str, said: 
     assert any(said in finding.message for finding in audit.findings)
 
 
-@pytest.mark.parametrize("act", ["crosscheck", "diff", "sync", "convert", "load"])
+@pytest.mark.parametrize("act", ["crosscheck", "diff", "convert", "load"])
 def test_a_joint_far_away_leaves_no_log(
     act: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -102,8 +101,6 @@ def test_a_joint_far_away_leaves_no_log(
         assert "1e+24 mm apart" in compare_models(*files).differences[0].message
     elif act == "diff":
         assert not diff_models(files.mjcf, files.mjcf).changes
-    elif act == "sync":
-        assert sync_models(*files, take="urdf").not_mended
     elif act == "convert":
         assert not convert_model(files.mjcf, tmp_path / "other.urdf").agree
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pupper_analysis.prepare.soles import fit_sphere
+from pupper_analysis.prepare.contact_points import fit_sphere
 
 
 def test_a_sphere_far_from_the_origin_is_found() -> None:

@@ -15,9 +15,6 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.own_run import own_run, raw_model
 from pupper_analysis.present.verdict import in_words, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
-from pupper_analysis.tools.hold.hold import hold_posture
-from pupper_analysis.tools.path.tracking import study_path
-from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.legged import biped, quadruped
 
 
@@ -54,7 +51,7 @@ def two_legs(folder: Path) -> Path:
 
 
 def verdict_of(robot: pa.Robot) -> Verdict:
-    return study_stance(robot, pa.StandTask()).verdict
+    return pa.judge_stand(robot, pa.solve_stand(robot))
 
 
 def test_a_sound_urdf_does_by_itself_what_is_predicted(tmp_path: Path) -> None:
@@ -113,13 +110,6 @@ def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> Non
     assert "at 1 ms a step, as it shakes at longer ones" in in_words(verdict)
 
 
-def test_other_verdicts_have_the_same_line(tmp_path: Path) -> None:
-    robot = pa.load_robot(four_legs(tmp_path))
-    found = study_path(robot, pa.StandTask(height=0.33), 1.0).verdict
-    assert found.own == own_run(robot)
-    assert "own-run" in {clause.message.code for clause in verdict_clauses(found)}
-
-
 def test_what_mujoco_does_not_import_is_told(tmp_path: Path) -> None:
     """Our converter leaves out a cone, of which MuJoCo's importer knows nothing."""
     urdf = touching(four_legs(tmp_path), ("trunk", '<cone radius="0.1" length="0.1"/>'))
@@ -127,21 +117,3 @@ def test_what_mujoco_does_not_import_is_told(tmp_path: Path) -> None:
     assert verdict.own is None
     assert verdict.passed
     assert "what MuJoCo's own import of the URDF does is not known" in in_words(verdict)
-
-
-def test_an_arm_is_held_as_mujoco_imports_it(tmp_path: Path) -> None:
-    urdf = tmp_path / "arm.urdf"
-    inertial = (
-        '<inertial><origin xyz="0.2 0 0"/><mass value="1"/>'
-        '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>'
-    )
-    urdf.write_text(
-        f'<robot name="arm"><link name="base"/><link name="arm">{inertial}</link>'
-        '<joint name="shoulder" type="revolute"><parent link="base"/><child link="arm"/>'
-        '<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="20" velocity="5"/></joint></robot>'
-    )
-    verdict = hold_posture(pa.load_robot(urdf), {"shoulder": 0.5}).verdict
-    assert verdict.passed, in_words(verdict)
-    assert verdict.own is not None
-    assert verdict.own.imported
-    assert "MuJoCo's own import of the URDF" in in_words(verdict)

@@ -228,28 +228,6 @@ def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_pa
             pa.solve_stand(robot, task)
 
 
-def test_a_flat_foot_lies_flat_on_a_slope(tmp_path: Path) -> None:
-    robot = load(biped(tmp_path))
-    ground = pa.Ground(slope=0.1, uphill=0.4)
-    stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
-    centres = pa.Configuration(robot, stand.qpos).foot_positions()
-    for point, place in centres.items():
-        assert place @ ground.normal() == pytest.approx(robot.contact_radius[point], abs=1e-9)
-    assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, stand.task)).passed
-
-
-def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
-    robot = load(biped(tmp_path))
-    task = pa.StandTask(swing={"left_tilt_link": 0.03}, com="inside", com_margin=0.005)
-    stand = pa.solve_stand(robot, task)
-    assert robot.feet_with(stand.stance_feet) == ("right_tilt_link",)
-    centres = pa.Configuration(robot, stand.qpos).foot_positions()
-    for point in robot.feet["left_tilt_link"]:
-        assert centres[point][2] == pytest.approx(0.03, abs=1e-9)
-    held = pa.stance.stand_statics(robot, stand)
-    assert held.contact_forces.keys() == set(robot.feet["right_tilt_link"])
-
-
 @pytest.mark.parametrize("shape", sorted(BIPED_FEET.keys() - {"cylinder"}))  # its points turn
 def test_a_flat_foot_stands_on_a_step(shape: str, tmp_path: Path) -> None:
     robot = load(biped(tmp_path, BIPED_FEET[shape]))
@@ -307,11 +285,6 @@ def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
     for foot, depth in stand.depths.items():
         assert depth == pytest.approx(bare.depths[foot] - 0.004, abs=1e-9)
     stands(robot)
-
-
-def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> None:
-    robot = load(quadruped(tmp_path, keyframe="0 2.4 -2.6"))
-    assert len(robot.feet) == 4
 
 
 @pytest.mark.parametrize(
@@ -430,16 +403,6 @@ def test_preparing_changes_no_file(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.longest
-def test_a_biped_squats_as_its_path_says(tmp_path: Path) -> None:
-    robot = load(biped(tmp_path))
-    stances = [pa.StandTask(), pa.StandTask(height=robot.stand_height - 0.05), pa.StandTask()]
-    path = pa.stance.stance_path(robot, stances, seconds=3.0)
-    assert not path.infeasible.any()
-    tracked = pa.simulation.track_path(robot, path)
-    assert tracked.passed, tracked.failures
-
-
 ICOSPHERE = """<asset><mesh name="ball" vertex="{}"/></asset>"""
 
 
@@ -497,18 +460,6 @@ def advised(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     assert advice, robot.notes
     kp, kd = (np.full(robot.nu, float(word)) for word in advice.groups())
     return kp, kd
-
-
-def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Path) -> None:
-    """As a Berkeley Humanoid's, of 1 to 15 N m/rad: they stay, and a line says what would hold."""
-    pair = biped(tmp_path, damping=0.02)
-    soft = pair.mjcf.read_text().replace("<motor ", '<position kp="3" kv="0.01" ')
-    pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
-    robot = load(pair)
-    kp, kd = advised(robot)
-    stand = pa.stance.solve_stand_on_soft_ground(robot)
-    assert pa.verify_stand(robot, stand).tilt > 0.5
-    assert pa.verify_stand(robot, stand, kp=kp, kd=kd).passed
 
 
 def test_servos_that_let_it_fall_slowly_are_told_too(tmp_path: Path) -> None:

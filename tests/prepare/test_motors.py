@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.prepare.motors import one_at_each_joint
+from pupper_analysis.prepare.joints import one_at_each_joint
 
 TWO_SERVOS = """
 <mujoco><worldbody><body><joint name="knee" axis="0 1 0"/>

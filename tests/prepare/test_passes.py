@@ -15,10 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.cli import group
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.draft import Draft
-from pupper_analysis.prepare.load import prepare_robot
-from pupper_analysis.prepare.passes import PASSES, Pass
-from pupper_analysis.prepare.ready import Request
+from pupper_analysis.prepare.passes import PASSES, Draft, Pass, Request, prepare_robot
 from tests.support.legged import Pair, fused, quadruped
 from tests.support.repository import ROOT
 

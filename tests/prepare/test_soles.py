@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.soles import sole_corners, stays_flat
+from pupper_analysis.prepare.contact_points import sole_corners, stays_flat
 from pupper_analysis.robot.robot import Robot
 from tests.support.cases import some
 from tests.support.legged import BIPED_FEET, Pair, aside, biped, held, quadruped, sole_mesh
@@ -154,11 +154,6 @@ def test_legs_of_four_joints_that_tilt_their_feet_have_one_point_each(tmp_path: 
     whole.mkdir()
     model = mujoco.MjModel.from_xml_path(str(biped(whole).mjcf))
     assert stays_flat(model, model.body("left_tilt_link").id, np.array([0.0, 0.0, -1.0]))
-
-
-def test_a_quadruped_with_boxes_at_three_joints_has_points(tmp_path: Path) -> None:
-    foot = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2"/>'
-    assert len(load(quadruped(tmp_path, foot=foot)).contact_points) == 4
 
 
 def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.prepare.bare import published_model
-from pupper_analysis.prepare.visuals import geoms_by_id, leave_out_visuals
+from pupper_analysis.prepare.touching import geoms_by_id, leave_out_visuals
 from tests.support.legged import quadruped
 
 SPEC = """<mujoco><worldbody><body name="a"><freejoint/>

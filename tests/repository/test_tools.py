@@ -24,6 +24,9 @@ QUICK = (
 )
 """Some of the core's: of what all tools rest on, and of what finds them."""
 
+ALONE = ("best", "hold", "path", "payload", "sync")
+"""Tools that no test of the core imports: without one of them all these are collected."""
+
 ALSO = ("diff", "workspace", "crosscheck", "audit")
 """Tools of which some quick tests are run, too: of two that are left, and do not know the other."""
 
@@ -90,6 +93,9 @@ def check_without(tool: str, folder: Path) -> None:
         for path in sorted((copy / "tests/tools" / one).glob("test_*.py"))[:1]
     ]
     there = [path for path in QUICK if (copy / path).exists()]
+    if tool in ALONE:
+        core = ("--ignore", "tests/tools", "--collect-only", "-q", "tests")
+        run(copy, "-m", "pytest", "-n", "0", *core)
     run(
         copy,
         "-m",

@@ -20,7 +20,6 @@ from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import find_nearest
 from pupper_analysis.stance.solver import Context
 from tests.support.bound import LEGS, belts, four_bars
-from tests.support.commands import run_command
 from tests.support.legged import Pair, quadruped
 
 
@@ -350,28 +349,6 @@ def test_a_fixed_bases_motors_hold_what_follows(tmp_path: Path) -> None:
         )
 
 
-@pytest.mark.parametrize("pair", [belts, four_bars])
-def test_robots_with_closed_loops_stand_at_the_command_line(
-    pair, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    files = pair(tmp_path)
-    status, out, err = run_command(
-        capfd, "stand", "-v", "--urdf", str(files.urdf), "--mjcf", str(files.mjcf)
-    )
-    assert status == 0, err
-    said = " ".join((out + err).split())
-    assert "HOLDS in MuJoCo" in said
-    assert "joints that follow others" in said
-    assert "soft loops and couplings open by up to" in said
-
-
-def test_gains_are_simulated(tmp_path: Path) -> None:
-    robot = load(belts(tmp_path))
-    stand = pa.stance.solve_stand_on_soft_ground(robot)
-    sweep = pa.simulation.sweep_gains(robot, stand, kp=[110.0], kd=[5.5], duration=2.0)
-    assert sweep.height_deviation.max() < 1e-3
-
-
 def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, in_mjcf=False))
     assert any(
@@ -528,7 +505,3 @@ def test_what_ties_a_robot_to_the_world_is_named_where_its_stand_fails(tmp_path:
     assert not found.passed
     assert found.failures[-1].code == "constraints-not-predicted"
     assert "connect tied" in str(found.failures[-1])
-
-
-def test_a_robot_without_any_has_none(tmp_path: Path) -> None:
-    assert load(quadruped(tmp_path)).closure is None

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from tests.support.engines import addresses, free_mechanism, integrate, mujoco_at, rate_along
-from tests.support.states import numbers, positions, random_state, velocities
+from tests.support.engines import addresses, free_mechanism, mujoco_at, rate_along
+from tests.support.states import positions, random_state, velocities
 from tests.support.variants import NAMES, load
 
 GRAVITY = 9.81  # [m/s^2]
@@ -166,30 +166,6 @@ def test_mass_matrix_is_mujocos_and_positive_definite(
 
 
 @given(data=st.data())
-def test_kinetic_energy_is_the_sum_over_the_bodies(
-    any_robot: pa.Robot, data: st.DataObject
-) -> None:
-    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
-    model = any_robot.mj_model
-
-    def poses(at: np.ndarray) -> np.ndarray:
-        mj = mujoco_at(any_robot, at)
-        return np.concatenate([mj.xipos[:, :, None], mj.ximat.reshape(-1, 3, 3)], axis=2)
-
-    now, rates = poses(qpos), rate_along(any_robot, poses, qpos, qvel)
-    energy = 0.0
-    for body in range(1, model.nbody):
-        spin = now[body, :, 1:].T @ rates[body, :, 1:]  # in the axes of inertia
-        omega = np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
-        energy += model.body_mass[body] * rates[body, :, 0] @ rates[body, :, 0] / 2
-        energy += model.body_inertia[body] @ omega**2 / 2
-    _, v = addresses(any_robot)
-    energy += model.dof_armature[v] @ qvel**2 / 2  # the rotors
-    matrix = pa.Configuration(any_robot, qpos).mass_matrix()
-    assert qvel @ matrix @ qvel / 2 == pytest.approx(energy, rel=1e-6, abs=1e-8)
-
-
-@given(data=st.data())
 def test_gravity_is_the_slope_of_the_potential_energy(
     any_robot: pa.Robot, data: st.DataObject
 ) -> None:
@@ -208,15 +184,6 @@ def test_bias_forces_are_mujocos(any_robot: pa.Robot, data: st.DataObject) -> No
     config = pa.Configuration(any_robot, qpos, qvel)
     close(config.bias_forces(), mujoco_at(any_robot, qpos, qvel).qfrc_bias[v], 1e-11)
     close(config.gravity(), mujoco_at(any_robot, qpos).qfrc_bias[v], 1e-11)
-
-
-@given(data=st.data())
-def test_forward_dynamics_undoes_inverse_dynamics(any_robot: pa.Robot, data: st.DataObject) -> None:
-    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
-    qacc = data.draw(numbers(any_robot.nv, 10.0))
-    config = pa.Configuration(any_robot, qpos, qvel)
-    force = config.mass_matrix() @ qacc + config.bias_forces()
-    close(config.forward_dynamics(force), qacc, 1e-9)
 
 
 def test_forward_dynamics_is_mujocos(robot: pa.Robot) -> None:
@@ -259,23 +226,6 @@ def check_ballistic(start: pa.Configuration, end: pa.Configuration, time: float)
     np.testing.assert_allclose(end.com_jacobian() @ end.qvel, velocity + fall * time, atol=1e-6)
 
 
-def test_own_free_flight_keeps_the_energy(robot: pa.Robot) -> None:
-    """Runge-Kutta (the midpoint rule, second order) with forward_dynamics."""
-    qpos, qvel = random_state(robot, seed=2)
-    start = pa.Configuration(robot, qpos, qvel)
-    steps, dt = 100, 5e-4
-    none = np.zeros(robot.nv)
-    for _ in range(steps):
-        first = pa.Configuration(robot, qpos, qvel)
-        middle_velocity = qvel + dt / 2 * first.forward_dynamics(none)
-        middle = pa.Configuration(robot, integrate(robot, qpos, qvel, dt / 2), middle_velocity)
-        qpos = integrate(robot, qpos, middle_velocity, dt)
-        qvel = qvel + dt * middle.forward_dynamics(none)
-    end = pa.Configuration(robot, qpos, qvel)
-    assert np.linalg.norm(end.qvel - start.qvel) > 0.3
-    assert energy(end) == pytest.approx(energy(start), rel=1e-5)
-
-
 # ------------------------------------------------------------------------------------- imu
 
 
@@ -288,25 +238,6 @@ def test_imu_reads_what_mujocos_sensors_read(data: st.DataObject) -> None:
     gyro, acceleration = pa.Configuration(robot, qpos, qvel).imu(mj.qacc[v])
     np.testing.assert_allclose(gyro, mj.sensor("body_gyro").data, atol=1e-11)
     close(acceleration, mj.sensor("body_acc").data, 1e-11)
-
-
-def test_imu_at_rest_reads_gravity_upwards_and_in_free_fall_nothing(robot: pa.Robot) -> None:
-    config = pa.Configuration(robot, random_state(robot)[0])
-    up = config.frame_rotation("body_imu_site").T @ [0, 0, GRAVITY]
-    gyro, at_rest = config.imu(np.zeros(robot.nv))
-    np.testing.assert_allclose(gyro, 0, atol=1e-15)
-    np.testing.assert_allclose(at_rest, up, atol=1e-12)
-    falling = np.zeros(robot.nv)
-    falling[2] = -GRAVITY
-    np.testing.assert_allclose(config.imu(falling)[1], 0, atol=1e-12)
-
-
-def test_imu_feels_the_centrifugal_acceleration() -> None:
-    robot = load("v3")
-    qvel, rate = np.zeros(robot.nv), 5.0
-    qvel[5] = rate  # about the base's z
-    _, reading = pa.Configuration(robot, robot.neutral(), qvel).imu(np.zeros(robot.nv))
-    np.testing.assert_allclose(reading, [-(rate**2) * 0.09, 0, GRAVITY], atol=1e-12)
 
 
 def test_imu_needs_a_frame(tiny: pa.Robot) -> None:

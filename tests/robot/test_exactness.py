@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare import solver
-from pupper_analysis.prepare.solver import INEXACT, left_out
+from pupper_analysis.prepare import simulable
+from pupper_analysis.prepare.simulable import INEXACT, left_out
 from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of
 
@@ -56,7 +56,7 @@ def test_what_is_left_out_is_the_part_of_a_push_that_does_not_move() -> None:
 def sparse_newton_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     """As it does for ToddlerBot; no small model was found for which it does."""
     monkeypatch.setattr(
-        solver, "left_out", lambda model, data, base: 0.9 if mujoco.mj_isSparse(model) else 0.0
+        simulable, "left_out", lambda model, data, base: 0.9 if mujoco.mj_isSparse(model) else 0.0
     )
 
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
 from tests.support.legged import Pair, quadruped
 
@@ -125,14 +124,6 @@ def test_contacts_by_pairs_are_those_of_the_feet(tmp_path: Path) -> None:
     assert {contact.friction[0] for contact in robot.contacts.values()} == {0.37}
     with pytest.raises(pa.PupperAnalysisError):  # tan(0.45 rad) = 0.48
         pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.45)))
-
-
-def test_a_plain_ground_stays_as_it_is(tmp_path: Path) -> None:
-    """Nothing is said of it, nor changed."""
-    spec = mujoco.MjSpec.from_file(str(scene(tmp_path, PLANE + "/>").mjcf))
-    before = spec.to_xml()
-    assert level_ground(spec) == []
-    assert spec.to_xml() == before
 
 
 def test_of_a_pair_with_two_frictions_the_lesser_counts(tmp_path: Path) -> None:

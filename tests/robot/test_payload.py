@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.tool import with_payload
-from pupper_analysis.stance.sag.contact_kinematics import integrate_step
+from pupper_analysis.stance.sag.equilibrium import integrate_step
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.engines import mujoco_at
 from tests.support.states import random_state

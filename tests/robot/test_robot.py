@@ -58,18 +58,6 @@ def test_feet_may_be_a_list_of_frames(tiny: pa.Robot, tiny_files: Files) -> None
     assert (tiny.name, renamed.name) == ("tiny", "other")
 
 
-def test_paths_may_be_strings(tiny_files: Files) -> None:
-    files = [str(path) for path in tiny_files]
-    assert pa.load_robot(urdf=files[0], mjcf=files[1], feet=["foot"]).nu == 3
-
-
-def test_a_robot_knows_its_sizes(tiny: pa.Robot, tiny_files: Files) -> None:
-    assert (tiny.nq, tiny.nv, tiny.nu, tiny.floating) == (10, 9, 3, True)
-    fixed = load_files(tiny_files, fixed_base=True)
-    assert (fixed.nq, fixed.nv, fixed.nu, fixed.floating) == (3, 3, 3, False)
-    assert fixed.total_mass == tiny.total_mass == pytest.approx(3.2)
-
-
 def test_the_two_files_agree(tiny: pa.Robot) -> None:
     """Also with the joints in three orders."""
     assert_same_bodies(pinocchio_bodies(tiny), mujoco_bodies(tiny), 1e-12)

@@ -252,24 +252,6 @@ def test_the_law_at_the_joint_is_mujocos(gains: dict[str, float]) -> None:
     )
 
 
-def test_a_geared_robot_stands_as_it_did_with_the_same_gains_at_the_joints() -> None:
-    stand = stand_of("v3")
-    plain, other = (
-        pa.verify_stand(robot, stand, kp=8.0, kd=0.2, feedforward=False, duration=2.0)
-        for robot in (load("v3"), geared("v3"))
-    )
-    np.testing.assert_allclose(other.joint_torques, plain.joint_torques, atol=1e-7)
-    assert other.base_height == pytest.approx(plain.base_height, abs=1e-8)
-    sag = [pa.steady_state(robot, stand, kp=8.0) for robot in (load("v3"), geared("v3"))]
-    np.testing.assert_allclose(sag[1].qpos, sag[0].qpos, atol=1e-10)
-
-
-def test_a_force_range_counts_times_the_gear() -> None:
-    robot = geared("v3", force=0.9)
-    most = np.minimum(0.9 * np.abs(GEARS), load("v3").effort_limits)
-    np.testing.assert_allclose(robot.effort_limits, most, rtol=1e-12)
-
-
 def test_a_servo_saturates_at_its_force_range_times_the_gear() -> None:
     """What MuJoCo clips and what the prediction clips, far from the commanded pose."""
     robot = geared("v3", force=0.9)

@@ -18,8 +18,8 @@ from pupper_analysis.robot.stability import (
     step_derivative,
 )
 from pupper_analysis.simulation.causes import find_instability
-from pupper_analysis.simulation.nudge import measure_response
 from pupper_analysis.simulation.rollout import full_state, simulate
+from pupper_analysis.simulation.stability import measure_response
 from tests.support.repository import benchmark
 from tests.support.variants import load, stand_of
 
@@ -230,19 +230,6 @@ def test_a_solver_that_ends_early_makes_no_mode_grow() -> None:
         mujoco.mj_step(model, data, 50)
         assert pa.robot.step_stability(model, data, settle=0).stable
     assert model.opt.tolerance == tolerance
-
-
-def test_what_a_stand_that_holds_is_told(variant: str) -> None:
-    """The nudge decays, and both judgements agree."""
-    found = pa.verify_stand(load(variant), pa.stance.solve_stand_on_soft_ground(load(variant)))
-    assert found.passed
-    assert found.nudge is not None
-    assert found.nudge.decayed
-    assert found.nudge.left < 1e-2 * found.nudge.speed
-    assert found.nudge.farthest < 1e-4
-    assert found.nudge.time + found.nudge.duration == pytest.approx(12.0)
-    assert found.stability.lasts()
-    assert found.stability.drifts == 3
 
 
 def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:

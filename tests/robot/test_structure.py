@@ -15,9 +15,9 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.structure import Structure
-from pupper_analysis.stance.sag.contact_kinematics import integrate_step
-from tests.robot.test_coordinates import velocity_map_rate
+from pupper_analysis.stance.sag.equilibrium import integrate_step
 from tests.stance.sag.test_contact_kinematics import differences
+from tests.support.engines import velocity_map, velocity_map_rate
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
 
@@ -124,7 +124,7 @@ def test_public_coordinates_are_those_of_the_convention(any_robot: pa.Robot) -> 
     for seed in range(5):
         qpos, qvel = random_state(any_robot, seed)
         config, data = pa.Configuration(any_robot, qpos, qvel), model.createData()
-        q, turn = convention.q(qpos), convention.velocity_map(qpos)
+        q, turn = convention.q(qpos), velocity_map(convention, qpos)
         rate = velocity_map_rate(convention, qpos, qvel)
         upper = np.triu(np.atleast_2d(pin.crba(model, data, q)))
         full = upper + np.triu(upper, 1).T
@@ -151,7 +151,7 @@ def test_joints_may_be_in_any_order(any_robot: pa.Robot) -> None:
         structure = Structure(model, convention, names, any_robot.contact_frames)
         mixed = np.concatenate([qpos[:base], qpos[base:][order]])
         held, q = structure.workspace(), structure.convention.unit_q(mixed)
-        data, turn = model.createData(), convention.velocity_map(mixed)
+        data, turn = model.createData(), velocity_map(convention, mixed)
         upper = np.triu(np.atleast_2d(pin.crba(model, data, convention.q(mixed))))
         full = upper + np.triu(upper, 1).T
         found = structure.inertia(pin.crba(structure.loaded(), held.data, q))

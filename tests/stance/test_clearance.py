@@ -68,16 +68,6 @@ def lowest(
     return float(normal @ (data.geom_xpos[geom] - point) - reach)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_height_above_level_ground(name: str) -> None:
-    robot, shapes = load(name), ClearanceShapes(load(name))
-    for seed in range(20):
-        qpos, _ = random_state(robot, seed)
-        found = shapes.above_ground(shapes.at(qpos), pa.Ground(), {}, {})
-        assert found is not None
-        assert found.distance == pytest.approx(min(ground_distances(robot, qpos)), abs=1e-9)
-
-
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_height_above_slope_and_steps(name: str) -> None:
     robot, shapes = load(name), ClearanceShapes(load(name))
@@ -96,19 +86,6 @@ def test_height_above_slope_and_steps(name: str) -> None:
         else:
             assert found.distance < 1e-5
     assert seen > 10
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_height_above_a_slope(name: str) -> None:
-    """In closed form both, at places of two models: the URDF's links, the MJCF's geoms."""
-    robot, shapes = load(name), ClearanceShapes(load(name))
-    ground = pa.Ground(0.3, -2.1)
-    there = on_ground(robot, ground, {})
-    for seed in range(20):
-        qpos, _ = random_state(robot, seed)
-        found = shapes.above_ground(shapes.at(qpos), ground, {}, {})
-        assert found is not None
-        assert found.distance == pytest.approx(min(ground_distances(there, qpos)), abs=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -91,17 +91,6 @@ def drawn(robot: pa.Robot, seed: int) -> np.ndarray:
     return qpos
 
 
-@pytest.mark.parametrize("ground", [pa.Ground(), pa.Ground(0.4, 1.1)])
-def test_heights_are_those_of_mujocos_hulls(robot: pa.Robot, ground: pa.Ground) -> None:
-    shapes, there = ClearanceShapes(robot), on_ground(robot, ground, {})
-    assert {"mesh", "ellipsoid"} <= {shape.form.kind for shape in robot.shapes}
-    for seed in range(20):
-        qpos = drawn(robot, seed)
-        found = shapes.above_ground(shapes.at(qpos), ground, {}, {})
-        assert found is not None
-        assert found.distance == pytest.approx(above_ground(there, qpos), abs=1e-9)
-
-
 def test_heights_above_steps_are_mujocos(robot: pa.Robot) -> None:
     """What is nearest is a step or the plane; of shapes in each other the depths differ."""
     shapes = ClearanceShapes(robot)

@@ -13,8 +13,6 @@ from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.search import find_nearest, search_stand
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.stance.solver import Context
-from pupper_analysis.stance.workspace import base_workspace, solve_stand_at
-from pupper_analysis.tools.best.space import StanceSpace
 from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES, load
 
@@ -65,13 +63,6 @@ def test_a_refusal_names_the_margin_with_its_limit() -> None:
     assert margin_of(robot, error.nearest) >= error.nearest.task.com_margin - 1e-9
 
 
-def test_no_margin_does_not_let_the_com_outside() -> None:
-    """Beyond the polygon's edge less of the margin does not help, only less of the offset."""
-    error = refused(load("v3"), pa.StandTask(offset=(0.11, 0.0), com_margin=0.01, height=0.12))
-    assert [str(one) for one in error.blocked] == ["the com is 25.9 mm outside the support polygon"]
-    assert set(error.limits) == {"offset"}
-
-
 def test_without_a_margin_the_com_may_be_outside() -> None:
     """It is reached; that it cannot be held is another matter."""
     robot = load("v3")
@@ -104,44 +95,6 @@ def test_on_soft_ground_and_under_a_load() -> None:
     assert 0.03 < margin_of(loaded, stand) < edge.com_margin
     with pytest.raises(pa.StanceUnreachableError):  # what is asked is asked of the loaded robot
         solve_loaded_stand(robot, edge, 1.0, (0.05, 0.0, 0.0))
-
-
-def test_paths_keep_it() -> None:
-    robot = load("original")
-    stances = [
-        pa.StandTask(offset=(x, 0.0), com_margin=margin) for x, margin in ((0.0, 0.0), (0.03, 0.05))
-    ]
-    path = pa.stance.stance_path(robot, stances, 2.0, rate=10.0)
-    assert path.com_margin[-1] >= 0.05 - 1e-9
-    # The margin moves along the same law as all else: half of it half way.
-    with pytest.raises(pa.StanceUnreachableError, match="the com is"):
-        pa.stance.stance_path(robot, [stances[1], replace(stances[1], offset=(0.09, 0.0))], 2.0)
-
-
-def test_workspaces_keep_it() -> None:
-    robot = load("original")
-    task = pa.StandTask(offset=(0.0, 0.0), com_margin=0.065)
-    bound, free = (
-        base_workspace(robot, t).intervals for t in (task, replace(task, com_margin=0.0))
-    )
-    start = pa.solve_stand(robot, task)
-    assert free["x"].low < bound["x"].low < bound["x"].high < free["x"].high
-    for direction in ("pitch", "x"):
-        for value in (bound[direction].low, bound[direction].high):
-            assert margin_of(robot, solve_stand_at(robot, start, direction, value)) >= 0.065 - 1e-9
-
-
-def test_a_search_sees_stances_without_it() -> None:
-    """A search that goes by how much is missing needs the stances that miss it."""
-    robot = load("original")
-    space = StanceSpace(robot, pa.StandTask(com_margin=0.06))
-    there = space.start.copy()
-    there[space.names.index("x")] += 0.04
-    stand = space.stand(there)
-    assert stand is not None
-    assert stand.task.com_margin == 0.06
-    assert space.room(stand).edges.min() == pytest.approx(margin_of(robot, stand) - 0.06, abs=1e-9)
-    assert space.room(stand).edges.min() < 0
 
 
 def test_the_least_miss_of_the_feet_is_with_the_margin() -> None:

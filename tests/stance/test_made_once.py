@@ -7,14 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-import shapely
 
 import pupper_analysis as pa
-from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.solver import Context
 from pupper_analysis.statics.equilibrium import balance_load
-from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.variants import NAMES, load, stand_of
 
 
@@ -76,21 +73,6 @@ def test_a_robots_files_are_its_own() -> None:
     np.testing.assert_array_equal(second.mj_model.body_pos, first.mj_model.body_pos)
 
 
-def test_margin_is_shapelys() -> None:
-    """Of points in general position, on lines, and some in one place."""
-    rng = np.random.default_rng(1)
-    for _ in range(300):
-        places = rng.normal(size=(rng.integers(3, 9), 3))
-        if rng.random() < 0.3:
-            places = np.round(places)  # some coincide, some are on one line
-        com = rng.normal(size=3) * 0.7
-        hull, at = shapely.MultiPoint(places[:, :2]).convex_hull, shapely.Point(com[:2])
-        inside = hull.geom_type == "Polygon" and hull.contains(at)
-        expected = hull.exterior.distance(at) if inside else -hull.distance(at)
-        found = com_margin(com, dict(zip(map(str, range(len(places))), places, strict=True)))
-        assert found == pytest.approx(expected, rel=1e-12, abs=1e-14)
-
-
 def test_nobody_changes_what_stands_by_default_share() -> None:
     robot = load("v3")
     one, other = pa.solve_stand(robot), pa.solve_stand(robot)
@@ -102,33 +84,6 @@ def test_nobody_changes_what_stands_by_default_share() -> None:
             mapping.clear()  # type: ignore[attr-defined]
     for name, point in pa.solve_stand(robot).contact_points.items():
         np.testing.assert_array_equal(point, other.contact_points[name])
-
-
-def test_a_depth_is_found_from_anywhere() -> None:
-    robot = load("v3")
-    law = GroundLaw.of(robot, robot.contact_points[0])
-    for force in np.geomspace(1e-3, 1e3, 13):
-        depth = law.depth(force)
-        for near in (0.0, 0.1 * depth, 0.999 * depth, depth, 3 * depth, 1.0, -1.0):
-            assert law.depth(force, near) == pytest.approx(depth, rel=1e-14)
-
-
-def test_a_cell_of_a_sweep_is_what_it_is_alone() -> None:
-    robot, stand = load("v3"), stand_of("v3")
-    kp, kd = (20.0, 60.0), (0.5, 2.0)
-    grid = pa.simulation.sweep_gains(robot, stand, kp=kp, kd=kd, duration=2.0).height_deviation
-    alone = [
-        [
-            float(
-                pa.simulation.sweep_gains(
-                    robot, stand, kp=[p], kd=[d], duration=2.0
-                ).height_deviation[0, 0]
-            )
-            for d in kd
-        ]
-        for p in kp
-    ]
-    np.testing.assert_array_equal(grid, alone)
 
 
 def test_what_the_motors_hold_is_found_once_for_a_stand(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,17 +39,6 @@ def test_place_is_the_coms_or_the_bases() -> None:
     np.testing.assert_allclose(base.place - centre, (0.01, 0.02))
 
 
-def test_margins_narrow_the_limits() -> None:
-    robot = load("v3")
-    goal = make_goal(robot, pa.StandTask(joint_margin=0.1), {})
-    np.testing.assert_allclose(goal.lower, robot.lower_limits + 0.1)
-    np.testing.assert_allclose(goal.upper, robot.upper_limits - 0.1)
-    with pytest.raises(pa.ConfigurationError, match="leaves no range for leg_"):
-        make_goal(robot, pa.StandTask(joint_margin=2.0), {})
-    with pytest.raises(pa.ConfigurationError, match="com_margin"):
-        make_goal(robot, pa.StandTask(com_margin=0.2), {})
-
-
 def test_feet_on_one_line_carry_nothing() -> None:
     """Three that are left, the front one brought between the rear ones; 4 mm away, it is a base."""
     robot = load("original")

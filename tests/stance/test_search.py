@@ -202,23 +202,6 @@ def test_another_branch_of_a_leg_reaches_it(task: pa.StandTask) -> None:
     assert pa.solve_stand(robot, replace(task, ik_seed=ik_seed)).solved
 
 
-@pytest.mark.parametrize(
-    ("name", "task", "demand", "degrees"),
-    [
-        ("original", pa.StandTask(pitch=-0.6, com="inside"), "pitch", -29.2),
-        ("v3", pa.StandTask(yaw=0.6, roll=0.2, com="inside"), "yaw", 32.0),
-    ],
-)
-def test_limits_with_the_com_inside_are_those_that_can_be_reached(
-    name: str, task: pa.StandTask, demand: str, degrees: float
-) -> None:
-    with pytest.raises(pa.StanceUnreachableError) as caught:
-        pa.solve_stand(load(name), task)
-    limit = caught.value.limits[demand][demand]
-    assert math.degrees(limit) == pytest.approx(degrees, abs=0.15)
-    assert pa.solve_stand(load(name), replace(task, **{demand: limit}), explain=False).solved
-
-
 def test_a_limit_is_as_fine_as_itself_and_not_as_what_was_asked() -> None:
     """Asked for 50 m, v3 reaches 0.192 m all the same."""
     limits = []
@@ -265,13 +248,6 @@ def test_a_com_that_may_be_anywhere_inside_is_moved_only_if_need_be() -> None:
 def test_requests_that_no_robot_can_meet(task: pa.StandTask, named: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=named):
         pa.solve_stand(load("v3"), task)
-
-
-@pytest.mark.parametrize("field", ["feet", "foot_offsets", "swing"])
-def test_unknown_feet_are_refused(field: str) -> None:
-    value = 0.01 if field == "swing" else (0.0, 0.0)
-    with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
-        pa.solve_stand(load("v3"), pa.StandTask(**{field: {"XX": value}}))
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.1])
@@ -363,16 +339,6 @@ def test_feet_on_a_slope_sink_by_what_presses_on_them() -> None:
     pressing = sum(GroundLaw.of(robot, foot).force(depth) for foot, depth in stand.depths.items())
     weight = robot.total_mass * np.linalg.norm(robot.gravity)
     assert pressing == pytest.approx(weight * math.cos(slope), rel=1e-6)
-
-
-def test_the_loads_of_a_path_on_a_slope_are_vertical() -> None:
-    robot, slope = load("v3"), 0.3
-    task = pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25)
-    path = pa.stance.stance_path(robot, [task, replace(task, height=0.125)], 4.0)
-    weight = robot.total_mass * np.linalg.norm(robot.gravity)
-    assert path.loads[0].sum() == pytest.approx(weight, rel=1e-6)  # at rest
-    normal = task.ground.normal()
-    assert (path.forces[0] @ normal).sum() == pytest.approx(weight * math.cos(slope), rel=1e-6)
 
 
 @pytest.mark.parametrize("priority", [-1, 0, 3])  # the feet's is 0

@@ -47,24 +47,6 @@ def test_rigid_stand_is_another(name: str, what: str) -> None:
     assert "solve_stand_on_soft_ground compensates for that" in str(run.failures[-1])
 
 
-@pytest.mark.parametrize("name", ["original", "v3"])
-def test_feet_are_as_deep_as_their_load_takes_them(name: str) -> None:
-    robot, task = load(name), TASKS["slope"]
-    rigid, stand = pa.solve_stand(robot, task), solve_stand_on_soft_ground(robot, task)
-    assert stand.task == rigid.task
-    np.testing.assert_allclose(stand.qpos[:7], rigid.qpos[:7], atol=1e-3)  # the com is, exactly
-    forces = stand_statics(
-        robot, stand, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
-    ).contact_forces
-    feet = pa.Configuration(robot, stand.qpos).foot_positions()
-    for foot, depth in stand.depths.items():
-        law, normal = GroundLaw.of(robot, foot), stand.normals[foot]
-        assert law.force(depth) == pytest.approx(float(forces[foot] @ normal), rel=1e-5)
-        sunk = rigid.foot_targets[foot] - feet[foot]
-        np.testing.assert_allclose(sunk, depth * normal, atol=1e-9)
-        assert 1e-4 < depth < 8e-3
-
-
 @pytest.mark.parametrize("what", ["steps", "off the centre", "three legs"])
 @pytest.mark.parametrize("name", ["heavy", "v3"])
 def test_the_stand_on_soft_ground_is_the_equilibrium_that_feedforward_holds(

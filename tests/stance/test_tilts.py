@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import mujoco
@@ -225,16 +224,3 @@ def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:
     np.testing.assert_allclose(heights, np.minimum(walled, flat), atol=1e-6)
     assert stand.ground_clearance is not None
     assert stand.ground_clearance.distance == pytest.approx(min(heights), abs=1e-12)
-
-
-def test_json_has_the_tilts(tmp_path: object) -> None:
-    stand = pa.solve_stand(load("v3"), pa.StandTask(ground=sideways(20, roof=True)))
-    ground = stand.to_dict()["task"]["ground"]
-    assert set(ground["tilts"]) == {"FL", "FR", "RL", "RR"}
-    assert pa.StandTask.of(stand.to_dict()["task"]).ground == stand.task.ground
-
-
-def test_said_in_words() -> None:
-    task = pa.StandTask(ground=pa.Ground(tilts={"FR": 0.35}, tilt_uphill={"FR": 1.5}))
-    assert "FR on a slope of 20.1 deg" in str(task)
-    assert list(itertools.chain(task.ground.tilts)) == ["FR"]

@@ -1,6 +1,5 @@
 """What the motors hold, checked by hand, by Newton and Euler, and by MuJoCo's inverse dynamics."""
 
-import itertools
 import math
 from dataclasses import replace
 
@@ -125,13 +124,6 @@ def test_contact_forces_and_torques_balance_gravity(
     assert result.joint_names == config.robot.joint_names
 
 
-def test_velocity_does_not_matter() -> None:
-    still = at_stand("v3")
-    moving = pa.Configuration(still.robot, still.qpos, np.ones(18))
-    one, two = (pa.gravity_compensation(config) for config in (still, moving))
-    np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
-
-
 # ------------------------------------------------------------------------------------- the best
 
 
@@ -203,34 +195,6 @@ def test_nothing_feasible_nearby_is_better(
                     ):  # its peak is within 1e-7 of the least
                         least = 0.0
                     assert cost(other) >= cost(forces) * (1 - 1e-6) - least
-
-
-def test_least_torque_is_less_than_even(variant: str) -> None:
-    best, even = (
-        np.linalg.norm(
-            pa.gravity_compensation(at_stand(variant), distribution=distribution).joint_torques
-        )
-        for distribution in (
-            pa.statics.ForceDistribution.MIN_TORQUE,
-            pa.statics.ForceDistribution.MIN_TANGENTIAL,
-        )
-    )
-    if variant.startswith("v3"):
-        assert best < 0.999 * even
-    else:  # its legs are all alike, and the feet right below the hips: nothing is to be gained
-        assert best == pytest.approx(even, rel=1e-9)
-
-
-def test_more_friction_never_costs_torque() -> None:
-    config, least = at_stand("v3"), pa.statics.ForceDistribution.MIN_TORQUE
-    costs = [
-        np.linalg.norm(
-            pa.gravity_compensation(config, friction=mu, distribution=least).joint_torques
-        )
-        for mu in (0.0, 0.05, 0.1, 0.2, 0.5, 1.0)
-    ]
-    assert all(after <= before + 1e-6 for before, after in itertools.pairwise(costs))
-    assert costs[0] > 1.02 * costs[-1]
 
 
 def linear_programme(
@@ -307,13 +271,6 @@ def test_an_unknown_sharing_is_refused(distribution: object) -> None:
         pa.gravity_compensation(at_stand("v3"), distribution=distribution)  # type: ignore[arg-type]
 
 
-def test_without_friction_forces_are_vertical() -> None:
-    result = pa.gravity_compensation(at_stand("v3"), friction=0.0)
-    for force in result.contact_forces.values():
-        np.testing.assert_allclose(force[:2], 0, atol=1e-9)
-    check_newton_euler(at_stand("v3"), result)
-
-
 # ------------------------------------------------------------------------------------- by hand
 
 # v3 at zero angles: feet at x = 0.06881 and -0.08119 m, com at x = -0.00272409 m.
@@ -334,23 +291,6 @@ def test_even_shares_are_those_of_the_lever_arms() -> None:
             np.testing.assert_allclose(
                 result.contact_forces[side], [0, 0, share * load_ / 2], atol=1e-5
             )
-
-
-@pytest.mark.parametrize("name", ["long-leg", "v3"])
-def test_even_forces_are_vertical_on_level_steps(name: str) -> None:
-    robot = load(name)
-    ground = pa.Ground(heights={"FR": 0.02, "RL": 0.01})
-    stand = pa.solve_stand(robot, pa.StandTask(ground=ground, com=(0.02, -0.015)))
-    result = pa.stance.stand_statics(
-        robot, stand, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
-    )
-    scale = float(np.linalg.norm(weight(at_stand(name))))
-    for force in result.contact_forces.values():
-        np.testing.assert_allclose(force[:2], 0, atol=1e-6 * scale)
-    best = pa.stance.stand_statics(
-        robot, stand, distribution=pa.statics.ForceDistribution.MIN_TORQUE
-    ).contact_forces
-    assert max(np.linalg.norm(force[:2]) for force in best.values()) > 5e-3 * scale
 
 
 @pytest.mark.parametrize("name", ["long-leg", "v3"])
@@ -408,15 +348,6 @@ def test_three_feet_share_by_the_triangles_coordinates() -> None:
         pushes = [result.contact_forces[foot][2] for foot in ("FR", "FL", "RL")]
         np.testing.assert_allclose(pushes, shares * 3.170 * GRAVITY, atol=1e-5)
         assert set(result.contact_forces) == {"FR", "FL", "RL"}
-
-
-def test_stand_shares_the_weight_in_quarters(variant: str) -> None:
-    config = at_stand(variant)
-    result = pa.gravity_compensation(
-        config, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
-    )
-    for force in result.contact_forces.values():
-        np.testing.assert_allclose(force, weight(config) / 4 * UP, atol=1e-7)
 
 
 def test_knee_torque_by_hand() -> None:
@@ -514,21 +445,6 @@ def test_a_normals_length_does_not_matter() -> None:
     np.testing.assert_allclose(one.joint_torques, two.joint_torques, atol=1e-9)
 
 
-def test_a_chimney_is_climbed_by_pressing_outward() -> None:
-    """Between two walls, friction carries the weight."""
-    config = at_stand("original")
-    normals = {
-        foot: np.array([0, -1.0 if foot.endswith("L") else 1.0, 0])
-        for foot in config.robot.contact_points
-    }
-    result = pa.gravity_compensation(config, friction=0.8, normals=normals)
-    check_newton_euler(config, result)
-    check_cones(result, 0.8, normals)
-    assert all(
-        result.contact_forces[foot] @ normals[foot] > 1 for foot in config.robot.contact_points
-    )
-
-
 # ------------------------------------------------------------------------------------- infeasible
 
 
@@ -573,19 +489,6 @@ def test_contacts_that_are_shared_cannot_be_changed() -> None:
     for array in (shared.normals, shared.friction, shared.offsets):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0.0
-
-
-def test_a_com_out_of_the_stance_is_refused() -> None:
-    """All feet far behind the com."""
-    robot = load("original")
-    qpos = robot.neutral()
-    qpos[8::3] = 1.2
-    with pytest.raises(pa.StaticsInfeasibleError) as caught:
-        pa.gravity_compensation(pa.Configuration(robot, qpos))
-    assert caught.value.reason is pa.errors.Infeasibility.COM_OUTSIDE
-    feet = pa.Configuration(robot, qpos).foot_positions()
-    ahead = pa.Configuration(robot, qpos).center_of_mass()[0] - feet["FL"][0]
-    assert caught.value.margin == pytest.approx(-ahead, abs=1e-9)
 
 
 def forces_exist(
@@ -719,13 +622,6 @@ def test_margin_of_a_triangle_with_a_foot_inside(com: np.ndarray) -> None:
     else:
         assert margin <= min(edges) + 1e-12  # the corner may be nearest
         assert margin >= -np.linalg.norm(corners - com, axis=1).min() - 1e-12
-
-
-def test_the_margin_of_a_stand_is_that_of_its_feet(variant: str) -> None:
-    """The com is over the middle of the feet: to the front edge and the rear one it is 0.075 m."""
-    result = pa.gravity_compensation(at_stand(variant))
-    assert result.com_margin == pytest.approx(0.075, abs=1e-9)
-    np.testing.assert_allclose(result.center_of_mass, at_stand(variant).center_of_mass())
 
 
 # ------------------------------------------------------------------------------------- bad input

@@ -10,6 +10,8 @@ import mujoco
 import numpy as np
 
 import pupper_analysis as pa
+from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.robot.coordinates import PinocchioConvention
 
 
 def with_efforts(robot: pa.Robot, efforts: float | Sequence[float] | np.ndarray) -> pa.Robot:
@@ -97,3 +99,24 @@ def free_mechanism(robot: pa.Robot, timestep: float = 1e-3) -> mujoco.MjModel:
     model.opt.timestep = timestep
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4.value
     return model
+
+
+def velocity_map(convention: PinocchioConvention, qpos: np.ndarray) -> np.ndarray:
+    """T (nv, nv), dense, with v_pin = T qvel: R^T, 1 and a permutation."""
+    n = convention.base_nv
+    matrix = np.zeros((convention.nv, convention.nv))
+    matrix[convention.v_index, n + np.arange(len(convention.v_index))] = 1.0
+    if convention.floating:
+        matrix[:3, :3] = rotation_from_quaternion(qpos[3:7]).T
+        matrix[3:6, 3:6] = np.eye(3)
+    return matrix
+
+
+def velocity_map_rate(
+    convention: PinocchioConvention, qpos: np.ndarray, qvel: np.ndarray
+) -> np.ndarray:
+    """dT/dt qvel (nv,): the base frame turns under a constant world velocity."""
+    rate = np.zeros(convention.nv)
+    if convention.floating:
+        rate[:3] = -np.cross(qvel[3:6], rotation_from_quaternion(qpos[3:7]).T @ qvel[:3])
+    return rate

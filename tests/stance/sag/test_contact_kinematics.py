@@ -11,8 +11,7 @@ from scipy import optimize
 
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.stance.sag.contact_kinematics import integrate_step
-from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium, integrate_step
 from tests.support.variants import NAMES, load, stand_of
 
 

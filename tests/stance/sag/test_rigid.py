@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pupper_analysis.stance.sag.contact_kinematics import Anchor
-from pupper_analysis.stance.sag.equilibrium import rigid_slips
+from pupper_analysis.stance.sag.equilibrium import Anchor, rigid_slips
 
 PLACES = {"a/1": (0.1, 0.0, 0.0), "a/2": (-0.1, 0.0, 0.0), "b": (0.0, 0.3, 0.0)}
 SOLES = {"a/1": "a", "a/2": "a", "b": "b"}

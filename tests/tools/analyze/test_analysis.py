@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.joints import joint_summaries, leg_joints
+from pupper_analysis.robot.joints import joint_summaries
 from pupper_analysis.tools.analyze.analysis import leg_jacobians, leg_lengths, thigh_shape_length
 from tests.support.tiny import TINY_MJCF, TINY_URDF
 
@@ -53,13 +53,6 @@ def test_a_prismatic_joint_slides(tiny: pa.Robot, tmp_path: Path) -> None:
     assert found["push"] == "oblique slide"
 
 
-def test_the_joints_of_a_leg_are_those_between_base_and_foot() -> None:
-    robot = pa.load_variant("v3")
-    assert leg_joints(robot, "RL") == ("leg_back_l_1", "leg_back_l_2", "leg_back_l_3")
-    with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
-        leg_joints(robot, "XX")
-
-
 @pytest.mark.parametrize(
     ("name", "thigh", "calf"),
     [
@@ -71,17 +64,6 @@ def test_the_joints_of_a_leg_are_those_between_base_and_foot() -> None:
 )
 def test_leg_lengths_are_those_of_the_file(name: str, thigh: float, calf: float) -> None:
     assert leg_lengths(pa.load_variant(name)) == pytest.approx((thigh, calf), rel=1e-12)
-
-
-@pytest.mark.parametrize(("base", "long"), [("original", "long-leg"), ("v3", "v3-long-leg")])
-def test_thigh_ratio_by_distance_and_by_shape(base: str, long: str) -> None:
-    one, two = pa.load_variant(base), pa.load_variant(long)
-    assert leg_lengths(two)[0] / leg_lengths(one)[0] == pytest.approx(1.5, rel=1e-12)
-    shapes = thigh_shape_length(two), thigh_shape_length(one)
-    assert shapes[0] is not None
-    assert shapes[1] is not None
-    # Mesh vertices are kept in single precision.
-    assert shapes[0] / shapes[1] == pytest.approx(1.5, rel=1e-6)
 
 
 def test_leg_jacobian_of_a_planar_leg() -> None:

@@ -11,6 +11,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.tools.path.dynamics import inverse_dynamics, joint_resistance, rolling_levers
+from tests.support.engines import velocity_map, velocity_map_rate
 from tests.support.variants import NAMES, load, stand_of
 
 Array = np.ndarray
@@ -101,8 +102,8 @@ def test_zero_moment_point_two_ways(name: str) -> None:
 
     public = robot.pin_convention
     data = robot.pin_model.createData()
-    drift = public.velocity_map_rate(config.qpos, qvel)
-    turn = public.velocity_map(config.qpos)
+    drift = velocity_map_rate(public, config.qpos, qvel)
+    turn = velocity_map(public, config.qpos)
     state = (public.q(config.qpos), turn @ qvel, turn @ qacc + drift)
     rate = pin.computeCentroidalMomentumTimeVariation(robot.pin_model, data, *state)
     force = rate.linear - robot.total_mass * robot.gravity
@@ -203,29 +204,6 @@ def test_a_fixed_base_carries_all() -> None:
     wanted = config.mass_matrix() @ qacc + config.bias_forces()
     np.testing.assert_allclose(found.joint_torques, wanted, atol=1e-12)
     assert found.zmp_margin is None
-
-
-def test_accelerations_are_derivatives_of_velocities() -> None:
-    robot, stand, step = load("v3"), stand_of("v3"), 1e-5
-    qvel, qacc = motion("v3", 3)
-    data, public = mujoco.MjData(robot.mj_model), robot.mj_convention
-
-    def at(time: float) -> pa.Configuration:
-        public.set_state(data, stand.qpos)
-        moved, velocity = data.qpos.copy(), np.zeros(robot.mj_model.nv)
-        velocity[public.qvel_index] = qvel + time / 2 * qacc
-        mujoco.mj_integratePos(robot.mj_model, moved, velocity, time)
-        return pa.Configuration(robot, moved[public.qpos_index], qvel + time * qacc)
-
-    now, before, after = at(0.0), at(-step), at(step)
-    for foot, found in now.foot_accelerations(qacc).items():
-        frame = robot.contact_frames[foot]
-        rates = [c.frame_jacobian(frame) @ c.qvel for c in (before, after)]
-        np.testing.assert_allclose(found, (rates[1] - rates[0]) / (2 * step), atol=1e-8)
-    rates = [c.com_jacobian() @ c.qvel for c in (before, after)]
-    np.testing.assert_allclose(
-        now.com_acceleration(qacc), (rates[1] - rates[0]) / (2 * step), atol=1e-8
-    )
 
 
 def test_a_foot_that_spins_is_held_by_its_spinning_friction_alone() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import pupper_analysis as pa
 from pupper_analysis.simulation import trial
-from pupper_analysis.tools.payload.trial import simulate_payload
+from pupper_analysis.tools.payload.limit import simulate_payload
 from tests.support.random_legged import irregular_biped, written
 
 ABOVE = (0.0, 0.0, 0.1)

@@ -12,7 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.servos import with_options
 from pupper_analysis.simulation import trial as payload
 from pupper_analysis.simulation.trial import NUDGE, nudge_velocities
-from pupper_analysis.tools.payload.trial import simulate_payload
+from pupper_analysis.tools.payload.limit import simulate_payload
 from tests.support.variants import load, stand_of
 
 

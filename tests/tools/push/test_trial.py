@@ -48,12 +48,6 @@ def test_the_motion_is_that_of_a_force_on_the_base() -> None:
     assert np.diff(trial.motion_time) == pytest.approx(np.full(len(trial.motion) - 1, 0.034))
 
 
-def test_no_push_leaves_it_standing() -> None:
-    trial = pa.simulation.simulate_push(load("v3"), stand_of("v3"), 0.0, duration=2.0)
-    assert trial.recovered
-    assert np.ptp(trial.motion, axis=0).max() < 2e-3
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -69,16 +63,3 @@ def test_no_push_leaves_it_standing() -> None:
 def test_what_is_no_push_is_refused(arguments: dict[str, float], message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
         pa.simulation.simulate_push(load("v3"), stand_of("v3"), **arguments)
-
-
-@pytest.mark.parametrize("feedforward", [True, False])
-def test_what_it_was_pushed_with_is_told(feedforward: bool) -> None:
-    trial = pa.simulation.simulate_push(
-        load("v3"), stand_of("v3"), 0.1, duration=2.0, kp=8.0, kd=0.3, feedforward=feedforward,
-        integrator="implicitfast",
-    )  # fmt: skip
-    assert trial.feedforward is feedforward
-    assert trial.integrator == "implicitfast"
-    assert (trial.timestep, trial.duration, trial.pulse) == (0.002, 2.0, 0.02)
-    np.testing.assert_array_equal(trial.kp, np.full(12, 8.0))
-    np.testing.assert_array_equal(trial.kd, np.full(12, 0.3))

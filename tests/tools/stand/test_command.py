@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from pupper_analysis import StandTask, load_variant, solve_stand
-from pupper_analysis.present.figures.pose import pose_figure
-from pupper_analysis.pupper import VariantSpec, write_variant
-from pupper_analysis.stance import minimum_stiffness, solve_stand_on_soft_ground, stand_statics
+from pupper_analysis.pupper import VariantSpec
+from pupper_analysis.stance import minimum_stiffness
 from pupper_analysis.tools.path.tracking import study_path
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.commands import check_refusal, run_command
@@ -50,63 +48,6 @@ def test_the_table_of_joints_is_a_file_and_a_dataframe(
     assert (status, path.read_text()) == (2, "mine\n"), err
 
 
-def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "all.json"
-    arguments = ("v3", "--swing", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
-    figure = tmp_path / "stance.png"
-    status, out, err = run_command(
-        capfd, "stand", *arguments, "--figure", str(figure), "--json", str(path)
-    )
-    assert status == 0, err
-    assert "FL lifted 20 mm" in out
-    assert out.startswith("HOLDS with feed-forward v3: ")
-    assert "on position commands alone: FL touches the ground" in out
-    robot, task = load_variant("v3"), StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
-    alike, held = (
-        tmp_path / "alike.png",
-        stand_statics(robot, solve_stand_on_soft_ground(robot, task)),
-    )
-    pose_figure(robot, solve_stand_on_soft_ground(robot, task), held, alike)
-    np.testing.assert_array_equal(imread(figure), imread(alike))
-    content = json.loads(path.read_text())
-    forces = content["statics"]["contact_forces"]
-    assert set(forces) == {"FR", "RR", "RL"}
-    weight = 3.170 * 9.81
-    assert sum(force[2] for force in forces.values()) == pytest.approx(weight, rel=1e-3)
-    assert content["statics"]["com_margin"] > 0.01
-    assert content["settled"]["base_height"] < content["stand"]["qpos"][2]
-    assert set(content["stand"]["depths"]) == {"FR", "RR", "RL"}
-    assert content["verification"]["height_loss"] == pytest.approx(0, abs=1e-5)
-    assert content["minimum_stiffness"] is None
-
-
-def test_every_option_reaches_the_task(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "all.json"
-    status, out, err = run_command(
-        capfd,
-        "stand",
-        "v3-heavy",
-        *("--height", "0.12", "--roll", "0.02", "--pitch", "-0.03", "--yaw", "0.04"),
-        *("--com", "0.005,-0.004", "--com-margin", "0.02", "--joint-margin", "0.05"),
-        *("--move", "RL=-0.01,0.02", "--step", "FR=0.01", "--slope", "0.02", "--uphill", "1.5"),
-        *("--json", str(path)),
-    )
-    assert status == 0, err
-    assert out.startswith("HOLDS v3-heavy: ")
-    task = json.loads(path.read_text())["stand"]["task"]
-    assert (task["height"], task["roll"], task["pitch"], task["yaw"]) == (0.12, 0.02, -0.03, 0.04)
-    assert task["com"] == [0.005, -0.004]
-    assert (task["com_margin"], task["joint_margin"]) == (0.02, 0.05)
-    assert task["foot_offsets"] == {"RL": [-0.01, 0.02]}
-    assert task["ground"] == {
-        "slope": 0.02,
-        "uphill": 1.5,
-        "heights": {"FR": 0.01},
-        "tilts": {},
-        "tilt_uphill": {},
-    }
-
-
 def test_failure_in_simulation_is_exit_status_1(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -116,29 +57,6 @@ def test_failure_in_simulation_is_exit_status_1(
     status, out, _ = run_command(capfd, "stand", "original")
     assert status == 1
     assert "FAILS in MuJoCo: a joint is off by" in out
-
-
-def test_sag_is_that_of_the_simulation() -> None:
-    robot = load_variant("long-leg")
-    result = study_stance(robot, StandTask(yaw=0.1))
-    assert result.settled is not None
-    settled = result.settled
-    loss = result.stand.qpos[2] - settled.base_height
-    assert settled.servo_sag + settled.contact_sag == pytest.approx(loss)
-    assert f"the base settles {1e3 * settled.height_loss:.2f} mm lower" in printed(result)
-
-
-def test_a_robot_of_ones_own(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    urdf, mjcf = write_variant("heavy", tmp_path)
-    files = ["--urdf", str(urdf), "--mjcf", str(mjcf)]
-    feet = [part for foot in ("FL", "FR", "RL", "RR") for part in ("--foot", f"{foot}={foot}_foot")]
-    status, own, err = run_command(capfd, "stand", *files, *feet, "--height", "0.15")
-    assert status == 0, err
-    status, ours, _ = run_command(capfd, "stand", "heavy", "--height", "0.15")
-    assert status == 0
-    own_lines = [line for line in own.splitlines() if not line.startswith("note:")]
-    assert len(own_lines) < len(own.splitlines())
-    assert own_lines[1:] == ours.splitlines()[1:]  # all but the name
 
 
 def test_servos_stiffness_margins_and_a_derived_variant(

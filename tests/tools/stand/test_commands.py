@@ -9,12 +9,10 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from pupper_analysis import (
     Ground,
     StandTask,
-    best_stance,
     cli,
     payload_limit,
     solve_stand,
@@ -22,39 +20,13 @@ from pupper_analysis import (
 from pupper_analysis.cli.robots import RobotOptions
 from pupper_analysis.cli.stance_fields import TYPED
 from pupper_analysis.cli.stance_options import RobotAndTask
-from pupper_analysis.present.figures.pose import pose_figure
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.stance import (
-    Objective,
-    base_workspace,
-    solve_stand_on_soft_ground,
-    stand_statics,
-)
 from pupper_analysis.tools.path.tracking import way_to
-from pupper_analysis.tools.workspace.figures import workspace_figure
 from tests.support.commands import answer, check_refusal, run_command
 from tests.support.variants import load
 
 THREE_LEGS = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01")
 OURS = ("stand", "workspace", "payload", "best", "path", "push")
-
-
-@pytest.mark.longest
-def test_workspace_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path, figure = tmp_path / "all.json", tmp_path / "workspace.png"
-    output = ("--json", str(path), "--figure", str(figure))
-    status, out, err = run_command(capfd, "workspace", "original", "--offset", "0.01,0", *output)
-    assert status == 0, err
-    assert "Range of the base" in out
-    content = json.loads(path.read_text())
-    assert content["start"]["task"]["offset"] == [0.01, 0.0]
-    robot = load("original")
-    alike = base_workspace(robot, StandTask(offset=(0.01, 0.0)))
-    for direction, interval in content["intervals"].items():
-        assert interval["low"] == alike.intervals[direction].low, direction
-        assert interval["high"] == alike.intervals[direction].high, direction
-    workspace_figure(robot, alike, tmp_path / "alike.png")
-    np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 
 
 def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -88,32 +60,6 @@ def test_servos_that_carry_nothing_are_exit_status_1(capfd: pytest.CaptureFixtur
     status, out, err = run_command(capfd, "payload", "v3-long-leg", "--kp", "1", "--kd", "0.1")
     assert status == 1, err
     assert "0.00 kg on the simulated ground, then loses static stability" in out
-
-
-@pytest.mark.longest
-def test_best_finds_the_largest_margin(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path, figure = tmp_path / "all.json", tmp_path / "best.png"
-    output = ("--json", str(path), "--figure", str(figure))
-    status, out, err = run_command(
-        capfd, "best", "margin", "original", "--self-clearance", "0.002", *output
-    )
-    assert status == 0, err
-    content = json.loads(path.read_text())
-    best = content["best"]
-    assert best["objective"] == "margin"
-    assert best["value"] > best["nominal_value"]
-    assert best["payload"] is None
-    # The statics are those of the sunk stance: longer legs move the com by a hundredth of that.
-    assert content["stance"]["statics"]["com_margin"] == pytest.approx(best["value"], abs=2e-4)
-    assert content["stance"]["rigid"]["qpos"] == best["stand"]["qpos"]
-    assert "best of" in out
-    assert out.startswith("HOLDS original: best of ")
-    robot = load("original")
-    found = best_stance(robot, Objective.MARGIN, task=StandTask(self_clearance=0.002)).stand
-    held = stand_statics(robot, solve_stand_on_soft_ground(robot, found.task))
-    sunk = solve_stand_on_soft_ground(robot, found)
-    pose_figure(robot, sunk, held, tmp_path / "alike.png")
-    np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 
 
 @pytest.mark.longest

@@ -8,9 +8,8 @@ import pytest
 
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.load import prepare_robot
-from pupper_analysis.prepare.ready import Request
-from pupper_analysis.tools.stand.loading import explain_loading
+from pupper_analysis.prepare.passes import Request, prepare_robot
+from pupper_analysis.tools.stand.stance import explain_loading
 from tests.support.legged import quadruped
 
 

@@ -1,0 +1,123 @@
+"""A posture is judged by what its file does, as a stand is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.present.verdict import in_words
+from pupper_analysis.simulation.verdict import Verdict, VerdictCode
+from pupper_analysis.tools.hold.hold import hold_posture
+from tests.prepare import test_judge
+from tests.prepare.test_own_run import codes
+from tests.prepare.test_planted import causes, right
+from tests.support import arm, features
+from tests.support.planted import HELD, planted
+
+
+def _servos(gain: float, bias: float) -> str:
+    return "".join(
+        f'<general joint="{name}" gainprm="{gain * kp}" biastype="affine" '
+        f'biasprm="{bias} -{kp} -20"/>'
+        for name, kp in arm.STIFFNESS.items()
+    )
+
+
+_ELBOW = '<position joint="elbow" kp="300.0" kv="20"/>'
+
+
+@pytest.mark.parametrize(
+    ("servos", "code", "joint"),
+    [
+        (arm._SERVOS, VerdictCode.HOLDS, None),
+        (_servos(1.0, 5.0), VerdictCode.DIFFERS_AS_PUBLISHED, None),
+        (_servos(1.1, 0.0), VerdictCode.DIFFERS_AS_PUBLISHED, None),
+        (
+            arm._SERVOS.replace(_ELBOW, '<velocity joint="elbow" kv="20"/>'),
+            VerdictCode.OWN_DRIVES_FAIL,
+            "elbow",
+        ),
+        (
+            arm._SERVOS.replace(_ELBOW, '<motor joint="elbow"/>'),
+            VerdictCode.OWN_DRIVES_FAIL,
+            "elbow",
+        ),
+        (arm._SERVOS.replace(_ELBOW, ""), VerdictCode.OWN_DRIVES_FAIL, "elbow"),
+    ],
+    ids=["sound", "a bias", "a gain", "velocity", "motor", "none"],
+)
+def test_a_posture_is_judged_by_what_its_file_does(
+    tmp_path: Path, servos: str, code: VerdictCode, joint: str | None
+) -> None:
+    robot = arm.load_arm(tmp_path, mjcf=arm.MJCF.replace(arm._SERVOS, servos))
+    verdict = hold_posture(robot, {"shoulder": -0.5, "elbow": 1.0}).verdict
+    assert verdict.code is code, in_words(verdict)
+    assert "own-run" in codes(verdict)
+    assert verdict.own is not None
+    assert (verdict.own.unheld and verdict.own.unheld.joint) == joint
+
+
+def test_an_arm_is_held_as_mujoco_imports_it(tmp_path: Path) -> None:
+    urdf = tmp_path / "arm.urdf"
+    inertial = (
+        '<inertial><origin xyz="0.2 0 0"/><mass value="1"/>'
+        '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    urdf.write_text(
+        f'<robot name="arm"><link name="base"/><link name="arm">{inertial}</link>'
+        '<joint name="shoulder" type="revolute"><parent link="base"/><child link="arm"/>'
+        '<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="20" velocity="5"/></joint></robot>'
+    )
+    verdict = hold_posture(pa.load_robot(urdf), {"shoulder": 0.5}).verdict
+    assert verdict.passed, in_words(verdict)
+    assert verdict.own is not None
+    assert verdict.own.imported
+    assert "MuJoCo's own import of the URDF" in in_words(verdict)
+
+
+@pytest.mark.parametrize(
+    ("rule", "message"),
+    [
+        ("triangle-inequality", test_judge.SLIPS["triangle-inequality"][1]),
+        ("range-empty", "joint 'FL_roll' is limited to 0.8 to -0.8"),
+    ],
+)
+def test_what_is_held_has_it_too(tmp_path: Path, rule: str, message: str) -> None:
+    urdf = test_judge.slipped(tmp_path, test_judge.SLIPS[rule][0])
+    verdict = hold_posture(pa.load_robot(urdf, fixed_base=True)).verdict
+    assert message in in_words(verdict)
+
+
+@pytest.mark.parametrize("gravity", ["0 0 -1.62", "0 0 0"])
+def test_gravity_that_is_not_the_earths_stands_in_the_verdict(tmp_path: Path, gravity: str) -> None:
+    """Without it motors hold any mass: true, and not of a robot on the ground."""
+    _, mjcf = features.files(tmp_path, features.option(f'gravity="{gravity}"'))
+    said = in_words(hold_posture(pa.load_robot(mjcf, fixed_base=True)).verdict)
+    assert f"gravity is taken from the MJCF: ({gravity.replace(' ', ', ')}) m/s^2" in said
+
+
+def judged(urdf: Path, mjcf: Path) -> Verdict:
+    robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
+    return hold_posture(robot, {"shoulder": -0.5, "elbow": 1.0}).verdict
+
+
+def test_of_an_arm_that_is_sound_nothing_is_told(tmp_path: Path) -> None:
+    verdict = judged(*planted(tmp_path, "arm", None))
+    assert verdict.passed, in_words(verdict)
+    assert causes(verdict) == []
+
+
+@pytest.mark.parametrize("plant", sorted(HELD)[::4])
+def test_of_what_is_planted_in_an_arm_the_right_one_is_told(tmp_path: Path, plant: str) -> None:
+    assert right(tmp_path, "arm", plant, judged) is not False
+
+
+@pytest.mark.longest
+def test_of_nine_in_ten_that_are_planted_in_an_arm_the_right_one_is_told(tmp_path: Path) -> None:
+    found = {plant: right(tmp_path, "arm", plant, judged) for plant in HELD}
+    harmful = [plant for plant, message in found.items() if message is not None]
+    missed = [plant for plant in harmful if not found[plant]]
+    assert len(harmful) >= len(found) // 2
+    assert len(missed) <= 0.1 * len(harmful), missed
