@@ -30,6 +30,7 @@ from pupper_analysis.models.transmission import (
 from pupper_analysis.robot.floor import leave_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_elsewhere
+from pupper_analysis.simulation.rollout import settled_activations
 
 Array = NDArray[np.float64]
 
@@ -40,9 +41,6 @@ _STEPS = 20  # of Newton's, of which a free joint takes two
 _COMMAND = 1e-6  # to a motor, within any limit of it
 
 _LEAST_STIFFNESS = 1e-9  # N m (or N) that a motor makes of a command of 1: less is none
-
-FILTERS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
-"""Of a servo with ``timeconst``."""
 
 SETTLES = 0.5
 """A servo's filter that is slower is where the file has it at first (s): no command of a stand
@@ -297,7 +295,7 @@ def hold_of(
                 motors[dof] = lever
     dofs, kp, kd, goals, ahead = np.array(rows, dtype=float).reshape(-1, 5).T
     outside = (dofs.astype(np.intp), kp, kd, goals, ahead)
-    return Hold(ctrl, _filters(model, ctrl), outside, motors)
+    return Hold(ctrl, settled_activations(model, ctrl, SETTLES), outside, motors)
 
 
 _COMMANDED = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
@@ -329,20 +327,6 @@ def _command(
         share = torque * law.at_joint[0] / whole if whole else 0.0
         ahead = law.gear * goal + share / (law.gear * law.stiffness)
         ctrl[int(model.actuator_ctrladr[motor])] = ahead
-
-
-def _filters(model: mujoco.MjModel, ctrl: Array) -> Array:
-    """Returns where the servos' filters are at first: where commands bring the fast ones."""
-    act = np.zeros(model.na)
-    for motor in range(model.nactuator) if model.na else ():
-        filtered = int(model.actuator_dyntype[motor]) in FILTERS
-        if filtered and model.actuator_dynprm[motor, 0] <= SETTLES:
-            control = int(model.actuator_ctrladr[motor])
-            last = int(model.actuator_actadr[motor] + model.actuator_actnum[motor] - 1)
-            low, high = model.actuator_ctrlrange[control]
-            limited = model.actuator_ctrllimited[control]
-            act[last] = np.clip(ctrl[control], low, high) if limited else ctrl[control]
-    return act
 
 
 LAST = 1.0

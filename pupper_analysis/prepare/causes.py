@@ -15,7 +15,6 @@ from pupper_analysis.models.additions import Ball
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import Drive, actuator_gear, drives_of
 from pupper_analysis.prepare.bare import (
-    FILTERS,
     SETTLES,
     Bare,
     loose_joints,
@@ -23,6 +22,7 @@ from pupper_analysis.prepare.bare import (
 )
 from pupper_analysis.robot.as_published import Cause
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.rollout import FILTERS
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -152,14 +152,8 @@ def as_published_held(robot: Robot, qpos: Array, torques: Array) -> Published | 
     bare = Bare.of(model, robot)
     if bare.floating:
         return None
-    if controlled := self_controlled(bare, robot):
-        return Published((), (Cause("other-drive", controlled),), differs=True)
-    wanted = Predicted(True, qpos, torques, qpos)
-    run = run_as_published(bare, robot, wanted)
-    if run is None or not run.differs:
-        return Published(() if run is None else (run,), (), differs=False)
-    causes = causes_of(bare, robot, wanted, run) or _of_loading(bare, robot, wanted, run)
-    return Published((run,), with_lines(causes, robot), differs=True)
+    found = _compared(bare, robot, [Predicted(True, qpos, torques, qpos)])
+    return replace(found, causes=with_lines(found.causes, robot))
 
 
 def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
@@ -178,9 +172,14 @@ def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
         return None
     if not bare.floating:
         return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
+    return _compared(bare, robot, wanted)
+
+
+def _compared(bare: Bare, robot: Robot, wanted: Sequence[Predicted]) -> Published:
+    """Simulates the MJCF as it was published from where it is predicted to rest."""
     if controlled := self_controlled(bare, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)
-    if bare.ground is None:
+    if bare.floating and bare.ground is None:
         return Published((), (Cause("ground", ()),), differs=True)
     found = [(one, run_as_published(bare, robot, one)) for one in wanted]
     runs = tuple(run for _, run in found if run is not None)

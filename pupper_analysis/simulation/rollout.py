@@ -28,7 +28,7 @@ _FURTHER = 8.0  # a search looks so many times as deep: wider brackets than 2 ta
 
 _DROP_RESOLUTION = 1e-12  # m: drops that differ by no more are one
 
-_FILTERS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
+FILTERS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
 """Of a servo with ``timeconst``: what it commands lags behind, and at rest is its command."""
 
 STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
@@ -137,11 +137,15 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     return full_state(model, data)
 
 
-def settled_activations(model: mujoco.MjModel, ctrl: Array) -> Array:
-    """Returns what motors with a filter have at rest (na,): their command, as far as it goes."""
+def settled_activations(model: mujoco.MjModel, ctrl: Array, slowest: float = math.inf) -> Array:
+    """Returns what motors with a filter have at rest (na,): their command, as far as it goes.
+
+    Those slower than ``slowest`` (s) are still where they begin.
+    """
     activations = np.zeros(model.na)
     for motor in range(model.nactuator) if model.na else ():
-        if model.actuator_dyntype[motor] in _FILTERS:
+        filtered = model.actuator_dyntype[motor] in FILTERS
+        if filtered and model.actuator_dynprm[motor, 0] <= slowest:
             control = int(model.actuator_ctrladr[motor])
             low, high = (
                 model.actuator_ctrlrange[control]

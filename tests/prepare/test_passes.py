@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import pupper_analysis as pa
-from pupper_analysis.cli import group
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.passes import PASSES, Draft, Pass, Request, prepare_robot
@@ -146,21 +143,6 @@ def test_the_narrower_limit_is_kept_by_one_pass(tmp_path: Path) -> None:
     assert narrowed.robot.lower_limits[0] == pytest.approx(low + 0.1)
     assert narrowed.robot.upper_limits[0] == pytest.approx(high)
     assert pair.mjcf.read_text() == text
-
-
-def test_the_command_prints_the_passes_in_their_order(tmp_path: Path) -> None:
-    pair = quadruped(tmp_path)
-    result = CliRunner().invoke(
-        group, ["stand", str(pair.urdf), str(pair.mjcf), "--explain", "--json", str(tmp_path / "o")]
-    )
-    assert result.exit_code == 0, result.output
-    written = json.loads((tmp_path / "o").read_text())
-    ran = [one["name"] for one in written["passes"]]
-    assert ran == [name for name in (each.name for each in PASSES) if name in ran]
-    places = [result.output.index(f"\n{name} ") for name in ran]
-    assert places == sorted(places)
-    codes = [note["code"] for one in written["passes"] for note in one["done"]]
-    assert "servos-added" in codes
 
 
 def test_files_that_are_ready_need_no_pass() -> None:

@@ -100,20 +100,6 @@ def test_jacobians_are_derivatives(any_robot: pa.Robot, data: st.DataObject) -> 
     np.testing.assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], omega, atol=1e-7)
 
 
-def test_a_point_that_is_offset_from_a_frame_moves_with_it() -> None:
-    robot, offset = load("v3"), np.array([0.03, -0.05, 0.07])
-    frame, (qpos, qvel) = next(iter(robot.contact_frames.values())), random_state(robot, 5)
-    config = pa.Configuration(robot, qpos)
-    held = config.frame_rotation(frame).T @ offset
-
-    def place(at: np.ndarray) -> np.ndarray:
-        moved = pa.Configuration(robot, at)
-        return moved.frame_position(frame) + moved.frame_rotation(frame) @ held
-
-    velocity = config.frame_jacobian(frame, offset)[:3] @ qvel
-    np.testing.assert_allclose(velocity, rate_along(robot, place, qpos, qvel), atol=1e-7)
-
-
 @given(data=st.data())
 def test_contact_jacobian_follows_the_material_point(
     any_robot: pa.Robot, data: st.DataObject
@@ -195,35 +181,6 @@ def test_forward_dynamics_is_mujocos(robot: pa.Robot) -> None:
     mj.qfrc_applied[v] = force
     mujoco.mj_forward(model, mj)
     close(pa.Configuration(robot, qpos, qvel).forward_dynamics(force), mj.qacc[v], 1e-9)
-
-
-def energy(config: pa.Configuration) -> float:
-    kinetic = config.qvel @ config.mass_matrix() @ config.qvel / 2
-    weight = config.robot.total_mass * GRAVITY
-    return float(kinetic + weight * config.center_of_mass()[2])
-
-
-def test_mujocos_free_flight_keeps_pinocchios_energy_and_momentum(robot: pa.Robot) -> None:
-    """The MJCF is integrated, the URDF keeps the books: only equal inertias balance them."""
-    model, steps = free_mechanism(robot), 200
-    qpos, qvel = random_state(robot)
-    start = pa.Configuration(robot, qpos, qvel)
-    mj = mujoco_at(robot, qpos, qvel, model)
-    mujoco.mj_step(model, mj, steps)
-    q, v = addresses(robot)
-    end = pa.Configuration(robot, mj.qpos[q], mj.qvel[v])
-    assert abs(start.center_of_mass()[2] - end.center_of_mass()[2]) > 0.05
-    assert energy(end) == pytest.approx(energy(start), rel=1e-7)
-    check_ballistic(start, end, steps * model.opt.timestep)
-
-
-def check_ballistic(start: pa.Configuration, end: pa.Configuration, time: float) -> None:
-    """The com falls freely, whatever the legs do."""
-    fall = np.array([0, 0, -GRAVITY])
-    velocity = start.com_jacobian() @ start.qvel
-    expected = start.center_of_mass() + velocity * time + fall * time**2 / 2
-    np.testing.assert_allclose(end.center_of_mass(), expected, atol=1e-7)
-    np.testing.assert_allclose(end.com_jacobian() @ end.qvel, velocity + fall * time, atol=1e-6)
 
 
 # ------------------------------------------------------------------------------------- imu

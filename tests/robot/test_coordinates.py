@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.base.arrays import rotation_from_quaternion
-from tests.support.engines import addresses, integrate, velocity_map, velocity_map_rate
+from tests.support.engines import addresses, integrate, velocity_map
 from tests.support.states import numbers, positions, quaternion, velocities
 from tests.support.variants import load
 
@@ -51,18 +51,6 @@ def test_velocity_map_agrees_with_both_engines_integration(
     behind, ahead = (convention.q(integrate(any_robot, qpos, qvel, sign * dt)) for sign in (-1, 1))
     measured = pin.difference(any_robot.pin_model, behind, ahead) / (2 * dt)
     np.testing.assert_allclose(measured, velocity_map(convention, qpos) @ qvel, atol=1e-8)
-
-
-@given(data=st.data())
-def test_velocity_map_rate(any_robot: pa.Robot, data: st.DataObject) -> None:
-    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
-    convention, dt = any_robot.pin_convention, 1e-5
-    behind, ahead = (
-        velocity_map(convention, integrate(any_robot, qpos, qvel, sign * dt)) @ qvel
-        for sign in (-1, 1)
-    )
-    rate = velocity_map_rate(convention, qpos, qvel)
-    np.testing.assert_allclose(rate, (ahead - behind) / (2 * dt), atol=1e-7)
 
 
 def test_quaternion_need_not_be_normalised() -> None:

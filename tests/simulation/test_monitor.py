@@ -139,15 +139,3 @@ def test_what_has_fallen_sunk_or_left_its_place_has_collapsed(
     leaning: float, end: float, away: float, collapsed: bool
 ) -> None:
     assert has_collapsed(leaning, 0.2 - end, away, 0.2) is collapsed
-
-
-def test_a_bases_speed_is_linear_and_angular_apart() -> None:
-    robot = load("v3")
-    model = robot.mj_model
-    states = np.zeros((2, 1 + model.nq + model.nv))
-    rates = states[:, 1 + model.nq :]
-    rates[0, robot.mj_convention.qvel_index[:3]] = 3.0, 0.0, 4.0
-    rates[1, robot.mj_convention.qvel_index[3:6]] = 2.0, 3.0, 6.0
-    assert monitor.base_speed(robot, model, states[:1], 0.1) == pytest.approx(5.0)
-    assert monitor.base_speed(robot, model, states[1:], 0.1) == pytest.approx(0.7)
-    assert monitor.base_speed(robot, model, states, 0.1) == pytest.approx(5.0)

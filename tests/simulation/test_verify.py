@@ -14,7 +14,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.servos import INTEGRATORS, model_with_servos
 from pupper_analysis.simulation.causes import find_chatter
 from pupper_analysis.simulation.rollout import place_on_ground, simulate
-from tests.support.engines import changed, mujoco_at
+from tests.support.engines import changed
 from tests.support.legged import quadruped
 from tests.support.variants import SKELETON_NAMES, load, stand_of
 
@@ -154,22 +154,6 @@ def test_the_robots_own_model_stays_as_it_is() -> None:
 
 
 # ------------------------------------------------------------------------------------- servos
-
-
-@pytest.mark.parametrize("name", ["v3", "original"])
-def test_servo_law_with_given_gains(name: str) -> None:
-    robot = load(name)
-    random = np.random.default_rng(0)
-    kp, kd = random.uniform(1, 9, 12), random.uniform(0.1, 1, 12)
-    drive = model_with_servos(robot, kp, kd)
-    qpos, rates = stand_of(name).qpos, random.uniform(-1, 1, 12)
-    wanted, torque = random.uniform(-0.2, 0.2, 12), random.uniform(-0.5, 0.5, 12)
-    data = mujoco_at(robot, qpos, np.r_[np.zeros(6), rates], drive.model)
-    data.ctrl[:] = drive.command(robot, qpos[7:] + wanted, torque)
-    mujoco.mj_forward(drive.model, data)
-    np.testing.assert_allclose(
-        data.qfrc_actuator[6:], kp * wanted + torque - kd * rates, atol=1e-12
-    )
 
 
 def test_start_is_in_balance(robot: pa.Robot, stand: pa.Stand) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,23 +93,6 @@ def test_nobody_has_what_another_holds() -> None:
     first = held[0].placo
     del held[0]
     assert Wrapper(robot).placo is first
-
-
-def test_threads_have_their_own() -> None:
-    robots = [pa.load_variant(pa.pupper.VariantSpec("v3", scale)) for scale in (0.95, 1.0, 1.05)]
-    expected = [stands(robot) for robot in robots]
-    found: dict[int, list[list[float]]] = {}
-
-    def work(number: int) -> None:
-        for _ in range(3):
-            found[number] = stands(robots[number % 3])
-
-    threads = [threading.Thread(target=work, args=(number,)) for number in range(6)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert [found[number] for number in range(6)] == [*expected, *expected]
 
 
 def resident() -> int:

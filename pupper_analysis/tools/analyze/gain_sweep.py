@@ -49,6 +49,9 @@ from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
+Cell = tuple[float, float]
+"""kp and kd."""
+
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """The gains that are tried by default, in parts of the model's own."""
 
@@ -151,9 +154,25 @@ def sweep_gains(
     ]
     if not all(axes):
         raise ConfigurationError("kp, kd", diagnose("gain-values-missing"))
-    trial = _Trial(robot, stand, integrator, amplitude, frequency, duration, progress)
-    trial.run(axes)
-    return trial.result(axes)
+    trial = _Trial(robot, stand, integrator, duration)
+    cells = list(dict.fromkeys(itertools.product(*axes)))
+    found = trial.run(cells, amplitude, frequency, progress=progress)
+    pairs = [[found[kp, kd] for kd in axes[1]] for kp in axes[0]]
+    deviations = np.array([[deviation for deviation, _ in row] for row in pairs])
+    rests = [[stability for _, stability in row] for row in pairs]
+    return GainSweep(
+        kp=np.array(axes[0]),
+        kd=np.array(axes[1]),
+        height_deviation=deviations,
+        fell=~np.isfinite(deviations),
+        lasts=np.array([[one is not None and one.lasts() for one in row] for row in rests]),
+        doubling_time=np.array([[_doubling_time(one) for one in row] for row in rests]),
+        damping_ratio=np.array([[_damping_ratio(one) for one in row] for row in rests]),
+        amplitude=amplitude,
+        frequency=frequency,
+        duration=trial.steps * trial.timestep,
+        integrator=integrator,
+    )
 
 
 def _values(given: Sequence[float] | None, own: Array | None) -> list[float]:
@@ -191,82 +210,69 @@ class _Drives:
 
 
 class _Trial:
-    """Rollouts of a stand under the disturbance; each pair of gains is simulated once."""
+    """Rollouts of a stand under the disturbance."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        stand: Stand,
-        integrator: str,
-        amplitude: float,
-        frequency: float,
-        duration: float,
-        progress: bool,
-    ) -> None:
+    def __init__(self, robot: Robot, stand: Stand, integrator: str, duration: float) -> None:
         self.plain, self.stand, self.integrator = robot, stand, integrator
         self.robot = robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
-        self.amplitude, self.frequency, self.progress = amplitude, frequency, progress
         self.timestep = float(robot.mj_model.opt.timestep)
         self.steps = round(duration / self.timestep)
         balance = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
         self.torques = balance.joint_torques
-        self.deviations: dict[tuple[float, float], float] = {}
-        self.stabilities: dict[tuple[float, float], Stability | None] = {}
-        self._starts: dict[float, Array] = {}
-        self._rests: dict[float, Array | None] = {}
 
-    def run(self, axes: Sequence[Sequence[float]]) -> None:
-        """Simulates the cells of a grid, and judges each at rest."""
+    def run(
+        self, cells: Sequence[Cell], amplitude: float, frequency: float, *, progress: bool
+    ) -> dict[Cell, tuple[float, Stability | None]]:
+        """Simulates pairs of gains, and judges each at rest: {pair: deviation (m), stability}."""
         from rich.progress import Progress
 
-        cells = list(dict.fromkeys(itertools.product(axes[0], axes[1])))
         robot, stand = self.robot, self.stand
+        starts: dict[float, Array] = {}
+        rests: dict[float, Array | None] = {}
+        found: dict[Cell, tuple[float, Stability | None]] = {}
         # Refused before anything is simulated; nothing moves where a start is looked for, that kd
         # could damp.
         tuned = {cell: servo_gains(robot, *cell) for cell in cells}
-        new = dict.fromkeys(kp for kp, _ in cells if kp not in self._starts)
-        soft = {kp: servo_gains(robot, kp, 0.0) for kp in new}
+        soft = {kp: servo_gains(robot, kp, 0.0) for kp, _ in cells}
         drives = _Drives(robot, lambda: model_with_servos(robot, *cells[0], self.integrator))
         with drives.one() as (first, _):
             model, ctrl = first.model, first.command(robot, stand.joint_positions(robot))
         control, force = forced_commands(robot, model, ctrl, 1, self.steps)
-        phase = 2 * math.pi * self.frequency * self.timestep * np.arange(self.steps)
-        force[0, :, 2] = self.amplitude * np.sin(phase)
+        phase = 2 * math.pi * frequency * self.timestep * np.arange(self.steps)
+        force[0, :, 2] = amplitude * np.sin(phase)
 
         def place(kp: float) -> None:
             with drives.one() as (drive, _):
                 drive = retune_servos(robot, drive, soft[kp])
-                self._starts[kp] = place_on_ground(robot, drive, stand, self.torques)
+                starts[kp] = place_on_ground(robot, drive, stand, self.torques)
                 with suppress(PupperAnalysisError):
                     pose = steady_state(self.plain, stand, kp=kp)
                     start = rest_state(robot, drive, pose.qpos, ctrl)
-                    self._rests[kp] = None if pose.failures else start
+                    rests[kp] = None if pose.failures else start
 
-        def simulate(cell: tuple[float, float]) -> tuple[float, Stability | None]:
+        def simulate(cell: Cell) -> tuple[float, Stability | None]:
             with drives.one() as (drive, watcher):
-                own, start = retune_servos(robot, drive, tuned[cell]), self._starts[cell[0]]
+                own, start = retune_servos(robot, drive, tuned[cell]), starts[cell[0]]
                 states = roll_out(own.model, watcher.data, start, control, control_spec=FORCED)[0]
                 deviation = self._deviation(watcher, states)
-                if cell[0] in self._rests:
-                    rest = self._rests[cell[0]]
-                    if rest is None:
-                        return deviation, None
-                    return deviation, evaluate_stability(own, rest, ctrl, MEETING)
-                if math.isinf(deviation):
-                    return deviation, None
-                return deviation, self._judged_at_the_end(own, watcher, start, ctrl)
+                if cell[0] not in rests and math.isfinite(deviation):
+                    return deviation, self._judged_at_the_end(own, watcher, start, ctrl)
+                rest = rests.get(cell[0])
+                stability = None if rest is None else evaluate_stability(own, rest, ctrl, MEETING)
+                return deviation, stability
 
         began = time.monotonic()
         with (
             ThreadPoolExecutor(min(len(cells), os.cpu_count() or 1)) as pool,
-            Progress(transient=True, disable=not self.progress, auto_refresh=False) as bar,
+            Progress(transient=True, disable=not progress, auto_refresh=False) as bar,
         ):
             task = bar.add_task("gain sweep", total=len(cells), visible=False)
             list(pool.map(place, soft))
-            for cell, found in zip(cells, pool.map(simulate, cells), strict=True):
-                self.deviations[cell], self.stabilities[cell] = found
+            for cell, one in zip(cells, pool.map(simulate, cells), strict=True):
+                found[cell] = one
                 bar.update(task, advance=1, visible=time.monotonic() - began > 1.0)
                 bar.refresh()
+        return found
 
     def _judged_at_the_end(
         self, drive: Servos, watcher: monitor.Watcher, start: Array, ctrl: Array
@@ -274,41 +280,24 @@ class _Trial:
         """Judges where it is in the end, undisturbed; None if that is no rest on its feet."""
         steps = round(LASTING / self.timestep)
         states = roll_out(drive.model, watcher.data, start, np.tile(ctrl, (1, steps, 1)))[0]
-        if monitor.has_diverged(states, self.timestep):
-            return None
-        if _lies(self.robot, watcher, self.stand, states[-1]):
+        if not self._stands(watcher, states):
             return None
         found = evaluate_stability(drive, states[-1], ctrl, 0.0)
         return found if found.speed <= RESTING else None
 
     def _deviation(self, watcher: monitor.Watcher, states: Array) -> float:
         """Returns the deviation of the height in a rollout's last second; infinite if it fell."""
-        if monitor.has_diverged(states, self.timestep):
-            return math.inf
-        if _lies(self.robot, watcher, self.stand, states[-1]):
+        if not self._stands(watcher, states):
             return math.inf
         last = round(1.0 / self.timestep)
         return float(monitor.base_heights(self.robot, states)[-last:].std())
 
-    def result(self, axes: Sequence[Sequence[float]]) -> GainSweep:
-        """Returns the result of a grid."""
-        pairs = [[(kp, kd) for kd in axes[1]] for kp in axes[0]]
-        grid = np.array([[self.deviations[pair] for pair in row] for row in pairs])
-        fell = ~np.isfinite(grid)
-        found = [[self.stabilities[pair] for pair in row] for row in pairs]
-        return GainSweep(
-            kp=np.array(axes[0]),
-            kd=np.array(axes[1]),
-            height_deviation=grid,
-            fell=fell,
-            lasts=np.array([[one is not None and one.lasts() for one in row] for row in found]),
-            doubling_time=np.array([[_doubling_time(one) for one in row] for row in found]),
-            damping_ratio=np.array([[_damping_ratio(one) for one in row] for row in found]),
-            amplitude=self.amplitude,
-            frequency=self.frequency,
-            duration=self.steps * self.timestep,
-            integrator=self.integrator,
-        )
+    def _stands(self, watcher: monitor.Watcher, states: Array) -> bool:
+        """Tells whether a robot ends upright, and rests on nothing but its feet."""
+        if monitor.has_diverged(states, self.timestep):
+            return False
+        leaning = monitor.base_lean(self.robot, self.stand.task.rotation(), states[-1])
+        return not (leaning > FALLEN_TILT or watcher.touching(states[-1]))
 
 
 def _doubling_time(stability: Stability | None) -> float:
@@ -320,9 +309,3 @@ def _damping_ratio(stability: Stability | None) -> float:
     """Returns the damping ratio of the least damped mode; not a number where none swings."""
     mode = None if stability is None else stability.least_damped
     return math.nan if mode is None else mode.damping_ratio
-
-
-def _lies(robot: Robot, watcher: monitor.Watcher, stand: Stand, state: Array) -> bool:
-    """Tells whether a robot has fallen over, or rests on something else than its feet."""
-    leaning = monitor.base_lean(robot, stand.task.rotation(), state)
-    return leaning > FALLEN_TILT or bool(watcher.touching(state))

@@ -24,7 +24,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from pupper_analysis.base.diagnostics import diagnose
@@ -362,25 +362,6 @@ class Picture:
     path: Path
     method: str
     note: str | None
-
-
-def render_robot(robot: Robot, qpos: ArrayLike, path: str | Path, *, width: int = 1000) -> Picture:
-    """Renders one robot.
-
-    Args:
-        robot: The robot.
-        qpos: (nq,) where it is.
-        path: The PNG to write.
-        width: Of the picture (pixels).
-
-    Returns:
-        What was written. Without OpenGL it is a line drawing, and the note says why.
-
-    Raises:
-        ConfigurationError: If ``width`` is out of range.
-        OutputError: If the file cannot be written.
-    """
-    return _picture([(robot, np.array(qpos, dtype=float))], Path(path), width, columns=1)
 
 
 def render_variants(

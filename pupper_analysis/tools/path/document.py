@@ -44,24 +44,6 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     )
 
 
-def tracking_document(name: str, path: StancePath, tracking: PathTracking) -> doc.Document:
-    """Returns how well a path of several stances is followed.
-
-    Args:
-        name: What moves.
-        path: The path.
-        tracking: What became of it in simulation.
-    """
-    return doc.Document(
-        text("path"),
-        doc.Name(name),
-        path_blocks(path, tracking),
-        passed=tracking.passed,
-        verdict=text("tracked") if tracking.passed else text("FAILED"),
-        failures=tuple(map(doc.tell, tracking.failures)),
-    )
-
-
 def path_blocks(path: StancePath, tracking: PathTracking) -> tuple[doc.Block, ...]:
     """Returns a path in numbers and lines, and how it is followed.
 

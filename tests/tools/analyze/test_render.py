@@ -79,31 +79,6 @@ def test_the_shadow_is_below_the_robot_and_soft(tmp_path: Path) -> None:
     assert len(np.unique(image[grey].round(2), axis=0)) > 10
 
 
-def test_rows_and_scale(tmp_path: Path) -> None:
-    two = pairs("original", "long-leg")
-    beside = render_with_opengl(two, tmp_path / "a.png", width=WIDTH, columns=2)
-    below = render_with_opengl(two, tmp_path / "b.png", width=WIDTH // 2, columns=1)
-    row, column = pixels(beside.path), pixels(below.path)
-    assert row.shape[1] == 2 * column.shape[1]
-    assert column.shape[0] > row.shape[0]
-    # To one scale: the lower robot is the same in both, but for the letters below it.
-    lower, same = column[-150:-60], row[-150:-60, WIDTH // 2 :]
-    assert np.abs(lower - same).mean() < 0.01
-
-
-@pytest.mark.parametrize("fixed_base", [False, True])
-def test_one_robot_is_rendered(fixed_base: bool, tmp_path: Path) -> None:
-    robot = load("v3", fixed_base=fixed_base)
-    picture = render.render_robot(robot, robot.home, tmp_path / "a.png", width=WIDTH)
-    assert pixels(picture.path).shape[1] == WIDTH
-
-
-def test_nothing_is_left_in_the_environment(tmp_path: Path) -> None:
-    before = dict(os.environ)
-    render.render_variants(pairs("original"), tmp_path / "a.png", width=WIDTH)
-    assert dict(os.environ) == before
-
-
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_the_projection_is_that_of_the_camera(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -150,10 +125,11 @@ def test_a_fresh_process_is_quiet(
     """Renders twice, in a process without a display: MuJoCo may not survive a second failure."""
     code = (
         "import sys, pupper_analysis as pa\n"
-        "from pupper_analysis.tools.analyze.render import render_robot\n"
+        "from pupper_analysis.tools.analyze.render import render_variants\n"
         "robot = pa.load_variant('original')\n"
+        "pair = robot, pa.solve_stand(robot)\n"
         "for _ in range(2):\n"
-        "    picture = render_robot(robot, robot.home, sys.argv[1], width=300)\n"
+        "    picture = render_variants([pair], sys.argv[1], width=300)\n"
         "print(picture.method, bool(picture.note))\n"
     )
     hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from tests.support.commands import check_refusal, run_command
+from tests.support.commands import run_command
 from tests.support.variants import load
 
 COARSE = ("--directions", "4", "--resolution", "0.3")
@@ -63,22 +63,3 @@ def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Pa
     )
     np.testing.assert_allclose(found["recovery"]["impulses"], alike.impulses, atol=1e-9)
     assert "FL_foot lifted 10 mm" in out
-
-
-BAD = {
-    "name and files": (["v3", "--urdf", "a.urdf"], "a.urdf: there is no such file"),
-    "no such robot": (["spot"], "'spot'"),
-    "too high": (["v3", "--height", "0.3"], "height 191.9 mm"),
-    "too few directions": (["v3", "--directions", "2"], "not between 3 and 360"),
-    "no resolution": (["v3", "--resolution", "0"], "not positive"),
-    "figure in a folder": (["v3", "--figure", "."], "it is a folder"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_one_line_and_exit_status_2(
-    case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    arguments, message = BAD[case]
-    monkeypatch.chdir(tmp_path)
-    check_refusal(capfd, tmp_path, ["push", *arguments, "--json", "all.json"], message)
