@@ -23,7 +23,6 @@ from pupper_analysis.robot.fall import (
     lean_between,
 )
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import STATE
 from pupper_analysis.stance.stand import Stand
 
@@ -270,7 +269,7 @@ def watch_contacts(
 
     The feet in ``loaded`` must not let go; others are hardly predicted to touch.
     """
-    watcher = monitor.Watcher(robot, model)
+    watcher = Watcher(robot, model)
     step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
     touched: dict[str, float] = {}
     lost: dict[str, float] = {}
