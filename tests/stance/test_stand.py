@@ -164,20 +164,9 @@ def test_the_longest_stand_is_found() -> None:
     assert hip_to_foot == pytest.approx(0.19, abs=1e-4)
 
 
-def test_numpy_numbers_are_numbers() -> None:
-    task = pa.StandTask(height=np.float32(0.15), yaw=np.float64(0.1))
-    check(load("original"), pa.solve_stand(load("original"), task), task)
-
-
 def test_fixed_base_cannot_stand() -> None:
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         pa.solve_stand(load("v3", fixed_base=True))
-
-
-def test_rotation_is_yaw_pitch_roll() -> None:
-    task = pa.StandTask(roll=0.3, pitch=-0.2, yaw=0.7)
-    expected = Rotation.from_euler("ZYX", [0.7, -0.2, 0.3]).as_matrix()
-    np.testing.assert_allclose(task.rotation(), expected, atol=1e-15)
 
 
 def test_what_was_solved_before_does_not_matter() -> None:
@@ -213,9 +202,3 @@ def test_a_stand_knows_whose_it_is(other: str) -> None:
     ):
         with pytest.raises(pa.ConfigurationError, match=f"a stand of v3.*solve it for {other}"):
             use(robot, stand)
-
-
-def test_the_same_robot_loaded_again_takes_its_stands() -> None:
-    robot = pa.load_variant("v3")
-    assert robot.fingerprint == load("v3").fingerprint
-    assert pa.stance.stand_statics(robot, stand_of("v3")).joint_torques.shape == (12,)

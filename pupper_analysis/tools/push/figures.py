@@ -13,25 +13,18 @@ from pupper_analysis.tools.push.document import push_plot
 from pupper_analysis.tools.push.recovery import PushRecovery
 
 
-def push_figure(
-    results: Mapping[str, PushRecovery], path: str | Path, *, tipping: str | None = None
-) -> None:
+def push_figure(results: Mapping[str, PushRecovery], path: str | Path) -> None:
     """Draws the largest push that each robot survives over its direction, forward drawn upwards.
 
     Args:
-        results: Per robot, named as it shall be in the legend; five at most.
+        results: Per robot, named as it shall be in the legend, with the first one's tipping
+            estimate; five at most.
         path: The PNG to write.
-        tipping: The robot whose tipping estimate is drawn too; the first by default.
 
     Raises:
-        ConfigurationError: If there is no robot, or too many, or ``tipping`` is none of them.
+        ConfigurationError: If there are too many robots.
         OutputError: If the file cannot be written.
     """
-    if not results:
-        raise ConfigurationError("results", diagnose("no-robot-to-draw"))
     if len(results) >= STYLES:  # one is of the estimate
         raise ConfigurationError("results", diagnose("too-many-to-tell-apart", most=STYLES - 1))
-    rigid = next(iter(results)) if tipping is None else tipping
-    if rigid not in results:
-        raise ConfigurationError("tipping", diagnose("none-of", value=rigid, known=results))
-    write_plots([push_plot(results, rigid)], path)
+    write_plots([push_plot(results, next(iter(results)))], path)

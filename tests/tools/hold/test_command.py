@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
 
 import pytest
+from matplotlib.image import imread
 
-from tests.support.arm import MJCF, RANGES, URDF
+import pupper_analysis as pa
+from tests.support.arm import MJCF, RANGES, URDF, arm
 from tests.support.commands import check_refusal, run_command
 
 
@@ -18,6 +21,23 @@ def files(tmp_path: Path) -> tuple[str, str]:
     urdf.write_text(URDF, encoding="utf-8")
     mjcf.write_text(MJCF, encoding="utf-8")
     return str(urdf), str(mjcf)
+
+
+@pytest.mark.longest
+def test_what_is_written_is_what_python_finds(
+    files: tuple[str, str], capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    given = ("--joints", "elbow=90deg", "--joints", "b_slide=5cm", "--payload", "0.2")
+    out = tmp_path / "held.json", tmp_path / "held.png"
+    written = ("--json", str(out[0]), "--figure", str(out[1]))
+    status, output, errors = run_command(capfd, "hold", *files, *given, *written)
+    assert status == 0, errors
+    held = pa.hold_posture(arm(), {"elbow": math.pi / 2, "b_slide": 0.05}, payload=0.2)
+    found = json.loads(out[0].read_text())
+    del found["generator"], found["provenance"]
+    assert found == json.loads(held.to_json())
+    assert f"{held.payload.mass:.3g} kg at tip" in output
+    assert imread(out[1]).std() > 0.01
 
 
 def test_weak_motors_and_bad_input(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import pupper_analysis as pa
 from tests.support.commands import run_command
@@ -43,11 +44,12 @@ def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Pa
         "--height",
         "0.15",
     )
-    file = tmp_path / "own.json"
+    file, figure = tmp_path / "own.json", tmp_path / "own.png"
     servos = ("--kp", "60", "--kd", "1")
     status, out, err = run_command(
-        capfd, "push", *own, *feet, *stance, *servos, *COARSE, "--json", str(file)
-    )
+        capfd, "push", *own, *feet, *stance, *servos, *COARSE, "--json", str(file),
+        "--figure", str(figure),
+    )  # fmt: skip
     assert status == 0, err
     generator, _, found = json.loads(file.read_text()).values()
     assert generator.startswith("pupper-analysis ")
@@ -63,3 +65,4 @@ def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Pa
     )
     np.testing.assert_allclose(found["recovery"]["impulses"], alike.impulses, atol=1e-9)
     assert "FL_foot lifted 10 mm" in out
+    assert imread(figure).std() > 0.01

@@ -20,7 +20,6 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.tools.push import recovery as push
 from pupper_analysis.tools.push.bench import bench_of
-from pupper_analysis.tools.push.figures import push_figure
 from pupper_analysis.tools.push.recovery import PushRecovery, push_recovery, tipping_impulses
 from tests.prepare.test_own_run import SLIPS, UNTRUE, codes, judged, slipped
 from tests.support.engines import mujoco_at, with_efforts
@@ -77,20 +76,6 @@ def test_limit_in_a_plain_loop(name: str, index: int) -> None:
     assert plain_push(name, angle, 0.0, 3.0)
     assert plain_push(name, angle, 0.98 * impulse, 3.0)
     assert not plain_push(name, angle, impulse + 1.02 * result.resolution, 3.0)
-
-
-def test_directions_turn_with_the_base() -> None:
-    """Forward is the base's, however it looks over its feet."""
-    robot = load("original")
-    stand = pa.solve_stand(robot, pa.StandTask(yaw=0.2))
-    result = push_recovery(robot, stand, **{**COARSE, "resolution": 0.3})  # type: ignore[arg-type]
-    config = pa.Configuration(robot, stand.qpos)
-    turned = np.radians([0, 90, 180, 270]) + 0.2
-    axes = np.column_stack([np.cos(turned), np.sin(turned)])
-    np.testing.assert_allclose(
-        result.tipping_estimate, tipping_impulses(config, result.point, axes), rtol=1e-9
-    )
-    assert (result.impulses > 1.0).all()
 
 
 # ------------------------------------------------------------------------------------- mechanics
@@ -202,20 +187,6 @@ def test_fixed_base_is_refused() -> None:
 
 
 # ------------------------------------------------------------------------------------- figure
-
-
-def test_bad_figures_are_refused(tmp_path: Path) -> None:
-    result = pushed("original")
-    for results, tipping in (
-        ({}, None),
-        ({"a": result}, "b"),
-        ({str(number): result for number in range(8)}, None),
-    ):
-        with pytest.raises(pa.ConfigurationError):
-            push_figure(results, tmp_path / "push.png", tipping=tipping)
-    (tmp_path / "file").touch()
-    with pytest.raises(pa.OutputError):
-        push_figure({"a": result}, tmp_path / "file" / "push.png")
 
 
 @pytest.mark.parametrize(
