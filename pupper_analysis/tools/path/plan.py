@@ -27,6 +27,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
+from pupper_analysis.statics.equilibrium import sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.path.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_jerk, path_geometry
@@ -38,40 +39,13 @@ FAINT = 1e-3
 the edge that moments of resistance decide whether fewer feet can carry."""
 
 
-@dataclass(frozen=True, eq=False)
-class Effort:
-    """What a sample of a path takes.
-
-    Attributes:
-        qvel: (nv,) generalised velocity.
-        qacc: (nv,) generalised acceleration.
-        torques: (nu,) of the motors (N m).
-        forces: {foot that carries: (3,) of the ground, in world axes (N)}.
-        moments: {foot that carries: (3,) with which the ground resists its turning (N m)}.
-        friction: {foot that carries: tangential force / (friction coefficient x normal force)}.
-        zero_moment_point: (3,) on the ground (m).
-        zmp_margin: Of its projection from the edge of the support polygon (m).
-        com_margin: Of the com's (m).
-    """
-
-    qvel: Array
-    qacc: Array
-    torques: Array
-    forces: dict[str, Array]
-    moments: dict[str, Array]
-    friction: dict[str, float]
-    zero_moment_point: Array
-    zmp_margin: float
-    com_margin: float
-
-
 def path_effort(
     robot: Robot,
     place: PathPlace,
     rate: float,
     acceleration: float,
-) -> Effort:
-    """Returns what a sample of a path takes, with minimum tangential forces.
+) -> dict[str, Array]:
+    """Returns a row of each table of a ``StancePath``, with minimum tangential forces.
 
     Towards a segment of the path on which fewer feet carry, the load passes to those: a mean of two
     sets of forces that balance the robot does so too.
@@ -101,28 +75,38 @@ def path_effort(
         if share > FAINT:
             parts.append((share, balance(feet)))
     parts[0] = (1.0 - sum(share for share, _ in parts[1:]), whole)
+    feet, none = robot.contact_points, np.zeros(3)
 
-    def mean(tables: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    def mean(tables: Sequence[Mapping[str, Array]]) -> Array:
         weighted = list(zip([share for share, _ in parts], tables, strict=True))
-        none = np.zeros(3)
-        return {
-            foot: np.sum([share * table.get(foot, none) for share, table in weighted], axis=0)
-            for foot in stand.stance_feet
-        }
+        rows = [[share * table.get(foot, none) for foot in feet] for share, table in weighted]
+        mixed: Array = np.sum(rows, axis=0)
+        return mixed
 
-    forces = mean([part.contact_forces for _, part in parts])
-    points = whole.contact_points
-    return Effort(
-        qvel=qvel,
-        qacc=qacc,
-        torques=np.sum([share * part.joint_torques for share, part in parts], axis=0),
-        forces=forces,
-        moments=mean([part.contact_moments for _, part in parts]),
-        friction=_friction(robot, forces, stand.normals),
-        zero_moment_point=whole.zero_moment_point,
-        zmp_margin=com_margin(whole.zero_moment_point, points),
-        com_margin=com_margin(config.center_of_mass(), points),
-    )
+    forces, points = mean([part.contact_forces for _, part in parts]), whole.contact_points
+    nothing = BALANCE_TOLERANCE * float(np.linalg.norm(forces, axis=1).sum())
+    using = [
+        sliding_share(
+            force, stand.normals[foot].tolist(), robot.contacts[foot].sliding_friction, nothing
+        )
+        if foot in points
+        else 0.0
+        for foot, force in zip(feet, forces.tolist(), strict=True)
+    ]
+    return {
+        "qvel": qvel,
+        "qacc": qacc,
+        "torques": np.sum([share * part.joint_torques for share, part in parts], axis=0),
+        "stance_feet": np.array([foot in points for foot in feet]),
+        "forces": forces,
+        "moments": mean([part.contact_moments for _, part in parts]),
+        "loads": forces[:, 2],
+        "friction_utilisation": np.array(using),
+        "zero_moment_point": whole.zero_moment_point,
+        "zmp_margin": np.array(com_margin(whole.zero_moment_point, points)),
+        "clearance": np.array([clearance(place, foot) for foot in feet]),
+        "com_margin": np.array(com_margin(config.center_of_mass(), points)),
+    }
 
 
 def _fading(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
@@ -139,23 +123,6 @@ def _fading(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
         )
         if set(feet) < set(stance_feet)
     ]
-
-
-def _friction(
-    robot: Robot, forces: Mapping[str, Array], normals: Mapping[str, Array]
-) -> dict[str, float]:
-    """Returns how much of its friction each foot uses; none where it carries none of the load."""
-    found = {}
-    nothing = BALANCE_TOLERANCE * sum(float(np.linalg.norm(force)) for force in forces.values())
-    for foot, force in forces.items():
-        normal = float(force @ normals[foot])
-        tangential = float(np.linalg.norm(force - normal * normals[foot]))
-        limit = robot.contacts[foot].sliding_friction * abs(normal)
-        if tangential <= nothing:
-            found[foot] = 0.0
-        else:
-            found[foot] = tangential / limit if limit else math.inf
-    return found
 
 
 MAX_SAMPLES = 20_000
@@ -349,47 +316,24 @@ def stance_path(
         except StaticsInfeasibleError as error:
             raise error.at(geometry.where(index)) from None
     time = np.linspace(0.0, float(seconds), len(efforts))
-    torques = np.array([effort.torques for effort in efforts])
-    qvel = np.array([effort.qvel for effort in efforts])
-    used = shares_of(torques, robot.effort_limits)
-    speeds = shares_of(qvel[:, robot.nv - robot.nu :], robot.velocity_limits)
+    tables = {name: np.array([effort[name] for effort in efforts]) for name in efforts[0]}
+    used = shares_of(tables["torques"], robot.effort_limits)
+    joints = slice(robot.nv - robot.nu, None)
+    speeds = shares_of(tables["qvel"][:, joints], robot.velocity_limits)
     peak, fastest = (np.unravel_index(int(table.argmax()), table.shape) for table in (used, speeds))
-    forces = np.array([_rows(robot, effort.forces) for effort in efforts])
     return StancePath(
         stances=geometry.stances,
         joint_names=robot.joint_names,
         feet=robot.contact_points,
         time=time,
         qpos=np.array([place.qpos for place in geometry.places]),
-        qvel=qvel,
-        qacc=np.array([effort.qacc for effort in efforts]),
-        torques=torques,
-        stance_feet=np.array([[f in e.forces for f in robot.contact_points] for e in efforts]),
-        forces=forces,
-        moments=np.array([_rows(robot, effort.moments) for effort in efforts]),
-        loads=forces[..., 2],
-        friction_utilisation=np.array(
-            [
-                [effort.friction.get(foot, 0.0) for foot in robot.contact_points]
-                for effort in efforts
-            ]
-        ),
-        zero_moment_point=np.array([effort.zero_moment_point for effort in efforts]),
-        zmp_margin=np.array([effort.zmp_margin for effort in efforts]),
-        clearance=np.array(
-            [[clearance(p, f) for f in robot.contact_points] for p in geometry.places]
-        ),
-        com_margin=np.array([effort.com_margin for effort in efforts]),
+        **tables,  # type: ignore[arg-type]
         peak_utilisation=float(used[peak]),
         peak_joint=robot.joint_names[int(peak[1])],
         peak_time=float(time[peak[0]]),
         peak_speed_utilisation=float(speeds[fastest]),
         fastest_joint=robot.joint_names[int(fastest[1])],
     )
-
-
-def _rows(robot: Robot, table: Mapping[str, Array]) -> Array:
-    return np.array([table.get(foot, np.zeros(3)) for foot in robot.contact_points])
 
 
 def shares_of(values: Array, limits: Array) -> Array:
