@@ -281,10 +281,6 @@ def step_stability(
     Raises:
         ConfigurationError: If an argument is no such thing, or the time is not from 0 to 600 s.
     """
-    for name, given, kind in (("model", model, mujoco.MjModel), ("data", data, mujoco.MjData)):
-        if not isinstance(given, kind):
-            what = {"given": type(given).__name__, "wanted": kind.__name__}
-            raise ConfigurationError(name, diagnose("argument-of-other-kind", **what))
     if not 0 <= settle <= _LONGEST_DOUBLING:
         raise ConfigurationError(
             "settle", diagnose("settling-time", settle=settle, most=_LONGEST_DOUBLING)

@@ -248,13 +248,8 @@ def with_payload(
         ModelError: If the MJCF's base is not where the URDF's is.
     """
     tool = find_place(robot, point)
-    try:
-        weighed = float(mass)
-    except (TypeError, ValueError):
-        weighed = math.nan
-    if isinstance(mass, bool) or not 0 <= weighed < math.inf:
+    if not 0 <= mass < math.inf:
         raise ConfigurationError("mass", diagnose("payload-not-valid", mass=repr(mass)))
-    mass = weighed
     if mass == 0.0:
         return robot
     if tool.link == robot.base:
@@ -265,6 +260,7 @@ def with_payload(
     sides: tuple[tuple[ModelTree, str, Array], ...] = ((urdf, link, place), (mjcf, body, there))
     while any(name in tree.names for tree, _, _ in sides):
         name += "_"
+    mass = float(mass)  # pinocchio takes no NumPy's
     weight = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
     for tree, carrier, at in sides:
         tree.add_link(name, carrier, f"{name}_weld", at, weight)

@@ -10,7 +10,6 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -343,30 +342,16 @@ def shares_of(values: Array, limits: Array) -> Array:
     return shares
 
 
-def checked_stances(stances: Sequence[StandTask]) -> None:
-    """Checks that stances are at least two, and such.
-
-    Raises:
-        ConfigurationError: If they are not.
-    """
-    if isinstance(stances, StandTask) or len(stances) < 2:
-        raise ConfigurationError("stances", diagnose("path-of-one-stance"))
-    for task in stances:
-        if not isinstance(task, StandTask):
-            raise ConfigurationError("stances", diagnose("no-stand-task", given=repr(task)))
-
-
 SHORTEST = 1e-3
 """s: no robot is so fast; of much less, accelerations overflow."""
 
 
 def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
-    """Checks the arguments' kinds; returns how many samples a segment has."""
-    checked_stances(stances)
-    given: dict[str, object] = {"seconds": seconds, "rate": rate}
-    for name, value in given.items():
-        number = float(value) if isinstance(value, Real) else math.nan
-        if isinstance(value, bool) or not 0 < number < math.inf:
+    """Checks the arguments; returns how many samples a segment has."""
+    if len(stances) < 2:
+        raise ConfigurationError("stances", diagnose("path-of-one-stance"))
+    for name, value in (("seconds", seconds), ("rate", rate)):
+        if not 0 < value < math.inf:
             raise ConfigurationError(name, diagnose("not-finite-above-0", value=repr(value)))
     if seconds < SHORTEST:
         message = diagnose("shorter-than-least", seconds=seconds, least=SHORTEST)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from numbers import Real
 
 import numpy as np
 import pinocchio as pin
@@ -110,9 +109,10 @@ def path_commands(
     first = path.stances[0]
     robot = on_ground(robot, first.task.ground, first.rigid_targets)
     drive = drive_of(robot)
-    timestep = (
-        _fine_timestep(robot, first, drive) if timestep is None else _checked_timestep(timestep)
-    )
+    if timestep is None:
+        timestep = _fine_timestep(robot, first, drive)
+    elif not 1e-6 <= timestep <= 1.0:
+        raise ConfigurationError("timestep", diagnose("timestep-not-valid", given=timestep))
     drive.model.opt.timestep = timestep
     robot = replace(robot, mj_model=drive.model)  # a contact may depend on the time step
     steps = max(1, math.floor(float(path.time[-1]) / timestep + _STEP_ROUNDING))
@@ -213,22 +213,6 @@ def _fine_timestep(robot: Robot, first: Stand, drive: Servos) -> float:
     slowest = float(np.min(inertia[damped] / drive.kd[damped], initial=math.inf))
     own = min(float(drive.model.opt.timestep), TIMESTEP)
     return min(own, max(FINEST, _ADDED * slowest))
-
-
-def _checked_timestep(value: object) -> float:
-    """Returns a time step that was given (s).
-
-    Raises:
-        ConfigurationError: If it is none.
-    """
-    number = float(value) if isinstance(value, Real) else math.nan
-    if isinstance(value, bool) or not 0 < number < math.inf:
-        problem = diagnose("timestep-not-positive", given=repr(value))
-        raise ConfigurationError("timestep", problem)
-    if not 1e-6 <= number <= 1.0:
-        problem = diagnose("timestep-not-valid", given=repr(value))
-        raise ConfigurationError("timestep", problem)
-    return number
 
 
 Array = NDArray[np.float64]

@@ -301,7 +301,7 @@ def bench_of(
 _FRAME = 1 / 30
 """s between the configurations that are kept: a fall of 0.3 s has ten of them."""
 
-_HARDEST = 1e6  # N s: of much more, numbers overflow
+HARDEST = 1e6  # N s: of much more, numbers overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,8 +366,8 @@ def simulate_push(
     """
     check_stand(robot, stand, duration)
     impulse, direction = check_finite("impulse", impulse), check_finite("direction", direction)
-    if not 0 <= impulse <= _HARDEST:
-        problem = diagnose("impulse-not-valid", given=Quantity(impulse, "N s"), most=_HARDEST)
+    if not 0 <= impulse <= HARDEST:
+        problem = diagnose("impulse-not-valid", given=Quantity(impulse, "N s"), most=HARDEST)
         raise ConfigurationError("impulse", problem)
     if abs(direction) > 2 * math.pi:
         problem = diagnose("direction-not-valid", given=Quantity(direction, "rad"))

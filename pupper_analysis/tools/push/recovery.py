@@ -25,7 +25,7 @@ from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.push.bench import Bench, Pushed, bench_of
+from pupper_analysis.tools.push.bench import HARDEST, Bench, Pushed, bench_of
 
 Array = NDArray[np.float64]
 
@@ -214,18 +214,12 @@ def push_recovery(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     check_stand(robot, stand, duration)
-    if isinstance(directions, bool) or not isinstance(directions, int | np.integer):
-        problem = diagnose("whole-number-needed", given=repr(directions))
-        raise ConfigurationError("directions", problem)
     if not 3 <= directions <= 360:
         problem = diagnose("not-between", given=directions, low=3, high=360)
         raise ConfigurationError("directions", problem)
-    if not (math.isfinite(resolution) and resolution > 0):
-        problem = diagnose("resolution-not-positive", given=f"{resolution} N s")
-        raise ConfigurationError("resolution", problem)
-    if resolution < FINEST:
-        given, finest = Quantity(resolution, "N s"), Quantity(FINEST, "N s")
-        problem = diagnose("resolution-too-fine", given=given, finest=finest)
+    if not FINEST <= resolution <= HARDEST:
+        high = Quantity(HARDEST, "N s")
+        problem = diagnose("not-between", given=f"{resolution} N s", low=FINEST, high=high)
         raise ConfigurationError("resolution", problem)
     angles = 2 * math.pi * np.arange(directions) / directions
     bench = bench_of(
