@@ -162,17 +162,43 @@ def _crest(cosine: float, sine: float, rate: float, low: float, high: float) -> 
 
 
 def _sampled(at: Callable[[float], float], looks: Array, *, fine: bool) -> float:
-    """Returns at which of some looks, or between them, a function is greatest."""
+    """Returns at which of some looks, or between them, a function is greatest.
+
+    Between them it is looked for beside each that is a peak, as far as there is anything: the
+    greatest of the looks need not be next to the greatest of all.
+    """
     from scipy import optimize  # slow to import
 
-    top = int(np.argmax([at(look) for look in looks]))
-    ends = looks[max(top - 1, 0)], looks[min(top + 1, len(looks) - 1)]
-    if not fine or ends[1] - ends[0] < 1e-12:
-        return float(looks[top])
-    found = optimize.minimize_scalar(
-        lambda length: -at(length), bounds=ends, method="bounded", options={"xatol": _PEAK}
-    )
-    return float(max((found.x, looks[top]), key=at))
+    found = [at(look) for look in looks]
+    if not fine:
+        return float(looks[int(np.argmax(found))])
+    beside, chosen = [-math.inf, *found, -math.inf], list(looks)
+    for number, own in enumerate(found):
+        if own <= -_OUT or own < max(beside[number], beside[number + 2]):
+            continue
+        ends = looks[max(number - 1, 0)], looks[min(number + 1, len(looks) - 1)]
+        low, high = (_nearest(at, float(looks[number]), float(end)) for end in ends)
+        chosen += [low, high]
+        if high - low > _PEAK:
+            chosen.append(
+                optimize.minimize_scalar(
+                    lambda length: -at(length),
+                    bounds=(low, high),
+                    method="bounded",
+                    options={"xatol": _PEAK},
+                ).x
+            )
+    return float(max(chosen, key=at))
+
+
+def _nearest(at: Callable[[float], float], here: float, end: float) -> float:
+    """Returns how far there is something on the way from here, where there is, to an end."""
+    if at(end) > -_OUT:
+        return end
+    while abs(end - here) > _PEAK:
+        middle = (here + end) / 2
+        here, end = (middle, end) if at(middle) > -_OUT else (here, middle)
+    return here
 
 
 _STARTS = 12
