@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.tools.sync.models import as_given, stage_files
 from pupper_analysis.tools.sync.xml_bytes import read_document
-from tests.base.test_files_together import contents, deny, fails_at
+from tests.base.test_files_at_once import contents, deny, fails_at
 from tests.support.robots import changed, quadruped, write_parts
 
 
