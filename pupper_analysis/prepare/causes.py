@@ -388,7 +388,10 @@ def _options(model: mujoco.MjModel) -> Iterator[Candidate]:
         (flags & override, "override", "flag override", "enableflags", flags & ~override),
         (
             model.opt.disableactuator,
-            *("actuatorgroupdisable", "option actuatorgroupdisable", "disableactuator", 0),
+            "actuatorgroupdisable",
+            "option actuatorgroupdisable",
+            "disableactuator",
+            0,
         ),
         (sparse, "solver", "option jacobian", "jacobian", dense),
     ):
