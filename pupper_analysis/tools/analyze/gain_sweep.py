@@ -155,7 +155,7 @@ def sweep_gains(
     if not all(axes):
         raise ConfigurationError("kp, kd", diagnose("gain-values-missing"))
     trial = _Trial(robot, stand, integrator, duration)
-    cells = list(dict.fromkeys(itertools.product(*axes)))
+    cells = list(dict.fromkeys(itertools.product(axes[0], axes[1])))
     found = trial.run(cells, amplitude, frequency, progress=progress)
     pairs = [[found[kp, kd] for kd in axes[1]] for kp in axes[0]]
     deviations = np.array([[deviation for deviation, _ in row] for row in pairs])

@@ -326,7 +326,7 @@ def stance_path(
         feet=robot.contact_points,
         time=time,
         qpos=np.array([place.qpos for place in geometry.places]),
-        **tables,  # type: ignore[arg-type]
+        **tables,
         peak_utilisation=float(used[peak]),
         peak_joint=robot.joint_names[int(peak[1])],
         peak_time=float(time[peak[0]]),
