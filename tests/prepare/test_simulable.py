@@ -88,19 +88,6 @@ def test_a_hand_keeps_its_base_in_the_world(tmp_path: Path) -> None:
         pa.solve_stand(robot)
 
 
-def test_missing_meshes_are_named_before_the_feet_that_they_hide(tmp_path: Path) -> None:
-    """Feet are meshes of a package that is not there: that is said first."""
-    urdf = legged.quadruped(tmp_path).urdf
-    mesh = '<mesh filename="package://absent_description/foot.stl"/>'
-    shape = f"<collision><geometry>{mesh}</geometry></collision>"
-    text = re.sub(r'(<link name="\w+_calf">)', rf"\1{shape}", urdf.read_text())
-    assert text.count(mesh) == 4
-    urdf.write_text(text)
-    with pytest.raises(pa.ConfigurationError, match="cannot stand: mesh file left out") as error:
-        pa.solve_stand(pa.load_robot(urdf=urdf))
-    assert "--package absent_description=DIR" in str(error.value)
-
-
 def test_legs_that_a_file_holds_in_the_world_are_freed(tmp_path: Path) -> None:
     pair = legged.quadruped(tmp_path, free=False, keyframe="", actuators="position")
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)

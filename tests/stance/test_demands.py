@@ -73,6 +73,17 @@ def test_one_is_given_up_and_the_others_stay(demand: str) -> None:
         assert without == TASK
 
 
+def test_places_are_given_up_for_the_nominal_ones() -> None:
+    """Those of feet for where they stand by themselves, a com's for the middle of what carries."""
+    robot = load("v3")
+    feet = pa.Configuration(robot, robot.neutral()).foot_positions()
+    placed = give_up(robot, pa.StandTask(feet={"FL": (0.1, 0.1)}), ["feet"])
+    np.testing.assert_allclose(placed.feet["FL"], feet["FL"][:2])
+    middle = np.mean([feet[foot][:2] for foot in ("FR", "FL", "RR")], axis=0)
+    task = pa.StandTask(com=(0.03, 0.01), swing={"RL": 0.01})
+    np.testing.assert_allclose(give_up(robot, task, ["com"]).com, middle)
+
+
 def described(task: pa.StandTask, *demands: str) -> str:
     return str(describe_limit(load("v3"), task, task, demands))
 
