@@ -20,7 +20,6 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-import sys
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -30,16 +29,21 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-from fit_stands import Planted, plant
-
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, stands_text
+from pupper_analysis.tools.fit.parameters import bodies_of
 from pupper_analysis.tools.fit.stands.fit import KNOWN_MASS, StandFit, fit_stands
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, plan_stands
 from pupper_analysis.tools.study.parameters import scale_robot
+
+MASS, COM, OFFSET, KP = 0.15, 0.01, math.radians(1.5), 0.15
+"""What robots are off by, as standard deviations."""
+
+STIFF = 0.05
+"""Of the weight times the height: torque of a servo by its zero's error, on average. With more
+of it a robot that is put on its feet slides, or lifts one: so stiff a robot is known to be off."""
 
 V3_TORQUE = 3.17 * 9.81 * 0.158
 """Weight times height of Pupper v3 (N m): friction is scaled by it to other robots."""
@@ -52,6 +56,50 @@ RUBBER = (1e-3, 2e-4)
 
 STEP = 1e-3
 """s of a simulation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Planted:
+    """A robot with errors.
+
+    Attributes:
+        stated: The robot as its files have it.
+        robot: With true masses and coms.
+        kp: (nu,) true (N m/rad).
+        offsets: (nu,) true (rad).
+        truth: What is true by the estimates' names.
+    """
+
+    stated: Robot
+    robot: Robot
+    kp: np.ndarray
+    offsets: np.ndarray
+    truth: dict[str, float]
+
+
+def offset_of(robot: Robot) -> float:
+    """Returns the standard deviation of encoders' zeros (rad)."""
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    return min(OFFSET, STIFF * weight * robot.stand_height / float(servo_gains(robot).kp.mean()))
+
+
+def plant(robot: Robot, rng: np.random.Generator) -> Planted:
+    """Returns a robot with errors."""
+    factors, truth, names = {}, {}, robot.joint_names
+    for link, number in bodies_of(robot):
+        body = robot.structure.model.inertias[number]
+        factor, moved = max(0.3, 1 + MASS * rng.normal()), COM * rng.normal(size=3)
+        factors[f"mass:{link}"], truth[f"mass {link}"] = factor, body.mass * factor
+        for axis, stated, off in zip("xyz", body.lever, moved, strict=True):
+            factors[f"com_{axis}:{link}"], truth[f"com.{axis} {link}"] = off, stated + off
+    common, own = rng.normal(), rng.normal(size=robot.nu)
+    stiffness = servo_gains(robot).kp * (1 + KP * math.sqrt(0.5) * (common + own))
+    rng.normal(size=robot.nu)  # of friction, once: seeds are of the same robots still
+    offsets = offset_of(robot) * rng.normal(size=robot.nu)
+    for kind, values in (("kp", stiffness), ("offset", offsets)):
+        truth |= {f"{kind} {n}": float(one) for n, one in zip(names, values, strict=True)}
+    true = replace(scale_robot(robot, factors), fingerprint=robot.fingerprint)
+    return Planted(robot, true, stiffness, offsets, truth)
 
 
 @dataclass(frozen=True)
@@ -318,12 +366,6 @@ def truth_of(rig: Rig) -> dict[str, float]:
             own = truth[f"com.{axis} {base}"]
             truth[f"com.{axis} {base}"] = (had * own + pack * place) / (had + pack)
         truth[f"mass {base}"] = had + pack
-    for name in [
-        one
-        for one in truth
-        if one.partition(" ")[0] in ("slope.x", "slope.y", "friction", "imu.roll", "imu.pitch")
-    ]:
-        del truth[name]
     return truth
 
 
@@ -341,7 +383,6 @@ def stands_of(rig: Rig, plan: StandPlan) -> MeasuredStands | None:
         joints=names,
         command=np.array([[one.command[n] for n in names] for one, _ in taken]),
         position=np.array([read for _, (read, _) in taken]),
-        tilt=np.full((len(taken), 2), np.nan),
         swing=tuple(swing for _, (_, swing) in taken),
         heading=np.array([one.heading for one, _ in taken]),
         added={robot.base: loads} if loads.any() else {},
@@ -367,51 +408,32 @@ class Row:
 def rows(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -> Iterator[Row]:
     """Yields what comes of each fit."""
     plans: dict[float, StandPlan] = {}
+    had = set()
+    if given.csv and given.csv.exists():
+        with given.csv.open(newline="") as file:
+            had = {(r["robot"], r["disturbance"], r["seed"]) for r in csv.DictReader(file)}
     for seed in range(given.first, given.first + given.seeds):
         for title, other in DISTURBANCES.items():
-            if given.only and title not in given.only:
+            if (given.only and title not in given.only) or (name, title, str(seed)) in had:
                 continue
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
             if other.added not in plans:
                 plans[other.added] = plan_stands(
                     robot, given.stands, kp=kp, added=other.added * robot.total_mass
                 )
-            planted = plant(robot, rng, 0.0)
+            planted = plant(robot, rng)
             if kp is not None:  # and not that of servos which were added
                 planted = replace(planted, kp=planted.kp * kp / servo_gains(robot).kp)
-            rig = Rig(replace(planted, robot=level(planted.robot, robot)), other)
+            rig = Rig(planted, other)
             stands = stands_of(rig, plans[other.added])
             if stands is None:
                 yield Row(name, title, seed, 0, "does not stand", "", 0, 0, math.nan, math.nan)
                 continue
             if given.keep:
-                keep(stands, given.keep / f"{name}-{title.replace(' ', '_')}-{seed}.npz")
+                given.keep.mkdir(parents=True, exist_ok=True)
+                file = given.keep / f"{name}-{title.replace(' ', '_')}-{seed}.csv"
+                file.write_text(stands_text(stands))
             yield fitted(name, title, seed, robot, rig, stands, kp)
-
-
-def keep(stands: MeasuredStands, path: Path) -> None:
-    """Writes what was measured, for other fits of the same."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    arrays = {f"added.{link}": own[:, 0] for link, own in stands.added.items()}
-    for link, own in stands.added.items():
-        arrays |= {f"added_{a}.{link}": own[:, 1 + at] for at, a in enumerate("xyz")}
-    np.savez(
-        path,
-        stand=np.array(stands.names),
-        swing=np.array([" ".join(feet) for feet in stands.swing]),
-        joints=np.array(stands.joints),
-        command=stands.command,
-        position=stands.position,
-        heading=stands.heading,
-        **arrays,
-    )
-
-
-def level(planted: Robot, robot: Robot) -> Robot:
-    """Returns the planted robot on the ground of the file: slopes are disturbances here."""
-    model = planted.pin_model.copy()
-    model.gravity.linear = robot.pin_model.gravity.linear
-    return replace(planted, pin_model=model)
 
 
 def fitted(
@@ -457,7 +479,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="seed")
     parser.add_argument("--stands", type=int, default=16)
     parser.add_argument("--keep", type=Path, help="a folder for the measurements")
-    parser.add_argument("--csv", type=Path, help="a file to add rows to")
+    parser.add_argument("--csv", type=Path, help="a file to add rows to, but for those that it has")
     given = parser.parse_args()
     known = given.robot in pa.VARIANTS
     robot = pa.load_variant(given.robot) if known else pa.load_robot(given.robot)

@@ -2,7 +2,7 @@
 
     python benchmarks/fit_motions.py [--robot v3 --robot go2.xml] [--kp 20 --kd 1] [--seeds 20]
         [--first 500] [--seconds 10]
-    python benchmarks/fit_motions.py --log 0.npz --log 1.npz --hold-out 5.npz --robot go2.xml
+    python benchmarks/fit_motions.py --log 0.csv --log 1.csv --hold-out 5.csv --robot go2.xml
         [--kp 20 --kd 1] [--start 3]
 
 What is true of a robot is drawn from the priors that the fit is told: masses (15 %), coms (10 mm),
@@ -176,7 +176,7 @@ def fit_logs(given: argparse.Namespace) -> None:
     fit = fit_motion(robot, logs, hold_out=others or 0.2, kp=given.kp, kd=given.kd)
     spent, waited = time.process_time() - begun, time.monotonic() - waiting
     print(f"{robot.name}: {sum(one.duration for one in logs):.0f} s of log fitted in ", end="")
-    print(f"{spent:.0f} s of processor, {waited:.0f} s waited, {fit.posterior.steps} steps at last")
+    print(f"{spent:.0f} s of processor, {waited:.0f} s waited")
     print(
         f"  held out {1e3 * fit.held_out:.3f} mrad, the file's own {1e3 * fit.held_out_before:.3f},"
     )
@@ -192,7 +192,7 @@ def fit_logs(given: argparse.Namespace) -> None:
         table = motion.table
         start = np.abs(table.stated + table.width * rng.normal(size=len(table)))
         start = np.where(table.stated < 0, -start, start)
-        other = motion.fit(start, near=False)
+        other = motion.fit(start)
         off = (other.mean - known.mean) / known.std
         worst = int(np.argmax(np.abs(off)))
         print(f"  from another start: {np.sqrt(np.mean(off**2)):.2f} standard deviations, ", end="")

@@ -9,7 +9,6 @@ computing and `MEMORY` bytes more than the process had; anything else is a failu
 from __future__ import annotations
 
 import argparse
-import io
 import random
 import resource
 import signal
@@ -68,18 +67,6 @@ class Kind:
 
 class Hang(BaseException):
     """A reader has not ended in time."""
-
-
-def _arrays() -> dict[str, Any]:
-    time = 0.005 * np.arange(150)
-    both = np.column_stack([np.sin(time), np.cos(time)])
-    return {"joints": ["hip", "knee"], "time": time, "position [deg]": both, "command": both}
-
-
-def _npz(save: Callable[..., None]) -> bytes:
-    file = io.BytesIO()
-    save(file, **_arrays())
-    return file.getvalue()
 
 
 def _csv(separator: str) -> bytes:
@@ -177,7 +164,7 @@ samples = 4
 height = { linspace = [0.14, 0.17, 3] }
 kp = { uniform = [20.0, 40.0] }
 """
-_STANDS = b"stand,command.hip,position.hip [deg],swing,roll\na,0.1,5.2,FR,0.01\n"
+_STANDS = b"stand,command.hip,position.hip [deg],swing,heading\na,0.1,5.2,FR,0.01\n"
 _BASELINE = b"""# known
 ["crosscheck", "machine", "robot.urdf", "mass", "hip", {"urdf": 0.2, "mjcf": 0.22}]
 """
@@ -190,8 +177,6 @@ def kinds() -> tuple[Kind, ...]:
         Kind("log.csv", _csv(","), read_log),
         Kind("semicolons.csv", _csv(";"), read_log),
         Kind("stands.csv", _STANDS, read_stands),
-        Kind("log.npz", _npz(np.savez), read_log),
-        Kind("packed.npz", _npz(np.savez_compressed), read_log),
         Kind("log.mcap", _bag("mcap"), _read_bag),
         Kind("log.db3", _bag("db3"), _read_bag),
         Kind(

@@ -154,7 +154,6 @@ FIT_FOLDER: Final = Folder(
         "fit.json": RESULTS,
         "offsets.csv": OFFSETS,
         "samples.csv": SAMPLES,
-        "ranges.yaml": RANGES,
     }
 )
 """What ``fit -o`` writes beside models."""

@@ -12,10 +12,10 @@ from pupper_analysis.base.errors import OutputError
 from pupper_analysis.present.figures.drawing import save_figure
 from pupper_analysis.present.html.write import write_report
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, write_plan
-from pupper_analysis.tools.fit.write import write_randomisation
+from pupper_analysis.tools.study.write import write_randomisation
 
 STAND = PlannedStand("s01", ("FL",), {"hip": 0.5, "knee": -1.0}, 0.2)
-PLAN = StandPlan("robot", (STAND,), (), 1, 0.0)
+PLAN = StandPlan("robot", (STAND,), (), 1)
 
 WRITERS: dict[str, Callable[..., object]] = {
     "report.html": lambda path, **how: write_report(PLAN, path, **how),
@@ -62,7 +62,7 @@ def test_a_picture_of_others_is_no_figure(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("typed", "where"),
-    [("0.51", 4), ("0", 5), ("nan", 5), ("2.5", 6)],
+    [("0.51", 5), ("0", 6), ("nan", 6), ("2.5", 7)],
 )
 def test_a_plan_with_readings_is_never_replaced(typed: str, where: int, tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"

@@ -20,7 +20,6 @@ def test_the_refusal_names_the_option_and_whose_it_is(tmp_path: Path) -> None:
     assert shown == (
         "--weight: it does nothing with --plan, it is of --stands; leave one of the two out\n"
     )
-    assert "as in -o plan.csv" in answer(*asked, "--degrees", folder=tmp_path).stderr
 
 
 def test_defaults_are_not_typed_and_new_options_are_refused() -> None:
@@ -72,16 +71,14 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("analyze", "--list"): (("--height", "12cm"), ("--verbose",)),
     ("audit", "--list-rules"): (("--json", "a.json"),),
     ("fit", "v3", "--plan", "2"): (
-        *(("--weight", "3kg"), ("--encoder", "0.1deg"), ("--hold-out", "0.3")),
+        *(("--weight", "3kg"), ("--hold-out", "0.3")),
         *(("--topic", "state=/a"), ("--joints", "a,b"), ("--kd", "1")),
     ),
     ("fit", "v3", "--stands", "stands.csv"): (
         *(("--hold-out", "0.3"), ("--topic", "state=/a"), ("--joints", "a,b"), ("--kd", "1")),
-        *(("--degrees",),),
+        *(("--added", "1kg"),),
     ),
-    ("fit", "v3", "--log", "stands.csv"): (
-        *(("--weight", "3kg"), ("--encoder", "0.1deg"), ("--degrees",)),
-    ),
+    ("fit", "v3", "--log", "stands.csv"): (*(("--weight", "3kg"), ("--added", "1kg")),),
 }
 IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMANDS}
 """{command line: what does nothing in it}."""

@@ -1,6 +1,5 @@
 from .estimate import Posterior as Posterior
 from .measurements.log import Log as Log
-from .measurements.log_quality import LogQuality as LogQuality
 from .measurements.log_quality import inspect_log as inspect_log
 from .measurements.stands import MeasuredStands as MeasuredStands
 from .motions.fit import fit_motion as fit_motion

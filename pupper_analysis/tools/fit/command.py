@@ -30,32 +30,21 @@ from pupper_analysis.prepare.convert.files import RobotFiles
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
-    from pupper_analysis.tools.fit.measurements.log import Log
     from pupper_analysis.tools.fit.record.recorder import Recording
     from pupper_analysis.tools.fit.result import Fit
     from pupper_analysis.tools.fit.stands.plan import StandPlan
 
 
-_ALWAYS = {
-    *(one.name for one in fields(RobotOptions)),
-    *(
-        "words",
-        "output",
-        "priors",
-        "kp",
-        "everything",
-        "style",
-        "json_path",
-        "report_path",
-        "force",
-    ),
+_ALWAYS = {one.name for one in fields(RobotOptions)} | {
+    *("words", "output", "priors", "kp", "everything"),
+    *("style", "json_path", "report_path", "force"),
 }
 _OF_MEASUREMENTS = ("priors", "kp")
 _USES = {
-    "--record": {*_ALWAYS, "record", "bridge", "speed"} - {*_OF_MEASUREMENTS},
-    "--stands": {*_ALWAYS, "stands", "weight", "encoder", "anyway"},
+    "--record": {*_ALWAYS, "record", "bridge"} - {*_OF_MEASUREMENTS},
+    "--stands": {*_ALWAYS, "stands", "weight", "anyway"},
     "--log": {*_ALWAYS, "anyway", "logs", "topics", "joints", "hold_out", "kd"},
-    "--plan": {*_ALWAYS, "count", "degrees", "added", "added_at"},
+    "--plan": {*_ALWAYS, "count", "added", "added_at"},
 }
 """{mode: what it uses}."""
 
@@ -69,8 +58,7 @@ _USES = {
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="CSV, npz, MCAP or ROS bag of motions, the base held: time, positions, commands. "
-    "Repeatable.",
+    help="CSV, MCAP or ROS bag of motions, the base held: time, positions, commands. Repeatable.",
 )
 @click.option(
     "--topic",
@@ -98,7 +86,6 @@ _USES = {
     metavar="COUNT",
     help="Choose the stands whose measurement determines most, and write them to -o.",
 )
-@click.option("--degrees", is_flag=True, help="Write the plan in degrees.")
 @click.option(
     "--added",
     metavar="MASS",
@@ -116,7 +103,6 @@ _USES = {
     metavar="NAME",
     help="The way to the robot: ros2, typed (by a person), or mujoco (one whose numbers are off).",
 )
-@click.option("--speed", metavar="SPEED", help="Of a joint while it is led, at most; 0.5rad/s.")
 @shared.output_option(
     "-o",
     "--output",
@@ -128,7 +114,7 @@ _USES = {
         else kinds.PLAN
     ),
     help="Where to write the plan, or the stands that are recorded, as CSV; or the folder that "
-    "gets the corrected URDF and MJCF, fit.json, offsets.csv and ranges.yaml.",
+    "gets the corrected URDF and MJCF, fit.json, offsets.csv and samples.csv.",
 )
 @click.option(
     "--prior",
@@ -146,9 +132,6 @@ _USES = {
 @click.option(
     "--weight", metavar="MASS", help="What the whole robot weighs on a scale; e.g. 3.55kg."
 )
-@click.option(
-    "--encoder", metavar="ANGLE", help="Standard deviation of a measured position; e.g. 0.05deg."
-)
 @add_options(FILES, VARIANT, GAINS)
 @shared.verbose_option
 @shared.look_option
@@ -164,19 +147,16 @@ def command(
     topics: tuple[str, ...],
     joints: str | None,
     count: int | None,
-    degrees: bool,
     added: str | None,
     added_at: str | None,
     record: Path | None,
     bridge: str | None,
-    speed: str | None,
     output: Path | None,
     priors: tuple[str, ...],
     anyway: bool,
     weight: str | None,
     kp: tuple[str, ...],
     kd: tuple[str, ...],
-    encoder: str | None,
     everything: bool,
     style: str,
     json_path: Path | None,
@@ -186,11 +166,10 @@ def command(
 
     A soft servo is a torque sensor: tau = kp (command - position). A file of stands has a row for
     each: command.<joint> and position.<joint> (rad, or [deg] in the header), swing (feet in the
-    air), and if they were read roll and pitch.
+    air).
     A log is of a robot that hangs or is bolted down: time, position.<joint>, command.<joint>.
 
-    Every number comes with its interval; what the measurements cannot tell is named, with what else
-    to measure.
+    Every number comes with its interval, and says whether the measurements determine it.
 
     \b
     Examples:
@@ -211,21 +190,18 @@ def command(
         "--record" if record else "--plan" if count is not None else "--log" if logs else "--stands"
     )
     refuse_unused(mode, _USES)
-    if degrees and output is None:
-        raise ConfigurationError("--degrees", diagnose("degrees-of-no-plan"))
     if output is None:
         refuse_alone(("--output",), "anyway")
     mass = None if weight is None else shared.parse_measure("weight", "mass", weight)
     load = None if added is None else shared.parse_measure("added", "mass", added)
     if load == 0:
         refuse_alone(("--added",), "added_at")
-    sure = None if encoder is None else shared.parse_measure("encoder", "angle", encoder)
     meant = which.one(words) or "v3"
     robot = robot_from(meant)
     stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
     result: Fit | StandPlan | Recording
     if record is not None:
-        result = _record(robot, record, output, bridge, speed)
+        result = _record(robot, record, output, bridge)
     elif count is not None:
         from pupper_analysis.tools.fit.stands.plan import plan_stands, write_plan
 
@@ -239,13 +215,17 @@ def command(
                 added_at=None if added_at is None else shared.parse_place("added-at", added_at),
             )
         if output is not None:
-            write_plan(result, output, degrees=degrees)
+            write_plan(result, output)
             shared.confirm_written(output)
     else:
         from pupper_analysis.tools.fit.fit import fit as fit_numbers
+        from pupper_analysis.tools.fit.measurements.log import read_log
         from pupper_analysis.tools.fit.measurements.stands import read_stands
 
-        measured = read_stands(stands) if stands is not None else _read_logs(logs, topics, joints)
+        said = dict(shared.parse_assignment("--topic", one) for one in topics)
+        names = joints.split(",") if joints else ()
+        read = [read_log(path, topics=said, joints=names) for path in logs]
+        measured = read if stands is None else read_stands(stands)
         with shared.show_progress("fitting the robot's numbers to the measurements"):
             result = fit_numbers(
                 robot,
@@ -254,7 +234,6 @@ def command(
                 kp=stiffness,
                 kd=damping,
                 weight=mass,
-                encoder=sure,
                 hold_out=hold_out,
             )
     if style == "text":
@@ -267,22 +246,17 @@ def command(
     shared.finish_command(json_path, result, passed=passed)
 
 
-def _record(
-    robot: Robot, plan: Path, output: Path | None, bridge: str | None, speed: str | None
-) -> Recording:
+def _record(robot: Robot, plan: Path, output: Path | None, bridge: str | None) -> Recording:
     """Takes the stands of a plan."""
     from pupper_analysis.tools.fit.record.bridge import open_bridge
-    from pupper_analysis.tools.fit.record.recorder import SPEED, record_stands
+    from pupper_analysis.tools.fit.record.recorder import record_stands
 
     for option, given in (("--bridge", bridge), ("--output", output)):
         if given is None:
             raise ConfigurationError(option, diagnose("recording-needs"))
     assert output is not None
-    fast = SPEED if speed is None else shared.parse_measure("speed", "velocity", speed)
-    if not fast > 0:
-        raise ConfigurationError("--speed", diagnose("not-positive", value=fast))
     way, person = open_bridge(str(bridge), robot)
-    return record_stands(robot, plan, output, way, person, speed=fast)
+    return record_stands(robot, plan, output, way, person)
 
 
 def _write(
@@ -316,12 +290,3 @@ def _write(
         more = f" (and {alike} more of this kind)" if alike else ""
         click.echo(f"note: {note}{more}", err=True)
     shared.confirm_written(folder)
-
-
-def _read_logs(paths: tuple[Path, ...], topics: tuple[str, ...], joints: str | None) -> list[Log]:
-    """Reads logs, of bags the topics that are said."""
-    from pupper_analysis.tools.fit.measurements.log import read_log
-
-    said = dict(shared.parse_assignment("--topic", one) for one in topics)
-    names = joints.split(",") if joints else ()
-    return [read_log(path, topics=said, joints=names) for path in paths]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +25,6 @@ a hundredth of a standard deviation, which no interval shows."""
 _STALLED = 0.01
 """Of a rough cost: where a step promises more and none gives it, derivatives are wrong."""
 
-_NEAR = 100.0
-"""Times the step that is let go: derivatives from so near, a standard deviation as a rule, do."""
-
-_KEPT = 0.5
-"""Of what a step promised: where less came, or twice as much, derivatives are made anew."""
 
 _LEAST_KEPT = 0.1
 """Of what a step promised: with less it is not taken, and a shorter one tried."""
@@ -41,10 +35,6 @@ with the square, and what nobody weighed follows kp along a valley that bends.""
 
 _OPEN = 1.0
 """Of the cost: a standard deviation, that is not looked for any more and widens intervals."""
-
-_MUDDY = 10.0
-"""Of the cost: where no more is gained, and little of what was promised, derivatives to one side
-misled, as where a joint begins to slip; of a longer step it is the way that bends."""
 
 _LEAST_DAMPING = 1e-3
 """Levenberg's, in parts of the diagonal: less is none to speak of."""
@@ -130,8 +120,6 @@ class Posterior:
         chi2: Sum of squares of the whitened residuals left.
         moved: (n,) how far the parameters moved, in what were their widths.
         rows: How many residuals there are.
-        steps: Gauss-Newton steps.
-        open_step: (n,) a step that was promised to be better and was not found; None as a rule.
     """
 
     parameters: tuple[Parameter, ...]
@@ -142,8 +130,14 @@ class Posterior:
     chi2: float
     moved: Array
     rows: int
-    steps: int
-    open_step: Array | None = None
+
+    @staticmethod
+    def before(table: ParameterTable) -> Posterior:
+        """Returns what is known without measurements."""
+        none, width = np.zeros((len(table), len(table))), table.width
+        covariance = width[:, None] * np.linalg.inv(table.precision) * width
+        known = none, table.precision, 0.0, np.zeros(len(table)), 0
+        return Posterior(table.parameters, table.stated, covariance, *known)
 
     @property
     def std(self) -> Array:
@@ -183,7 +177,6 @@ def estimate_parameters(
     *,
     least: Array | None = None,
     enough: float = _SETTLED,
-    jacobian: JacobianReuse | None = None,
 ) -> Posterior:
     """Returns the parameters that measurements and priors make most probable.
 
@@ -193,9 +186,8 @@ def estimate_parameters(
     derivative is taken of it: residuals would be made small by parameters that make noise large.
     What means nothing below zero stays above.
 
-    Derivatives that cost much are used again as long as steps keep what they promise; they are made
-    anew at the end. Where joints stick and slip a simulation's cost has steps, and even then there
-    may be none that gains: what was promised is added to what is not known.
+    Where joints stick and slip a simulation's cost has steps, and there may be none that gains:
+    what was promised is added to what is not known.
 
     Args:
         table: The parameters.
@@ -204,7 +196,6 @@ def estimate_parameters(
         start: (n,) to begin with; the stated values by default.
         least: (n,) below which parameters mean nothing; 0 of kinds that are positive, by default.
         enough: A step that promises no more is not taken.
-        jacobian: The derivatives that ``linearise`` uses. By default it makes its own each time.
 
     Raises:
         FitError: If it does not converge.
@@ -212,40 +203,23 @@ def estimate_parameters(
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
     if least is None:
         least = np.array([0.0 if KINDS[one.kind].positive else -np.inf for one in table])
-    costly, damping = jacobian is not None, 0.0
-    jacobian = jacobian or JacobianReuse()
-    made = jacobian.made
+    damping = 0.0
     for steps in range(1, _MOST_STEPS + 1):
-        jacobian.prepare(x)
         here = _Quadratic(table, linearise(x, x), x, least)
         if not here.has_minimum:
             break
-        whole_step = here.step(0.0)
-        promised = here.promise(whole_step)
+        step = here.step(0.0)
+        promised = here.promise(step)
         if promised < enough:
-            if jacobian.are_near(x, here.curvature, _NEAR * enough):
-                return here.posterior(steps)
-            jacobian.outdated = True
-            continue
-        spent = jacobian.spent(made) and promised < _STALLED * here.cost
-        if spent or (steps == _MOST_STEPS and promised < _OPEN):
-            return here.posterior(steps, whole_step)
-        moved, damping = _move(here, linearise, damping, plain=not jacobian.are_at(x))
-        at_x = jacobian.are_at(x)
-        if (moved is not None and moved.gain > enough) and (
-            not (at_x and costly)
-            or moved.gain > _KEPT * promised
-            or moved.gain > max(_LEAST_KEPT * promised, _MUDDY)
-        ):
-            x, jacobian.outdated = moved.x, not _KEPT <= moved.kept <= 1 / _KEPT
-        elif not at_x:
-            jacobian.outdated, damping = True, 0.0
-        elif promised < (_STALLED * here.cost if costly and moved is None else _OPEN):
-            return here.posterior(steps, whole_step)
-        elif moved is not None:
-            x, jacobian.outdated = moved.x, True
-        else:
-            break
+            return here.posterior()
+        moved, damping = _move(here, linearise, damping)
+        # A rough cost, or one whose noise follows: what is promised and not found widens intervals.
+        if moved is None or moved[1] <= enough or steps == _MOST_STEPS:
+            if promised < max(_OPEN, _STALLED * here.cost):
+                return here.posterior(step)
+            if moved is None:
+                break
+        x = moved[0]
     raise FitError(diagnose("fit-does-not-converge", steps=steps))
 
 
@@ -264,40 +238,20 @@ class _Quadratic:
         x: (n,) values.
         least: (n,) of them.
         cost: What is minimised.
+        information: (n, n) of the measurements, in the priors' widths.
+        whole: (n, n) with what was known before.
+        downhill: (n,) half the negative gradient.
     """
 
     def __init__(
         self, table: ParameterTable, linearised: Linearised, x: Array, least: Array
     ) -> None:
         self.table, self.linearised, self.x, self.least = table, linearised, x, least
-        self._z = (x - table.stated) / table.width
+        width, self._z = table.width, (x - table.stated) / table.width
         self.cost = linearised.chi2 + float(self._z @ table.precision @ self._z)
-
-    @cached_property
-    def information(self) -> Array:
-        """(n, n) of the measurements, in the priors' widths."""
-        width = self.table.width
-        found: Array = width[:, None] * self.linearised.information * width
-        return found
-
-    @cached_property
-    def whole(self) -> Array:
-        """(n, n) with what was known before."""
-        return self.information + self.table.precision
-
-    @cached_property
-    def downhill(self) -> Array:
-        """(n,) half the negative gradient."""
-        found: Array = -(
-            self.table.width * self.linearised.gradient + self.table.precision @ self._z
-        )
-        return found
-
-    @property
-    def curvature(self) -> Array:
-        """(n, n) the same in the parameters' units."""
-        found: Array = self.whole / np.outer(self.table.width, self.table.width)
-        return found
+        self.information: Array = width[:, None] * linearised.information * width
+        self.whole = self.information + table.precision
+        self.downhill: Array = -(width * linearised.gradient + table.precision @ self._z)
 
     @property
     def has_minimum(self) -> bool:
@@ -331,11 +285,10 @@ class _Quadratic:
         """Returns by how much a step makes the cost less, if derivatives are right."""
         return float(step @ (2 * self.downhill - self.whole @ step))
 
-    def posterior(self, steps: int, open_step: Array | None = None) -> Posterior:
+    def posterior(self, open_step: Array | None = None) -> Posterior:
         """Returns what is known, if these are the best parameters.
 
         Args:
-            steps: How many were taken.
             open_step: (n,) one that was promised and not found.
         """
         width = self.table.width
@@ -352,35 +305,13 @@ class _Quadratic:
             chi2=self.linearised.chi2,
             moved=self._z,
             rows=self.linearised.rows,
-            steps=steps,
-            open_step=None if open_step is None else width * open_step,
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Moved:
-    """A step that was taken: to where, what it gained, and which part of its promise that is."""
-
-    x: Array
-    gain: float
-    kept: float
-
-
 def _move(
-    here: _Quadratic,
-    linearise: Callable[[Array, Array], Linearised],
-    damping: float,
-    *,
-    plain: bool,
-) -> tuple[_Moved | None, float]:
-    """Returns parameters of less cost, if there are any; and the damping.
-
-    Args:
-        here: Where it begins.
-        linearise: As ``estimate_parameters`` has it.
-        damping: To begin with.
-        plain: Whether other dampings are not tried, as derivatives may be at fault.
-    """
+    here: _Quadratic, linearise: Callable[[Array, Array], Linearised], damping: float
+) -> tuple[tuple[Array, float] | None, float]:
+    """Returns parameters of less cost and what they gain, if there are any; and the damping."""
     table, x = here.table, here.x
     while damping <= _MOST_DAMPING:
         step = here.step(damping)
@@ -390,65 +321,10 @@ def _move(
             gain = here.cost - there.cost
             if gain >= _LEAST_KEPT * promised - _SETTLED:
                 less = damping / 10 if damping > _LEAST_DAMPING else 0.0
-                return _Moved(tried, gain, gain / promised), less
+                return (tried, gain), less
             if not bends_left or not there.has_minimum:
                 break
             # What the same derivatives make of what is left there is how the way bends.
             tried = tried + table.width * there.step(0.0)
-        if plain:
-            break
         damping = max(10 * damping, _LEAST_DAMPING)
     return None, damping
-
-
-# Derivatives that cost much: made when they are needed, and used as long as they do.
-
-
-_MOST = 6
-"""Times: fits that end make them one to four times with the same noise."""
-
-
-class JacobianReuse:
-    """Derivatives that are made when they are needed, and how good they are.
-
-    Args:
-        renew: Makes those that ``linearise`` uses, at parameters. None: it makes its own each time.
-
-    Attributes:
-        outdated: Whether they are to be made anew.
-        made: How often they were.
-    """
-
-    def __init__(self, renew: Callable[[Array], None] | None = None) -> None:
-        self._renew = renew
-        self._at: Array | None = None
-        self.outdated, self.made = True, 0
-
-    def prepare(self, x: Array) -> None:
-        """Makes them at some parameters, if those that there are have misled."""
-        if self._renew is not None and self.outdated:
-            self._renew(x)
-            self._at = x.copy()
-            self.made += 1
-        self.outdated = False
-
-    def spent(self, before: int) -> bool:
-        """Says whether they were made so often since then that it leads nowhere."""
-        return self.made - before >= _MOST
-
-    def are_at(self, x: Array) -> bool:
-        """Says whether they were made at some parameters."""
-        return self._renew is None or (self._at is not None and np.array_equal(self._at, x))
-
-    def are_near(self, x: Array, curvature: Array, most: float) -> bool:
-        """Says whether they were made near by.
-
-        Args:
-            x: (n,) the parameters.
-            curvature: (n, n) of the cost.
-            most: By what the cost may rise from here to there.
-        """
-        if self._renew is None or self._at is None:
-            return True
-        off = x - self._at
-        return float(off @ curvature @ off) < most

@@ -50,26 +50,14 @@ def fit(
         FitError: If it does not converge.
         MeasurementError: If the measurements are none of this robot's, or tell nothing.
     """
-    measured = "stands" if isinstance(measurements, MeasuredStands) else "log"
-    given: dict[str, object] = {
-        "kp": kp,
-        "kd": kd,
-        "weight": weight,
-        "encoder": encoder,
-        "hold_out": hold_out,
-    }
-    for name, value in given.items():
-        if value is not None and name not in _OPTIONS[measured]:
+    stands = isinstance(measurements, MeasuredStands)
+    unused = {"kd": kd, "hold_out": hold_out} if stands else {"weight": weight, "encoder": encoder}
+    for name, value in unused.items():
+        if value is not None:
+            measured = "stands" if stands else "log"
             raise ConfigurationError(name, diagnose("option-of-others", measured=measured))
     if isinstance(measurements, MeasuredStands):
         return fit_stands(robot, measurements, priors=priors, weight=weight, kp=kp, encoder=encoder)
     share = HOLD_OUT if hold_out is None else hold_out
     logs = [measurements] if isinstance(measurements, Log) else measurements
     return fit_motion(robot, logs, priors=priors, hold_out=share, kp=kp, kd=kd)
-
-
-_OPTIONS = {
-    "stands": ("kp", "weight", "encoder"),
-    "log": ("kp", "kd", "hold_out"),
-}
-"""{what was measured: which options it has}."""

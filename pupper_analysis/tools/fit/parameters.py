@@ -58,7 +58,6 @@ KINDS: Mapping[str, ParameterKind] = {
         # Gains of servos are asked for in units of their driver, current and not torque: if one is
         # wrong by a factor, all are. Were they not bound, twelve would be known on average.
         ParameterKind("kp", "N m/rad", share=0.3, positive=True, factor=True, common=0.5),
-        ParameterKind("kd", "N m s/rad", share=0.5, positive=True),
         # Gearboxes of small servos: Pupper's upstream model with play has 12 times the other's.
         ParameterKind("friction", "N m", share=1.0, width=0.05, positive=True),
         ParameterKind("damping", "N m s/rad", share=1.0, width=0.02, positive=True),
@@ -69,8 +68,9 @@ KINDS: Mapping[str, ParameterKind] = {
         # Of the ground under the feet, in parts of what the MJCF says: 0 is a rigid floor, which
         # is as far away as twice as soft a one.
         ParameterKind("softness", "1", width=0.5),
-        # Of a leg's last link, from its joint to the foot: parts are printed and glued.
-        ParameterKind("length", "m", width=5e-4),
+        # Factor on a leg's last link, from its joint to the foot: legs of another variant are some
+        # per cent longer, and hide in the zeros of encoders and in uneven ground.
+        ParameterKind("length", "1", width=0.02),
         # What a foot that turned on the ground, or rolled, keeps in every stand alike, in parts of
         # the force on it.
         ParameterKind("moment", "m", width=3e-4),
@@ -79,18 +79,16 @@ KINDS: Mapping[str, ParameterKind] = {
         # What stands on the feet and no scale has shown, in parts of the weight: a pack that was
         # put on later; less, if a cable carries. A pack of a tenth is within that, and nothing but
         # a known mass speaks against it. Sideways it would be a slope, which is estimated.
-        ParameterKind("load", "1", width=0.06),
+        ParameterKind("load", "1", width=0.08),
         # A known mass that was put on, by a kitchen scale; and where, by a ruler.
         ParameterKind("added", "1", width=0.005, positive=True),
         ParameterKind("place", "m", width=3e-3),
-        # How an IMU is glued to its base.
-        ParameterKind("imu", "rad", width=math.radians(1.0)),
     )
 }
 """The kinds, each with what is known before anything is measured, unless a prior says otherwise."""
 
 OF_SURROUNDINGS = (
-    *("slope", "softness", "length", "moment", "deadband", "load", "imu", "added", "place"),
+    *("slope", "softness", "length", "moment", "deadband", "load", "added", "place"),
 )
 """Kinds that are no number of the robot's files."""
 
@@ -275,6 +273,29 @@ class ParameterTable:
         """Returns a parameter's value in a vector, or another if it is known."""
         place = self._at.get((kind, subject, component))
         return otherwise if place is None else float(vector[place])
+
+    def inertial(self, vector: Array, link: str, stated: pin.Inertia) -> tuple[float, Array]:
+        """Returns the mass (kg) and the com (3,) (m) of a link's body, as a vector has them."""
+        mass = self.value(vector, "mass", link, "", stated.mass)
+        return mass, self.of_each_axis(vector, link, stated.lever)
+
+    def of_each_axis(self, vector: Array, link: str, stated: Array) -> Array:
+        """Returns the com (3,) of a link's body, whose stated one is given (m)."""
+        return np.array(
+            [
+                self.value(vector, "com", link, axis, float(own))
+                for axis, own in zip(AXES, stated, strict=True)
+            ]
+        )
+
+    def of_each(self, vector: Array, kind: str, subjects: Iterable[str], stated: Array) -> Array:
+        """Returns the values (k,) of a kind for some subjects, whose stated ones are given."""
+        return np.array(
+            [
+                self.value(vector, kind, one, "", float(own))
+                for one, own in zip(subjects, stated, strict=True)
+            ]
+        )
 
 
 # The links that bodies are named by: of all that a joint moves, the one whose frame is its own.

@@ -5,30 +5,27 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import orjson
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError, InputError
-from pupper_analysis.base.files import Writing, whole_file, write_all
+from pupper_analysis.base.errors import InputError
+from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import MOST_TEXT, read_input
-from pupper_analysis.base.kinds import FIT_FOLDER, RANGES
+from pupper_analysis.base.kinds import FIT_FOLDER
 from pupper_analysis.base.provenance import marked_json
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import AXES as COMPONENTS
 from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
-from pupper_analysis.tools.study.parameters import AXES, Named
 from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.numbers import (
     OF_BODIES,
@@ -46,83 +43,23 @@ _NOTHING = 1e-3
 _DIGITS = 2
 """Written beyond the first of a standard deviation: what is rounded away nobody knows."""
 
-_FACTORS = {
-    "mass": "mass",
-    "kp": "kp",
-    "kd": "kd",
-    "friction": "frictionloss",
-    "damping": "damping",
-    "armature": "armature",
-}
-"""{kind: what studies and policies call a factor on it}."""
+_FACTORS = ("mass", "kp", "friction", "damping", "armature")
+"""Kinds of which studies and policies have a factor."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitFiles:
-    """What is to be written of a fit, tried and in memory.
+    """What was written of a fit.
 
     Attributes:
         models: The corrected URDF and MJCF.
         vector: (n,) the parameters as they are written, of as many digits as are known.
-        contents: {name in the folder: content}: ``fit.json``, ``offsets.csv`` if there are any,
-            ``samples.csv``.
-        spreads: {factor of studies: {"normal": (mean, standard deviation)}}, on these models.
         diagnostics: What is in no model.
     """
 
     models: WrittenNumbers
     vector: Array
-    contents: Mapping[Path, bytes]
-    spreads: Mapping[str, Mapping[str, tuple[float, float]]]
     diagnostics: tuple[Diagnostic, ...]
-
-
-def fit_files(
-    robot: Robot,
-    posterior: Posterior,
-    *,
-    fit: object = None,
-    files: tuple[Path | None, Path | None] | None = None,
-    packages: Mapping[str, Path] | None = None,
-) -> FitFiles:
-    """Makes the files of a fit, in memory.
-
-    Args:
-        robot: The robot, as its files have it.
-        posterior: What is known of its parameters.
-        fit: The result that is written to ``fit.json`` beside what is written.
-        files: The URDF and the MJCF, if they are not those that the robot was loaded from.
-        packages: {ROS package: its folder}, for ``package://`` paths.
-
-    Raises:
-        ModelError: If not all numbers can be written.
-    """
-    least = [
-        _LEAST * one.stated if KINDS[one.kind].factor else -np.inf for one in posterior.parameters
-    ]
-    vector = _rounded(np.maximum(posterior.mean, least), posterior)
-    numbers, left = _numbers(robot, posterior, vector)
-    models = write_numbers(robot, numbers, files=files, packages=packages)
-    finding = (*left, *models.notes)
-    contents = {Path("fit.json"): _json(posterior, vector, models, finding, fit)}
-    offsets = [
-        (one.subject, value)
-        for one, value in zip(posterior.parameters, vector.tolist(), strict=True)
-        if one.kind == "offset"
-    ]
-    if offsets:
-        contents[Path("offsets.csv")] = _csv(offsets)
-    names, samples = draw_samples(posterior, vector)
-    if names:
-        contents[Path("samples.csv")] = _samples_csv(names, samples)
-    spreads = {
-        name: {"normal": spread}
-        for one, value, std in zip(
-            posterior.parameters, vector.tolist(), posterior.std.tolist(), strict=True
-        )
-        for name, spread in _spread(one, value, std)
-    }
-    return FitFiles(models, vector, contents, spreads, finding)
 
 
 def _rounded(vector: Array, posterior: Posterior) -> Array:
@@ -178,12 +115,12 @@ def _put_component(
     numbers[one.kind, one.subject] = com
 
 
-def _spread(one: Parameter, value: float, std: float) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Yields how a number is spread about that of the corrected model, as studies say it."""
+def _name(one: Parameter, value: float) -> str:
+    """Returns what studies call a factor on a number of the corrected model; "" of none."""
     if one.kind == "com":
-        yield f"com_{one.component}:{escape(one.subject)}", (0.0, std)
-    elif one.kind in _FACTORS and value > 0:
-        yield f"{_FACTORS[one.kind]}:{escape(one.subject)}", (1.0, std / value)
+        return f"com_{one.component}:{escape(one.subject)}"
+    kind = "frictionloss" if one.kind == "friction" else one.kind
+    return f"{kind}:{escape(one.subject)}" if one.kind in _FACTORS and value else ""
 
 
 SAMPLES = 512
@@ -227,7 +164,7 @@ def draw_samples(
             break
     names, columns = [], []
     for at, one in enumerate(parameters):
-        for name, _ in _spread(one, float(vector[at]), float(posterior.std[at])):
+        if name := _name(one, float(vector[at])):
             names.append(name)
             column = drawn[:, at]
             if one.kind != "com":
@@ -245,22 +182,16 @@ _LEAST = 0.1
 """Of a mass or a stiffness: a link that weighs a tenth of it is another link."""
 
 
-def _samples_csv(names: tuple[str, ...], samples: Array) -> bytes:
-    text = io.StringIO()
-    text.write("# Samples of a fitted robot. One a row: factors on the corrected models' numbers,")
-    text.write(" com_x, com_y, com_z: to be added (m).\n")
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(names)
-    rows.writerows([_short(value) for value in row] for row in samples.tolist())
-    return text.getvalue().encode()
+_ABOUT_SAMPLES = """\
+# Samples of a fitted robot. One a row: factors on the corrected models' numbers, com_x, com_y, \
+com_z: to be added (m).
+"""
 
 
-def _csv(offsets: list[tuple[str, float]]) -> bytes:
+def _csv(header: Iterable[str], rows: Iterable[Iterable[object]], about: str = "") -> bytes:
     text = io.StringIO()
-    text.write("joint,offset_rad,offset_deg\n")
-    for joint, offset in offsets:
-        name = '"' + joint.replace('"', '""') + '"' if set(joint) & set(',"\n') else joint
-        text.write(f"{name},{offset:.9g},{math.degrees(offset):.7g}\n")
+    text.write(about)
+    csv.writer(text, lineterminator="\n").writerows([header, *rows])
     return text.getvalue().encode()
 
 
@@ -272,19 +203,9 @@ def _json(
     fit: object,
 ) -> bytes:
     rows = [
-        {
-            "name": one.name,
-            "kind": one.kind,
-            "subject": one.subject,
-            "component": one.component,
-            "unit": one.unit,
-            "stated": one.stated,
-            "mean": mean,
-            "std": std,
-            "low": low,
-            "high": high,
-            "written": value,
-        }
+        {"name": one.name, "kind": one.kind, "subject": one.subject, "component": one.component}
+        | {"unit": one.unit, "stated": one.stated, "mean": mean, "std": std}
+        | {"low": low, "high": high, "written": value}
         for one, mean, std, (low, high), value in zip(
             posterior.parameters,
             posterior.mean.tolist(),
@@ -307,7 +228,7 @@ def _json(
     return marked_json(document).encode()
 
 
-# Writes what a fit found: models, offsets, and ranges for those who train policies.
+# Writes what a fit found: models, offsets, and samples for those who train policies.
 
 
 def write_fit(
@@ -326,8 +247,7 @@ def write_fit(
     each other; no byte of the models is another but those of numbers that changed. ``fit.json``
     has all parameters with their covariance, ``offsets.csv`` what encoders show beyond the angle
     (take it from a position, add it to a command), ``samples.csv`` robots that the measurements
-    leave possible, and ``ranges.yaml`` how each of the corrected models' numbers is spread by
-    itself, where no joint samples can be read: factors and offsets by the names that studies have.
+    leave possible, by the names that studies have.
 
     Args:
         robot: The robot, as its files have it.
@@ -347,25 +267,31 @@ def write_fit(
         OutputError: If a file cannot be or must not be replaced, or is one that the robot was
             loaded from.
     """
-    folder = Path(folder)
-    made = fit_files(robot, posterior, fit=fit, files=files, packages=packages)
-    contents = dict(made.contents)
-    if made.spreads:
-        ranges = randomisation_text(made.spreads).replace("\n", _MARGINALS, 1)
-        contents[Path("ranges.yaml")] = ranges.encode()
-    writings = made.models.writings(folder, _made_before(folder), force=force)
+    folder, parameters = Path(folder), posterior.parameters
+    least = [_LEAST * one.stated if KINDS[one.kind].factor else -np.inf for one in parameters]
+    vector = _rounded(np.maximum(posterior.mean, least), posterior)
+    numbers, left = _numbers(robot, posterior, vector)
+    models = write_numbers(robot, numbers, files=files, packages=packages)
+    finding = (*left, *models.notes)
+    contents = {"fit.json": _json(posterior, vector, models, finding, fit)}
+    offsets = [
+        (one.subject, f"{value:.9g}", f"{math.degrees(value):.7g}")
+        for one, value in zip(parameters, vector.tolist(), strict=True)
+        if one.kind == "offset"
+    ]
+    if offsets:
+        contents["offsets.csv"] = _csv(("joint", "offset_rad", "offset_deg"), offsets)
+    names, samples = draw_samples(posterior, vector)
+    if names:
+        rows = [[f"{value:.12g}" for value in row] for row in samples.tolist()]
+        contents["samples.csv"] = _csv(names, rows, _ABOUT_SAMPLES)
+    writings = models.writings(folder, _made_before(folder), force=force)
     writings += [
-        Writing(folder / name, content, FIT_FOLDER.files[name.name], force=force)
+        Writing(folder / name, content, FIT_FOLDER.files[name], force=force)
         for name, content in contents.items()
     ]
     write_all(writings)
-    return made
-
-
-_MARGINALS = """
-# Each by itself: drawn so, whole masses and coms are spread more widely than was measured. Where a
-# trainer can draw rows, let it draw those of samples.csv.
-"""
+    return FitFiles(models, vector, finding)
 
 
 def _made_before(folder: Path) -> dict[str, str]:
@@ -375,69 +301,3 @@ def _made_before(folder: Path) -> dict[str, str]:
         return {str(place): str(known) for place, known in found["files"].items()}
     except (InputError, ValueError, TypeError, KeyError, AttributeError):
         return {}
-
-
-_RANGE_DIGITS = 12
-"""Significant digits: what is beyond is rounding, as in 0.39999999999999997."""
-
-
-def write_randomisation(
-    spreads: Mapping[str, Mapping[str, Any]], path: str | Path, *, force: bool = False
-) -> None:
-    """Writes spreads for the domain randomisation of those who train policies, as YAML.
-
-    Each entry has the number, how it acts (``scale`` on the model's value, ``add`` to it, or
-    ``absolute``), the distribution, and its numbers.
-
-    Args:
-        spreads: {variable: {kind: numbers}}, as ``Tolerance.spreads`` or ``Study.spreads``.
-            ``KIND:each:PATTERN`` is drawn for each that matches, ``KIND:PATTERN`` once for all.
-        path: The file.
-        force: Replace what is no such file, too.
-
-    Raises:
-        ConfigurationError: If a spread is none.
-        OutputError: If it cannot be written, or is no such file.
-    """
-    check_type("path", path, str | Path)
-    text = randomisation_text(spreads)
-    with whole_file(Path(path), RANGES, force=force) as file:
-        file.write(text.encode())
-
-
-def randomisation_text(spreads: Mapping[str, Mapping[str, Any]]) -> str:
-    """Returns what ``write_randomisation`` writes.
-
-    Raises:
-        ConfigurationError: If a spread is none.
-    """
-    check_type("spreads", spreads, Mapping[str, Mapping[str, Any]])
-    for name, given in spreads.items():
-        if not isinstance(given, Mapping) or len(given) != 1:
-            finding = diagnose("no-spread", name=name, given=repr(given))
-            raise ConfigurationError("spreads", finding)
-    return "\n".join(_yaml(spreads)) + "\n"
-
-
-def _yaml(spreads: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
-    yield "# Domain randomization. scale: a factor on the model's value; add: to it; absolute: it."
-    for name, given in spreads.items():
-        ((kind, numbers),) = given.items()
-        keys = {"normal": ("mean", "std"), "values": (), "linspace": ("low", "high", "count")}
-        listed = keys.get(kind, ("low", "high"))
-        acts = "scale" if ":" in name or name.endswith("_scale") else "absolute"
-        acts = "add" if name.partition(":")[0] in AXES else acts
-        yield f'- name: "{name}"'
-        yield f"  operation: {acts}"
-        if named := Named.of(name):
-            yield f"  drawn: {'for each' if named.each else 'once'}"
-        yield f"  distribution: {kind}"
-        if not listed:
-            yield f"  values: [{', '.join(map(_short, numbers))}]"
-        for key, value in zip(listed, numbers, strict=False):
-            yield f"  {key}: {_short(value)}"
-
-
-def _short(value: Any) -> str:
-    """Returns a number without the digits of rounding."""
-    return repr(float(f"{float(value):.{_RANGE_DIGITS}g}"))

@@ -1,4 +1,3 @@
-from ..fit.write import write_randomisation as write_randomisation
 from .outcome import StudyOutcome as StudyOutcome
 from .outcome import pareto_front as pareto_front
 from .outcome import study_outcome as study_outcome
@@ -9,3 +8,4 @@ from .variables import uniform as uniform
 from .variables import values as values
 from .write import WrittenDesign as WrittenDesign
 from .write import write_design as write_design
+from .write import write_randomisation as write_randomisation

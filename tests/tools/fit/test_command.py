@@ -40,15 +40,20 @@ def test_a_plan_is_measured_and_fitted(capfd: pytest.CaptureFixture[str], tmp_pa
         assert json.loads(found.read_text())["explained"] is False
 
 
+def write(path: Path, time: np.ndarray, position: np.ndarray, command: np.ndarray) -> None:
+    rows = np.column_stack([time, position, np.rad2deg(command)])
+    head = "time,position.turn,command.turn [deg]"
+    np.savetxt(path, rows, "%.7f", ",", header=head, comments="")
+
+
 def test_a_motion_is_fitted_and_the_files_corrected(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = tmp_path / "bar.urdf", tmp_path / "bar.xml"
     for file, text in zip(files, (URDF, MJCF), strict=True):
         file.write_text(text, encoding="utf-8")
-    swing, found, path = log().part(slice(0, 600)), tmp_path / "fit.json", tmp_path / "log.npz"
-    arrays = {"joints": swing.joints, "time": swing.time, "position": swing.position}
-    np.savez(path, **arrays, **{"command [deg]": np.rad2deg(swing.command)})
+    swing, found, path = log().part(slice(0, 600)), tmp_path / "fit.json", tmp_path / "log.csv"
+    write(path, swing.time, swing.position, swing.command)
     given = ("fit", *map(str, files), "--log", str(path), "--prior", "mass=0", "--prior", "com=0")
     messages = ("-o", str(tmp_path / "fitted"), "--json", str(found))
     status, out, err = run_command(capfd, *given, *messages)
@@ -59,9 +64,7 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     assert 'kp="5"' not in (tmp_path / "fitted" / "bar.xml").read_text()
     # Something else moves it: nothing is written, but on demand, with wider intervals.
     shaken = swing.position + 0.05 * np.sin(40 * swing.time)[:, None]
-    np.savez(
-        path, **(arrays | {"position": shaken}), **{"command [deg]": np.rad2deg(swing.command)}
-    )
+    write(path, swing.time, shaken, swing.command)
     messages = ("-o", str(tmp_path / "shaken"), "--json", str(found), "--force")
     assert run_command(capfd, *given, *messages)[0] == 1
     assert not (tmp_path / "shaken").exists()
@@ -76,7 +79,7 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     here.mkdir()
     monkeypatch.chdir(here)
     check_refusal(capfd, here, (*given, "--topic", "state=/joint_states"), "bag")
-    np.savez(path, **arrays, torque=swing.position)
+    path.write_text(path.read_text().replace("command.turn [deg]", "torque.turn"))
     check_refusal(capfd, here, given, "fitted by the positions that its servos were asked for")
 
 

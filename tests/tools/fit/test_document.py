@@ -14,11 +14,10 @@ from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import Parameter
 from pupper_analysis.tools.fit.result import (
-    Combination,
     Determined,
     Estimate,
-    Expected,
     MotionFit,
+    describe_parameter,
     describe_parameters,
 )
 from pupper_analysis.tools.fit.stands.fit import JointResidual, StandFit
@@ -49,11 +48,10 @@ def posterior() -> Posterior:
         chi2=30.0,
         moved=np.array([1.0, -1.0, 1.0, 0.3]),
         rows=40,
-        steps=3,
     )
 
 
-COMBINATIONS = (Combination(("kp knee", "mass calf"), True, 0.1, {"weigh-the-robot": 12.34}),)
+FACTOR = Estimate("kp servos", "kp", "servos", "", "1", 1.0, 0.9, 0.01, 0.88, 0.92, Determined.DATA)
 
 
 def stand_fit() -> StandFit:
@@ -62,7 +60,6 @@ def stand_fit() -> StandFit:
         name="dog",
         source="stands.csv",
         estimates=tuple(describe_parameters(known)),
-        combinations=COMBINATIONS,
         failures=(),
         diagnostics=(),
         posterior=known,
@@ -76,17 +73,14 @@ def stand_fit() -> StandFit:
             )
             for axis, at in (("x", 0.012), ("y", -0.001), ("z", 0.005))
         ),
-        kp_factor=Estimate(
-            "kp servos", "kp", "servos", "", "1", 1.0, 0.9, 0.01, 0.88, 0.92, Determined.DATA
-        ),
+        kp_factor=FACTOR,
+        kp_over_mass=FACTOR,
         weight=3.5,
         residuals={"s1": 0.5, "s2": 1.5},
         joint_residuals=(
             JointResidual("s2", "knee", -0.004, -3.2),
             JointResidual("s1", "hip", 0.001, 0.7),
         ),
-        chi2=30.0,
-        freedom=38.0,
         noise={"encoder": 1e-4},
     )
 
@@ -97,7 +91,6 @@ def motion_fit() -> MotionFit:
         name="dog",
         source="hang.csv",
         estimates=tuple(describe_parameters(known)),
-        combinations=(),
         failures=(),
         diagnostics=(),
         posterior=known,
@@ -109,7 +102,7 @@ def motion_fit() -> MotionFit:
         repeatability=0.0015,
         by_joint={"knee": 0.003, "hip": 0.001},
         encoder_noise={"knee": 0.0004, "hip": 0.0005},
-        steps=2,
+        kp_over_mass=FACTOR,
     )
 
 
@@ -120,9 +113,8 @@ def stand_plan() -> StandPlan:
             PlannedStand("s01", (), {"knee": 0.5, "hip": -0.1}, 0.25),
             PlannedStand("s02", ("FL",), {"knee": 0.6, "hip": -0.2}, 0.5),
         ),
-        expected=(Expected("offset knee", "rad", 0.0, 0.07, 0.01, Determined.PARTLY),),
+        expected=(describe_parameter(PARAMETERS[0], 0.01, 0.02, Determined.PARTLY),),
         candidates=72,
-        gain=10.0,
     )
 
 

@@ -1,4 +1,4 @@
-"""Most probable parameters against closed forms: straight, bent, bounded, with dear derivatives."""
+"""Most probable parameters against closed forms: straight, bent, bounded."""
 
 from __future__ import annotations
 
@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import FitError
-from pupper_analysis.tools.fit.estimate import (
-    JacobianReuse,
-    Linearised,
-    Posterior,
-    estimate_parameters,
-)
+from pupper_analysis.tools.fit.estimate import Linearised, estimate_parameters
 from pupper_analysis.tools.fit.motions.rollouts import Moments
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
 
@@ -53,7 +48,6 @@ def test_straight_measurements_and_a_prior_give_the_normal_equations_answer() ->
     trace = np.trace(covariance @ rows.T @ rows)
     assert found.freedom == pytest.approx(40 - trace)
     assert found.shares == pytest.approx(np.diag(covariance) / given.width**2)
-    assert found.open_step is None
 
 
 def test_without_measurements_all_stays_as_it_was_said() -> None:
@@ -92,29 +86,6 @@ def test_a_valley_that_bends_is_followed_to_its_end() -> None:
     assert found.mean == pytest.approx([1, 1], abs=1e-5)
 
 
-def search(enough: float = 1e-8) -> tuple[Posterior, int]:
-    """The same by derivatives that are dear: kept until they are asked for anew."""
-    kept = {}
-
-    def renew(x: Array) -> None:
-        kept["slopes"] = bent(x)[1]
-
-    def linearise(x: Array, _: Array) -> Linearised:
-        return Linearised.of(bent(x)[0], kept["slopes"])
-
-    jacobian = JacobianReuse(renew)
-    return estimate_parameters(WIDE, linearise, enough=enough, jacobian=jacobian), jacobian.made
-
-
-def test_derivatives_that_are_dear_are_made_less_often_and_the_answer_is_the_same() -> None:
-    found, made = search()
-    assert found.mean == pytest.approx([1, 1], abs=1e-4)
-    assert made < found.steps
-    # They were made near the end, not where it began: the covariance there is known.
-    jacobian = bent(np.array([1.0, 1.0]))[1]
-    assert found.covariance == pytest.approx(np.linalg.inv(jacobian.T @ jacobian), rel=1e-2)
-
-
 def test_where_no_step_keeps_its_promise_intervals_are_as_wide_as_what_was_promised() -> None:
     """A derivative of the wrong sign: the cost rises whichever way it goes."""
     given = ParameterTable([Parameter("offset", "x", "", 0.0, 1.0)])
@@ -123,8 +94,7 @@ def test_where_no_step_keeps_its_promise_intervals_are_as_wide_as_what_was_promi
         left = np.array([3.0 + 0.1 * np.abs(x[0]), 100.0])
         return Linearised.of(left, np.array([[0.5], [0.0]]))
 
-    found = estimate_parameters(given, linearise, jacobian=JacobianReuse(lambda _: None))
-    assert found.open_step == pytest.approx([-1.5 / 1.25])
+    found = estimate_parameters(given, linearise)
     assert found.covariance[0, 0] == pytest.approx(1 / 1.25 + (1.5 / 1.25) ** 2)
 
 

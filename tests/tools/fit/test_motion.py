@@ -13,7 +13,7 @@ import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, UnknownNameError
 from pupper_analysis.prepare.convert.load import load_robot
-from pupper_analysis.tools.fit.motions.fit import fit_motion, replayed
+from pupper_analysis.tools.fit.motions.fit import fit_motion, repeatability, replayed
 from pupper_analysis.tools.fit.motions.rollouts import Run
 from pupper_analysis.tools.fit.result import Determined, MotionFit, determined_by
 from tests.support.bar import MJCF, OFFSET, QUANTUM, TRUE, URDF, bar, log
@@ -53,10 +53,11 @@ def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
 @pytest.mark.longest
 def test_with_the_mass_not_known_either_all_is_told_in_ratio_only() -> None:
     found = fit_motion(bar(), [log()], priors=["com=0", "offset=0", "delay=0"])
-    (combination,) = found.combinations
-    assert combination.ratio
-    assert "mass bar" in combination.names
-    assert len(combination.names) > 1
+    assert {one.determined for one in found.estimates if one.kind in ("kp", "mass")} != {"data"}
+    ratio = found.kp_over_mass
+    assert ratio.determined is Determined.DATA
+    assert ratio.low < TRUE["kp"] / 5 < ratio.high
+    assert ratio.std < 0.05
 
 
 @pytest.mark.longest
@@ -85,12 +86,17 @@ def test_a_replay_is_known_by_its_commands_wherever_it_begins() -> None:
     assert replayed([fitted, run(one[37:637] + noise, out=True)]) > 0.99
     assert replayed([fitted, run(other[:600], out=True)]) < 0.9
     assert replayed([fitted]) == 0.0
+    # A repetition that begins 37.4 samples later is 3 mrad from itself, and another motion none.
+    late = np.column_stack([np.interp(np.arange(600) + 37.4, np.arange(800), c) for c in one.T])
+    again = replace(run(late, out=False), position=late + 3e-3 * rng.normal(size=late.shape))
+    assert repeatability([fitted, again]) == pytest.approx(3e-3 / np.sqrt(2), rel=0.05)
+    assert math.isnan(repeatability([fitted, run(other[:600], out=False)]))
 
 
 def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:
     with pytest.raises(UnknownNameError):
         fit_motion(bar(), [replace(log(), joints=("knee",))])
-    measured = replace(log(), command=np.full((len(log().time), 1), np.nan), torque=log().command)
+    measured = replace(log(), command=np.full((len(log().time), 1), np.nan))
     with pytest.raises(MeasurementError) as refused:
         fit_motion(bar(), [measured])
     assert refused.value.cause.code == "joint-without-servo"

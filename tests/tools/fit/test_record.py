@@ -7,7 +7,6 @@ import os
 import pty
 import sys
 from array import array
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -56,7 +55,7 @@ def plan(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
         stands.append(PlannedStand(f"s{number}", (), named, None, turned, mass))
     path = tmp_path_factory.mktemp("plan") / "plan.csv"
     place = find_place(robot, (0.0, 0.0, 0.05))
-    write_plan(StandPlan("v3", tuple(stands), (), 4, 0.0, place), path)
+    write_plan(StandPlan("v3", tuple(stands), (), 4, place), path)
     return path
 
 
@@ -88,31 +87,51 @@ def test_rows_are_what_encoders_show_of_a_robot_at_rest(
     assert path.read_bytes() == before
 
 
-def stuck(one: SimulatedRobot) -> None:
-    one.faults.stuck = 5, 8.0
+class Faulty(SimulatedRobot):
+    """One whose knee's servo stops to follow, of which no message comes, or that is pushed (s)."""
 
+    stuck = key = slip = math.inf
+    lost = (math.inf, math.inf)
+    last: tuple[float, Array] | None = None
 
-def lost(one: SimulatedRobot) -> None:
-    one.faults.lost = 8.0, math.inf
+    def read(self) -> tuple[float, Array]:
+        if self.last is None or not self.lost[0] <= self.now() < self.lost[1]:
+            self.last = super().read()
+        return self.last
 
+    def send(self, command: Array) -> None:
+        wanted = command.copy()
+        if self.sent and self.now() >= self.stuck:
+            wanted[5] = self.sent[-1][5]
+        super().send(wanted)
 
-def key(one: SimulatedRobot) -> None:
-    one.faults.key = 8.0
+    def wait(self, seconds: float) -> None:
+        before = self.now()
+        super().wait(seconds)
+        if before < self.slip <= self.now():
+            self._data.qvel[self._loaded.mj_convention.qvel_index[0]] += 0.2  # m/s
+
+    def stops(self) -> bool:
+        return self.now() >= self.key
 
 
 @pytest.mark.parametrize(
     ("fault", "code"),
-    [(stuck, "servo-does-not-follow"), (lost, "positions-lost"), (key, "recording-stopped")],
+    [
+        ({"stuck": 8.0}, "servo-does-not-follow"),
+        ({"lost": (8.0, math.inf)}, "positions-lost"),
+        ({"key": 8.0}, "recording-stopped"),
+    ],
 )
 def test_it_holds_where_something_fails_and_goes_on_later(
     robot: Robot,
     plan: Path,
     tmp_path: Path,
-    fault: Callable[[SimulatedRobot], None],
+    fault: dict[str, Any],
     code: str,
 ) -> None:
-    path, one = tmp_path / "stands.csv", SimulatedRobot(robot, 3)
-    fault(one)
+    path, one = tmp_path / "stands.csv", Faulty(robot, 3)
+    vars(one).update(fault)
     found = record_stands(robot, plan, path, one, one)
     assert not found.complete
     assert [finding.code for finding in found.findings] == [code]
@@ -130,8 +149,8 @@ def test_it_holds_where_something_fails_and_goes_on_later(
 
 
 def test_a_message_that_comes_late_is_waited_for(robot: Robot, plan: Path, tmp_path: Path) -> None:
-    one = SimulatedRobot(robot, 3)
-    one.faults.lost = 8.0, 8.2
+    one = Faulty(robot, 3)
+    one.lost = 8.0, 8.2
     assert record_stands(robot, plan, tmp_path / "stands.csv", one, one).complete
 
 
@@ -141,8 +160,8 @@ def test_a_slip_is_waited_for_and_its_row_is_of_a_robot_at_rest(
     """It is pushed while it is averaged: by 4 cm/s after 0.2 s joints are 10 mrad elsewhere."""
     rows = []
     for name, slip in (("still", math.inf), ("slips", 1.6)):
-        one = SimulatedRobot(robot, 3)
-        one.faults.slip = slip
+        one = Faulty(robot, 3)
+        one.slip = slip
         assert record_stands(robot, plan, tmp_path / name, one, one).complete
         rows.append((one.now(), read_stands(tmp_path / name).position))
     assert rows[1][0] > rows[0][0] + 0.5  # it was waited for

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
-from pupper_analysis.tools.fit.result import Determined, determined_by, find_combinations
+from pupper_analysis.tools.fit.result import Determined, determined_by, kp_over_mass
 
 Array = NDArray[np.float64]
 
 MASS = Parameter("mass", "base", "", 2.0, 1.0)
 KP = Parameter("kp", "knee", "", 4.0, 2.0)
-COM = Parameter("com", "base", "x", 0.0, 0.03)
 
 
 def fitted(
@@ -42,50 +41,27 @@ def test_a_prior_and_a_measurement_are_weighed_by_their_variances() -> None:
     assert determined_by(0.2) is Determined.PARTLY
 
 
-def test_a_difference_is_told_and_the_sum_is_not() -> None:
+def test_a_ratio_is_known_where_neither_of_the_two_is() -> None:
     """In the priors' widths z, the row 2 m - kp is 2 (z_m - z_k).
 
     With noise s the information about (z_m - z_k) / sqrt(2) is 8 / s^2, and of z_m + z_k nothing is
-    told: var(z_m) = (1 + v) / 2 with v = 1 / (1 + 8 / s^2).
+    told: var(z_m) = (1 + v) / 2 with v = 1 / (1 + 8 / s^2). The ratio's logarithm, half of
+    z_k - z_m here, has the variance v / 2.
     """
     noise = 0.2
     found = fitted((MASS, KP), np.array([[2.0, -1.0]]), np.array([0.0]), noise)
     left = 1 / (1 + 8 / noise**2)
     np.testing.assert_allclose(found.shares, (1 + left) / 2, rtol=1e-9)
     np.testing.assert_allclose(found.mean, [2.0, 4.0], atol=1e-12)
-    (both,) = find_combinations(found)
-    assert both.names == ("mass base", "kp knee")
-    assert both.ratio  # both change by the same share: 1 of 2 as 2 of 4
-    assert both.std == pytest.approx(math.sqrt(left))
-
-
-def test_a_remedy_narrows_what_is_open_by_what_it_would_tell() -> None:
-    """A scale of the mass, to s: the open direction's variance 1 becomes v' = u^T (P + I)^-1 u."""
-    noise, scale = 0.2, 0.1
-    found = fitted((MASS, KP), np.array([[2.0, -1.0]]), np.array([0.0]), noise)
-    (both,) = find_combinations(
-        found,
-        {"weigh-the-robot": np.diag([1 / scale**2, 0.0]), "read-an-imu": np.zeros((2, 2))},
-    )
-    whole = np.eye(2) + 4 / noise**2 * np.array([[1, -1], [-1, 1]]) + np.diag([100.0, 0.0])
-    after = np.linalg.inv(whole).sum() / 2
-    assert both.measurements == pytest.approx({"weigh-the-robot": 1 / math.sqrt(after)})
-
-
-def test_what_is_told_alone_or_not_at_all_is_in_no_group() -> None:
-    alone = fitted((MASS, KP), np.eye(2), np.array([2.0, 4.0]), 0.01)
-    assert find_combinations(alone) == ()
-    nothing = fitted((MASS, KP), np.array([[0.0, 0.0]]), np.array([0.0]), 1.0)
-    assert find_combinations(nothing) == ()
-    np.testing.assert_allclose(nothing.shares, 1.0)
-
-
-def test_a_first_moment_is_no_ratio() -> None:
-    """Of m c only the product is told, linearly: a com has a component, and is no factor."""
-    rows = np.array([[0.03, 1.0]])  # by mass times its width of 1, by com times 0.03: alike
-    found = fitted((MASS, COM), rows, np.array([0.06]), 1e-4)
-    (both,) = find_combinations(found)
-    assert not both.ratio
+    ratio, alone = kp_over_mass(found), kp_over_mass(found, alone=True)
+    assert (ratio.mean, ratio.stated) == pytest.approx((1.0, 1.0))
+    assert ratio.std == pytest.approx(math.sqrt(left / 2))
+    assert ratio.determined is Determined.DATA
+    assert alone.std == pytest.approx(0.5 * math.sqrt((1 + left) / 2))
+    # Of a servo that is half as stiff on a robot of the same mass.
+    soft = fitted((MASS, KP), np.eye(2), np.array([2.0, 2.0]), 1e-6)
+    assert kp_over_mass(soft).mean == pytest.approx(0.5, rel=1e-3)
+    assert kp_over_mass(fitted((MASS,), np.eye(1), np.array([2.0]), 1.0)) is None
 
 
 def test_what_means_nothing_below_zero_stays_there() -> None:

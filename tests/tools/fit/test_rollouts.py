@@ -99,7 +99,7 @@ def test_a_prediction_is_what_mujoco_does_step_by_step_with_late_commands_and_of
     x = given.stated + given.width * np.random.default_rng(1).uniform(0, 1, len(given))
     x[-1] = 0.013
     simulator = Simulator(robot, drive, given, 0.005)
-    (run,) = split_runs(moving(), (), MIDDLE, 0.2)
+    (run,) = split_runs(moving(), MIDDLE, 0.2)
     found = simulator.predict(run, [x])[0]
 
     model, step = copy.copy(simulator.bodies.model), 1.25e-4
@@ -128,7 +128,7 @@ def test_derivatives_are_differences_though_joints_of_other_limbs_change_with_th
     time = np.arange(0, 1.05, 0.005)
     command = robot.home + 0.3 * np.sin(6 * time)[:, None]
     log = Log("v3", time, robot.joint_names, command, command)
-    (run,) = split_runs(log, (), robot.home, 0.0)
+    (run,) = split_runs(log, robot.home, 0.0)
     simulator, moments = Simulator(robot, drive, given, 0.005), Moments(given)
     here, y = simulator.predict(run, [x])[0], moments.of_parameters(x)
     whole = np.zeros((*here.shape, len(given)))
@@ -164,7 +164,7 @@ def test_a_factor_of_all_forces_moves_nothing_though_each_alone_moves_much() -> 
     swings = np.sin(np.outer(time, (3.0, 5.0, 7.0, 4.0) * 3)) + np.sin(11 * time)[:, None]
     command = robot.home + 0.2 * swings
     log = Log("v3", time, robot.joint_names, command, command)
-    (run,) = split_runs(log, (), robot.home, 0.0)
+    (run,) = split_runs(log, robot.home, 0.0)
     simulator, moments = Simulator(robot, drive, given, 0.005), Moments(given)
     factor = given.stated / given.width
     factor /= np.linalg.norm(factor)
@@ -188,7 +188,7 @@ def test_runs_end_where_the_clock_jumps_and_missing_commands_stay() -> None:
     command[100:110, 0], position[200:210, 1] = np.nan, np.nan
     time = log.time + 5.0 * (np.arange(len(log.time)) > 399)
     odd = replace(log, time=time, command=command, position=position)
-    runs: list[Run] = list(split_runs(odd, (399,), MIDDLE, 0.2))
+    runs: list[Run] = list(split_runs(odd, MIDDLE, 0.2))
     assert [len(run.time) for run in runs] == [400, 400]
     assert (runs[0].command[100:110, 0] == command[99, 0]).all()
     assert not runs[0].counts[200:210, 1].any()

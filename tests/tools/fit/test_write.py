@@ -48,7 +48,7 @@ def estimated(mass: float = 1.88251) -> Posterior:
     mean[0] = mass
     std = np.array([row[2] for row in WANTED.values()])
     n = len(mean)
-    return Posterior(parameters, mean, np.diag(std**2), np.eye(n), np.eye(n), 0.0, 0.0, 0, 1)
+    return Posterior(parameters, mean, np.diag(std**2), np.eye(n), np.eye(n), 0.0, 0.0, 0)
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,7 @@ def test_robots_are_drawn_together(written: tuple[Path, FitFiles]) -> None:
     parameters = tuple(Parameter("mass", name, "", 1.0, 0.5) for name in ("one", "other"))
     covariance = 0.25 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + 1.25e-5
     mean, n = np.array([1.0, 1.0]), np.eye(2)
-    narrow = Posterior(parameters, mean, covariance, n, n, 0.0, 0.0, 0, 1)
+    narrow = Posterior(parameters, mean, covariance, n, n, 0.0, 0.0, 0)
     _, drawn = draw_samples(narrow, mean, 2000)
     assert drawn.min() > 0
     assert drawn[:, 0].std() > 0.4
@@ -114,24 +114,19 @@ def test_offsets_and_parameters_are_told(written: tuple[Path, FitFiles]) -> None
     assert mass["high"] - mass["mean"] == pytest.approx(1.96 * 0.02, rel=1e-3)
 
 
-def test_studies_understand_the_ranges(written: tuple[Path, FitFiles], v3: pa.Robot) -> None:
-    folder, made = written
-    text = (folder / "ranges.yaml").read_text()
-    spreads = {name: given["normal"] for name, given in made.spreads.items()}
-    assert all(f'- name: "{name}"' in text for name in spreads)
-    assert spreads["mass:base_link"] == pytest.approx((1.0, 0.02 / 1.8825))
-    assert spreads["com_x:base_link"] == (0.0, 0.001)
-    assert spreads[f"frictionloss:{JOINT}"] == pytest.approx((1.0, 0.001 / 0.0432))
-    one_off = {name: mean + std for name, (mean, std) in spreads.items()}
-    gains = {name: value for name, value in one_off.items() if name.startswith("kp")}
-    rest = {name: value for name, value in one_off.items() if name not in gains}
-    heavier = scale_robot(v3, rest)
-    assert heavier.total_mass - v3.total_mass == pytest.approx(1.506 * 0.02 / 1.8825)
+def test_studies_understand_the_samples(written: tuple[Path, FitFiles], v3: pa.Robot) -> None:
+    folder, _ = written
+    _, names, row, *_ = csv.reader((folder / "samples.csv").read_text().splitlines())
+    drawn = dict(zip(names, map(float, row), strict=True))
+    gains = {name: value for name, value in drawn.items() if name.startswith("kp")}
+    assert f"frictionloss:{JOINT}" in drawn
+    other = scale_robot(v3, {name: value for name, value in drawn.items() if name not in gains})
+    assert other.total_mass - v3.total_mass == pytest.approx(1.506 * (drawn["mass:base_link"] - 1))
     assert with_gains(v3, None, None, gains) is not v3
 
 
 def test_nothing_is_there_if_one_file_cannot_be(v3: pa.Robot, tmp_path: Path) -> None:
-    (tmp_path / "ranges.yaml").mkdir()
+    (tmp_path / "samples.csv").mkdir()
     with pytest.raises(pa.OutputError):
         write_fit(v3, estimated(), tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == []

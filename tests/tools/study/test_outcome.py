@@ -16,7 +16,6 @@ import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Phrase, Quantity, Source, Term, Vector, diagnose
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.drawing import write_plots
-from pupper_analysis.tools.fit.write import write_randomisation
 from pupper_analysis.tools.study.design import from_record, to_record
 from pupper_analysis.tools.study.outcome import (
     main_effects,
@@ -25,6 +24,7 @@ from pupper_analysis.tools.study.outcome import (
     split_panels,
 )
 from pupper_analysis.tools.study.plots import draw_study, mean_plots
+from pupper_analysis.tools.study.write import write_randomisation
 
 # ----------------------------------------------------------------------------- fronts
 

@@ -25,6 +25,9 @@ from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
 
 Array = NDArray[np.float64]
 
+_JUMP = 0.5
+"""s between two samples, at least, if the clock was set."""
+
 LEAST_SAMPLES = 100
 """Half a second at 200 Hz: less tells nothing of a motion."""
 
@@ -40,9 +43,6 @@ class Log:
         command: (n, joints) positions that servos were asked for, each from its sample to the next
             (rad, m); NaN where there is none.
         position: (n, joints) that encoders tell (rad, m); NaN where a sample is missing.
-        velocity: (n, joints) likewise (rad/s, m/s); None if there are none.
-        torque: (n, joints) of the motors (N m, N), which say whether they are at their limits; None
-            if there are none.
     """
 
     source: str
@@ -50,11 +50,6 @@ class Log:
     joints: tuple[str, ...]
     command: Array
     position: Array
-    velocity: Array | None = None
-    torque: Array | None = None
-
-    def __repr__(self) -> str:
-        return f"<Log {self.source!r}: {len(self.joints)} joints, {self.duration:.4g} s>"
 
     @property
     def duration(self) -> float:
@@ -66,15 +61,16 @@ class Log:
         """Median of the times between samples (s)."""
         return float(np.median(np.diff(self.time)))
 
+    @property
+    def jumps(self) -> list[int]:
+        """After which samples the clock was set, or the log was stopped: another run begins."""
+        least = max(_JUMP, 10 * self.interval)
+        return [int(at) for at in np.flatnonzero(np.diff(self.time) > least)]
+
     def part(self, rows: slice) -> Log:
         """Returns some of its samples."""
         return replace(
-            self,
-            time=self.time[rows],
-            command=self.command[rows],
-            position=self.position[rows],
-            velocity=None if self.velocity is None else self.velocity[rows],
-            torque=None if self.torque is None else self.torque[rows],
+            self, time=self.time[rows], command=self.command[rows], position=self.position[rows]
         )
 
     def of(self, robot: Robot) -> Log:
@@ -97,8 +93,6 @@ class Log:
             joints=robot.joint_names,
             command=put(self.command),
             position=put(self.position),
-            velocity=None if self.velocity is None else put(self.velocity),
-            torque=None if self.torque is None else put(self.torque),
         )
 
 
@@ -110,7 +104,7 @@ def make_log(
     Args:
         source: Where they are from.
         time: (n,) s; empty if there is none.
-        kinds: {``position``, ``command``, ``velocity`` or ``torque``: {joint: (n,)}}.
+        kinds: {``position`` or ``command``: {joint: (n,)}}.
         lines: (n,) of the file.
 
     Raises:
@@ -123,29 +117,16 @@ def make_log(
         raise MeasurementError(source, diagnose("column-missing", column=missing))
     _check_time(source, time, lines)
     joints = tuple(position)
-    columns = {kind: kinds.get(kind, {}) for kind in ("command", "velocity", "torque")}
-    for kind, found in columns.items():
-        for joint in found:
-            if joint not in position:
-                finding = diagnose("column-without-position", column=f"{kind}.{joint}", joint=joint)
-                raise MeasurementError(source, finding)
+    for joint in kinds["command"]:
+        if joint not in position:
+            finding = diagnose("column-without-position", column=f"command.{joint}", joint=joint)
+            raise MeasurementError(source, finding)
     blank = np.full(len(time), np.nan)
-    stacked = {
-        kind: np.column_stack([found.get(joint, blank) for joint in joints])
-        for kind, found in columns.items()
-    }
-    for place, joint in enumerate(joints):
-        if not np.isfinite(stacked["command"][:, place]).any():
+    command = np.column_stack([kinds["command"].get(joint, blank) for joint in joints])
+    for joint, column in zip(joints, command.T, strict=True):
+        if not np.isfinite(column).any():
             raise MeasurementError(source, diagnose("joint-without-command", joint=joint))
-    return Log(
-        source,
-        time,
-        joints,
-        stacked["command"],
-        np.column_stack([position[joint] for joint in joints]),
-        stacked["velocity"] if columns["velocity"] else None,
-        stacked["torque"] if columns["torque"] else None,
-    )
+    return Log(source, time, joints, command, np.column_stack([*position.values()]))
 
 
 def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
@@ -191,16 +172,14 @@ def read_log(
     topics: Mapping[str, str] | None = None,
     joints: Sequence[str] = (),
 ) -> Log:
-    """Reads a log from a CSV file, an ``.npz``, an ``.mcap`` or a ROS bag.
+    """Reads a log from a CSV file, an ``.mcap`` or a ROS bag.
 
-    Columns are ``time``, ``position.<joint>``, ``command.<joint>``; there may be
-    ``velocity.<joint>``, and ``torque.<joint>``, by which it is seen whether motors give all they
-    can. Units are SI unless they are said in brackets: ``time [ms]``, ``position.FL_knee [deg]``. A
-    cell that is empty is missing.
+    Columns are ``time``, ``position.<joint>``, ``command.<joint>``; ``velocity.<joint>`` and
+    ``torque.<joint>`` may be there, and nothing is made of them. Units are SI unless they are said
+    in brackets: ``time [ms]``, ``position.FL_knee [deg]``. A cell that is empty is missing.
 
-    Of a bag, topics are found by their types: states are those of ``sensor_msgs/JointState`` or of
-    a ``control_msgs/JointTrajectoryControllerState``; commands those of such a controller, a
-    ``trajectory_msgs/JointTrajectory`` of single points, or a ``std_msgs/Float64MultiArray``.
+    Of a bag, states are ``sensor_msgs/JointState``, commands ``std_msgs/Float64MultiArray`` (or a
+    second ``JointState`` that is named).
     Moments are those of the messages' headers, or if one topic has none, those at which all were
     recorded. They are those of the joint whose position is there most often: numbers of others are
     put between theirs, but not where one of these is missing, and a command holds until the next.
@@ -227,7 +206,7 @@ def read_log(
         if given:
             raise ConfigurationError(name, diagnose("no-bag-has-no-topics", file=str(path)))
     table = read_columns(path, COLUMNS)
-    kinds = {kind: table.of(kind) for kind in ("position", "command", "velocity", "torque")}
+    kinds = {kind: table.of(kind) for kind in ("position", "command")}
     return make_log(table.source, table.numbers.get("time", np.zeros(0)), kinds, table.lines)
 
 

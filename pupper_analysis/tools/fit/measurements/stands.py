@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +16,7 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import MeasurementError, UnknownNameError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.columns import Column, Columns, read_columns
-from pupper_analysis.tools.fit.measurements.log_quality import find_degrees
+from pupper_analysis.tools.fit.measurements.log_quality import column_quantum, find_degrees
 
 Array = NDArray[np.float64]
 
@@ -21,8 +24,6 @@ COLUMNS = (
     Column("stand", ""),
     Column("command.*", "position"),
     Column("position.*", "position"),
-    Column("roll", "position"),
-    Column("pitch", "position"),
     Column("swing", ""),
     Column("heading", "angle"),
     Column("added.*", "mass"),
@@ -47,7 +48,6 @@ class MeasuredStands:
         joints: (n,) whose columns follow.
         command: (m, n) commanded joint positions, as the servos have them (rad).
         position: (m, n) measured joint positions, as the encoders have them (rad).
-        tilt: (m, 2) roll and pitch of the base against the vertical, as an IMU has them (rad).
         swing: (m,) the feet that are in the air.
         heading: (m,) how the robot was turned about the vertical (rad); zeros by default.
         added: {link: (m, 4) known mass that was put on it (kg), and where in its frame (m)}; 0 of
@@ -59,7 +59,6 @@ class MeasuredStands:
     joints: tuple[str, ...]
     command: Array
     position: Array
-    tilt: Array
     swing: tuple[tuple[str, ...], ...]
     heading: Array = field(default_factory=lambda: np.zeros(0))
     added: Mapping[str, Array] = field(default_factory=dict)
@@ -70,9 +69,6 @@ class MeasuredStands:
 
     def __len__(self) -> int:
         return len(self.names)
-
-    def __repr__(self) -> str:
-        return f"<MeasuredStands {self.source!r}: {len(self)} stands, {len(self.joints)} joints>"
 
     def ordered(self, robot: Robot) -> MeasuredStands:
         """Returns the same with a robot's joints in its order.
@@ -133,14 +129,12 @@ class MeasuredStands:
         """
         beyond = np.fmax(self.position - robot.upper_limits, robot.lower_limits - self.position)
         for row, joint in np.argwhere(beyond > _BEYOND).tolist():
-            low, high = robot.lower_limits[joint], robot.upper_limits[joint]
+            name, who = self.names[row], robot.joint_names[joint]
+            ends = robot.lower_limits[joint], robot.upper_limits[joint]
+            found = (self.position[row, joint], *ends)
+            at, low, high = (Quantity(float(one), "rad") for one in found)
             finding = diagnose(
-                "stand-beyond-limits",
-                stand=self.names[row],
-                joint=robot.joint_names[joint],
-                position=Quantity(float(self.position[row, joint]), "rad"),
-                low=Quantity(float(low), "rad"),
-                high=Quantity(float(high), "rad"),
+                "stand-beyond-limits", stand=name, joint=who, position=at, low=low, high=high
             )
             raise MeasurementError(self.source, finding)
 
@@ -176,7 +170,6 @@ class MeasuredStands:
             names=tuple(self.names[row] for row in first),
             command=mean(self.command),
             position=mean(self.position),
-            tilt=mean(self.tilt),
             swing=tuple(self.swing[row] for row in first),
             heading=self.heading[first],
             added={link: own[first] for link, own in self.added.items()},
@@ -190,7 +183,6 @@ class MeasuredStands:
             names=tuple(self.names[row] for row in chosen),
             command=self.command[chosen],
             position=self.position[chosen],
-            tilt=self.tilt[chosen],
             swing=tuple(self.swing[row] for row in chosen),
             heading=self.heading[chosen],
             added={link: own[chosen] for link, own in self.added.items()},
@@ -213,7 +205,7 @@ def _mean(values: Array) -> Array:
 
 
 def read_stands(path: str | Path) -> MeasuredStands:
-    """Reads stands at rest from a CSV file or an ``.npz``, one a row.
+    """Reads stands at rest from a CSV file, one a row.
 
     Columns are ``command.<joint>`` and ``position.<joint>``; there may be ``stand`` (its name: rows
     of one name are readings of one stand), ``roll`` and ``pitch`` of the base, ``swing`` (the feet
@@ -242,7 +234,6 @@ def read_stands(path: str | Path) -> MeasuredStands:
         kind: np.column_stack([table.of(kind).get(joint, blank) for joint in joints])
         for kind in ("command", "position")
     }
-    tilt = [table.numbers.get(name, blank) for name in ("roll", "pitch")]
     rows = [str(row + 1) for row in range(len(blank))]
     return MeasuredStands(
         source=table.source,
@@ -250,11 +241,27 @@ def read_stands(path: str | Path) -> MeasuredStands:
         joints=joints,
         command=columns["command"],
         position=columns["position"],
-        tilt=np.column_stack(tilt),
         swing=tuple(tuple(words.split()) for words in table.words.get("swing", [""] * len(rows))),
         heading=np.nan_to_num(table.numbers.get("heading", blank)),
         added=dict(_added(table)),
     )
+
+
+def stands_text(stands: MeasuredStands, *, header: bool = True) -> str:
+    """Returns stands as a CSV file has them, which ``read_stands`` reads."""
+    loads = [f"added{one}.{link}" for link in stands.added for one in ("", "_x", "_y", "_z")]
+    kinds = [f"{kind}.{name}" for kind in ("command", "position") for name in stands.joints]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    if header:
+        writer.writerow(["stand", "swing", "heading", *loads, *kinds])
+    for row, name in enumerate(stands.names):
+        on = [f"{one:.6g}" for own in stands.added.values() for one in own[row]]
+        numbers = [*stands.command[row], *stands.position[row]]
+        cells = [f"{one:.6f}" if math.isfinite(one) else "" for one in numbers]
+        heading = f"{stands.heading[row]:.6g}"
+        writer.writerow([name, " ".join(stands.swing[row]), heading, *on, *cells])
+    return text.getvalue()
 
 
 def _added(table: Columns) -> Iterator[tuple[str, Array]]:
@@ -280,30 +287,5 @@ def quantum_of(stands: MeasuredStands) -> float:
 
     0 if there is none, or it is finer than what a file holds.
     """
-    found = [quantum for column in stands.position.T if (quantum := _column_quantum(column))]
+    found = [quantum for column in stands.position.T if (quantum := column_quantum(column))]
     return float(np.median(found)) if 2 * len(found) > len(stands.joints) else 0.0
-
-
-def _column_quantum(column: Array) -> float:
-    """Returns the step whose whole multiples a joint's positions are apart; 0 of none."""
-    steps = np.diff(np.sort(column))
-    steps = steps[steps > _FINEST]
-    if len(steps) < _LEAST_STEPS:
-        return 0.0
-    parts = np.arange(1, 1 + min(_MOST_PARTS, int(steps.min() / _FINEST)))
-    ratios = steps / (steps.min() / parts[:, None])
-    whole = np.abs(ratios - np.round(ratios)).max(axis=1) < _WHOLE
-    return float(steps.min() / parts[whole.argmax()]) if whole.any() else 0.0
-
-
-_FINEST = 1e-5
-"""rad: a file's rounding is finer, and an encoder of 18 bits is not."""
-
-_LEAST_STEPS = 7
-"""That many whole multiples are no chance, of all the parts that are tried: 1e-7 each."""
-
-_MOST_PARTS = 400
-"""Of the least difference of two stands: those of ten, 0.1 rad apart, are 300 steps of 14 bits."""
-
-_WHOLE = 0.05
-"""Of a step: rounding in the file."""

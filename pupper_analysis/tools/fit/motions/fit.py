@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,14 +17,9 @@ from pupper_analysis.base.errors import ConfigurationError, MeasurementError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
-from pupper_analysis.tools.fit.estimate import (
-    JacobianReuse,
-    Linearised,
-    Posterior,
-    estimate_parameters,
-)
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.measurements.log import Log
-from pupper_analysis.tools.fit.measurements.log_quality import LogQuality, find_quantum, inspect_log
+from pupper_analysis.tools.fit.measurements.log_quality import column_quantum, inspect_log
 from pupper_analysis.tools.fit.motions.rollouts import (
     SERVOS,
     Moments,
@@ -34,52 +28,22 @@ from pupper_analysis.tools.fit.motions.rollouts import (
     split_runs,
 )
 from pupper_analysis.tools.fit.parameters import (
-    KINDS,
     ParameterTable,
     Prior,
     give_widths,
     parse_priors,
 )
-from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, find_combinations
+from pupper_analysis.tools.fit.result import (
+    MotionFit,
+    describe_parameters,
+    kp_over_mass,
+)
 
 Array = NDArray[np.float64]
-
-# How fits of logs begin: a base that is held, and which part of each log is predicted.
 
 HOLD_OUT = 0.2
 """Of each log, at its end: what is predicted, and not fitted."""
 
-
-def hold_base(robot: Robot) -> Robot:
-    """Returns a robot whose base is held where its MJCF has it."""
-    return build_robot(robot.description, fixed_base=True) if robot.floating else robot
-
-
-def share_out(
-    logs: Sequence[Log], hold_out: float | Sequence[Log]
-) -> tuple[tuple[Log, float], ...]:
-    """Returns logs, each with the share at its end that is predicted: 1 of those held out whole.
-
-    Args:
-        logs: To be fitted.
-        hold_out: A share of each, or logs beside them that are not fitted.
-
-    Raises:
-        ConfigurationError: If it is no share.
-    """
-    if not isinstance(hold_out, int | float):
-        return (*((log, 0.0) for log in logs), *((log, 1.0) for log in hold_out))
-    if not 0 <= hold_out < 1:
-        raise ConfigurationError("hold_out", diagnose("not-between", given=hold_out, low=0, high=1))
-    return tuple((log, float(hold_out)) for log in logs)
-
-
-_STEP_ERROR = 0.3
-"""What finer steps of the simulation change, in parts of what is left: with more, derivatives by
-coarse ones are those of another robot."""
-
-_LOOKS = 200
-"""Postures of a log in which parts are looked at that may touch."""
 
 _MISFIT = 2.0
 """What is left, in parts of an encoder's noise, from which a model does not explain a motion: of
@@ -124,12 +88,8 @@ def fit_motion(
         ModelError: If the model has motors that are no servos, and no gains are given.
         UnknownNameError: If a log has joints that the robot has not.
     """
-    motion, qualities = begin_motion(robot, logs, priors, hold_out, kp, kd)
-    posterior = motion.fit()
-    while motion.step_error(posterior.mean) > _STEP_ERROR:
-        motion = motion.with_steps(2 * motion.simulator.steps)
-        posterior = motion.fit(posterior.mean)
-    return _report_motions(motion.simulator.robot, logs, qualities, motion, posterior)
+    motion, notes = begin_motion(robot, logs, priors, hold_out, kp, kd)
+    return _report_motions(motion.simulator.robot, logs, notes, motion, motion.fit())
 
 
 def begin_motion(
@@ -139,37 +99,34 @@ def begin_motion(
     hold_out: float | Sequence[Log],
     kp: ArrayLike | None,
     kd: ArrayLike | None,
-) -> tuple[Motion, tuple[LogQuality, ...]]:
-    """Returns logs beside simulations of the same robot, and what the logs are.
+) -> tuple[Motion, tuple[Diagnostic, ...]]:
+    """Returns logs beside simulations of the same robot, and what is odd in the logs.
 
     The arguments, and what is raised, are those of ``fit_motion``.
     """
     known = parse_priors(priors)
-    robot, shared = hold_base(robot), share_out(logs, hold_out)
+    if robot.floating:
+        robot = build_robot(robot.description, fixed_base=True)
+    if isinstance(hold_out, int | float):
+        if not 0 <= hold_out < 1:
+            finding = diagnose("not-between", given=hold_out, low=0, high=1)
+            raise ConfigurationError("hold_out", finding)
+        shared = [(log, float(hold_out)) for log in logs]
+    else:
+        shared = [*((log, 0.0) for log in logs), *((log, 1.0) for log in hold_out)]
     drive = model_with_servos(robot, kp, kd)
-    if kp is None or kd is None:
-        _check_gains(robot, [log for log, _ in shared])
-    qualities = tuple(inspect_log(robot, log, drive.kp) for log, _ in shared)
-    runs: list[Run] = []
-    for (log, share), quality in zip(shared, qualities, strict=True):
-        runs += split_runs(log.of(robot), quality.jumps, robot.home, share)
-    _check(robot, drive, logs, runs)
-    table = _parameters(robot, drive, qualities, known)
-    interval = float(np.median([quality.interval for quality in qualities]))
-    return Motion(Simulator(robot, drive, table, interval), runs), qualities
-
-
-def _check_gains(robot: Robot, logs: Sequence[Log]) -> None:
-    """Checks that files state the gains of servos that moved: those made to stand are no one's.
-
-    Raises:
-        MeasurementError: If not.
-    """
-    made = {servo.joint for servo in robot.description.made_servos}
-    for log in logs:
-        lacking = [name for name in log.joints if name in made]
-        if lacking:
+    made = {servo.joint for servo in robot.description.made_servos}  # so that it stands: no one's
+    for log, _ in shared if kp is None or kd is None else ():
+        if lacking := [name for name in log.joints if name in made]:
             raise MeasurementError(log.source, diagnose("command-without-gains", joints=lacking))
+    notes = tuple(one for log, _ in shared for one in inspect_log(robot, log))
+    runs = tuple(
+        run for log, share in shared for run in split_runs(log.of(robot), robot.home, share)
+    )
+    _check(robot, drive, logs, runs)
+    table = _parameters(robot, drive, {name for log, _ in shared for name in log.joints}, known)
+    interval = float(np.median([log.interval for log, _ in shared]))
+    return Motion(Simulator(robot, drive, table, interval), runs), notes
 
 
 def _check(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]) -> None:
@@ -182,34 +139,28 @@ def _check(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]
         source = logs[0].source if logs else robot.name
         raise MeasurementError(source, diagnose("nothing-to-fit"))
     for log in logs:
-        for name in log.joints:
-            joint = robot.joint_names.index(name)
-            commanded = np.isfinite(log.command[:, log.joints.index(name)]).any()
-            if not commanded or drive.kp[joint] <= 0:
+        for name, command in zip(log.joints, log.command.T, strict=True):
+            if not np.isfinite(command).any() or drive.kp[robot.joint_names.index(name)] <= 0:
                 raise MeasurementError(log.source, diagnose("joint-without-servo", joint=name))
 
 
 def _parameters(
-    robot: Robot, drive: Servos, qualities: Sequence[LogQuality], priors: Sequence[Prior]
+    robot: Robot, drive: Servos, named: set[str], priors: Sequence[Prior]
 ) -> ParameterTable:
     """Returns what is estimated: of joints that are in a log, and of the links that they move.
 
-    Damping of a servo and of its joint do the same: the joint's is estimated, kd if a prior says.
+    Damping of a servo and of its joint do the same: the joint's is estimated.
     """
     bodies = Simulator(robot, drive, ParameterTable(()), 1.0, 1).bodies
     model, dofs = bodies.model, robot.mj_convention.qvel_index
-    named = {name for quality in qualities for name in quality.joints}
     wanted: list[tuple[str, str, str, float]] = []
     kinds = {
         "kp": drive.kp,
-        "kd": drive.kd,
         "damping": model.dof_damping[dofs],
         "friction": model.dof_frictionloss[dofs],
         "armature": model.dof_armature[dofs],
         "offset": np.zeros(robot.nu),
     }
-    if not any(prior.kind == "kd" for prior in priors):
-        del kinds["kd"]
     for joint, name in enumerate(robot.joint_names):
         if name in named:
             wanted += [(kind, name, "", float(values[joint])) for kind, values in kinds.items()]
@@ -226,50 +177,40 @@ def _parameters(
 def _report_motions(
     robot: Robot,
     logs: Sequence[Log],
-    qualities: tuple[LogQuality, ...],
+    notes: tuple[Diagnostic, ...],
     motion: Motion,
     posterior: Posterior,
 ) -> MotionFit:
     """Returns a fit with how far its predictions are from what was measured."""
-    off = {}
+    off: dict[tuple[str, str], list[Array]] = {}
     for name, x in (("before", motion.table.stated), ("after", posterior.mean)):
-        found = [motion.finer.predict(run, [x])[0] - run.position for run in motion.runs]
-        off[name] = [
-            [np.where(getattr(run, part), one, np.nan) for run, one in zip(motion.runs, found)]  # noqa: B905
-            for part in ("counts", "held_out")
-        ]
-    fitted, held_out = off["after"]
-    shown = held_out if np.isfinite(root_mean_square(held_out)) else fitted
+        for run in motion.runs:
+            one = motion.finer.predict(run, [x])[0] - run.position
+            for part in ("counts", "held_out"):
+                off.setdefault((name, part), []).append(np.where(getattr(run, part), one, np.nan))
+    rms = {key: root_mean_square(one) for key, one in off.items()}
+    part = "held_out" if math.isfinite(rms["after", "held_out"]) else "counts"
+    joints = range(robot.nu)
     by_joint = np.array(
-        [root_mean_square(one[:, joint] for one in shown) for joint in range(robot.nu)]
+        [root_mean_square(one[:, joint] for one in off["after", part]) for joint in joints]
     )
-    noise = np.array(
-        [
-            _encoder_noise([run.position[:, joint] for run in motion.runs])
-            for joint in range(robot.nu)
-        ]
-    )
-    names, before = robot.joint_names, root_mean_square(off["before"][shown is held_out])
+    noise = np.array([_encoder_noise([run.position[:, j] for run in motion.runs]) for j in joints])
     return MotionFit(
         name=robot.name,
         source=", ".join(log.source for log in logs),
         estimates=tuple(describe_parameters(posterior)),
-        combinations=find_combinations(posterior),
-        failures=tuple(_unexplained(robot, by_joint, noise, root_mean_square(shown))),
-        diagnostics=(
-            *(one for quality in qualities for one in quality.diagnostics),
-            *_notes(motion, root_mean_square(shown), before),
-        ),
+        kp_over_mass=kp_over_mass(posterior),
+        failures=tuple(_unexplained(robot, by_joint, noise, rms["after", part])),
+        diagnostics=(*notes, *_notes(motion.runs, rms["after", part], rms["before", part])),
         posterior=posterior,
         seconds=sum(log.duration for log in logs),
-        held_out=root_mean_square(held_out),
-        held_out_before=root_mean_square(off["before"][1]),
-        fitted=root_mean_square(fitted),
-        fitted_before=root_mean_square(off["before"][0]),
-        repeatability=_repeatability(motion.runs),
-        by_joint=dict(zip(names, by_joint.tolist(), strict=True)),
-        encoder_noise=dict(zip(names, noise.tolist(), strict=True)),
-        steps=motion.finer.steps,
+        held_out=rms["after", "held_out"],
+        held_out_before=rms["before", "held_out"],
+        fitted=rms["after", "counts"],
+        fitted_before=rms["before", "counts"],
+        repeatability=repeatability(motion.runs),
+        by_joint=dict(zip(robot.joint_names, by_joint.tolist(), strict=True)),
+        encoder_noise=dict(zip(robot.joint_names, noise.tolist(), strict=True)),
     )
 
 
@@ -287,20 +228,15 @@ def _unexplained(robot: Robot, by_joint: Array, noise: Array, off: float) -> Ite
         )
 
 
-def _notes(motion: Motion, off: float, before: float) -> Iterator[Diagnostic]:
+def _notes(runs: Sequence[Run], off: float, before: float) -> Iterator[Diagnostic]:
+    """Yields what else is to be said."""
     if off > before:
         yield diagnose(
             "motion-predicted-worse", now=Quantity(off, "rad"), stated=Quantity(before, "rad")
         )
-    alike = replayed(motion.runs)
+    alike = replayed(runs)
     if alike > _REPLAY:
         yield diagnose("held-out-is-a-replay", correlation=alike)
-    there = np.concatenate([run.position for run in motion.runs])
-    there = there[np.isfinite(there).all(axis=1)]
-    seen = there[:: max(1, len(there) // _LOOKS)]
-    touching = motion.simulator.bodies.touching(seen)
-    if touching:
-        yield diagnose("log-parts-touch", bodies=touching)
 
 
 _REPLAY = 0.95
@@ -308,34 +244,62 @@ _REPLAY = 0.95
 anew, have 0.99 and more; another motion of the same joints hardly 0.5."""
 
 
+def _align(part: Array, whole: Array) -> tuple[float, float]:
+    """Returns after how many samples of other commands some commands begin, and how alike they are.
+
+    By the greatest correlation of all joints together, and a parabola about it.
+    """
+    wanted = part - part.mean(axis=0)
+    if len(whole) < len(part) or not wanted.any():
+        return 0.0, 0.0
+    moved, ones = whole - whole.mean(axis=0), np.ones((len(part), 1))
+    alike = fftconvolve(moved, wanted[::-1], "valid", axes=0).sum(axis=1)
+    mean = fftconvolve(moved, ones, "valid", axes=0) / len(part)
+    energy = (fftconvolve(moved**2, ones, "valid", axes=0) - len(part) * mean**2).sum(axis=1)
+    alike /= np.sqrt(np.maximum(energy, _LEAST**2 * len(part)) * (wanted**2).sum())
+    best = int(alike.argmax())
+    found = float(alike[best])
+    if 0 < best < len(alike) - 1:
+        before, here, after = alike[best - 1 : best + 2]
+        if (bend := before - 2 * here + after) < 0:
+            return best + float((before - after) / bend) / 2, found
+    return float(best), found
+
+
+def _middle(rows: Array) -> Array:
+    """Returns the middle half of some rows: of logs that are shifted against each other."""
+    return rows[len(rows) // 4 : len(rows) - len(rows) // 4]
+
+
 def replayed(runs: Sequence[Run]) -> float:
     """Returns how alike what was held out is to what was fitted, by its commands, wherever it was.
 
     The greatest correlation of the middle half of a held-out part with any part as long of what was
-    fitted: logs of one motion are shifted against each other.
+    fitted.
     """
-    most = 0.0
     fitted = [run.command[run.counts.any(axis=1)] for run in runs]
-    for run in runs:
-        part = run.command[run.held_out.any(axis=1)]
-        part = part[len(part) // 4 : len(part) - len(part) // 4]
-        if not len(part):
-            continue
-        wanted = part - part.mean(axis=0)
-        for base in fitted:
-            if len(base) < len(part) or not wanted.any():
-                continue
-            moved = base - base.mean(axis=0)
-            ones = np.ones((len(part), 1))
-            alike = fftconvolve(moved, wanted[::-1], "valid", axes=0).sum(axis=1)
-            mean = fftconvolve(moved, ones, "valid", axes=0) / len(part)
-            energy = (fftconvolve(moved**2, ones, "valid", axes=0) - len(part) * mean**2).sum(
-                axis=1
-            )
-            least = _LEAST**2 * len(part)
-            size = np.sqrt(np.maximum(energy, least) * (wanted**2).sum())
-            most = max(most, float((alike / size).max()))
-    return most
+    parts = [_middle(run.command[run.held_out.any(axis=1)]) for run in runs]
+    return max((_align(part, own)[1] for part in parts if len(part) for own in fitted), default=0.0)
+
+
+def repeatability(runs: Sequence[Run]) -> float:
+    """Returns how far the robot is from itself over runs of the same commands (rad).
+
+    The middle half of each run beside the first run that it repeats, as their commands align; NaN
+    if none does.
+    """
+    off = []
+    for number, run in enumerate(runs):
+        for other in runs[:number]:
+            shift, alike = _align(_middle(run.command), other.command)
+            if alike > _REPLAY:
+                own = _middle(run.position)
+                at = shift + np.arange(len(own))
+                there = np.arange(len(other.position))
+                its = np.column_stack([np.interp(at, there, one) for one in other.position.T])
+                off.append((own - its) / math.sqrt(2.0))  # each is off from what both would be
+                break
+    return root_mean_square(off) if off else math.nan
 
 
 def _encoder_noise(series: Sequence[Array]) -> float:
@@ -347,7 +311,7 @@ def _encoder_noise(series: Sequence[Array]) -> float:
     """
     steps = np.concatenate([np.abs(np.diff(one, 3)) for one in series])
     steps = steps[np.isfinite(steps)]
-    quantum = max(find_quantum(one) for one in series)
+    quantum = max(column_quantum(one[np.isfinite(one)]) for one in series)
     if not steps.size:
         return math.nan
     return max(float(np.median(steps)) / _MEDIAN / math.sqrt(20.0), quantum / math.sqrt(12.0))
@@ -357,61 +321,20 @@ _MEDIAN = 0.6744897501960817
 """Of the magnitude of a normal number of deviation 1."""
 
 
-def _repeatability(runs: Sequence[Run]) -> float:
-    """Returns how far positions are from their mean over runs of the same commands (rad)."""
-    off: list[Array] = []
-    alike: list[list[Run]] = []
-    for run in runs:
-        for group in alike:
-            count = min(len(run.time), len(group[0].time))
-            one, other = run.command[:count], group[0].command[:count]
-            if count > len(run.time) / 2 and np.allclose(one, other, rtol=0, atol=_SAME_COMMAND):
-                group.append(run)
-                break
-        else:
-            alike.append([run])
-    for group in alike:
-        if len(group) > 1:
-            count = min(len(run.time) for run in group)
-            stacked = np.array([run.position[:count] for run in group])
-            share = math.sqrt((len(group) - 1) / len(group))  # the mean is of the same runs
-            off.append((stacked - stacked.mean(axis=0)) / share)
-    return root_mean_square(off) if off else math.nan
-
-
-_SAME_COMMAND = 1e-6
-"""rad: commands that differ by no more are the same."""
-
-
 IntArray = NDArray[np.int64]
-
-_ROUNDS = 4
-"""Of fits, each with the noise that the one before has left."""
-
-_SAME_NOISE = 0.05
-"""Of deviations: noise that changes by no more changes no interval that is shown."""
 
 _ENOUGH = 0.04
 """Of the cost: a fifth of a standard deviation, by which an interval is 2 % too narrow."""
 
-_ROUGHLY = 1.0
-"""Of the cost: a standard deviation, which is near enough while the noise is another."""
+_ROUGHLY = 10.0
+"""Of the cost: near enough while what is left is motion, and its noise is not known."""
 
-_GLANCED = 1e-4
-"""Of the cost: near enough while noise is not known, as it is some times what it begins with."""
-
-_GLANCE = 12.0
-"""s of motion that are fitted first: from there a step or two are left for all of it."""
-
-_DRAWS = 12
-"""Of parameters, each with its opposite: by them a deviation that bends is known to a sixth."""
+_NEAR = 4.0
+"""Of the cost: derivatives from two standard deviations away do; a simulation makes them slowly."""
 
 _FINER = 4
 """Times the steps of what derivatives are made with has what is compared with measurements: its
 error, that of dry friction, falls with the square. Derivatives are right to 1 % without."""
-
-_MOST_STEPS = 16
-"""Between two samples: 0.3 ms at 200 Hz. What changes still is an impact, and not the step."""
 
 
 class Motion:
@@ -422,69 +345,63 @@ class Motion:
     Args:
         simulator: Simulates them.
         runs: As they were measured.
-        known: (n, n) what is known of moments before these runs, in the priors' widths.
     """
 
-    def __init__(
-        self, simulator: Simulator, runs: Sequence[Run], known: Array | None = None
-    ) -> None:
+    def __init__(self, simulator: Simulator, runs: Sequence[Run]) -> None:
         self.simulator, self.runs, self.table = simulator, tuple(runs), simulator.table
         self.fitted = tuple(run for run in runs if run.counts.any())
-        self.moments = Moments(self.table)
-        self.positive = np.array([KINDS[one.kind].positive for one in self.table], dtype=bool)
-        self._noise: tuple[SeriesNoise, ...] = ()
-        self._last: tuple[Array, list[Array]] | None = None
-        self._jacobians: list[Mapping[int, tuple[IntArray, Array]]] = []
-        self._dear, self._known = JacobianReuse(self.renew), known
         self.finer = simulator.with_steps(_FINER * simulator.steps)
+        self.moments = Moments(self.table)
+        self._noise: tuple[SeriesNoise, ...] = ()
+        self._remembers = False
+        self._at: Array | None = None
+        self._known: Array | None = None
+        self._jacobians: list[Mapping[int, tuple[IntArray, Array]]] = []
 
-    def residuals(self, x: Array) -> list[Array]:
-        """Returns predicted less measured positions (n, nu) of each run that is fitted (rad)."""
-        if self._last is None or not np.array_equal(self._last[0], x):
-            found = [
-                self.finer.predict(run, [x])[0] - np.where(run.counts, run.position, np.nan)
-                for run in self.fitted
-            ]
-            self._last = x.copy(), found
-        return self._last[1]
+    def linearise(self, moments: Array, about: Array) -> Linearised:
+        """Returns whitened residuals as sums; see ``estimate_parameters``.
 
-    def renew(self, moments: Array) -> None:
-        """Makes derivatives of predicted positions by moments (n,), as they are there."""
-        known = self.known
-        self._jacobians = [
-            differentiate(self.simulator, self.moments, run, moments, known) for run in self.fitted
+        Noise is what is left at ``about``, and derivatives are made near it.
+        """
+        x = self.moments.to_parameters(moments)
+        left = [
+            self.finer.predict(run, [x])[0] - np.where(run.counts, run.position, np.nan)
+            for run in self.fitted
         ]
+        if moments is about:
+            kind = SeriesNoise.of if self._remembers else SeriesNoise.white
+            self._noise = tuple(
+                kind([one[:, joint] for one in left]) for joint in range(left[0].shape[1])
+            )
+            off = None if self._at is None else (moments - self._at) / self.table.width
+            if off is None or off @ self._known @ off > _NEAR:
+                self._at = moments.copy()
+                self._jacobians = [
+                    differentiate(self.simulator, self.moments, run, moments, self._known)
+                    for run in self.fitted
+                ]
+        size = len(self.table)
+        information, gradient = np.zeros((size, size)), np.zeros(size)
+        white = [one / np.array([own.long_run for own in self._noise]) for one in left]
+        for places, rows, joint, run in self._rows():
+            finding = np.isfinite(white[run][:, joint])
+            counted = rows[finding] / self._noise[joint].long_run
+            information[places[:, None], places] += counted.T @ counted
+            gradient[places] += counted.T @ white[run][finding, joint]
+        if moments is about:
+            width = self.table.width
+            self._known = width[:, None] * information * width + self.table.precision
+        whole = np.concatenate([one[np.isfinite(one)] for one in white])
+        return Linearised(information, gradient, float(whole @ whole), whole.size)
 
-    @property
-    def known(self) -> Array | None:
-        """(n, n) what is known of moments by now, in the priors' widths; None before all."""
-        if self._last is None or not self._jacobians:
-            return self._known
-        finding = _Lazy(self._last[1], self._jacobians, self._noise, self.simulator.groups)
-        width = self.table.width
-        found: Array = width[:, None] * finding.information * width + self.table.precision
-        return found
+    def _rows(self) -> Iterator[tuple[IntArray, Array, int, int]]:
+        """Yields parameters, derivatives by them (n, ...), the joint, and the run."""
+        for run, jacobians in enumerate(self._jacobians):
+            for number, (places, by_places) in jacobians.items():
+                for at, joint in enumerate(self.simulator.groups[number][0]):
+                    yield places, by_places[:, at], joint, run
 
-    def linearise(self, moments: Array, _about: Array) -> Linearised:
-        """Returns whitened residuals as sums; these are made when they are asked for."""
-        left = self.residuals(self.moments.to_parameters(moments))
-        return _Lazy(left, self._jacobians, self._noise, self.simulator.groups)  # type: ignore[return-value]
-
-    def with_steps(self, steps: int) -> Motion:
-        """Returns the same with other steps of the simulation between two samples."""
-        return Motion(self.simulator.with_steps(steps), self.runs, self.known)
-
-    def step_error(self, x: Array) -> float:
-        """Returns what finer steps change, in parts of what is left (root mean squares)."""
-        if self.simulator.steps >= _MOST_STEPS:
-            return 0.0
-        run = self.fitted[0].until(_GLANCE)
-        change = self.finer.predict(run, [x])[0] - self.simulator.predict(run, [x])[0]
-        return root_mean_square([np.where(run.counts, change, np.nan)]) / root_mean_square(
-            self.residuals(x)
-        )
-
-    def fit(self, start: Array | None = None, *, near: bool = True) -> Posterior:
+    def fit(self, start: Array | None = None) -> Posterior:
         """Returns the parameters, with the noise that they leave.
 
         They are those of least squares, in which each joint counts by its noise's long-run
@@ -493,183 +410,30 @@ class Motion:
         covariance of the gradient.
 
         Args:
-            start: To begin with; by default what suits the first seconds.
-            near: Whether what it leaves is noise, rather than motion.
+            start: To begin with; the stated values by default.
 
         Raises:
             FitError: If it does not converge.
         """
-        first = self._glance(start) if start is None or not near else None
-        x = start if first is None else first
-        begin = self.moments.of_parameters(self.table.stated if x is None else x)
-        posterior = self._descend(
-            begin, _ROUNDS, near=first is not None or (near and start is not None)
-        )
-        return self._with_memory(posterior)
-
-    def _descend(self, y: Array, rounds: int, *, near: bool) -> Posterior:
-        """Returns the most probable moments, in rounds with the noise that the one before has left.
-
-        Args:
-            y: (n,) moments to begin with.
-            rounds: How many at most; the last is the one that ends where it should.
-            near: Whether what is left at first is noise, rather than motion.
-        """
-        for turn in range(rounds):
-            left, before = self.residuals(self.moments.to_parameters(y)), self._noise
-            self._noise = tuple(
-                SeriesNoise.of([one[:, joint] for one in left])
-                if turn or near
-                else SeriesNoise.white(root_mean_square(one[:, joint] for one in left))
-                for joint in range(left[0].shape[1])
-            )
-            last = turn == _ROUNDS - 1 or (turn > 0 and _alike(before, self._noise))
-            rough = _ROUGHLY if turn or near else _GLANCED * sum(one.size for one in left)
-            posterior = estimate_parameters(
-                self.table,
-                self.linearise,
-                y,
-                enough=_ENOUGH if last else rough,
-                jacobian=self._dear,
-            )
+        y = self.moments.of_parameters(self.table.stated if start is None else start)
+        for self._remembers, enough in ((False, _ROUGHLY), (True, _ENOUGH)):
+            posterior = estimate_parameters(self.table, self.linearise, y, enough=enough)
             y = posterior.mean
-            # What led nowhere leads nowhere with a noise that is hardly another.
-            if last or (turn and posterior.open_step is not None):
-                break
-        return posterior
-
-    def _with_memory(self, posterior: Posterior) -> Posterior:
-        """Returns the same with the covariance that the noise's memory makes."""
-        size, width = len(self.table), self.table.width
-        spread = np.zeros((size, size))
-        groups = self.simulator.groups
-        for run, jacobians in zip(self.fitted, self._jacobians, strict=True):
-            for number, (places, by_places) in jacobians.items():
-                for at, joint in enumerate(groups[number][0]):
-                    noise = self._noise[joint]
-                    counted = np.where(run.counts[:, joint, None], by_places[:, at], 0.0)
-                    back = noise.spread(counted / noise.long_run**2)
-                    spread[places[:, None], places] += back @ back.T
-        narrow = np.linalg.inv(posterior.information + posterior.precision)
-        spread = width[:, None] * spread * width + posterior.precision
-        covariance = narrow @ spread @ narrow
-        if posterior.open_step is not None:
-            open_step = posterior.open_step / width
-            covariance += np.outer(open_step, open_step)
-        bends = self._bends(posterior, covariance)
-        return self.moments.of_posterior(posterior, posterior.mean, covariance, bends)
-
-    def _bends(self, posterior: Posterior, covariance: Array) -> Array:
-        """Returns how far parameters are from where straight lines lead (draws, n), in widths.
-
-        Moments are drawn as they are known. What measurements do not tell takes what they do with
-        it where that bends: an armature is determined with the inertia of its link, which goes with
-        the square of a com. So each draw is led back to what suits the measurements, by one step
-        with the same derivatives.
-
-        Args:
-            posterior: The moments.
-            covariance: (n, n) of these, in the priors' widths.
-        """
-        width, size = self.table.width, len(self.table)
-        drawn = np.random.default_rng(0).multivariate_normal(
-            np.zeros(size), covariance, _DRAWS, method="eigh"
-        )
-        drawn = np.concatenate([drawn, -drawn])
-        least = np.where(self.positive, -posterior.mean / width, -np.inf)
-        drawn = np.maximum(drawn, least)
-        begin = posterior.mean + width * drawn
-        gradients = np.zeros((len(drawn), size))
-        for run, jacobians in zip(self.fitted, self._jacobians, strict=True):
-            vectors = [posterior.mean, *begin]
-            found = self.simulator.predict_all(
-                run, np.array([self.moments.to_parameters(one) for one in vectors])
-            )
-            for number, (places, by_places) in jacobians.items():
-                for at, joint in enumerate(self.simulator.groups[number][0]):
-                    counted = run.counts[:, joint]
-                    rows = by_places[counted, at] * width[places]
-                    bent = found[1:, counted, joint] - found[0, counted, joint]
-                    bent -= drawn[:, places] @ rows.T
-                    gradients[:, places] += bent @ rows / self._noise[joint].long_run ** 2
+        width = self.table.width
+        spread = np.zeros((len(y), len(y)))
+        for places, rows, joint, run in self._rows():
+            noise = self._noise[joint]
+            counted = np.where(self.fitted[run].counts[:, joint, None], rows, 0.0)
+            back = noise.spread(counted / noise.long_run**2)
+            spread[places[:, None], places] += back @ back.T
         whole = posterior.information + posterior.precision
-        led = np.maximum(drawn - np.linalg.solve(whole, gradients.T).T, least)
-        mean = self.moments.to_parameters(posterior.mean)
-        turn = self.moments.derivative(posterior.mean) * width / width[:, None]
-        off = np.array(
-            [self.moments.to_parameters(one) - mean for one in posterior.mean + width * led]
+        narrow = np.linalg.inv(whole)
+        spread = width[:, None] * spread * width + posterior.precision
+        # With what was promised and not found.
+        covariance = narrow @ (spread - whole) @ narrow + posterior.covariance / np.outer(
+            width, width
         )
-        # What was known before is known still.
-        bends: Array = np.clip(off / width - drawn @ turn.T, -1, 1)
-        return bends
-
-    def _glance(self, start: Array | None) -> Array | None:
-        """Returns parameters that suit the first seconds, where there are many more."""
-        left, first = _GLANCE, []
-        for run in self.fitted:
-            if left > 0:
-                first.append(run.until(left))
-                left -= float(first[-1].time[-1])
-        if sum(len(run.time) for run in first) > 0.7 * sum(len(run.time) for run in self.fitted):
-            return None
-        if not any(run.counts.any() for run in first):
-            return None
-        motion = Motion(self.simulator, first)
-        begin = motion.moments.of_parameters(self.table.stated if start is None else start)
-        found = motion._descend(begin, 2, near=False)
-        self._known = motion.known
-        return self.moments.to_parameters(found.mean)
-
-
-class _Lazy:
-    """What ``Linearised`` has, but sums are made where they are needed: not of a trial."""
-
-    log_noise = 0.0
-
-    def __init__(
-        self,
-        left: Sequence[Array],
-        jacobians: Sequence[Mapping[int, tuple[IntArray, Array]]],
-        noise: tuple[SeriesNoise, ...],
-        groups: Sequence[tuple[list[int], list[int]]],
-    ) -> None:
-        self._jacobians, self._noise, self._groups = jacobians, noise, groups
-        self._white = [one / np.array([own.long_run for own in noise]) for one in left]
-        finding = [np.isfinite(white) for white in self._white]
-        self.rows = int(sum(one.sum() for one in finding))
-        self.chi2 = float(sum((white[one] ** 2).sum() for white, one in zip(self._white, finding)))  # noqa: B905
-        self._size = 1 + max(int(places.max()) for one in jacobians for places, _ in one.values())
-
-    @cached_property
-    def _sums(self) -> tuple[Array, Array]:
-        size = self._size
-        information, gradient = np.zeros((size, size)), np.zeros(size)
-        for white, jacobians in zip(self._white, self._jacobians, strict=True):
-            for number, (places, by_places) in jacobians.items():
-                for at, joint in enumerate(self._groups[number][0]):
-                    finding = np.isfinite(white[:, joint])
-                    rows = by_places[finding, at] / self._noise[joint].long_run
-                    information[places[:, None], places] += rows.T @ rows
-                    gradient[places] += rows.T @ white[finding, joint]
-        return information, gradient
-
-    @property
-    def information(self) -> Array:
-        """(n, n) sum of A^T A."""
-        return self._sums[0]
-
-    @property
-    def gradient(self) -> Array:
-        """(n,) sum of A^T r."""
-        return self._sums[1]
-
-
-def _alike(one: Sequence[SeriesNoise], other: Sequence[SeriesNoise]) -> bool:
-    """Says whether two noises of all joints are the same."""
-    return all(
-        abs(own.long_run / its.long_run - 1) < _SAME_NOISE
-        for own, its in zip(one, other, strict=True)
-    )
+        return self.moments.of_posterior(posterior, covariance)
 
 
 # What is left of a fitted motion, as noise that remembers itself.
@@ -704,8 +468,9 @@ class SeriesNoise:
     deviation: float
 
     @staticmethod
-    def white(deviation: float) -> SeriesNoise:
-        """Returns noise without memory."""
+    def white(series: Sequence[Array]) -> SeriesNoise:
+        """Returns noise without memory, that some series (n,) are."""
+        deviation = root_mean_square(series)
         deviation = max(deviation, _LEAST) if math.isfinite(deviation) else _LEAST
         return SeriesNoise(np.zeros(0), deviation, deviation)
 
@@ -713,29 +478,20 @@ class SeriesNoise:
     def of(series: Sequence[Array]) -> SeriesNoise:
         """Returns the noise that some series (n,) are; NaN are missing.
 
-        By Yule's and Walker's equations, whose noise never grows; so many lags as Schwarz's
-        criterion has worth it.
+        By Yule's and Walker's equations, whose noise never grows.
         """
         filled = [np.where(np.isfinite(one), one, 0.0) for one in series]
         count = int(sum(np.isfinite(one).sum() for one in series))
-        if count == 0:
-            return SeriesNoise.white(_LEAST)
+        white = SeriesNoise.white(series)
+        if count < _SAMPLES_PER_LAG * _MOST_LAGS or white.deviation <= _LEAST:
+            return white
         moments = np.array(
             [sum(float(one[lag:] @ one[: max(len(one) - lag, 0)]) for one in filled) / count
              for lag in range(_MOST_LAGS + 1)]
         )  # fmt: skip
-        deviation = math.sqrt(moments[0])
-        best = SeriesNoise.white(deviation)
-        if count < _SAMPLES_PER_LAG * _MOST_LAGS or deviation <= _LEAST:
-            return best
-        least = math.inf
-        for lags in range(_MOST_LAGS + 1):
-            given = solve_toeplitz(moments[:lags], moments[1 : lags + 1]) if lags else np.zeros(0)
-            variance = max(float(moments[0] - given @ moments[1 : lags + 1]), _LEAST**2)
-            worth = count * math.log(variance) + lags * math.log(count)
-            if worth < least:
-                least, best = worth, SeriesNoise(given, math.sqrt(variance), deviation)
-        return best
+        given = solve_toeplitz(moments[:-1], moments[1:])
+        variance = max(float(moments[0] - given @ moments[1:]), _LEAST**2)
+        return SeriesNoise(given, math.sqrt(variance), white.deviation)
 
     @property
     def long_run(self) -> float:
@@ -809,7 +565,7 @@ def differentiate(
     changes *= width
 
     vectors = [moments.to_parameters(one) for one in (at, *(at + changes))]
-    predicted = simulator.predict_all(run, np.array(vectors))
+    predicted = simulator.predict(run, vectors)
     moved = predicted[1:] - predicted[0]
     found: dict[int, tuple[IntArray, Array]] = {}
     for number, (joints, columns) in enumerate(groups):

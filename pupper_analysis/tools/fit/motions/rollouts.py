@@ -66,29 +66,16 @@ class Run:
     counts: NDArray[np.bool_]
     held_out: NDArray[np.bool_]
 
-    def until(self, moment: float) -> Run:
-        """Returns its beginning, up to a moment (s)."""
-        rows = slice(0, max(int(np.searchsorted(self.time, moment)), 2))
-        return replace(
-            self,
-            time=self.time[rows],
-            position=self.position[rows],
-            command=self.command[rows],
-            counts=self.counts[rows],
-            held_out=self.held_out[rows],
-        )
 
-
-def split_runs(log: Log, jumps: Sequence[int], rest: Array, hold_out: float) -> Iterator[Run]:
+def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[Run]:
     """Yields the runs of a log.
 
     Args:
         log: With the robot's joints in its order.
-        jumps: After which samples the clock jumps.
         rest: (nu,) where joints that the log does not tell are held (rad).
         hold_out: Of each run's duration, at its end, what is not fitted.
     """
-    ends = [0, *(jump + 1 for jump in jumps), len(log.time)]
+    ends = [0, *(jump + 1 for jump in log.jumps), len(log.time)]
     for first, last in pairwise(ends):
         part = log.part(slice(first, last))
         time = part.time - part.time[0]
@@ -184,8 +171,15 @@ class Simulator:
         interval = self._model.opt.timestep * self.steps
         return Simulator(self.robot, self.drive, self.table, interval, steps)
 
-    def predict(self, run: Run, vectors: Sequence[Array] | Array) -> Array:
-        """Returns the encoders' positions (vectors, n, nu) that parameters predict for a run."""
+    def predict(self, run: Run, vectors: Sequence[Array]) -> Array:
+        """Returns the encoders' positions (vectors, n, nu) that parameters predict for a run.
+
+        Some at a time: states of all take much memory.
+        """
+        parts = range(0, len(vectors), _AT_ONCE)
+        return np.concatenate([self._predict(run, vectors[at : at + _AT_ONCE]) for at in parts])
+
+    def _predict(self, run: Run, vectors: Sequence[Array]) -> Array:
         while len(self._models) < len(vectors):
             self._models.append(copy.copy(self._model))  # meshes too: 20 ms
         models = self._models[: len(vectors)]
@@ -193,8 +187,8 @@ class Simulator:
             self.put(model, vector)
         step = float(self._model.opt.timestep)
         count = int(np.ceil(run.time[-1] / step - 1e-9))
-        commands = _Integral(run.time, run.command).means(step * np.arange(count + 1, dtype=float))
-        offsets = [self._per_joint(vector, "offset", 0.0) for vector in vectors]
+        commands = _mean_commands(run.time, run.command, step * np.arange(count + 1, dtype=float))
+        offsets = [self._per_joint(vector, "offset", np.zeros(self.robot.nu)) for vector in vectors]
         controls, starts = [], []
         data = self._workers[0]
         for model, offset in zip(models, offsets, strict=True):
@@ -216,17 +210,10 @@ class Simulator:
         return found + np.array(offsets)[:, None, :]
 
     def _at(self, states: Array, time: Array, step: float) -> Array:
-        """Returns joint positions (n, nu) at some times, by Hermite's cubic between steps."""
-        place = np.minimum((time / step + 1e-9).astype(int), len(states) - 2)
-        share = (time / step - place)[:, None]
-        position = 1 + self.robot.mj_convention.qpos_index
-        velocity = 1 + self._model.nq + self._dofs
-        before, after, back = states[place], states[place + 1], 1 - share
-        p, q = before[:, position], after[:, position]
-        v, w = step * before[:, velocity], step * after[:, velocity]
-        found: Array = back**2 * ((1 + 2 * share) * p + share * v)
-        found += share**2 * ((1 + 2 * back) * q - back * w)
-        return found
+        """Returns joint positions (n, nu) at some times."""
+        there = states[:, 1 + self.robot.mj_convention.qpos_index]
+        steps = step * np.arange(len(states))
+        return np.column_stack([np.interp(time, steps, column) for column in there.T])
 
     def _controls(self, command: Array) -> Array:
         """Returns ctrl (n, model.nu) of commanded joint positions (n, nu)."""
@@ -237,29 +224,22 @@ class Simulator:
         ctrl[:, columns] = (self.drive.gear * command)[:, driven]
         return ctrl
 
+    def _per_joint(self, vector: Array, kind: str, stated: Array) -> Array:
+        return self.table.of_each(vector, kind, self.robot.joint_names, stated)
+
     def _delay(self, vector: Array) -> float:
         return max(self.table.value(vector, "delay", SERVOS, "", 0.0), 0.0)
-
-    def _per_joint(self, vector: Array, kind: str, stated: Array | float) -> Array:
-        own = np.broadcast_to(stated, (self.robot.nu,))
-        return np.array(
-            [
-                self.table.value(vector, kind, name, "", value)
-                for name, value in zip(self.robot.joint_names, own.tolist(), strict=True)
-            ]
-        )
 
     def put(self, model: mujoco.MjModel, vector: Array) -> None:
         """Gives a model all of a vector of parameters. What cannot be below zero is zero there."""
         dofs, drive, stated = self._dofs, self.drive, self._model
         kp = np.maximum(self._per_joint(vector, "kp", drive.kp), 0.0)
-        kd = np.maximum(self._per_joint(vector, "kd", drive.kd), 0.0)
         actuators = self.robot.mj_convention.actuator_index
         driven = actuators >= 0
         at, squared = actuators[driven], drive.gear[driven] ** 2
         model.actuator_gainprm[at, 0] = kp[driven] / squared
         model.actuator_biasprm[at, 1] = -kp[driven] / squared
-        model.actuator_biasprm[at, 2] = -kd[driven] / squared
+        model.actuator_biasprm[at, 2] = -drive.kd[driven] / squared
         for kind, values, own in (
             ("damping", model.dof_damping, stated.dof_damping),
             ("friction", model.dof_frictionloss, stated.dof_frictionloss),
@@ -269,32 +249,18 @@ class Simulator:
         self.bodies.put(model, self.table, vector)
         mujoco.mj_setConst(model, self._workers[-1])
 
-    def predict_all(self, run: Run, vectors: Array) -> Array:
-        """Returns predictions for many vectors, some at a time: states of all take much memory."""
-        parts = range(0, len(vectors), _AT_ONCE)
-        return np.concatenate([self.predict(run, vectors[at : at + _AT_ONCE]) for at in parts])
 
-
-class _Integral:
-    """The integral of commands that stay from sample to sample."""
-
-    def __init__(self, time: Array, command: Array) -> None:
-        self._time = np.concatenate([[time[0] - 1.0], time, [time[-1] + 1.0]])
-        steps = np.diff(self._time)[:, None] * np.vstack([command[:1], command])
-        self._sum = np.vstack([np.zeros(command.shape[1]), np.cumsum(steps, axis=0)])
-
-    def means(self, edges: Array) -> Array:
-        """Returns the mean commands (n - 1, nu) between times (n,)."""
-        whole = np.column_stack([np.interp(edges, self._time, column) for column in self._sum.T])
-        means: Array = np.diff(whole, axis=0) / np.diff(edges)[:, None]
-        return means
+def _mean_commands(time: Array, command: Array, edges: Array) -> Array:
+    """Returns the means (k - 1, nu) between times (k,) of commands that stay until the next."""
+    there = np.concatenate([[time[0] - 1.0], time, [time[-1] + 1.0]])
+    steps = np.diff(there)[:, None] * np.vstack([command[:1], command])
+    sums = np.vstack([np.zeros(command.shape[1]), np.cumsum(steps, axis=0)])
+    whole = np.column_stack([np.interp(edges, there, column) for column in sums.T])
+    means: Array = np.diff(whole, axis=0) / np.diff(edges)[:, None]
+    return means
 
 
 # The moving bodies of a MuJoCo model: their inertials as parameters, and which feel each other.
-
-
-_DEEP = 1e-3
-"""m: shapes that are in each other by less may be rounded otherwise."""
 
 
 class MovingBodies:
@@ -370,32 +336,10 @@ class MovingBodies:
                 continue
             least = LEAST_MASS * self.mass[number]
             mass = max(table.value(vector, "mass", link, "", self.mass[number]), least)
-            com = [
-                table.value(vector, "com", link, axis, own)
-                for axis, own in zip(AXES, self.com[number], strict=True)
-            ]
+            com = table.of_each_axis(vector, link, self.com[number])
             model.body_mass[body] = mass
             model.body_inertia[body] = self._inertia[number] * mass / self.mass[number]
-            model.body_ipos[body] = self._to_link[number].actInv(np.array(com))
-
-    def touching(self, positions: Array) -> tuple[tuple[str, str], ...]:
-        """Returns the pairs of moving bodies that are in each other at joint positions (n, nu)."""
-        model, data = self.model, mujoco.MjData(self.model)
-        enabled = copy.copy(model)
-        enabled.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_CONTACT.value
-        found: dict[tuple[str, str], None] = {}
-        for joints in positions:
-            data.qpos[model.jnt_qposadr[self._joints]] = joints
-            mujoco.mj_kinematics(enabled, data)
-            mujoco.mj_comPos(enabled, data)
-            mujoco.mj_collision(enabled, data)
-            for contact in data.contact:
-                bodies = model.geom_bodyid[contact.geom]
-                # With the world: a floor is not where a robot hangs.
-                if contact.dist < -_DEEP and model.body_weldid[bodies].all():
-                    one, other = sorted(model.body(int(body)).name for body in bodies)
-                    found[one, other] = None
-        return tuple(found)
+            model.body_ipos[body] = self._to_link[number].actInv(com)
 
     def groups(self, table: ParameterTable) -> list[tuple[list[int], list[int]]]:
         """Returns groups of joints that do not feel each other, with the parameters of each.
@@ -512,27 +456,21 @@ class Moments:
         found[self._coms, self._masses] = -(lightness**2) * off / self._stated_mass
         return found
 
-    def of_posterior(
-        self, posterior: Posterior, moments: Array, covariance: Array, bends: Array
-    ) -> Posterior:
-        """Returns what is known of parameters, of what is known of moments.
+    def of_posterior(self, posterior: Posterior, covariance: Array) -> Posterior:
+        """Returns what is known of parameters, of what is known of moments, linear about the best.
 
         Args:
             posterior: Of moments.
-            moments: (n,) where these are taken to be.
             covariance: (n, n) of them, in the priors' widths.
-            bends: (draws, n) how far parameters are from where straight lines lead, likewise.
         """
         width = np.array([one.width for one in posterior.parameters])
-        turn = self.derivative(moments) * width / width[:, None]
-        back, step = np.linalg.inv(turn), posterior.open_step
-        covariance = turn @ covariance @ turn.T + bends.T @ bends / len(bends)
-        covariance = (covariance + covariance.T) / 2
+        turn = self.derivative(posterior.mean) * width / width[:, None]
+        back = np.linalg.inv(turn)
+        covariance = turn @ covariance @ turn.T
         return replace(
             posterior,
-            mean=self.to_parameters(moments),
-            covariance=width[:, None] * covariance * width,
+            mean=self.to_parameters(posterior.mean),
+            covariance=width[:, None] * (covariance + covariance.T) / 2 * width,
             information=back.T @ posterior.information @ back,
             precision=back.T @ posterior.precision @ back,
-            open_step=None if step is None else width * (turn @ (step / width)),
         )

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,8 +99,3 @@ class WallClock:
     def wait(self, seconds: float) -> None:
         """Lets time pass."""
         time.sleep(seconds)
-
-
-def in_order(robot: Robot, positions: Mapping[str, Any]) -> Array:
-    """Returns positions (nu,) by their joints' names; NaN of what is missing."""
-    return np.array([float(positions.get(name, np.nan)) for name in robot.joint_names])

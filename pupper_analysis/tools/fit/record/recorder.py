@@ -7,11 +7,9 @@ stand begins, and stands that are there are not taken again.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +25,11 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.statics.support_polygon import com_margin
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, read_stands
+from pupper_analysis.tools.fit.measurements.stands import (
+    MeasuredStands,
+    read_stands,
+    stands_text,
+)
 from pupper_analysis.tools.fit.record.bridge import Bridge, Person
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, com_width
 
@@ -89,14 +91,12 @@ class _EndError(Exception):
         self.finding = finding
 
 
+class _LeftOutError(_EndError):
+    """This stand is not taken; the next may be."""
+
+
 def record_stands(
-    robot: Robot,
-    plan: str | Path,
-    output: str | Path,
-    bridge: Bridge,
-    person: Person,
-    *,
-    speed: float = SPEED,
+    robot: Robot, plan: str | Path, output: str | Path, bridge: Bridge, person: Person
 ) -> Recording:
     """Takes the stands of a plan, and adds a row for each to a file.
 
@@ -106,7 +106,6 @@ def record_stands(
         output: The file; stands whose names it has are not taken again.
         bridge: The way to the robot.
         person: Who lifts it, and sees which feet carry.
-        speed: Of a joint, at most (rad/s).
 
     Raises:
         ConfigurationError: If the file is the plan itself.
@@ -125,7 +124,7 @@ def record_stands(
     taken: list[str] = []
     findings: list[Diagnostic] = []
     before: PlannedStand | None = None
-    session = _Session(robot, bridge, person, speed)
+    session = _Session(robot, bridge, person)
     try:
         for row in rows:
             stand = _stand(planned, row)
@@ -156,19 +155,11 @@ def record_stands(
     return Recording(robot.name, str(path), tuple(taken), names, tuple(left), tuple(findings))
 
 
-class _LeftOutError(Exception):
-    """This stand is not taken; the next may be."""
-
-    def __init__(self, finding: Diagnostic) -> None:
-        super().__init__(finding)
-        self.finding = finding
-
-
 class _Session:
     """A robot that is led from stand to stand."""
 
-    def __init__(self, robot: Robot, bridge: Bridge, person: Person, speed: float) -> None:
-        self._robot, self._bridge, self._person, self._speed = robot, bridge, person, speed
+    def __init__(self, robot: Robot, bridge: Bridge, person: Person) -> None:
+        self._robot, self._bridge, self._person = robot, bridge, person
         self._command: Array | None = None
 
     def hold(self) -> None:
@@ -198,7 +189,7 @@ class _Session:
             self._command = self._positions(stand)
             self._bridge.send(self._command)
         begin, first = self._command, self._positions(stand)
-        steps = max(1, math.ceil(np.abs(target - begin).max() / (self._speed * _TICK)))
+        steps = max(1, math.ceil(np.abs(target - begin).max() / (SPEED * _TICK)))
         for step in range(1, steps + 1):
             self._command = begin + step / steps * (target - begin)
             self._bridge.send(self._command)
@@ -356,18 +347,9 @@ def _stand(planned: MeasuredStands, row: int) -> PlannedStand:
 
 def _append(path: Path, planned: MeasuredStands, row: int, read: Array, up: Sequence[str]) -> None:
     """Adds a row: the whole file is written anew beside it, and takes its place at once."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    loads = [f"added{one}.{link}" for link in planned.added for one in ("", "_x", "_y", "_z")]
-    if not path.exists():
-        kinds = [f"{kind}.{name}" for kind in ("command", "position") for name in planned.joints]
-        writer.writerow(["stand", "swing", "heading", *loads, *kinds])
-    on = [f"{value:.6g}" for own in planned.added.values() for value in own[row].tolist()]
-    first = [planned.names[row], " ".join(up), f"{planned.heading[row]:.6g}"]
-    numbers = [f"{value:.6f}" for value in (*planned.command[row].tolist(), *read.tolist())]
-    writer.writerow([*first, *on, *numbers])
+    one = replace(planned.part([row]), position=read[None], swing=(tuple(up),))
     had = path.read_bytes() if path.exists() else b""
     if had and not had.endswith(b"\n"):
         had += b"\n"
     with whole_file(path, RECORD) as file:
-        file.write(had + text.getvalue().encode())
+        file.write(had + stands_text(one, header=not had).encode())

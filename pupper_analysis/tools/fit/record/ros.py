@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.record.bridge import WallClock, in_order
+from pupper_analysis.tools.fit.record.bridge import WallClock
 from pupper_analysis.tools.fit.record.terminal import Terminal
 
 Array = NDArray[np.float64]
@@ -70,7 +70,8 @@ class Topics(WallClock):
     def read(self) -> tuple[float, Array]:
         """See ``Bridge``: as old as the joint that was heard of longest ago."""
         self._ros.spin_once(self._node, timeout_sec=0.0)
-        return min(self._seen.values()), in_order(self._robot, self._positions)
+        there = [self._positions.get(name, math.nan) for name in self._robot.joint_names]
+        return min(self._seen.values()), np.array(there)
 
     def wait(self, seconds: float) -> None:
         """Lets time pass, and hears."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -12,10 +11,12 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.tools.fit.parameters import bodies_of
+from pupper_analysis.tools.fit.stands.equations import level_base
 from pupper_analysis.tools.fit.stands.plan import PlannedStand
 from pupper_analysis.tools.study.parameters import scale_robot
 
@@ -30,32 +31,11 @@ _STEP = 2 * math.pi / 2**14
 _SET_DOWN = 0.01
 """m: from so high it is put on its feet."""
 
-_TURNS = 1e-3
+_TURNS = (1e-3, 2e-4)
 """m: torsional and rolling friction of rubber feet, at most."""
 
 _CARRIES = 0.005
 """Of the weight: a foot with less is in the air, as far as a person sees."""
-
-
-_SLIP = 0.2
-"""m/s."""
-
-
-@dataclass
-class Faults:
-    """What goes wrong, by the time of the simulation (s).
-
-    Attributes:
-        stuck: A joint whose servo stops to follow, and from when on.
-        lost: From when to when no message comes.
-        key: When a key is pressed.
-        slip: When it slips: its base is pushed, at 0.2 m/s.
-    """
-
-    stuck: tuple[int, float] | None = None
-    lost: tuple[float, float] | None = None
-    key: float = math.inf
-    slip: float = math.inf
 
 
 class SimulatedRobot:
@@ -69,7 +49,6 @@ class SimulatedRobot:
         total_mass: What it weighs (kg).
         kp: (nu,) N m/rad.
         offset: (nu,) zeros of its encoders (rad).
-        faults: What goes wrong.
         sent: All commands (nu,), as they were sent (rad).
     """
 
@@ -85,11 +64,10 @@ class SimulatedRobot:
         self.kp = servo_gains(robot).kp * np.exp(KP * (common + rng.normal(size=robot.nu)))
         self.offset = OFFSET * rng.normal(size=robot.nu)
         self.robot = scale_robot(robot, factors)
-        self.total_mass, self.faults = self.robot.total_mass, Faults()
+        self.total_mass = self.robot.total_mass
         self.sent: list[Array] = []
         self._kd = servo_gains(robot).kd
         self._time = 0.0
-        self._held: tuple[float, Array] | None = None
         self._put_on({})
         self.send(robot.nominal + self.offset)
         self._set_down(())
@@ -109,20 +87,13 @@ class SimulatedRobot:
 
     def read(self) -> tuple[float, Array]:
         """See ``Bridge``."""
-        lost, at = self.faults.lost, self._time
-        if self._held is not None and lost and lost[0] <= at < lost[1]:
-            return self._held
         index = self._loaded.mj_convention.qpos_index
         shown = self._data.qpos[index][7:] + self.offset
-        self._held = at, np.round(shown / _STEP) * _STEP
-        return self._held
+        return self._time, np.round(shown / _STEP) * _STEP
 
     def send(self, command: Array) -> None:
         """See ``Bridge``."""
-        wanted = command.copy()
-        if (stuck := self.faults.stuck) and self._time >= stuck[1] and self.sent:
-            wanted[stuck[0]] = self.sent[-1][stuck[0]]
-        self.sent.append(wanted)
+        self.sent.append(command.copy())
 
     def wait(self, seconds: float) -> None:
         """See ``Bridge``."""
@@ -130,8 +101,6 @@ class SimulatedRobot:
         data.ctrl[:] = self._drive.command(self._loaded, self.sent[-1] - self.offset)
         for _ in range(max(1, round(seconds / model.opt.timestep))):
             mujoco.mj_step(model, data)
-        if self._time < self.faults.slip <= self._time + seconds:
-            data.qvel[self._loaded.mj_convention.qvel_index[0]] += _SLIP
         self._time += seconds
 
     def close(self) -> None:
@@ -149,27 +118,16 @@ class SimulatedRobot:
         return True
 
     def _set_down(self, swing: Sequence[str]) -> None:
-        robot, data, model = self._loaded, self._data, self._drive.model
-        mujoco.mj_resetData(model, data)
-        index, feet = robot.mj_convention.qpos_index, robot.foot_geoms
-        qpos = robot.posed(self.sent[-1] - self.offset)
-        carrying = [geom for geom, foot in feet.items() if foot not in swing]
-        for _ in range(3):  # until those feet are level
-            data.qpos[index] = qpos
-            mujoco.mj_kinematics(model, data)
-            at = data.geom_xpos[carrying]
-            plane = np.column_stack([at[:, :2], np.ones(len(at))])
-            a, b, _ = np.linalg.lstsq(plane, at[:, 2])[0]
-            half = np.array([2.0, b, -a, 0.0])
-            mujoco.mju_normalize4(half)
-            turned = np.zeros(4)
-            mujoco.mju_mulQuat(turned, np.array([half[0], -half[1], -half[2], 0.0]), qpos[3:7])
-            qpos[3:7] = turned
-        data.qpos[index] = qpos
-        mujoco.mj_kinematics(model, data)
-        lowest = (data.geom_xpos[list(feet), 2] - model.geom_rbound[list(feet)]).min()
-        qpos[2] += _SET_DOWN - lowest
-        data.qpos[index] = qpos
+        robot, joints = self._loaded, self.sent[-1] - self.offset
+        on = [point for foot, own in robot.feet.items() if foot not in swing for point in own]
+        qpos, base = robot.posed(joints), level_base(robot, joints, on)
+        qpos[2], qpos[3:7] = base[4], base[:4]
+        every = robot.contact_points
+        lowest = Configuration(robot, qpos).foot_places(every)[:, 2]
+        lowest = lowest - [robot.contact_radius[point] for point in every]
+        qpos[2] += _SET_DOWN - min(lowest)
+        mujoco.mj_resetData(self._drive.model, self._data)
+        self._data.qpos[robot.mj_convention.qpos_index] = qpos
 
     def feet_up(
         self,
@@ -191,7 +149,7 @@ class SimulatedRobot:
 
     def stops(self) -> bool:
         """See ``Person``."""
-        return self._time >= self.faults.key
+        return False
 
 
 def open_simulated(robot: Robot, words: str) -> tuple[SimulatedRobot, SimulatedRobot]:

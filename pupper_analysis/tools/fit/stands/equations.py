@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -61,14 +60,12 @@ class StandNoise:
         flatness: Of the ground's height under a foot, and of the links' lengths (m).
         friction: Factor on the stated dry friction of joints, of which nobody knows where in its
             band a joint came to rest.
-        tilt: Of an IMU's roll and pitch (rad).
     """
 
     encoder: float
     moment: float = KINDS["moment"].width
     flatness: float = 3e-4
     friction: float = 1.0
-    tilt: float = math.radians(0.2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +75,6 @@ class Reading:
     Attributes:
         command: (nu,) rad.
         position: (nu,) rad.
-        tilt: (2,) rad.
         points: The contact points that carry.
         heading: How the robot is turned about the vertical (rad).
         added: {link: known mass on it (kg), and where in its frame (m)} (4,).
@@ -86,7 +82,6 @@ class Reading:
 
     command: Array
     position: Array
-    tilt: Array
     points: tuple[str, ...]
     heading: float = 0.0
     added: Mapping[str, Array] = field(default_factory=dict)
@@ -98,7 +93,6 @@ def readings_of(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
         yield Reading(
             command=stands.command[row],
             position=stands.position[row],
-            tilt=stands.tilt[row],
             points=tuple(
                 point
                 for foot, points in robot.feet.items()
@@ -108,58 +102,6 @@ def readings_of(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
             heading=float(stands.heading[row]),
             added={link: own[row] for link, own in stands.added.items() if own[row, 0]},
         )
-
-
-@dataclass(eq=False)
-class Rows:
-    """Residuals r, their derivatives by parameters x and own unknowns y, and by sources of noise.
-
-    Attributes:
-        sizes: How many parameters and own unknowns there are.
-        sources: Standard deviations of noise that acts on several rows: of encoders (nu,), then of
-            the moments on contact points (three each).
-        parts: (r, by x, by y, by noise, other standard deviations) of groups of rows.
-    """
-
-    sizes: tuple[int, int]
-    sources: Array
-    parts: list[tuple[Array, ...]] = field(default_factory=list)
-
-    def add(self, residual: Array, deviation: Array) -> tuple[Array, Array, Array]:
-        """Adds rows (k,); returns their derivatives (k, ...), zero, to be filled in."""
-        by_x, by_own, by_noise = (
-            np.zeros((len(residual), size)) for size in (*self.sizes, len(self.sources))
-        )
-        self.parts.append((residual, by_x, by_own, by_noise, deviation))
-        return by_x, by_own, by_noise
-
-    def whiten(self) -> tuple[Array, Array, Array, float]:
-        """Returns r, and its derivatives by x and y, of combinations with noise of variance 1.
-
-        And the logarithm of the determinant of the noise's covariance.
-        """
-        residual, by_x, by_own, by_noise, deviation = (
-            np.concatenate(part) for part in zip(*self.parts, strict=True)
-        )
-        covariance = self.sources**2 * by_noise @ by_noise.T + np.diag(deviation**2)
-        factor = np.linalg.cholesky(covariance)
-        white = np.linalg.solve(factor, np.column_stack([residual, by_x, by_own]))
-        n = by_x.shape[1]
-        log_noise = 2 * float(np.log(np.diag(factor)).sum())
-        return white[:, 0], white[:, 1 : 1 + n], white[:, 1 + n :], log_noise
-
-    def left(self, rows: slice) -> tuple[Array, Array]:
-        """Returns residuals of some rows at the best own unknowns, and what noise makes of them.
-
-        As standard deviations: of the noise less the part of it that own unknowns take up.
-        """
-        residual, _, by_own, by_noise, deviation = (
-            np.concatenate(part) for part in zip(*self.parts, strict=True)
-        )
-        covariance = self.sources**2 * by_noise @ by_noise.T + np.diag(deviation**2)
-        weighted = np.linalg.solve(covariance, by_own)
-        taken = by_own @ np.linalg.pinv(by_own.T @ weighted, rcond=_RANK, hermitian=True) @ by_own.T
-        return residual[rows], np.sqrt(np.maximum(np.diag(covariance - taken)[rows], 0.0))
 
 
 _RANK = 1e-12
@@ -186,8 +128,10 @@ class StandRows:
         config: The configuration.
         jacobians: (p, 3, nv) of the contact points.
         kp: (nu,) of the servos (N m/rad).
-        rows: The rows.
-        tilt: (2,) roll and pitch, as the IMU should show them (rad).
+        residual: (m,) r of each row: of the degrees of freedom, then of the contact points.
+        by_x: (m, n) its derivatives by parameters, by_own by own unknowns, by_noise by what acts on
+            several rows: encoders (nu,), moments on contact points (3 each), last motions (12).
+        deviation: (m,) standard deviations of other noise.
     """
 
     def __init__(
@@ -237,15 +181,44 @@ class StandRows:
         pressed = np.maximum(forces[:, 2], 0.0)
         own = math.sqrt(0.5) * noise.moment * np.repeat(pressed, 3)
         last = _LAST * np.repeat([noise.friction, noise.moment], 6)
-        sources = np.concatenate([np.full(robot.nu, noise.encoder), own, last])
-        self.rows = Rows((len(table), 3 + 3 * len(points)), sources)
+        self._sources = np.concatenate([np.full(robot.nu, noise.encoder), own, last])
+        sizes, rows = (len(table), 3 + 3 * len(points), len(self._sources)), robot.nv + len(points)
+        self.by_x, self.by_own, self.by_noise = (np.zeros((rows, size)) for size in sizes)
+        self.residual, self.deviation = np.zeros((2, rows))
         self._balance()
         self._contact()
-        self._tilt()
 
-    def _at(self, kind: str, subject: str, component: str = "") -> list[int]:
-        place = self._table.place(kind, subject, component)
-        return [] if place is None else [place]
+    def _covariance(self) -> Array:
+        found: Array = self._sources**2 * self.by_noise @ self.by_noise.T
+        return found + np.diag(self.deviation**2)
+
+    def whiten(self) -> tuple[Array, Array, Array, float]:
+        """Returns r, and its derivatives by x and y, of combinations with noise of variance 1.
+
+        And the logarithm of the determinant of the noise's covariance.
+        """
+        factor = np.linalg.cholesky(self._covariance())
+        white = np.linalg.solve(factor, np.column_stack([self.residual, self.by_x, self.by_own]))
+        n = self.by_x.shape[1]
+        log_noise = 2 * float(np.log(np.diag(factor)).sum())
+        return white[:, 0], white[:, 1 : 1 + n], white[:, 1 + n :], log_noise
+
+    def left(self) -> tuple[Array, Array]:
+        """Returns residuals of the joints at the best own unknowns, and what noise makes of them.
+
+        As standard deviations: of the noise less the part of it that own unknowns take up.
+        """
+        covariance, own, joints = self._covariance(), self.by_own, slice(6, 6 + self._robot.nu)
+        weighted = np.linalg.solve(covariance, own)
+        taken = own @ np.linalg.pinv(own.T @ weighted, rcond=_RANK, hermitian=True) @ own.T
+        variance = np.diag(covariance - taken)[joints]
+        return self.residual[joints], np.sqrt(np.maximum(variance, 0.0))
+
+    def _put(self, rows: Array, by: Array | float, *name: str) -> None:
+        """Adds what rows (k, n) change by with a parameter, if it is estimated."""
+        place = self._table.place(*name)
+        if place is not None:
+            rows[..., place] += by
 
     def _balance(self) -> None:
         """S tau - g + passive + sum J_p^T f_p = 0."""
@@ -260,7 +233,8 @@ class StandRows:
         residual += np.einsum("pij,pi->j", self.jacobians, self._forces)
         residual[6:] += numbers.kp * self._lead
         residual += np.einsum("pij,pi->j", self._twists[:, 3:], kept)
-        by_x, by_own, by_noise = self.rows.add(residual, self._unsure())
+        by_x, by_own, by_noise = (one[:nv] for one in (self.by_x, self.by_own, self.by_noise))
+        self.deviation[:nv] = self._unsure()
         by_own[:, :3] = -stiffness[:, _TURNS_AND_HEIGHT]
         by_own[:, 3:] = self.jacobians.reshape(-1, nv).T
         # What a foot sinks further brings its contact nearer to its centre by half of that.
@@ -270,14 +244,17 @@ class StandRows:
             by_own[:, 3 + 3 * point + 2] += (
                 self._softness[point] / self._rates[point] * moved[point]
             )
-            for at in self._at("softness", foot):
-                by_x[:, at] += self._deep[point] * moved[point]
-            for at in self._at("length", foot):
-                turned = np.cross(self._ahead[point], self._forces[point])
-                by_x[:, at] += turned @ self._twists[point, 3:]
+            self._put(by_x, self._deep[point] * moved[point], "softness", foot)
+            turned = np.cross(self._ahead[point], self._forces[point])
+            self._put(by_x, turned @ self._twists[point, 3:], "length", foot)
             for axis, name in enumerate(AXES):
-                for at in self._at("moment", foot, name):
-                    by_x[:, at] += self._forces[point, 2] * self._twists[point, 3 + axis]
+                self._put(
+                    by_x,
+                    self._forces[point, 2] * self._twists[point, 3 + axis],
+                    "moment",
+                    foot,
+                    name,
+                )
             by_own[:, 3 + 3 * point + 2] += moments[point] @ self._twists[point, 3:]
         # A true position is the measured one less offset and noise; a servo's torque follows the
         # true one.
@@ -292,14 +269,12 @@ class StandRows:
         by_noise[:, -6:] = np.einsum("p,pij,pik->jk", pressed, turning, feet)
         for joint, name in enumerate(self._names):
             row = 6 + joint
-            for at in self._at("offset", name):
-                by_x[:, at] += stiffness[:, row]
-            for at in self._at("kp", name):
-                by_x[row, at] += self._lead[joint]
-            for at in self._at("deadband", "servos"):
-                by_x[row, at] -= numbers.kp[joint] * self._signs[joint]
+            self._put(by_x, stiffness[:, row], "offset", name)
+            self._put(by_x[row], self._lead[joint], "kp", name)
+            self._put(by_x[row], -(numbers.kp[joint] * self._signs[joint]), "deadband", "servos")
         self._gravity(by_x, by_mass, by_com, by_slope)
         self._in_positions(residual, by_x, by_own, by_noise)
+        self.residual[:nv] = residual
 
     def _last_motions(self) -> tuple[Array, Array]:
         """Returns how joints (nu, 6) and feet (p, 3, 6) turn with the base, on feet that stay.
@@ -320,23 +295,17 @@ class StandRows:
         """Fills in what balance changes by with masses, coms, loads, and the slope."""
         numbers = self._numbers
         for body, (link, *_) in enumerate(numbers.bodies):
-            for at in self._at("mass", link):
-                by_x[:, at] -= by_mass[body]
-                by_x[2, at] -= numbers.load * numbers.size
+            self._put(by_x, -by_mass[body], "mass", link)
+            self._put(by_x[2], -numbers.load * numbers.size, "mass", link)
             for axis, name in enumerate(AXES):
-                for at in self._at("com", link, name):
-                    by_x[:, at] -= by_com[body][:, axis]
+                self._put(by_x, -by_com[body][:, axis], "com", link, name)
         for body, one in enumerate(numbers.loads, len(numbers.bodies)):
-            for at in self._at("added", one.link):
-                by_x[:, at] -= one.stated * by_mass[body]
+            self._put(by_x, -one.stated * by_mass[body], "added", one.link)
             for axis, name in enumerate(AXES):
-                for at in self._at("place", one.link, name):
-                    by_x[:, at] -= by_com[body] @ one.turn[:, axis]
+                self._put(by_x, -(by_com[body] @ one.turn[:, axis]), "place", one.link, name)
         for name, pull in zip("xy", by_slope, strict=True):
-            for at in self._at("slope", "floor", name):
-                by_x[:, at] -= pull
-        for at in self._at("load", "scale"):
-            by_x[2, at] -= numbers.mass * numbers.size
+            self._put(by_x, -pull, "slope", "floor", name)
+        self._put(by_x[2], -numbers.mass * numbers.size, "load", "scale")
 
     def _in_positions(self, residual: Array, by_x: Array, by_own: Array, by_noise: Array) -> None:
         """Takes motors' rows to what a position is off by, times the kp at which noise is taken.
@@ -351,11 +320,10 @@ class StandRows:
         share = np.full(len(residual), numbers.heaviness / numbers.mass)
         share[6:] = np.where(driven, self._stiff / kp, 1.0)
         for joint, name in enumerate(self._names):
-            for at in self._at("kp", name) if driven[joint] else []:
-                by_x[6 + joint, at] -= residual[6 + joint] / kp[joint]
+            if driven[joint]:
+                self._put(by_x[6 + joint], -residual[6 + joint] / kp[joint], "kp", name)
         for link, *_ in numbers.bodies:
-            for at in self._at("mass", link):
-                by_x[:6, at] -= residual[:6] / numbers.mass
+            self._put(by_x[:6], -residual[:6] / numbers.mass, "mass", link)
         for rows in (residual, by_x.T, by_own.T, by_noise.T):
             rows *= share
 
@@ -372,46 +340,19 @@ class StandRows:
         """z_p - r_p + softness depth(f_p) = 0."""
         points = self._reading.points
         heights = self._twists[:, 2]
-        residual = self.config.foot_places(points)[:, 2] - self._radius
-        residual += self._softness * self._deep
-        flatness = np.full(len(points), self._noise.flatness)
-        by_x, by_own, by_noise = self.rows.add(residual, flatness)
+        nv = self._robot.nv
+        by_x, by_own, by_noise = (one[nv:] for one in (self.by_x, self.by_own, self.by_noise))
+        self.residual[nv:] = self.config.foot_places(points)[:, 2] - self._radius
+        self.residual[nv:] += self._softness * self._deep
+        self.deviation[nv:] = self._noise.flatness
         by_own[:, :3] = heights[:, _TURNS_AND_HEIGHT]
         by_noise[:, : self._robot.nu] -= heights[:, 6:]
         for joint, name in enumerate(self._names):
-            for at in self._at("offset", name):
-                by_x[:, at] -= heights[:, 6 + joint]
+            self._put(by_x, -heights[:, 6 + joint], "offset", name)
         for point, foot in enumerate(self._feet):
             by_own[point, 3 + 3 * point + 2] += self._softness[point] / self._rates[point]
-            for at in self._at("softness", foot):
-                by_x[point, at] += self._deep[point]
-            for at in self._at("length", foot):
-                by_x[point, at] += self._ahead[point, 2]
-
-    def _tilt(self) -> None:
-        """Roll and pitch against the vertical, plus the IMU's own = what it shows.
-
-        The vertical u in the base's axes has roll = atan2(u_y, u_z), pitch = -asin(u_x).
-        """
-        numbers = self._numbers
-        rotation, size = self.config.base_rotation(), float(np.linalg.norm(numbers.down))
-        up = rotation.T @ (-numbers.down / size)
-        self.tilt = np.array([math.atan2(up[1], up[2]), -math.asin(up[0])]) + numbers.imu
-        if not np.isfinite(self._reading.tilt).all():
-            return
-        across = up[1] ** 2 + up[2] ** 2
-        rates = np.array(
-            [[0.0, up[2] / across, -up[1] / across], [-1 / math.sqrt(across), 0.0, 0.0]]
-        )
-        off = self.tilt - self._reading.tilt
-        by_x, by_own, _ = self.rows.add(off, np.full(2, self._noise.tilt))
-        by_own[:, :2] = rates @ -np.cross(np.eye(3)[:2], up).T  # a turn w changes u by -w x u
-        for row, name in enumerate(("roll", "pitch")):
-            for at in self._at("imu", "imu", name):
-                by_x[row, at] = 1.0
-        for pull, axis in zip(numbers.tilts, "xy", strict=True):
-            for at in self._at("slope", "floor", axis):
-                by_x[:, at] = rates @ (rotation.T @ (-pull / size))
+            self._put(by_x[point], self._deep[point], "softness", foot)
+            self._put(by_x[point], self._ahead[point, 2], "length", foot)
 
 
 # What parameters say of a robot and its surroundings, and how gravity pulls on it.
@@ -450,10 +391,9 @@ class Numbers:
         offset: (nu,) rad.
         softness: {foot: factor on how far it sinks}.
         moment: {foot: (3,) moment on it, in parts of the force on it (m)}.
-        ahead: {contact point: (3,) direction in its frame in which its leg's last link is long}.
+        ahead: {contact point: (3,) its leg's last link, in its frame (m)}.
         down: (3,) gravity in the ground's axes (m/s^2).
         tilts: (2, 3) its derivatives by the slope.
-        imu: (2,) roll and pitch of the IMU in the base (rad).
         deadband: Error for which a servo gives nothing (rad).
         load: What stands on the feet beyond the masses, in parts of these.
         size: Of gravity (m/s^2).
@@ -474,7 +414,6 @@ class Numbers:
     ahead: Mapping[str, Array]
     down: Array
     tilts: Array
-    imu: Array
     deadband: float
     load: float
     size: float
@@ -510,7 +449,7 @@ class Numbers:
 
 
 def _ahead_of(robot: Robot, point: str) -> Array:
-    """Returns the direction (3,) from its leg's last joint to a contact point, in its frame.
+    """Returns the way (3,) from its leg's last joint to a contact point, in its frame (m).
 
     In the plane of the leg: without what it is aside along the joint's axis.
     """
@@ -520,9 +459,23 @@ def _ahead_of(robot: Robot, point: str) -> Array:
     axis = rest.joint_axis(joints[-1])
     way = rest.foot_places([point])[0] - rest.joint_position(joints[-1])
     way -= (way @ axis) * axis
-    size = float(np.linalg.norm(way))
-    found: Array = rest.foot_rotations([point])[0].T @ way / size if size else np.zeros(3)
+    found: Array = rest.foot_rotations([point])[0].T @ way
     return found
+
+
+def level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Array:
+    """Returns the base's quaternion (w, x, y, z) and height (m), with contact points on the ground.
+
+    The plane z = a x + b y + c through them is turned level, and brought to the ground.
+    """
+    places = Configuration(robot, robot.posed(joints)).foot_places(points)
+    places[:, 2] -= [robot.contact_radius[point] for point in points]
+    plane = np.column_stack([places[:, :2], np.ones(len(points))])
+    (a, b, c), *_ = np.linalg.lstsq(plane, places[:, 2])
+    normal = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
+    turn = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0]))
+    height = -(turn.matrix() @ np.array([0.0, 0.0, c]))[2]
+    return np.array([turn.w, turn.x, turn.y, turn.z, height])
 
 
 class GravityRegressor:
@@ -545,27 +498,23 @@ class GravityRegressor:
         By each body's mass (nv,), by its com (nv, 3), those of known loads last, and by the slope
         along x and y (nv,).
         """
+        bodies = [(number, mass, com) for _, number, mass, com in numbers.bodies]
+        bodies += [(one.number, one.mass, one.place) for one in numbers.loads]
+        at, mass, com = (np.array(column) for column in zip(*bodies, strict=True))
+        moments = np.column_stack([mass, mass[:, None] * com])
         q, found = self._structure.convention.unit_q(config.qpos), []
         for pull in (numbers.down, *numbers.tilts):
             self._model.gravity.linear = pull
             rows = pin.computeJointTorqueRegressor(
                 self._model, self._data, q, self._rest, self._rest
             )
-            found.append(self._structure.columns(rows.T).T)
-        bodies = [(number, mass, com) for _, number, mass, com in numbers.bodies]
-        bodies += [(one.number, one.mass, one.place) for one in numbers.loads]
-        columns = [10 * (number - 1) + np.arange(4) for number, *_ in bodies]
-        moments = [np.array([mass, *(mass * com)]) for _, mass, com in bodies]
-        forces = [
-            np.sum([rows[:, at] @ own for at, own in zip(columns, moments, strict=True)], axis=0)
-            for rows in found
-        ]
-        level = [found[0][:, at] for at in columns]
-        by_mass = [
-            rows[:, 0] + rows[:, 1:] @ com for rows, (*_, com) in zip(level, bodies, strict=True)
-        ]
-        by_com = [mass * rows[:, 1:] for rows, (_, mass, _) in zip(level, bodies, strict=True)]
-        return forces[0], by_mass, by_com, forces[1:]
+            rows = self._structure.columns(rows.T).T
+            found.append(rows.reshape(len(rows), -1, 10)[:, at - 1, :4])
+        forces = [np.einsum("vbm,bm->v", rows, moments) for rows in found]
+        by_moment = found[0][..., 1:]
+        by_mass = found[0][..., 0] + np.einsum("vbi,bi->vb", by_moment, com)
+        by_com = mass[:, None] * by_moment
+        return forces[0], list(by_mass.T), list(np.moveaxis(by_com, 1, 0)), forces[1:]
 
 
 _SHOWS = 1.0
@@ -583,7 +532,6 @@ class StandEquations:
 
         S tau - g(q; masses, coms) + passive + sum J_p^T f_p = 0          (nv)
         z_p(q) - r_p + softness depth(f_p) = 0                            (one a contact point)
-        tilt = IMU's                                                      (where measured)
 
     with q = position - offset, tau = kp (command - position - dead band), and what no
     scale has shown on the feet. The encoder's noise acts by both. The unknowns of a stand are
@@ -640,13 +588,15 @@ class StandEquations:
 
         If it followed the parameters from step to step, steps would go where noise is large.
         """
-        self._stiff, self._heaviness = self._per_joint(x, "kp", self._kp), self._mass(x)
+        names = self.robot.joint_names
+        self._stiff = self.table.of_each(x, "kp", names, self._kp)
+        self._heaviness = self._mass(x)
 
     def stand(self, stand: int, numbers: Numbers, evaluations: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of one stand, its own unknowns eliminated."""
         least = _SHOWS / (self.robot.total_mass * float(np.linalg.norm(self.robot.gravity)))
         for _ in range(evaluations):
-            residual, by_x, by_own, log_noise = self._look(stand, numbers).rows.whiten()
+            residual, by_x, by_own, log_noise = self._look(stand, numbers).whiten()
             left, lengths, right = np.linalg.svd(by_own, full_matrices=True)
             rank = int(np.count_nonzero(lengths > least))
             step = right[:rank].T @ (left[:, :rank].T @ -residual / lengths[:rank])
@@ -674,20 +624,15 @@ class StandEquations:
         robot, table = self.robot, self.table
         model, bodies = robot.pin_model.copy(), []
         for link, number, stated in self._bodies:
-            mass = table.value(x, "mass", link, "", stated.mass)
-            com = np.array(
-                [
-                    table.value(x, "com", link, axis, own)
-                    for axis, own in zip(AXES, stated.lever, strict=True)
-                ]
-            )
+            mass, com = table.inertial(x, link, stated)
             bodies.append((link, number, mass, com))
             at = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
             model.inertias[at] = pin.Inertia(mass, com, stated.inertia)  # at rest nothing turns
         for point, ahead in self._ahead.items():
-            if length := table.value(x, "length", robot.foot_of(point), "", 0.0):
+            longer = table.value(x, "length", robot.foot_of(point), "", 1.0) - 1.0
+            if longer:
                 at = model.getFrameId(robot.contact_frames[point], pin.FrameType.BODY)
-                model.frames[at].placement *= pin.SE3(np.eye(3), length * ahead)
+                model.frames[at].placement *= pin.SE3(np.eye(3), longer * ahead)
         size = float(np.linalg.norm(robot.gravity))
         one, two = (table.value(x, "slope", "floor", axis, 0.0) for axis in "xy")
         upright = math.sqrt(1 - one * one - two * two)
@@ -695,8 +640,8 @@ class StandEquations:
             vector=x,
             robot=replace(robot, pin_model=model),
             bodies=tuple(bodies),
-            kp=self._per_joint(x, "kp", self._kp),
-            offset=self._per_joint(x, "offset", np.zeros(robot.nu)),
+            kp=table.of_each(x, "kp", robot.joint_names, self._kp),
+            offset=table.of_each(x, "offset", robot.joint_names, np.zeros(robot.nu)),
             softness={foot: table.value(x, "softness", foot, "", 1.0) for foot in robot.feet},
             moment={
                 foot: np.array([table.value(x, "moment", foot, axis, 0.0) for axis in AXES])
@@ -705,7 +650,6 @@ class StandEquations:
             ahead=self._ahead,
             down=size * np.array([one, two, -upright]),
             tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
-            imu=np.array([table.value(x, "imu", "imu", axis, 0.0) for axis in ("roll", "pitch")]),
             deadband=table.value(x, "deadband", "servos", "", 0.0),
             load=table.value(x, "load", "scale", "", 0.0),
             size=size,
@@ -720,31 +664,12 @@ class StandEquations:
         masses = [place for place, one in enumerate(self.table) if one.kind == "mass"]
         return self.robot.total_mass + float((x - self.table.stated)[masses].sum())
 
-    def _per_joint(self, x: Array, kind: str, stated: Array) -> Array:
-        names = self.robot.joint_names
-        return np.array(
-            [
-                self.table.value(x, kind, name, "", own)
-                for name, own in zip(names, stated, strict=True)
-            ]
-        )
-
     def _begin(self, reading: Reading) -> tuple[Array, Array]:
         """Returns a stand's own unknowns to begin with: on its feet, as the encoders have it."""
         robot, points = self.robot, reading.points
-        flat = Configuration(robot, robot.posed(reading.position))
-        places = flat.foot_places(points)
-        places[:, 2] -= [robot.contact_radius[point] for point in points]
-        (a, b, c), *_ = np.linalg.lstsq(
-            np.column_stack([places[:, :2], np.ones(len(points))]), places[:, 2]
-        )
-        # The plane z = a x + b y + c through the feet is turned level, and brought to the ground.
-        normal = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
-        turn = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0]))
-        height = -(turn.matrix() @ np.array([0.0, 0.0, c]))[2]
         forces = np.zeros((len(points), 3))
         forces[:, 2] = robot.total_mass * float(np.linalg.norm(robot.gravity)) / len(points)
-        return np.array([turn.w, turn.x, turn.y, turn.z, height]), forces
+        return level_base(robot, reading.position, points), forces
 
     def informations(self, x: Array) -> list[Array]:
         """Returns what each stand tells (n, n), where the priors' widths are the units."""
@@ -802,90 +727,12 @@ class StandEquations:
         numbers, nu = self._numbers(x), self.robot.nu
         off, noise = np.full((2, len(self._readings), nu), np.nan)
         for stand, reading in enumerate(self._readings):
-            left, deviation = self._look(stand, numbers).rows.left(slice(6, 6 + nu))
+            left, deviation = self._look(stand, numbers).left()
             # Rows of motors are torques: kp (command - position) less what is needed.
             finding = np.isfinite(reading.command) & (numbers.stiff > 0)
             off[stand, finding] = -left[finding] / numbers.stiff[finding]
             noise[stand, finding] = deviation[finding] / numbers.stiff[finding]
         return off, noise
-
-    def reading(
-        self, readings: Sequence[Reading], own: Sequence[tuple[Array, Array]] | None = None
-    ) -> StandEquations:
-        """Returns the same with other readings of the same stands, or of others.
-
-        Args:
-            readings: The readings.
-            own: Of other stands: their own unknowns, the base (5,) and the forces (p, 3).
-        """
-        other = copy(self)
-        other._readings = list(readings)
-        other._own = list(self._own if own is None else own)
-        return other
-
-    @property
-    def count(self) -> int:
-        """How many stands there are."""
-        return len(self._readings)
-
-    @property
-    def loaded(self) -> bool:
-        """Whether a known mass was put on in any of the stands."""
-        return any(reading.added for reading in self._readings)
-
-    @property
-    def lifted(self) -> bool:
-        """Whether a foot is in the air in any of the stands."""
-        every = len(self.robot.contact_points)
-        return any(len(reading.points) < every for reading in self._readings)
-
-    def of_stands(
-        self,
-        stands: Sequence[tuple[Array, Array, Mapping[str, Array], tuple[str, ...]]],
-        x: Array,
-        added: Sequence[Mapping[str, Array]] | None = None,
-    ) -> StandEquations:
-        """Returns the same of other stands that servos hold, read as these were.
-
-        Args:
-            stands: Configuration (nq,), torques (nu,) (N m), forces on contact points (3,) (N), and
-                the feet in the air, of each.
-            x: (n,) parameters.
-            added: {link: known mass on it (kg), and where (m)} (4,) in each; none by default.
-        """
-        numbers, like, readings, own = self._numbers(x), self._readings[0], [], []
-        loads = added or [{}] * len(stands)
-        for (qpos, torque, forces, swing), load in zip(stands, loads, strict=True):
-            lead = np.divide(torque, numbers.kp, out=np.zeros_like(torque), where=numbers.kp > 0)
-            read = qpos[7:] + numbers.offset
-            points = tuple(
-                point
-                for foot, own_points in self.robot.feet.items()
-                if foot not in swing
-                for point in own_points
-            )
-            readings.append(
-                replace(
-                    like,
-                    position=read,
-                    command=np.where(np.isfinite(like.command), read + lead, np.nan),
-                    tilt=np.full(2, np.nan),
-                    points=points,
-                    heading=0.0,
-                    added=load,
-                )
-            )
-            own.append((qpos[[3, 4, 5, 6, 2]], np.array([forces[point] for point in points])))
-        return self.reading(readings, own)
-
-    def with_tilts(self, x: Array) -> StandEquations | None:
-        """Returns the same with the tilts that an IMU should show; None if some were read."""
-        if any(np.isfinite(reading.tilt).any() for reading in self._readings):
-            return None
-        numbers = self._numbers(x)
-        tilts = [self._look(stand, numbers).tilt for stand in range(self.count)]
-        read = [replace(one, tilt=tilt) for one, tilt in zip(self._readings, tilts, strict=True)]
-        return self.reading(read)
 
     def _move(self, stand: int, step: Array) -> None:
         base, forces = self._own[stand]

@@ -16,7 +16,6 @@ from pupper_analysis.base.errors import (
     ConfigurationError,
     FitError,
     MeasurementError,
-    PupperAnalysisError,
 )
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -42,10 +41,9 @@ from pupper_analysis.tools.fit.parameters import (
 from pupper_analysis.tools.fit.result import (
     Estimate,
     Fit,
-    describe_parameter,
+    derive,
     describe_parameters,
-    determined_by,
-    find_combinations,
+    kp_over_mass,
 )
 from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
 from pupper_analysis.tools.fit.stands.wiring import find_wiring
@@ -84,8 +82,6 @@ class StandFit(Fit):
         weight: What a scale says of the robot (kg); None if it was not weighed.
         residuals: {stand: root mean square of its residuals, in standard deviations}.
         joint_residuals: Of each joint in each stand, the most surprising before.
-        chi2: Sum of all squared residuals, in standard deviations.
-        freedom: What that is on average, if the model is right.
         noise: Standard deviations of measurements, as they were taken to be or were found.
     """
 
@@ -96,60 +92,7 @@ class StandFit(Fit):
     weight: float | None
     residuals: Mapping[str, float]
     joint_residuals: tuple[JointResidual, ...]
-    chi2: float
-    freedom: float
     noise: Mapping[str, float]
-
-
-def describe_stands(
-    robot: Robot,
-    stands: MeasuredStands,
-    equations: StandEquations,
-    posterior: Posterior,
-    expected: StandNoise,
-    notes: Sequence[Diagnostic],
-    weight: float | None,
-) -> StandFit:
-    """Returns what measurements tell, in numbers with intervals.
-
-    Args:
-        robot: The robot.
-        stands: Its stands.
-        equations: Of these, with the noise that was found.
-        posterior: What is known of the parameters.
-        expected: The noise that was expected.
-        notes: What was found before.
-        weight: Of the whole robot by a scale (kg); None if it was not weighed.
-    """
-    found = tuple(describe_parameters(posterior))
-    more = dict(further_measurements(equations, posterior, weighed=weight is not None))
-    return StandFit(
-        name=robot.name,
-        source=stands.source,
-        stands=len(stands),
-        estimates=found,
-        total_mass=_total_mass(robot, posterior),
-        com=tuple(_whole_com(robot, posterior)),
-        kp_factor=_kp_factor(posterior),
-        weight=weight,
-        combinations=find_combinations(posterior, more),
-        residuals=dict(zip(stands.names, equations.residuals(posterior.mean), strict=True)),
-        joint_residuals=_joint_residuals(stands, equations, posterior.mean),
-        chi2=posterior.chi2,
-        freedom=posterior.freedom,
-        noise={
-            "encoder": equations.noise.encoder,
-            "moment": equations.noise.moment,
-            "flatness": equations.noise.flatness,
-            "friction": equations.noise.friction,
-        },
-        failures=(
-            *suspect_scale(robot, posterior, weight),
-            *suspect_stands(posterior, equations.noise, expected),
-        ),
-        diagnostics=(*notes, *_findings(posterior)),
-        posterior=posterior,
-    )
 
 
 def _joint_residuals(
@@ -169,17 +112,13 @@ def _joint_residuals(
 
 def _total_mass(robot: Robot, posterior: Posterior) -> Estimate:
     line = np.array([float(one.kind == "mass") for one in posterior.parameters])
-    widths = np.array([one.width for one in posterior.parameters])
     stated = np.array([one.stated for one in posterior.parameters])
-    std = math.sqrt(float(line @ posterior.covariance @ line))
-    before = np.linalg.inv(posterior.precision)
-    width = math.sqrt(float((line * widths) @ before @ (line * widths)))
-    whole = Parameter("mass", robot.name, "", robot.total_mass, width)
+    whole = Parameter("mass", robot.name, "", robot.total_mass, 0.0)
     mean = robot.total_mass + float(line @ (posterior.mean - stated))
-    return describe_parameter(whole, mean, std, determined_by((std / width) ** 2 if width else 1.0))
+    return derive(posterior, whole, mean, line)
 
 
-def _whole_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
+def whole_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
     """Yields x, y, z of the whole robot's com in the base's frame, at nominal joint positions.
 
     With bodies i of mass m_i, whose frames are R_i, p_i and coms c_i, com = sum m_i x_i / M and
@@ -187,61 +126,27 @@ def _whole_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
     """
     model = robot.structure.model
     data = model.createData()
-    q = robot.structure.convention.unit_q(robot.posed(robot.nominal))
-    pin.forwardKinematics(model, data, q)
+    pin.forwardKinematics(
+        model, data, robot.structure.convention.unit_q(robot.posed(robot.nominal))
+    )
     table, x = ParameterTable(posterior.parameters), posterior.mean
-    masses, places, turns, stated = [], [], [], []
+    masses, places, rates, stated = [], [], np.zeros((3, len(x))), np.zeros(3)
     for link, number in bodies_of(robot):
         own, here = model.inertias[number], data.oMi[1].actInv(data.oMi[number])
-        com = np.array(
-            [
-                table.value(x, "com", link, axis, value)
-                for axis, value in zip(AXES, own.lever, strict=True)
-            ]
-        )
-        masses.append(table.value(x, "mass", link, "", own.mass))
-        places.append(here.rotation @ com + here.translation)
-        turns.append(here.rotation)
-        stated.append(own.mass * here.act(own.lever))
-    total, before = sum(masses), np.sum(stated, axis=0) / robot.total_mass
-    whole = np.array(masses) @ np.array(places) / total
-    rates = np.zeros((3, len(x)))
-    for (link, _), mass, place, turn in zip(bodies_of(robot), masses, places, turns, strict=True):
-        if (at := table.place("mass", link)) is not None:
-            rates[:, at] = (place - whole) / total
-        for axis, column in zip(AXES, (turn * mass / total).T, strict=True):
+        mass, com = table.inertial(x, link, own)
+        masses.append(mass)
+        places.append(here.act(com))
+        stated += own.mass * here.act(own.lever)
+        for axis, column in zip(AXES, here.rotation.T, strict=True):
             if (at := table.place("com", link, axis)) is not None:
-                rates[:, at] = column
-    wide = rates * table.width
-    std = np.sqrt(np.diag(rates @ posterior.covariance @ rates.T))
-    width = np.sqrt(np.diag(wide @ np.linalg.inv(posterior.precision) @ wide.T))
+                rates[:, at] = mass * column
+    whole = np.array(masses) @ np.array(places) / sum(masses)
+    for (link, _), place in zip(bodies_of(robot), places, strict=True):
+        if (at := table.place("mass", link)) is not None:
+            rates[:, at] = place - whole
     for number, axis in enumerate(AXES):
-        one = Parameter("com", robot.name, axis, float(before[number]), float(width[number]))
-        share = (std[number] / width[number]) ** 2 if width[number] else 1.0
-        yield describe_parameter(
-            one, float(whole[number]), float(std[number]), determined_by(share)
-        )
-
-
-def _kp_factor(posterior: Posterior) -> Estimate | None:
-    """Returns by which factor all servos are stiffer than stated: the geometric mean of theirs."""
-    places = [at for at, one in enumerate(posterior.parameters) if one.kind == "kp"]
-    if not places:
-        return None
-    mean = posterior.mean[places]
-    stated, width = (
-        np.array([getattr(posterior.parameters[at], name) for at in places])
-        for name in ("stated", "width")
-    )
-    factor = float(np.exp(np.log(mean / stated).mean()))
-    line = factor / (len(places) * mean)
-    std = math.sqrt(float(line @ posterior.covariance[np.ix_(places, places)] @ line))
-    before = np.linalg.inv(posterior.precision)[np.ix_(places, places)]
-    wide = math.sqrt(float((line * width) @ before @ (line * width)))
-    whole = Parameter("kp", "servos", "", 1.0, wide)
-    return replace(
-        describe_parameter(whole, factor, std, determined_by((std / wide) ** 2)), unit="1"
-    )
+        one = Parameter("com", robot.name, axis, float(stated[number] / robot.total_mass), 0.0)
+        yield derive(posterior, one, float(whole[number]), rates[number] / sum(masses))
 
 
 # What a model does not explain of stands: noise, numbers, and what surrounds the robot.
@@ -278,7 +183,7 @@ def suspect_scale(
     signs, freedom, _ = _surprise(posterior, lines)
     if not freedom or stats.chi2.sf(signs, freedom) > _CHANCE:
         return
-    stiffer, total = _kp_factor(posterior), _total_mass(robot, posterior)
+    stiffer, total = kp_over_mass(posterior, alone=True), _total_mass(robot, posterior)
     yield diagnose(
         "scale-far-from-the-file",
         weight=None if weight is None else Quantity(weight, "kg"),
@@ -287,7 +192,7 @@ def suspect_scale(
     )
 
 
-def _surprise(posterior: Posterior, lines: Array) -> tuple[float, int, Array]:
+def _surprise(posterior: Posterior, lines: Array, sure: float = 1.0) -> tuple[float, int, Array]:
     """Returns how much some combinations of parameters surprise: chi^2, its freedom, and how far.
 
     Estimates move from what was said by d. If that is so, d has the covariance S by which prior and
@@ -297,6 +202,8 @@ def _surprise(posterior: Posterior, lines: Array) -> tuple[float, int, Array]:
     Args:
         posterior: What is known of the parameters.
         lines: (k, n) the combinations, of parameters in their widths.
+        sure: What is no surprise, as a standard deviation in parts of the prior's: of legs' lengths
+            less than the prior, so that intervals are of any leg, and a file's leg is expected.
     """
     width = np.array([one.width for one in posterior.parameters])
     before = lines @ np.linalg.inv(posterior.precision) @ lines.T
@@ -306,7 +213,8 @@ def _surprise(posterior: Posterior, lines: Array) -> tuple[float, int, Array]:
     kept = values > _LEAST_DETERMINED
     moved = vectors[:, kept].T @ (lines @ posterior.moved / sizes)
     far = (before / sizes) @ vectors[:, kept] @ (moved / values[kept])
-    return float(np.sum(moved**2 / values[kept])), int(np.count_nonzero(kept)), far
+    expected = values[kept] * (1 - (1 - sure**2) * values[kept])
+    return float(np.sum(moved**2 / expected)), int(np.count_nonzero(kept)), far
 
 
 def _findings(posterior: Posterior) -> Iterator[Diagnostic]:
@@ -338,7 +246,7 @@ _NOISY = 5.0
 _FAR = 4.5
 """Standard deviations: of a hundred numbers that are as was said, none is so far off."""
 
-_DOUBTED = ("slope", "softness", "length", "imu", "load")
+_SUSPECTED = ("slope", "softness", "length", "load")
 """Of the surroundings: kinds that somebody says something of."""
 
 _NEVER_NOTHING, _NOTHING = ("mass", "kp"), 0.01
@@ -387,165 +295,70 @@ def suspect_stands(
         names = [posterior.parameters[place].name for place in far]
         yield diagnose("far-from-the-file", names=names, widths=abs(float(moved[worst])))
     flatter = min(1.0, found.flatness / expected.flatness)
-    yield from suspect_surroundings(posterior, {"softness": flatter**2})
+    yield from suspect_surroundings(posterior, flatter)
 
 
 def _is_own(one: Parameter) -> bool:
     return one.kind not in OF_SURROUNDINGS
 
 
-def suspect_surroundings(
-    posterior: Posterior, shares: Mapping[str, float] | None = None
-) -> Iterator[Diagnostic]:
+def suspect_surroundings(posterior: Posterior, flatter: float = 1.0) -> Iterator[Diagnostic]:
     """Yields what of the surroundings is not as it was said to be, one kind at a time.
 
     See ``_surprise``: several weak signs of a slope, or of soft soles, are one together.
 
     Args:
         posterior: What is known of the parameters.
-        shares: {kind: what its signs are worth, in parts}. Feet that sink and ground that is uneven
-            look alike: where ground came out flatter than expected, by few stands, signs of the
-            other are worth what they were on the expected one.
+        flatter: What the ground's unevenness is, in parts of the expected one, 1 at most. Feet that
+            sink look like that: where ground came out flatter, by few stands, signs of the other
+            are worth what they were on the expected one.
     """
     from scipy import stats  # slow to import
 
     loaded = any(one.kind == "added" for one in posterior.parameters)
-    for kind in _DOUBTED:
+    for kind in _SUSPECTED:
         places = [at for at, one in enumerate(posterior.parameters) if one.kind == kind]
         if not places or (kind == "load" and not loaded):
             continue
         chosen = [posterior.parameters[at] for at in places]
         width = np.array([one.width for one in chosen])
-        signs, freedom, far = _surprise(posterior, np.eye(len(posterior.parameters))[places])
-        signs *= (shares or {}).get(kind, 1.0)
+        narrow = kind == "length" and (width == KINDS[kind].width).all()  # unless a prior says
+        sure = _SAME_LENGTH / KINDS[kind].width if narrow else 1.0
+        signs, freedom, far = _surprise(posterior, np.eye(len(posterior.parameters))[places], sure)
+        signs *= flatter**2 if kind == "softness" else 1.0
         if not freedom or stats.chi2.sf(signs, freedom) > _CHANCE:
             continue
         free = width * far
         message = np.maximum(1 - posterior.shares[places], _LEAST_DETERMINED)
+        message *= 1 - (1 - sure**2) * message
         each = np.abs(posterior.moved[places]) / np.sqrt(message)
         if kind == "load":
             yield diagnose("known-mass-contradicts-the-scale", load=100 * float(free[0]))
-            continue
-        if kind == "slope":
+        elif kind == "slope":
             most = chosen[int(np.abs(free).argmax())]
             slope = Quantity(float(math.hypot(*free)), "rad")
             yield diagnose("ground-slopes", slope=slope, axis=most.component)
-            continue
-        for number, one in enumerate(chosen):
-            if number != each.argmax() and each[number] < _ALSO:
-                continue
-            if kind == "length":
-                longer = Quantity(float(free[number]), "m")
-                yield diagnose("leg-is-longer", subject=("foot", one.subject), longer=longer)
-            elif kind == "softness":
-                times = max(0.0, one.stated + float(free[number]))
-                yield diagnose("feet-sink-otherwise", subject=("foot", one.subject), times=times)
-            else:
-                angle = Quantity(float(free[number]), "rad")
-                yield diagnose("imu-is-turned", angle=angle, axis=one.component)
+        else:
+            for number in np.flatnonzero((each >= _ALSO) | (each == each.max())):
+                yield _suspect_one(chosen[number], float(free[number]))
 
 
-# What else could be measured of stands, and how much it would determine.
+def _suspect_one(one: Parameter, off: float) -> Diagnostic:
+    """Returns what is said of a foot that is off by so much."""
+    foot = ("foot", one.subject)
+    if one.kind == "length":
+        return diagnose("leg-is-longer", subject=foot, longer=100 * off)
+    return diagnose("feet-sink-otherwise", subject=foot, times=max(0.0, one.stated + off))
 
+
+_SAME_LENGTH = 0.005
+"""Of a leg's last link: standard deviation of parts that are printed and glued by the same file."""
 
 WEIGHED = 0.002
 """Of a mass that a scale shows: standard deviation."""
 
-
-def further_measurements(
-    equations: StandEquations, posterior: Posterior, *, weighed: bool
-) -> Iterator[tuple[str, Array]]:
-    """Yields what else could be measured, and its information where priors' widths are the units.
-
-    Args:
-        equations: Of the stands.
-        posterior: What is known of the parameters.
-        weighed: Whether the whole robot was put on a scale.
-    """
-    robot, table, x = equations.robot, equations.table, posterior.mean
-    scaled = np.outer(table.width, table.width)
-    if not weighed:
-        line = np.array([float(one.kind == "mass") for one in table])
-        yield "weigh-the-robot", scaled * np.outer(line, line) / (WEIGHED * robot.total_mass) ** 2
-    here = equations.linearise(x, x).information
-    if (tilted := equations.with_tilts(x)) is not None:
-        yield "read-an-imu", scaled * (tilted.linearise(x, x).information - here)
-    if (three := on_three_feet(equations, x)) is not None:
-        yield "stand-on-three-feet", scaled * three.linearise(x, x).information
-    if (loaded := with_known_mass(equations, x)) is not None:
-        information = loaded.linearise(x, x).information
-        yield "put-a-known-mass-on", scaled * information * equations.count / 2
-
-
-def on_three_feet(equations: StandEquations, x: Array) -> StandEquations | None:
-    """Returns equations of stands with one foot in the air, each foot once.
-
-    They are the robot's nominal stand, with the base moved over three feet. Servos are commanded
-    what holds them there.
-
-    Args:
-        equations: Of stands on all feet.
-        x: (n,) parameters.
-
-    Returns:
-        The equations; None if a foot was in the air already, or the robot stands on no three feet.
-    """
-    # PlaCo is slow to import, and who reads measurements alone needs none.
-    from pupper_analysis.stance.stand import solve_stand, stand_statics
-    from pupper_analysis.stance.task import StandTask
-
-    robot = equations.robot
-    if len(robot.feet) <= _FEWEST or equations.lifted:
-        return None
-    size, stands = robot.stand_height, []
-    for foot in robot.feet:
-        task = StandTask(swing={foot: _LIFTED * size}, com="inside", com_margin=_MARGIN * size)
-        try:
-            stand = solve_stand(robot, task)
-            held = stand_statics(robot, stand)
-        except PupperAnalysisError:  # no balance without that foot
-            continue
-        stands.append((stand.qpos, held.joint_torques, held.contact_forces, (foot,)))
-    return equations.of_stands(stands, x) if stands else None
-
-
-def with_known_mass(equations: StandEquations, x: Array) -> StandEquations | None:
-    """Returns equations of the nominal stand with a known mass on the base, and without.
-
-    Args:
-        equations: Of stands.
-        x: (n,) parameters.
-
-    Returns:
-        The equations; None if a mass was on already, or the robot does not stand so.
-    """
-    from pupper_analysis.robot.tool import with_payload
-    from pupper_analysis.stance.stand import solve_stand, stand_statics
-
-    robot, stands = equations.robot, []
-    if equations.loaded:
-        return None
-    mass = KNOWN_MASS * robot.total_mass
-    try:
-        for one in (robot, with_payload(robot, mass)):
-            stand = solve_stand(one)
-            held = stand_statics(one, stand)
-            stands.append((stand.qpos, held.joint_torques, held.contact_forces, ()))
-    except PupperAnalysisError:
-        return None
-    return equations.of_stands(stands, x, [{}, {robot.base: np.array([mass, 0.0, 0.0, 0.0])}])
-
-
 KNOWN_MASS = 0.15
 """Of the robot's: 500 g on Pupper v3. With 200 g kp is known to 12 to 14 % by it alone."""
-
-_LIFTED, _MARGIN = 0.15, 0.03
-"""Of the height: how high a foot is lifted, and how far the com is within the others' triangle. As
-plans have them, but for a com that is as near to the edge as three feet allow."""
-
-_FEWEST = 3
-"""Feet that a robot stands on, at least; with one more it may lift one."""
-
 
 _LEAST_STANDS = 3
 
@@ -574,11 +387,11 @@ def fit_stands(
     """Fits a robot's numbers to stands at rest.
 
     A soft servo is a torque sensor: tau = kp (command - position). What is estimated are masses
-    and coms of all moving bodies, zero offsets of encoders, kp of servos, dry friction if stands
-    were approached from both sides; and, of the surroundings, the ground's slope and softness, and
-    how the IMU is turned. Equations are in ``StandEquations``; what is known before are normal
-    distributions about the files' values (``parameters.KINDS``). How uneven the ground is, and how
-    much of dry friction is in torques, is found by the evidence.
+    and coms of all moving bodies, zero offsets of encoders, kp of servos, lengths of the legs' last
+    links; and, of the surroundings, the ground's slope and softness. Equations are in
+    ``StandEquations``; what is known before are normal distributions about the files' values
+    (``parameters.KINDS``). How uneven the ground is, and how much of dry friction is in torques, is
+    found by the evidence.
 
     Args:
         robot: The robot, with a free base and feet.
@@ -704,52 +517,59 @@ class _Problem:
         if len(given) < _LEAST_STANDS:
             found = diagnose("too-few-stands", stands=len(given), least=_LEAST_STANDS)
             raise MeasurementError(given.source, found)
-        commanded = np.isfinite(given.command).sum(axis=0) > 0
-        stiffness = stated_stiffness(robot, given.source, commanded, kp)
-        rubbing = robot.joint_friction
-        stated = parameters_of(robot, given, stiffness)
-        noise, friction = expected_noise(robot, given, rubbing, encoder)
-        table = ParameterTable(give_widths(stated, priors))
+        asked = np.isfinite(given.command).sum(axis=0) > 0
+        stiffness = stated_stiffness(robot, given.source, asked, kp)
+        noise, friction = expected_noise(robot, given, encoder)
+        table = ParameterTable(give_widths(parameters_of(robot, given, stiffness), priors))
         return _Problem(robot, given, stiffness, friction, table, noise, weight)
-
-    def equations(self, stopped: NDArray[np.bool_]) -> StandEquations:
-        """Returns the equations, without the commands of joints that are at a stop (m, nu)."""
-        used = _commands_of_servos(self.robot, self.stands, self.stiffness, stopped)
-        return StandEquations(
-            self.robot, used, self.table, self.stiffness, self.friction, self.noise
-        )
 
     def evidence(self) -> float:
         """Returns the logarithm of how likely the stands are, linear about the file's numbers."""
-        equations = self.equations(np.zeros(self.stands.position.shape, dtype=bool))
+        equations, _ = self.equations()
         message = equations.linearise(self.table.stated, self.table.stated, _SETTLES)
         return message.evidence(self.table, np.zeros(len(self.table)))
 
+    def equations(
+        self, known: Posterior | None = None
+    ) -> tuple[StandEquations, tuple[Diagnostic, ...]]:
+        """Returns the equations, and which commands they do not use, by what is known of zeros."""
+        robot, table, kp = self.robot, self.table, self.stiffness
+        used, notes = _used(robot, self.stands, kp, *_zeros(robot, table, known))
+        return StandEquations(robot, used, table, kp, self.friction, self.noise), notes
+
     def solve(self) -> StandFit:
-        """Returns the fit."""
-        robot, given, table, noise = self.robot, self.stands, self.table, self.noise
-        weighed = _weighed(robot, table, self.weight)
-        known: Posterior | None = None
-        stopped = _at_stops(robot, given, *_offsets(robot, table))
-        settled = False  # which joints are at a stop; then how large noise is can be found
-        while True:
-            used = _commands_of_servos(robot, given, self.stiffness, stopped)
-            equations = self.equations(stopped)
-            if settled and known is not None:
-                equations.weigh_at(known.mean)
-                equations.noise = find_noise(equations, known, weighed)
-                equations.table = table.scaled("moment", equations.noise.moment / noise.moment)
-            start = None if known is None else known.mean
-            known = _estimate(robot, used, equations, weighed, start)
-            # With what is known of the encoders now, fewer joints may be at a stop.
-            nearer = stopped & _at_stops(robot, given, *_offsets(robot, table, known))
-            if settled and (nearer == stopped).all():
-                break
-            settled = bool((nearer == stopped).all())
-            stopped = nearer
+        """Returns the fit: with the noise that is expected, then with that which is found."""
+        robot, stands, table = self.robot, self.stands, self.table
+        (equations, _), weighed = self.equations(), _weighed(robot, table, self.weight)
+        known = _estimate(robot, stands, equations, weighed, None)
+        # With what is known of the encoders now, fewer joints may be at a stop.
+        equations, notes = self.equations(known)
+        equations.weigh_at(known.mean)
+        equations.noise = find_noise(equations, known, weighed)
+        equations.table = table.scaled("moment", equations.noise.moment / self.noise.moment)
+        known = _estimate(robot, stands, equations, weighed, known.mean)
         equations.table = ParameterTable(known.parameters)
-        notes = tuple(_unused(robot, given, self.stiffness, stopped))
-        return describe_stands(robot, used, equations, known, noise, notes, self.weight)
+        x, weight = known.mean, self.weight
+        return StandFit(
+            name=robot.name,
+            source=stands.source,
+            stands=len(stands),
+            estimates=tuple(describe_parameters(known)),
+            total_mass=_total_mass(robot, known),
+            com=tuple(whole_com(robot, known)),
+            kp_factor=kp_over_mass(known, alone=True),
+            kp_over_mass=kp_over_mass(known),
+            weight=weight,
+            residuals=dict(zip(stands.names, equations.residuals(x), strict=True)),
+            joint_residuals=_joint_residuals(stands, equations, x),
+            noise=dict(vars(equations.noise)),
+            failures=(
+                *suspect_scale(robot, known, weight),
+                *suspect_stands(known, equations.noise, self.noise),
+            ),
+            diagnostics=(*notes, *_findings(known)),
+            posterior=known,
+        )
 
 
 def _estimate(
@@ -785,20 +605,20 @@ noise does depends a little on contact forces, of which no derivative is taken: 
 
 
 def expected_noise(
-    robot: Robot, stands: MeasuredStands, rubbing: Array, encoder: float | None
+    robot: Robot, stands: MeasuredStands, encoder: float | None
 ) -> tuple[StandNoise, Array]:
     """Returns the noise that is expected, and the dry friction (nu,) that makes torques uncertain.
 
     Args:
         robot: The robot.
         stands: Its stands, whose positions may show the encoders' step.
-        rubbing: (nu,) stated dry friction (N m).
         encoder: Standard deviation of a position, if it is known (rad).
     """
     scale = robot.total_mass * float(np.linalg.norm(robot.gravity)) * robot.stand_height
     if encoder is None:
         step = quantum_of(stands)
         encoder = step / math.sqrt(12.0) if step else _FINE_ENCODER
+    rubbing = robot.joint_friction
     return StandNoise(encoder), np.where(rubbing > 0, rubbing, _UNMODELLED * scale)
 
 
@@ -812,12 +632,7 @@ def parameters_of(
         stands: Its stands.
         kp: (nu,) stated stiffness (N m/rad).
     """
-    model = robot.structure.model
-    for link, number in bodies_of(robot):
-        inertia = model.inertias[number]
-        yield "mass", link, "", float(inertia.mass)
-        for axis, value in zip(AXES, inertia.lever, strict=True):
-            yield "com", link, axis, float(value)
+    yield from inertials_of(robot)
     for joint, name in enumerate(robot.joint_names):
         yield "offset", name, "", 0.0
         if np.isfinite(stands.command[:, joint]).any():
@@ -826,7 +641,7 @@ def parameters_of(
         yield "slope", "floor", axis, 0.0
     for foot in robot.feet:
         yield "softness", foot, "", 1.0
-        yield "length", foot, "", 0.0
+        yield "length", foot, "", 1.0
         for axis in AXES:
             yield "moment", foot, axis, 0.0
     if np.isfinite(stands.command).any():
@@ -837,9 +652,15 @@ def parameters_of(
             yield "added", link, "", 1.0
             for axis in AXES:
                 yield "place", link, axis, 0.0
-    if np.isfinite(stands.tilt).any():
-        yield "imu", "imu", "roll", 0.0
-        yield "imu", "imu", "pitch", 0.0
+
+
+def inertials_of(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
+    """Yields kind, subject, component and stated value of masses and coms."""
+    for link, number in bodies_of(robot):
+        inertia = robot.structure.model.inertias[number]
+        yield "mass", link, "", float(inertia.mass)
+        for axis, value in zip(AXES, inertia.lever, strict=True):
+            yield "com", link, axis, float(value)
 
 
 def stated_stiffness(
@@ -877,67 +698,37 @@ SURE = 3.0
 """Standard deviations of an encoder's zero: a joint that is so far from a limit is not at it."""
 
 
-def _offsets(
-    robot: Robot, table: ParameterTable, posterior: Posterior | None = None
-) -> tuple[Array, Array]:
+def _zeros(robot: Robot, table: ParameterTable, known: Posterior | None) -> tuple[Array, Array]:
     """Returns the zeros of encoders (nu,), and how sure: before measurements, or after (rad)."""
-    mean, std = np.zeros((2, robot.nu))
-    for joint, name in enumerate(robot.joint_names):
-        place = table.place("offset", name)
-        if place is not None:
-            std[joint] = table.width[place] if posterior is None else posterior.std[place]
-            mean[joint] = 0.0 if posterior is None else posterior.mean[place]
-    return mean, std
+    mean, std = (table.stated, table.width) if known is None else (known.mean, known.std)
+    places = [table.place("offset", name) for name in robot.joint_names]
+    found = [(0.0, 0.0) if place is None else (mean[place], std[place]) for place in places]
+    return np.array(found)[:, 0], np.array(found)[:, 1]
 
 
-def _at_stops(
-    robot: Robot, stands: MeasuredStands, offset: Array, sure: Array
-) -> NDArray[np.bool_]:
-    """Returns which joints may be at a stop (m, nu), as far as their encoders' zeros are known."""
-    true, margin = stands.position - offset, _AT_STOP + SURE * sure
-    found: NDArray[np.bool_] = (true < robot.lower_limits + margin) | (
-        true > robot.upper_limits - margin
-    )
-    return found
+def _used(
+    robot: Robot, stands: MeasuredStands, kp: Array, zeros: Array, sure: Array
+) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
+    """Returns stands without the commands that tell no torque, and which these are.
 
-
-def _with_full_torque(robot: Robot, stands: MeasuredStands, kp: Array) -> NDArray[np.bool_]:
-    """Returns which motors give all they can (m, nu): by how much a command leads, nobody knows."""
-    lead = np.nan_to_num(stands.command - stands.position)
-    found: NDArray[np.bool_] = np.abs(kp * lead) > _FULL * robot.effort_limits
-    return found
-
-
-def _commands_of_servos(
-    robot: Robot, stands: MeasuredStands, kp: Array, stopped: NDArray[np.bool_]
-) -> MeasuredStands:
-    """Returns stands without commands of joints at a stop, or whose motor gives all it can."""
-    unused = stopped | _with_full_torque(robot, stands, kp)
-    return replace(stands, command=np.where(unused, np.nan, stands.command))
-
-
-def _unused(
-    robot: Robot, stands: MeasuredStands, kp: Array, stopped: NDArray[np.bool_]
-) -> Iterator[Diagnostic]:
-    """Yields which commands are not used, and why."""
-    commanded = np.isfinite(stands.command)
-    if not commanded.any():
-        yield diagnose("stands-without-commands")
-    if (stopped & commanded).any():
-        where, names = _places(robot, stands, stopped & commanded)
-        yield diagnose("stands-at-stops", stands=where, joints=names)
-    full = _with_full_torque(robot, stands, kp) & ~stopped
-    if full.any():
-        where, names = _places(robot, stands, full)
-        yield diagnose("stands-with-full-torque", stands=where, joints=names)
-
-
-def _places(
-    robot: Robot, stands: MeasuredStands, found: NDArray[np.bool_]
-) -> tuple[list[str], list[str]]:
-    rows, joints = np.nonzero(found)
-    names = [robot.joint_names[joint] for joint in np.unique(joints)]
-    return [stands.names[row] for row in np.unique(rows)], names
+    At a stop it may carry, as far as encoders' zeros are known (nu,); of a motor that gives all it
+    can, nobody knows by how much a command leads.
+    """
+    commanded, position = np.isfinite(stands.command), stands.position - zeros
+    lead, margin = np.nan_to_num(stands.command - stands.position), _AT_STOP + SURE * sure
+    stopped = (position < robot.lower_limits + margin) | (position > robot.upper_limits - margin)
+    full = (np.abs(kp * lead) > _FULL * robot.effort_limits) & ~stopped
+    notes = [] if commanded.any() else [diagnose("stands-without-commands")]
+    for code, found in (
+        ("stands-at-stops", stopped & commanded),
+        ("stands-with-full-torque", full),
+    ):
+        if found.any():
+            rows, joints = np.nonzero(found)
+            where = [stands.names[row] for row in np.unique(rows)]
+            names = [robot.joint_names[joint] for joint in np.unique(joints)]
+            notes.append(diagnose(code, stands=where, joints=names))
+    return replace(stands, command=np.where(stopped | full, np.nan, stands.command)), tuple(notes)
 
 
 _FULL = 0.98
@@ -978,30 +769,22 @@ def _check_feet(
 
     As far as encoders' zeros are known: by measurements, or before.
     """
-    _, offsets = _offsets(robot, equations.table, posterior)
-    x = equations.table.stated if posterior is None else posterior.mean
+    table = equations.table
+    x = table.stated if posterior is None else posterior.mean
+    _, offsets = _zeros(robot, table, posterior)
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     found: list[tuple[float, Diagnostic]] = []
     for row, name in enumerate(stands.names):
         for foot, (height, off) in equations.heights_in_the_air(row, x, offsets).items():
             if height < -_TOUCHES * off:
-                finding = diagnose(
-                    "foot-in-the-air-touches",
-                    subject=("foot", foot),
-                    stand=name,
-                    height=Quantity(height, "m"),
-                )
-                found.append((-height / (_TOUCHES * off), finding))
+                at, high = ("foot", foot), Quantity(height, "m")
+                one = diagnose("foot-in-the-air-touches", subject=at, stand=name, height=high)
+                found.append((-height / off, one))
         for foot, force in equations.normal_forces(row).items():
             if force < -_PULLS * weight:
-                finding = diagnose(
-                    "foot-would-pull",
-                    subject=("foot", foot),
-                    stand=name,
-                    force=Quantity(-force, "N"),
-                    swing=list(stands.swing[row]),
-                )
-                found.append((-force / (_PULLS * weight), finding))
+                at, pull, up = ("foot", foot), Quantity(-force, "N"), list(stands.swing[row])
+                one = diagnose("foot-would-pull", subject=at, stand=name, force=pull, swing=up)
+                found.append((-force / (_PULLS * weight), one))
     if found:  # the worst one: it may have drawn others
         raise MeasurementError(stands.source, max(found, key=lambda one: one[0])[1])
 
@@ -1061,7 +844,7 @@ class Logarithms:
 
         What was known before is as wide as it is there: of a robot twice as heavy, twice as wide.
         """
-        rates, step = self.rates(posterior.mean), posterior.open_step
+        rates = self.rates(posterior.mean)
         return replace(
             posterior,
             parameters=tuple(
@@ -1070,7 +853,6 @@ class Logarithms:
             ),
             mean=self.to_parameters(posterior.mean),
             covariance=rates[:, None] * posterior.covariance * rates,
-            open_step=None if step is None else rates * step,
         )
 
 

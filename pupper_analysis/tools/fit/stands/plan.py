@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,7 +10,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
@@ -23,30 +20,30 @@ from pupper_analysis.base.kinds import PLAN
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import command_lead, servo_gains
+from pupper_analysis.robot.servos import command_lead
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.fit.estimate import NORMAL_95
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, stands_text
 from pupper_analysis.tools.fit.parameters import (
-    AXES,
     ParameterTable,
     Prior,
-    bodies_of,
     give_widths,
     parse_priors,
 )
-from pupper_analysis.tools.fit.result import Expected, determined_by
+from pupper_analysis.tools.fit.result import Estimate, describe_parameter, determined_by
 from pupper_analysis.tools.fit.stands.equations import StandEquations
 from pupper_analysis.tools.fit.stands.fit import (
     KNOWN_MASS,
     SURE,
     expected_noise,
+    inertials_of,
     parameters_of,
     stated_stiffness,
+    whole_com,
 )
 
 Array = NDArray[np.float64]
@@ -87,17 +84,15 @@ class StandPlan(Result):
     Attributes:
         name: The robot's name.
         stands: The stands.
-        expected: Of each parameter, the interval that these stands will leave.
+        expected: Each parameter as the file has it, with the interval that these stands leave.
         candidates: Among how many they were chosen.
-        gain: Logarithm of by how much the volume of what is not known shrinks.
         place: Where a known mass is to be put on; None if no stand has one.
     """
 
     name: str
     stands: tuple[PlannedStand, ...]
-    expected: tuple[Expected, ...]
+    expected: tuple[Estimate, ...]
     candidates: int
-    gain: float
     place: Tool | None = None
 
 
@@ -155,37 +150,36 @@ def plan_stands(
         drawn = candidates.draw(share)
         mass = 0.0 if one is robot else added
         found += [
-            _Candidate(stand, sagged, math.pi * (at % 2), mass)
+            _candidate(robot, stand, sagged, stiffness, math.pi * (at % 2), mass)
             for at, (stand, sagged) in enumerate(drawn)
         ]
         if len(drawn) < min(count, share):
             raise MeasurementError(robot.name, candidates.explain(count))
-    stands = _predicted(robot, found, place, kp)
-    rubbing = robot.joint_friction
+    stands = _as_measured(robot.name, [one.planned for one in found], place)
+    stands = replace(stands, position=np.array([one.position for one in found]))
     table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness), known))
-    noise, friction = expected_noise(robot, stands, rubbing, None)
+    noise, friction = expected_noise(robot, stands, None)
     equations = StandEquations(robot, stands, table, stiffness, friction, noise)
     each = equations.informations(table.stated)
-    lifted = [bool(one.stand.task.swing) for one in found]
+    lifted = [bool(one.planned.swing) for one in found]
     chosen = choose_stands(each, table.precision, count, lifted, count // _ON_THREE_AT_MOST)
     whole = table.precision + np.sum([each[place] for place in chosen], axis=0)
     deviation = np.sqrt(np.diag(np.linalg.inv(whole)))
     return StandPlan(
         name=robot.name,
-        stands=tuple(_plan(robot, found, chosen, kp)),
+        stands=tuple(
+            replace(one.planned, name=f"s{number:02d}")
+            for number, one in enumerate(
+                sorted((found[at] for at in chosen), key=lambda one: one.effort), 1
+            )
+        ),
         expected=tuple(
-            Expected(
-                name=one.name,
-                unit=one.unit,
-                stated=one.stated,
-                before=NORMAL_95 * one.width,
-                after=NORMAL_95 * one.width * float(after),
-                determined=determined_by(float(after) ** 2),
+            describe_parameter(
+                one, one.stated, one.width * float(after), determined_by(float(after) ** 2)
             )
             for one, after in zip(table.parameters, deviation, strict=True)
         ),
         candidates=len(found),
-        gain=float(_volume(whole) - _volume(table.precision)),
         place=place if loaded is not robot else None,
     )
 
@@ -214,12 +208,35 @@ _ON_THREE_AT_MOST = 3
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A stand that may be taken: how it is held, turned, and which known mass is on it (kg)."""
+    """A stand that may be taken, where its joints are then (nu,), and how high the base (m)."""
 
-    stand: Stand
-    sagged: SteadyState
-    heading: float
-    added: float
+    planned: PlannedStand
+    position: Array
+    height: float
+
+    @property
+    def effort(self) -> tuple[float, int, float, float]:
+        """With least to do between two of them: stands with the same mass and feet, in height."""
+        one = self.planned
+        return one.added, len(one.swing), one.heading, self.height
+
+
+def _candidate(
+    robot: Robot, stand: Stand, sagged: SteadyState, kp: Array, heading: float, added: float
+) -> _Candidate:
+    """Returns a stand with what servos are commanded to hold it where it is clear of itself."""
+    torque, position = sagged.joint_torques, sagged.qpos[7:]
+    share = float((np.abs(torque) / robot.effort_limits).max())
+    command = (position + command_lead(torque, kp)).tolist()
+    planned = PlannedStand(
+        name="",
+        swing=tuple(stand.task.swing),
+        command=dict(zip(robot.joint_names, command, strict=True)),
+        utilisation=share if np.isfinite(robot.effort_limits).any() else None,
+        heading=heading,
+        added=added,
+    )
+    return _Candidate(planned, position, float(stand.qpos[2]))
 
 
 def choose_stands(
@@ -275,106 +292,43 @@ def _volume(information: Array) -> float:
     return float(np.linalg.slogdet(information)[1])
 
 
-def _predicted(
-    robot: Robot,
-    found: Sequence[_Candidate],
-    place: Tool,
-    kp: ArrayLike | None,
+def _as_measured(
+    source: str, planned: Sequence[PlannedStand], place: Tool | None
 ) -> MeasuredStands:
-    """Returns what would be measured of stands, if the robot were as its files have it."""
-    loads = np.array([[one.added, *place.offset] for one in found])
+    """Returns planned stands as they are measured, positions to be filled in."""
+    command = np.array([list(one.command.values()) for one in planned])
+    loads = {}
+    if place is not None and any(one.added for one in planned):
+        on = [[one.added, *place.offset] if one.added else [0.0] * 4 for one in planned]
+        loads = {place.link: np.array(on)}
     return MeasuredStands(
-        source=robot.name,
-        names=tuple(str(row) for row in range(len(found))),
-        joints=robot.joint_names,
-        command=np.array([_command(robot, one.sagged, kp) for one in found]),
-        position=np.array([one.sagged.qpos[7:] for one in found]),
-        tilt=np.full((len(found), 2), np.nan),
-        swing=tuple(tuple(one.stand.task.swing) for one in found),
-        heading=np.array([one.heading for one in found]),
-        added={place.link: loads} if loads[:, 0].any() else {},
+        source=source,
+        names=tuple(one.name for one in planned),
+        joints=tuple(planned[0].command),
+        command=command,
+        position=np.full(command.shape, np.nan),
+        swing=tuple(one.swing for one in planned),
+        heading=np.array([one.heading for one in planned]),
+        added=loads,
     )
-
-
-def _command(robot: Robot, sagged: SteadyState, kp: ArrayLike | None) -> Array:
-    """Returns what servos are commanded (nu,) to hold a stand where it is clear of itself (rad)."""
-    ahead = command_lead(
-        sagged.joint_torques, servo_gains(robot, kp, None if kp is None else 0.0).kp
-    )
-    command: Array = sagged.qpos[7:] + ahead
-    return command
-
-
-def _plan(
-    robot: Robot,
-    found: Sequence[_Candidate],
-    chosen: Sequence[int],
-    kp: ArrayLike | None,
-) -> list[PlannedStand]:
-    """Returns the chosen stands, with least to do between them.
-
-    Those without a known mass first; of these those on all feet, as they are turned; from low to
-    high.
-    """
-
-    def order(place: int) -> tuple[float, int, float, float]:
-        one = found[place]
-        return one.added, len(one.stand.task.swing), one.heading, float(one.stand.qpos[2])
-
-    planned = []
-    for number, place in enumerate(sorted(chosen, key=order), 1):
-        candidate = found[place]
-        command = _command(robot, candidate.sagged, kp).tolist()
-        share = float((np.abs(candidate.sagged.joint_torques) / robot.effort_limits).max())
-        planned.append(
-            PlannedStand(
-                name=f"s{number:02d}",
-                swing=tuple(candidate.stand.task.swing),
-                heading=candidate.heading,
-                added=candidate.added,
-                command=dict(zip(robot.joint_names, command, strict=True)),
-                utilisation=share if np.isfinite(robot.effort_limits).any() else None,
-            )
-        )
-    return planned
 
 
 @check_arguments
-def write_plan(
-    plan: StandPlan, path: str | Path, *, degrees: bool = False, force: bool = False
-) -> None:
+def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> None:
     """Writes stands as a CSV file that ``read_stands`` reads, once positions are filled in.
 
     Args:
         plan: The stands.
         path: The file.
-        degrees: Write commands in degrees, and ask for positions in degrees.
         force: Replace what is no plan, too; but never a plan with readings, which no computer can
             make again.
 
     Raises:
         OutputError: If it cannot be written, or what is there must not be replaced.
     """
-    joints = list(plan.stands[0].command)
-    unit, size = (" [deg]", 180 / math.pi) if degrees else ("", 1.0)
-    columns = [f"{kind}.{joint}{unit}" for kind in ("command", "position") for joint in joints]
-    place, loads = plan.place, []
-    if place is not None:
-        loads = [f"added.{place.link}", *(f"added_{axis}.{place.link}" for axis in AXES)]
-    turned = [f"heading{unit}"] if any(one.heading for one in plan.stands) else []
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["stand", "swing", *turned, *loads, *columns])
-    for one in plan.stands:
-        commands = [f"{size * one.command[joint]:.6f}" for joint in joints]
-        heading = [f"{size * one.heading:.6g}" if one.heading else ""] if turned else []
-        on = [""] * len(loads)
-        if place is not None and one.added:
-            on = [f"{value:.6g}" for value in (one.added, *place.offset)]
-        first = [one.name, " ".join(one.swing), *heading]
-        writer.writerow([*first, *on, *commands, *([""] * len(joints))])
     with whole_file(Path(path), PLAN, force=force) as file:
-        file.write(text.getvalue().encode())
+        text = stands_text(_as_measured(plan.name, plan.stands, plan.place))
+        file.write(text.encode())
 
 
 # Random stands that a robot's servos hold, with numbers that are not known yet.
@@ -402,7 +356,7 @@ _STEP = 0.15
 """Of the height: how far a foot stands from its nominal place, either way."""
 
 _LIFTED = 0.15
-"""Of the height: how high a foot is swung."""
+"""Of the height: how high a foot is swung, at least."""
 
 _ON_THREE = 0.4
 """Share of candidates with a foot in the air, of robots with four feet and more."""
@@ -442,6 +396,9 @@ class RandomStands:
         self._off_limits = SURE * _offset_width(robot, priors)
         self._off_edge = com_width(robot, priors)
         self._clear = _clearance(robot)
+        # A foot stays in the air though servos give way, and zeros of encoders are off.
+        lowered = _sag(robot, kp) + self._off_limits * robot.stand_height
+        self._lifted = max(_LIFTED * robot.stand_height, lowered)
         self._far, self._found = 1.0, 0
         self._refused: Counter[str] = Counter()
 
@@ -460,18 +417,14 @@ class RandomStands:
     def explain(self, wanted: int) -> Diagnostic:
         """Returns why there are fewer than that: what most stands failed in."""
         code = max(self._refused, key=lambda one: self._refused[one])
-        if code == "too-few-in-reach":
-            off = Quantity(self._off_limits, "rad")
-            return diagnose("too-few-in-reach", found=self._found, wanted=wanted, off=off)
-        if code == "too-few-within-limits":
-            return diagnose("too-few-within-limits", found=self._found, wanted=wanted)
-        return diagnose("too-few-are-held", found=self._found, wanted=wanted)
+        off = Quantity(self._off_limits, "rad")
+        return diagnose(code, found=self._found, wanted=wanted, off=off)
 
     def _task(self) -> StandTask:
         rng, size, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
         swing = {}
         if len(feet) > 3 and rng.random() < _ON_THREE:
-            swing = {feet[rng.integers(len(feet))]: _LIFTED * size}
+            swing = {feet[rng.integers(len(feet))]: self._lifted}
 
         def either(most: float) -> tuple[float, float]:
             one, two = self._far * rng.uniform(-most, most, 2)
@@ -517,6 +470,15 @@ class RandomStands:
         return stand, sagged
 
 
+def _sag(robot: Robot, kp: ArrayLike | None) -> float:
+    """Returns by how much servos alone let the nominal stand sink (m); 0 where they hold none."""
+    try:
+        stand = solve_stand(robot, explain=False)
+        return float(max(0.0, stand.qpos[2] - steady_state(robot, stand, kp=kp).qpos[2]))
+    except PupperAnalysisError:
+        return 0.0
+
+
 def _clearance(robot: Robot) -> float | None:
     """Returns how far links are to be from each other (m); None if they touch as it is."""
     try:
@@ -536,23 +498,8 @@ def _offset_width(robot: Robot, priors: Sequence[Prior]) -> float:
 def com_width(robot: Robot, priors: Sequence[Prior]) -> float:
     """Returns how far aside the com of the whole robot may be (m), as a standard deviation.
 
-    At home, along the worse of the base's x and y, by what is known of masses and coms.
+    In the nominal stand, along the worse of x and y, by what is known of masses and coms.
     """
-    model = robot.structure.model
-    data, bodies = model.createData(), dict(bodies_of(robot))
-    pin.forwardKinematics(model, data, robot.structure.convention.unit_q(robot.home))
-    own = {link: model.inertias[at] for link, at in bodies.items()}
-    places = {link: data.oMi[at].act(own[link].lever) for link, at in bodies.items()}
-    whole = sum(one.mass * places[link] for link, one in own.items()) / robot.total_mass
-    stated = [("mass", link, "", one.mass) for link, one in own.items()]
-    for link, one in own.items():
-        stated += [("com", link, *of) for of in zip(AXES, one.lever, strict=True)]
-    variance = np.zeros(3)
-    for width in give_widths(stated, [one for one in priors if one.kind in ("mass", "com")]):
-        link, share = width.subject, width.width / robot.total_mass
-        if width.kind == "mass":
-            variance += (share * (places[link] - whole)) ** 2
-        else:
-            axis = data.oMi[bodies[link]].rotation[:, AXES.index(width.component)]
-            variance += (share * own[link].mass * axis) ** 2
-    return math.sqrt(float(variance[:2].max()))
+    given = [one for one in priors if one.kind in ("mass", "com")]
+    before = Posterior.before(ParameterTable(give_widths(inertials_of(robot), given)))
+    return max(one.std for one in list(whole_com(robot, before))[:2])
