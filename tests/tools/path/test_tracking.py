@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
@@ -16,6 +17,7 @@ from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.path.tracking import path_commands, study_path, track_path
 from tests.support.cases import some
+from tests.support.commands import check_refusal, run_command
 from tests.support.engines import changed, mujoco_at
 from tests.support.repository import benchmark
 from tests.support.variants import load, stand_of
@@ -205,3 +207,47 @@ def test_a_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
     (event,), error = tracking._torques(plan, np.tile(start, (3, 1)))  # type: ignore[arg-type]
     assert robot.joint_names[4] in str(event)
     assert error < 1e-9
+
+
+def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    csv, npz, file = tmp_path / "way.csv", tmp_path / "way.npz", tmp_path / "all.json"
+    three_legs = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01")
+    output = ("--csv", str(csv), "--npz", str(npz), "--json", str(file))
+    status, out, err = run_command(
+        capfd, "path", "original", *three_legs, "--seconds", "3", "-v", *output
+    )
+    assert status == 0, err
+    assert "TRACKED" in out
+    assert ["time", "3", "s"] in [line.split() for line in out.splitlines()]
+    assert f"written: {csv}\nwritten: {npz}\nwritten: {file}\n" in out
+    rows = csv.read_text().splitlines()
+    with np.load(npz) as content:
+        arrays = dict(content)
+    assert len(rows) == 1 + len(arrays["time"]) > 100
+    robot = load("original")
+    goal = pa.solve_stand(robot, pa.StandTask(swing={"RR": 0.01}, com="inside", com_margin=0.01))
+    np.testing.assert_allclose(arrays["qpos"][-1][2:7], goal.qpos[2:7], atol=1e-9)
+    np.testing.assert_allclose(arrays["qpos"][-1], goal.qpos, atol=0.05)  # its feet have rolled
+    np.testing.assert_allclose(arrays["qpos"][0], pa.solve_stand(robot).qpos, atol=1e-9)
+
+
+def test_the_way_keeps_moved_feet_and_ground() -> None:
+    robot = load("v3")
+    task = pa.StandTask(
+        0.12, foot_offsets={"FL": (0.01, 0.0)}, ground=pa.Ground(0.05), com=(0.005, 0.0)
+    )
+    way = tracking.way_to(robot, pa.solve_stand(robot, task))
+    assert len(way) == 2
+    for stance in way:
+        assert stance.ground == task.ground
+        assert stance.foot_offsets == task.foot_offsets
+    assert way[1].height == 0.12
+    assert way[1].com == pytest.approx((0.005, 0.0), abs=1e-9)
+
+
+def test_no_duration_is_refused_before_any_file(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = ["path", "v3", "--seconds", "-2", "--json", "all.json"]
+    check_refusal(capfd, tmp_path, arguments, "seconds")

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import pupper_analysis as pa
 from tests.support.commands import run_command
+from tests.support.variants import load
 
 
 def test_what_lasts_is_what_motors_of_that_effort_carry(
@@ -22,3 +24,36 @@ def test_what_lasts_is_what_motors_of_that_effort_carry(
     assert found["--continuous"][1] == found["--effort"][1] > 0.5
     assert found["--continuous"][0] == "CARRIES (at continuous torque)"
     assert found["--effort"][0] == "CARRIES (at the stated peak torque, for moments)"
+
+
+def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    arguments = [
+        "original",
+        "--payload-at",
+        "1cm,0,0.08",
+        "--kp",
+        "30",
+        "--kd",
+        "1",
+        "--yaw",
+        "0.1",
+    ]
+    status, out, err = run_command(capfd, "payload", "-v", *arguments, "--json", str(path))
+    assert status == 0, err
+    content = json.loads(path.read_text())
+    assert content["point"] == [0.01, 0.0, 0.08]
+    robot = load("original")
+    limit = pa.payload_limit(robot, pa.StandTask(yaw=0.1), (0.01, 0.0, 0.08), kp=30.0, kd=1.0)
+    marks = {name: content[name] for name in ("generator", "provenance")}
+    assert {**json.loads(limit.to_json()), **marks} == content
+    assert content["trial"]["held"]
+    assert "payload at (10, 0, 80) mm" in out
+    assert f"base is ({1e3 * limit.offset[0]:.1f}, " in out
+    assert "nudged: it stays up" in out
+
+
+def test_servos_that_carry_nothing_are_exit_status_1(capfd: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run_command(capfd, "payload", "v3-long-leg", "--kp", "1", "--kd", "0.1")
+    assert status == 1, err
+    assert "0.00 kg on the simulated ground, then loses static stability" in out

@@ -1,0 +1,100 @@
+"""The options that all commands of a stance share, and their help."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+
+from pupper_analysis import (
+    cli,
+)
+from pupper_analysis.cli.robots import RobotOptions
+from pupper_analysis.cli.stance_fields import TYPED
+from pupper_analysis.cli.stance_options import RobotAndTask
+from pupper_analysis.pupper.variants import VariantSpec
+from tests.support.commands import answer
+
+OURS = sorted({"stand", "workspace", "payload", "best", "path", "push"} & {*cli.COMMANDS})
+
+
+def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
+    """Of the same name, kind, default and help: one list."""
+    own = {*RobotAndTask.__dataclass_fields__, *RobotOptions.__dataclass_fields__}
+    names = {*own, *TYPED} - {"stance", "which", "fixed_base"}
+    simulated = {"kp", "kd", "integrator", "cone", "impratio"}  # a workspace is of kinematics
+    shared = []
+    for command in OURS:
+        options = {option.name: option for option in cli.find_command(command).params}
+        own_names = names - simulated if command == "workspace" else names
+        assert own_names <= set(options), command
+        assert command != "workspace" or simulated.isdisjoint(options)
+        shared.append({name: options[name].to_info_dict() for name in sorted(own_names)})
+    for one in shared:
+        assert all(info == shared[0][name] for name, info in one.items())
+    analyze = {option.name: option for option in cli.find_command("analyze").params}
+    common = sorted(names & set(analyze))
+    stand = {option.name: option for option in cli.find_command("stand").params}
+    base = [one for one in TYPED.values() if one.slider and one.slider.folder == "Base"]
+    assert len(common) == 13 + len(base)
+    for name in common:
+        assert analyze[name].to_info_dict() == stand[name].to_info_dict()
+
+
+def examples(command: click.Command) -> list[list[str]]:
+    text = (command.help or "").replace("\\\n", " ")
+    return [
+        shlex.split(line)[1:]
+        for line in text.splitlines()
+        if line.strip().startswith("pupper-analysis ")
+    ]
+
+
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
+def test_examples_of_the_help_are_understood(name: str) -> None:
+    command = cli.find_command(name)
+    for arguments in examples(command):
+        assert arguments[0] == name
+        command.make_context(name, arguments[1:])
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_the_help_teaches_with_examples(name: str) -> None:
+    assert len(examples(cli.find_command(name))) >= 3
+    assert "Exit status:" in (cli.find_command(name).help or "")
+
+
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
+def test_the_help_fits_into_80_columns(name: str) -> None:
+    command = cli.find_command(name)
+    said = command.get_help(click.Context(command, info_name=name, terminal_width=80))
+    assert [line for line in said.splitlines() if len(line) > 80] == []
+
+
+def derived(*given: object) -> object:
+    names = ("base", "leg_scale", "torso_mass_scale")
+    return RobotOptions.taken_from(dict(zip(names, given, strict=True))).one(())
+
+
+def test_a_derived_variant_keeps_what_is_not_given() -> None:
+    for given, legs, torso in (
+        (("v3", None, None), 1.0, 1.0),
+        (("v3", 1.2, None), 1.2, 1.0),
+        (("v3", None, 1.5), 1.0, 1.5),
+    ):
+        found = derived(*given)
+        assert isinstance(found, VariantSpec)
+        assert (found.base, found.leg_scale, found.torso_mass_scale) == ("v3", legs, torso)
+    skeleton = derived(None, 1.5, None)
+    assert isinstance(skeleton, VariantSpec)
+    assert (skeleton.base, skeleton.torso_mass_scale) == ("skeleton", 1.0)
+    assert derived(None, None, None) is None
+
+
+def test_a_package_is_looked_for_where_it_is_said(tmp_path: Path) -> None:
+    files = ("--urdf", "x.urdf", "--mjcf", "x.xml")
+    done = answer("stand", *files, "--package", "p=nowhere", folder=tmp_path)
+    assert done.returncode == 2
+    assert "p: nowhere is not a folder" in done.stderr
