@@ -189,7 +189,9 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     drawing.title_panel(above, "from above" + _draw_margin(above, seen, margin))
     above.set_xlabel("y, left (mm)", size=drawing.FONT)
     above.set_ylabel("x, forward (mm)", size=drawing.FONT)
-    above.xaxis.set_major_formatter(lambda value, _: f"{0.0 - value:g}")
+    above.xaxis.set_major_formatter(
+        lambda value, _: f"{0.0 - value:g}".replace("-", "\N{MINUS SIGN}")
+    )
     above.locator_params(nbins=5)
     _name_feet(above, seen)
     leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": drawing.BLACK, "ms": 4}
