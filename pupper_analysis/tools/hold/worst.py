@@ -121,7 +121,8 @@ class Search:
         moved = motions.moved[way]
         if len(moved) > 1 or not self._waves:
             looks = np.linspace(low, high, motions.places(way))
-            return _sampled(at, looks, fine=fine or not motions.bent[way])
+            bent = bool(motions.bent[way])
+            return _sampled(at, looks, fine=fine or not bent, everywhere=bent)
         if motions.slides[moved[0]]:
             return max((low, high), key=at)
         spring = sign * float(motions.shares[joint, moved[0]] * self.stiffness[moved[0]])
@@ -161,33 +162,32 @@ def _crest(cosine: float, sine: float, rate: float, low: float, high: float) -> 
     return max(ends, key=lambda x: cosine * math.cos(x) + sine * math.sin(x) + rate * x)
 
 
-def _sampled(at: Callable[[float], float], looks: Array, *, fine: bool) -> float:
+def _sampled(at: Callable[[float], float], looks: Array, *, fine: bool, everywhere: bool) -> float:
     """Returns at which of some looks, or between them, a function is greatest.
 
-    Between them it is looked for beside each that is a peak, as far as there is anything: the
-    greatest of the looks need not be next to the greatest of all.
+    Between them it is looked for beside the greatest, or beside each that is a peak, as far as
+    there is anything: where loops bend the greatest look need not be next to the greatest of all.
     """
     from scipy import optimize  # slow to import
 
-    found = [at(look) for look in looks]
-    if not fine:
-        return float(looks[int(np.argmax(found))])
-    beside, chosen = [-math.inf, *found, -math.inf], list(looks)
-    for number, own in enumerate(found):
-        if own <= -_OUT or own < max(beside[number], beside[number + 2]):
-            continue
+    found = np.array([at(look) for look in looks])
+    top = int(np.argmax(found))
+    if not fine or np.ptp(found) <= _GAIN * abs(found[top]):
+        return float(looks[top])
+    beside = np.concatenate([[-math.inf], found, [-math.inf]])
+    peaks = (found > -_OUT) & (found >= np.maximum(beside[:-2], beside[2:]))
+    chosen = [float(looks[top])]
+    for number in np.flatnonzero(peaks).tolist() if everywhere else [top]:
         ends = looks[max(number - 1, 0)], looks[min(number + 1, len(looks) - 1)]
         low, high = (_nearest(at, float(looks[number]), float(end)) for end in ends)
-        chosen += [low, high]
         if high - low > _PEAK:
-            chosen.append(
-                optimize.minimize_scalar(
-                    lambda length: -at(length),
-                    bounds=(low, high),
-                    method="bounded",
-                    options={"xatol": _PEAK},
-                ).x
+            best = optimize.minimize_scalar(
+                lambda length: -at(length),
+                bounds=(low, high),
+                method="bounded",
+                options={"xatol": _PEAK},
             )
+            chosen += [low, best.x, high]
     return float(max(chosen, key=at))
 
 
