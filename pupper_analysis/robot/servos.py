@@ -84,9 +84,8 @@ class Servos:
             for row in np.ndindex(positions.shape[:-1]):
                 data.qpos[robot.mj_convention.qpos_index[-robot.nu :]] = positions[row]
                 ctrl[row] = command_elsewhere(self.model, data.qpos, actuators[driven])
-        ctrl[..., self.model.actuator_ctrladr[actuators[driven]]] = (self.gear * target)[
-            ..., driven
-        ]
+        places = self.model.actuator_ctrladr[actuators[driven]]
+        ctrl[..., places] = (self.gear * target)[..., driven]
         return ctrl
 
 

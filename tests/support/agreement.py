@@ -27,6 +27,7 @@ import numpy as np
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import random_legged
 from tests.support.commands import Answer, answer
@@ -246,6 +247,9 @@ def _compare_payload(found: Agreement, run: Commands, stood: Answer, *ground: st
     found.codes[f"payload {told}".strip()] = f"exit {done.returncode}"
     if done.returncode == 0 and stood.returncode != 0:
         found.disagreements.append(f"payload {told}: exit 0 where stand fails")
+    unloaded = content.get("simulation", {}).get("failure") == Failure.UNLOADED
+    if unloaded and stood.returncode == 0:
+        found.disagreements.append(f"payload {told}: nothing where stand holds")
     mass = content.get("mass")
     if not isinstance(mass, float) or not 0 < mass < math.inf:
         return
