@@ -31,6 +31,7 @@ from pupper_analysis.prepare.convert.to_mjcf import MjcfOptions
 from pupper_analysis.prepare.convert.to_urdf import ConversionDraft, urdf_draft
 from pupper_analysis.prepare.judge import judge_stand, remarks_of_files
 from pupper_analysis.prepare.passes import Feet, robot_of
+from pupper_analysis.prepare.simulable import check_simulable
 from pupper_analysis.present.verdict import published_clauses
 from pupper_analysis.robot.alike import structure
 from pupper_analysis.robot.compare.compare import Comparison, compare_models
@@ -132,6 +133,8 @@ def convert_model(
         _refuse_given(options, source)
         draft = urdf_draft(file, output)
         urdf, mjcf = output, source
+        if draft.failure is None:
+            check_simulable(file)  # before anything is written
     contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
     write_all([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
     comparison = compare_models(urdf, mjcf, packages=packages, tolerances=FINE)

@@ -355,6 +355,14 @@ def test_errors_of_the_source_are_said(tmp_path: Path) -> None:
     assert "damping is negative" in str(message)
 
 
+@pytest.mark.parametrize("feature", ["armature -0.01", "timestep 10"])
+def test_nothing_is_written_of_what_cannot_be_simulated(feature: str, tmp_path: Path) -> None:
+    _, mjcf = features.files(tmp_path, features.FEATURES[feature])
+    with pytest.raises(pa.ModelError):
+        pa.convert_model(mjcf, tmp_path / "new.urdf")
+    assert not (tmp_path / "new.urdf").exists()
+
+
 def test_the_new_file_is_tidy(tmp_path: Path) -> None:
     mjcf, _ = converted(standing_urdf(tmp_path), "quad.xml")
     text = mjcf.read_text()
