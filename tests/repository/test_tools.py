@@ -52,6 +52,7 @@ def without(tool: str, folder: Path) -> Path:
     left_out = shutil.ignore_patterns(".git", ".venv*", "build", "__pycache__", ".*_cache", "docs")
     copy = folder / "checkout"
     shutil.copytree(ROOT, copy, ignore=left_out)
+    shutil.copytree(ROOT / "docs/how-to", copy / "docs/how-to")  # of which tests take examples
     for one in gone:
         shutil.rmtree(copy / "pupper_analysis/tools" / one)
         shutil.rmtree(copy / "tests/tools" / one, ignore_errors=True)
