@@ -28,6 +28,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.tools import own_tools
 from pupper_analysis.cli.stance_fields import read_stance_file
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
@@ -40,8 +41,6 @@ from pupper_analysis.prepare.convert.meshes import (
 from pupper_analysis.robot.matching.match import read_mapping
 from pupper_analysis.tools.check.config import read_config
 from pupper_analysis.tools.check.remarks import read_baseline
-from pupper_analysis.tools.fit.measurements.log import read_log
-from pupper_analysis.tools.fit.measurements.stands import read_stands
 from pupper_analysis.tools.study.store import Store
 from pupper_analysis.tools.study.study import Study
 from tests.support.robots import mjcf_text, quadruped, urdf_text
@@ -100,10 +99,6 @@ def _bag(ending: str) -> bytes:
                     raw = store.serialize_cdr(message, kinds[name])
                     writer.write(topics[name], 10**9 + 5_000_000 * row, raw)
         return next((Path(folder) / "bag").glob(f"*.{ending}")).read_bytes()
-
-
-def _read_bag(path: Path) -> Any:
-    return read_log(path, joints=["hip", "knee"])
 
 
 def _stl() -> bytes:
@@ -170,15 +165,28 @@ _BASELINE = b"""# known
 """
 
 
-@cache
-def kinds() -> tuple[Kind, ...]:
-    """All kinds of files."""
+def _measured() -> tuple[Kind, ...]:
+    """What fit reads, which may have been dropped."""
+    from pupper_analysis.tools.fit.measurements.log import read_log
+    from pupper_analysis.tools.fit.measurements.stands import read_stands
+
+    def read_bag(path: Path) -> Any:
+        return read_log(path, joints=["hip", "knee"])
+
     return (
         Kind("log.csv", _csv(","), read_log),
         Kind("semicolons.csv", _csv(";"), read_log),
         Kind("stands.csv", _STANDS, read_stands),
-        Kind("log.mcap", _bag("mcap"), _read_bag),
-        Kind("log.db3", _bag("db3"), _read_bag),
+        Kind("log.mcap", _bag("mcap"), read_bag),
+        Kind("log.db3", _bag("db3"), read_bag),
+    )
+
+
+@cache
+def kinds() -> tuple[Kind, ...]:
+    """All kinds of files."""
+    return (
+        *(_measured() if "fit" in own_tools() else ()),
         Kind(
             "stance.toml", b"height = '12cm'\nroll = 0.1\n[swing]\nFL = '2cm'\n", read_stance_file
         ),

@@ -12,8 +12,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.free_base import join_free_base
+from tests.support.conversions import compiled, converted
 from tests.support.legged import Pair, quadruped
-from tests.tools.convert.test_model import compiled, converted
 
 SLIDES = "".join(
     f'<joint name="pelvis_t{word}" type="slide" axis="{axis}" range="-5 5"/>'

@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 import pytest
 
+import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import compile_spec, no_number, to_xml
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.robot.compare.compare import compare_models
 from pupper_analysis.tools.audit.audit import audit_model
-from pupper_analysis.tools.convert.model import convert_model
 from pupper_analysis.tools.diff.compare import diff_models
 from tests.support.robots import Files, mjcf_text, quadruped, urdf_text
 
@@ -102,7 +102,7 @@ def test_a_joint_far_away_leaves_no_log(
     elif act == "diff":
         assert not diff_models(files.mjcf, files.mjcf).changes
     elif act == "convert":
-        assert not convert_model(files.mjcf, tmp_path / "other.urdf").agree
+        assert not pa.convert_model(files.mjcf, tmp_path / "other.urdf").agree
     else:
         with pytest.raises(ModelError, match="it must be at most"):
             load_robot(urdf=files.urdf, mjcf=files.mjcf)

@@ -10,8 +10,8 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.tools.stand.stance import study_stance
+from tests.support.conversions import compiled, converted, standing_urdf
 from tests.support.legged import Pair, biped, quadruped
-from tests.tools.convert.test_model import compiled, converted, standing_urdf
 
 
 def edited(path: Path, *changes: tuple[str, str]) -> Path:

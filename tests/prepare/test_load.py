@@ -17,8 +17,8 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.prepare import drives
 from pupper_analysis.prepare.feet import limbs_aside
 from pupper_analysis.robot.robot import Robot
+from tests.support.conversions import standing_urdf
 from tests.support.legged import BIPED_FEET, Pair, biped, from_the_ground, fused, quadruped
-from tests.tools.convert.test_model import standing_urdf
 
 
 def load(pair: Pair, **values: object) -> Robot:

@@ -51,7 +51,7 @@ DOCUMENT = Document(
             text("all-ok").marked("warn"),
         ),
         Lines((tell(problem("it sank")),), "bad", text("objections"), detail=True),
-        Listing(text("what-would-change"), "-a\n+```b", "diff"),
+        Listing(text("no-change"), "-a\n+```b", "diff"),
     ),
     passed=False,
     verdict=text("FAILS"),
@@ -92,7 +92,7 @@ def test_a_document_is_markdown() -> None:
 
 </details>
 
-**What would change**
+**no change**
 
 ````diff
 -a

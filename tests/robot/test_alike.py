@@ -10,9 +10,8 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.alike import structure
 from pupper_analysis.simulation.verdict import VerdictCode
-from pupper_analysis.tools.convert.model import convert_model
+from tests.support.conversions import standing_urdf
 from tests.support.planted import planted
-from tests.tools.convert.test_model import standing_urdf
 
 
 def slipped(folder: Path, old: str, new: str) -> Path:
@@ -41,10 +40,10 @@ def test_a_calf_that_is_elsewhere_is_named_with_its_gap(tmp_path: Path) -> None:
     assert verdict.remarks[0] == message
     held = pa.hold_posture(pa.load_robot(path, fixed_base=True))
     assert "RR_calf is 180 mm from where the others" in " ".join(map(str, held.verdict.remarks))
-    converted = convert_model(path, tmp_path / "slipped.xml")
+    converted = pa.convert_model(path, tmp_path / "slipped.xml")
     assert message.code in {one.code for one in converted.failures}
     assert not converted.passed
-    assert convert_model(standing_urdf(tmp_path), tmp_path / "sound.xml").passed
+    assert pa.convert_model(standing_urdf(tmp_path), tmp_path / "sound.xml").passed
 
 
 def test_a_calf_that_is_elsewhere_is_named_though_it_has_a_foot(tmp_path: Path) -> None:
@@ -56,7 +55,7 @@ def test_a_calf_that_is_elsewhere_is_named_though_it_has_a_foot(tmp_path: Path) 
     assert (len(robot.feet), finding.subject.name) == (4, "RR_calf")
     assert finding.values["gap"].value == pytest.approx(0.01, abs=1e-6)
     assert message in judge_stand(robot, pa.solve_stand(robot)).remarks
-    assert message in convert_model(path, tmp_path / "slipped.xml").notes
+    assert message in pa.convert_model(path, tmp_path / "slipped.xml").notes
 
 
 def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ import trimesh
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert import meshes
 from pupper_analysis.prepare.convert.meshes import UnreadableError, obj_of
+from tests.support.conversions import compiled, shape_of
 from tests.support.robots import arm, urdf_text
-from tests.tools.convert.test_model import _shape, compiled
 
 BOX = trimesh.creation.box((0.1, 0.2, 0.3))
 
@@ -76,7 +76,7 @@ def test_archives_claims_and_what_is_too_large_are_left_out(tmp_path: Path) -> N
     """A zip of 780 kB was unpacked to 11.5 GB: any suffix was given to a reader of all formats."""
     expected = hostile(tmp_path)
     shapes = "".join(
-        _shape("visual", f'<mesh filename="{name}"/>', "0 0 0") for name in (*expected, "box.obj")
+        shape_of("visual", f'<mesh filename="{name}"/>', "0 0 0") for name in (*expected, "box.obj")
     )
     text = urdf_text(arm(), ()).replace("</link>", shapes + "</link>", 1)
     (tmp_path / "arm.urdf").write_text(text)
@@ -112,8 +112,8 @@ def test_what_takes_minutes_to_compile_is_left(
     monkeypatch.setattr(meshes, "MOST_TRIANGLES", 20)
     monkeypatch.setattr(meshes, "MOST_TOUCHING", 7)
     kinds = {"visual": "box.obj", "collision": "box.obj"}
-    shapes = [_shape(kind, f'<mesh filename="{name}"/>', "0 0 0") for kind, name in kinds.items()]
-    shapes.append(_shape("visual", '<mesh filename="fan.obj"/>', "0 0 0"))
+    shapes = [shape_of(kind, f'<mesh filename="{name}"/>', "0 0 0") for kind, name in kinds.items()]
+    shapes.append(shape_of("visual", '<mesh filename="fan.obj"/>', "0 0 0"))
     (tmp_path / "arm.urdf").write_text(
         urdf_text(arm(), ()).replace("</link>", "".join(shapes) + "</link>", 1)
     )
@@ -140,7 +140,7 @@ def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
         content = whole[:80] + struct.pack("<I", claimed) + whole[84:]
         file = f"{claimed}.stl"  # MuJoCo keeps what it has read of a name in this second
         (tmp_path / file).write_bytes(content)
-        shape = _shape("collision", f'<mesh filename="{file}"/>', "0 0 0")
+        shape = shape_of("collision", f'<mesh filename="{file}"/>', "0 0 0")
         (tmp_path / "arm.urdf").write_text(
             urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1)
         )
@@ -154,7 +154,7 @@ def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
 
 def test_a_missing_shape_that_touches_is_a_failure_too(tmp_path: Path) -> None:
     for kind, passes in (("visual", True), ("collision", False)):
-        shape = _shape(kind, '<mesh filename="gone.stl"/>', "0 0 0")
+        shape = shape_of(kind, '<mesh filename="gone.stl"/>', "0 0 0")
         (tmp_path / "arm.urdf").write_text(
             urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1)
         )
@@ -170,7 +170,7 @@ def test_a_flat_mesh_to_look_at_is_a_shell(tmp_path: Path) -> None:
         [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]], [[0, 1, 2], [1, 3, 2]]
     )
     plate.export(tmp_path / "plate.stl")
-    shape = _shape("visual", '<mesh filename="plate.stl"/>', "0 0 0")
+    shape = shape_of("visual", '<mesh filename="plate.stl"/>', "0 0 0")
     text = urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1)
     (tmp_path / "arm.urdf").write_text(text)
     found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
@@ -198,7 +198,7 @@ def published(folder: Path) -> Path:
     for place in ("robot/urdf", "robot/meshes"):
         (folder / place).mkdir(parents=True)
     BOX.export(folder / "robot/meshes/box.stl")
-    shape = _shape("visual", '<mesh filename="../meshes/box.stl"/>', "0 0 0")
+    shape = shape_of("visual", '<mesh filename="../meshes/box.stl"/>', "0 0 0")
     path = folder / "robot/urdf/arm.urdf"
     path.write_text(urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1))
     return path

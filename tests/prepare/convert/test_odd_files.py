@@ -11,15 +11,15 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from tests.support.legged import quadruped as legged
-from tests.tools.convert.test_model import (
-    _shape,
+from tests.support.conversions import (
     compiled,
     converted,
     from_keyframe,
     same_dynamics,
+    shape_of,
     standing_urdf,
 )
+from tests.support.legged import quadruped as legged
 
 
 def _changed(folder: Path, *changes: tuple[str, str]) -> Path:
@@ -60,9 +60,9 @@ def test_names_that_the_new_file_uses_itself(change: tuple[str, str], tmp_path: 
 
 def test_a_material_and_a_shape_called_floor(tmp_path: Path) -> None:
     red = '<material name="floor"><color rgba="1 0 0 1"/></material>'
-    shapes = _shape("visual", '<box size="0.1 0.1 0.1"/>', "0 0 0").replace(
+    shapes = shape_of("visual", '<box size="0.1 0.1 0.1"/>', "0 0 0").replace(
         "</visual>", f"{red}</visual>"
-    ) + _shape("collision", '<box size="0.1 0.1 0.01"/>', "0 0 0").replace(
+    ) + shape_of("collision", '<box size="0.1 0.1 0.01"/>', "0 0 0").replace(
         "<collision>", '<collision name="floor">'
     )
     path = standing_urdf(tmp_path)
@@ -121,7 +121,7 @@ def test_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
         (tmp_path / folder).mkdir()
         trimesh.creation.box((size, 0.02, 0.02)).export(tmp_path / folder / "part.dae")
     shapes = "".join(
-        _shape("visual", f'<mesh filename="{folder}/part.dae"/>', "0 0 0") for folder in "ab"
+        shape_of("visual", f'<mesh filename="{folder}/part.dae"/>', "0 0 0") for folder in "ab"
     )
     path = standing_urdf(tmp_path)
     path.write_text(path.read_text().replace("</link>", f"{shapes}</link>", 1))
@@ -350,12 +350,12 @@ def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path
     """As Kuavo's toes, which sank in by 20 mm; and as Drake's Atlas, whose points were left out."""
     urdf = standing_urdf(tmp_path)
     text = urdf.read_text()
-    ball = _shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
+    ball = shape_of("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
     assert ball in text
     text = text.replace(ball, "")
     point = '<sphere radius="0.0"/>'
     toes = "".join(
-        f'<link name="{leg}_toe">{_shape("collision", point, "0.01 0 -0.02")}</link>'
+        f'<link name="{leg}_toe">{shape_of("collision", point, "0.01 0 -0.02")}</link>'
         f'<joint name="{leg}_on" type="fixed"><parent link="{leg}_calf"/><child link="{leg}_toe"/>'
         '<origin xyz="0 0 -0.2" rpy="0 1.5707963267948966 0"/></joint>'
         for leg in ("FL", "FR", "RL", "RR")

@@ -11,8 +11,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert.repair import is_possible, nearest_moments
+from tests.support.conversions import compiled, converted, same_dynamics, standing_urdf
 from tests.support.robots import Part, Parts, arm, changed, urdf_text
-from tests.tools.convert.test_model import compiled, converted, same_dynamics, standing_urdf
 
 CAMERA = (8.7e-6, 6.7e-4, 1.37e-3, 0.0, 0.0, 0.0)  # of ANYmal C's depth cameras
 FLAT = (1e-3, 1e-3, 1e-2, 0.0, 0.0, 0.0)

@@ -19,9 +19,9 @@ from pupper_analysis.models.additions import (
 )
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.stance.task import StandTask
+from tests.support.conversions import standing_urdf
 from tests.support.legged import quadruped as legged
 from tests.support.repository import ROOT
-from tests.tools.convert.test_model import standing_urdf
 
 GEOM = (
     *("friction", "solref", "solimp", "solmix", "condim", "contype", "conaffinity", "priority"),

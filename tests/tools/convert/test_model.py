@@ -15,84 +15,19 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from pupper_analysis.models.mjcf import silence_mujoco
 from tests.support import features
 from tests.support.commands import Answer, answer
-from tests.support.legged import quadruped as legged
+from tests.support.conversions import (
+    LEGS,
+    compiled,
+    converted,
+    from_keyframe,
+    same_dynamics,
+    shape_of,
+    standing_urdf,
+)
 from tests.support.repository import ROOT
 from tests.support.robots import NOTHING, Part, Parts, arm, changed, mjcf_text, quadruped, urdf_text
-
-LEGS = ("FL", "FR", "RL", "RR")
-
-
-def standing_urdf(folder: Path) -> Path:
-    """A URDF of a quadruped with spheres for feet, and a box for a trunk."""
-    text = legged(folder).urdf.read_text()
-    ball = _shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
-    for name in LEGS:
-        start = text.index(f'<link name="{name}_calf">')
-        end = text.index("</link>", start)
-        text = text[:end] + ball + text[end:]
-    box = _shape("collision", '<box size="0.4 0.2 0.08"/>', "0 0 0")
-    path = folder / "quad.urdf"
-    path.write_text(text.replace("</link>", f"{box}</link>", 1))
-    return path
-
-
-def _shape(kind: str, geometry: str, xyz: str, rpy: str = "0 0 0") -> str:
-    origin = f'<origin xyz="{xyz}" rpy="{rpy}"/>'
-    return f"<{kind}>{origin}<geometry>{geometry}</geometry></{kind}>"
-
-
-def compiled(path: Path) -> mujoco.MjModel:
-    with silence_mujoco():
-        return mujoco.MjModel.from_xml_path(str(path))
-
-
-def same_dynamics(urdf: Path, mjcf: Path) -> float:
-    """The greatest deviation of bias forces and mass matrices, each engine reading its own file.
-
-    Independent of the package: joints are matched by name, the base is held.
-    """
-    reference, model = pin.buildModelFromUrdf(str(urdf)), compiled(mjcf)
-    free = model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE.value
-    ours = list(reference.names)[1:]
-    dofs = [int(model.jnt_dofadr[model.joint(name).id]) for name in ours]
-    random, worst = np.random.default_rng(0), 0.0
-    data = mujoco.MjData(model)
-    for _ in range(5):
-        angles = dict(zip(ours, random.uniform(-0.5, 0.5, len(ours)), strict=True))
-        q, v = pin.neutral(reference), random.uniform(-1, 1, reference.nv)
-        for name, value in angles.items():
-            joint = reference.joints[reference.getJointId(name)]
-            wide = joint.nq == 2  # continuous: cosine and sine
-            q[joint.idx_q : joint.idx_q + joint.nq] = (
-                (math.cos(value), math.sin(value)) if wide else value
-            )
-            data.qpos[model.jnt_qposadr[model.joint(name).id]] = value
-        if free:
-            data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
-        data.qvel[:] = 0
-        data.qvel[dofs] = v
-        mujoco.mj_forward(model, data)
-        mass = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, mass)
-        work = reference.createData()
-        bias = pin.rnea(reference, work, q, v, np.zeros(reference.nv))
-        inertia = pin.crba(reference, work, q)
-        inertia = np.triu(inertia) + np.triu(inertia, 1).T
-        worst = max(
-            worst,
-            float(np.abs(data.qfrc_bias[dofs] - bias).max() / np.abs(bias).max()),
-            float(np.abs(mass[np.ix_(dofs, dofs)] - inertia).max() / np.abs(inertia).max()),
-        )
-    return worst
-
-
-def converted(source: Path, name: str, **options: object) -> tuple[Path, pa.convert.Conversion]:
-    output = source.parent / name
-    return output, pa.convert_model(source, output, **options)  # type: ignore[arg-type]
-
 
 # ---------------------------------------------------------------------------- a URDF as an MJCF
 
@@ -119,16 +54,6 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
         "accelerometer",
         "orientation",
     }
-
-
-def from_keyframe(model: mujoco.MjModel) -> tuple[mujoco.MjData, np.ndarray]:
-    """The state after 3 s from the keyframe on, in MuJoCo alone, and the start's qpos."""
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    start = data.qpos.copy()
-    for _ in range(round(3 / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    return data, start
 
 
 def test_the_keyframe_stands_by_itself_in_bare_mujoco(tmp_path: Path) -> None:
@@ -294,11 +219,11 @@ def test_shapes_are_where_the_urdf_has_them(tmp_path: Path) -> None:
     solid.export(folder / "part.stl")
     solid.export(folder / "part.dae")
     shapes = {
-        "base": _shape("visual", '<mesh filename="parts/part.stl" scale="1 -1 2"/>', "0.1 0 0.2"),
-        "column": _shape("collision", '<box size="0.1 0.2 0.3"/>', "0 0.1 0", "0.3 0.2 -0.4"),
-        "boom": _shape("visual", '<mesh filename="parts/part.dae"/>', "0 0 0.1", "0 0 1")
-        + _shape("collision", '<cylinder radius="0.03" length="0.4"/>', "0.1 0 0", "0 1.2 0"),
-        "rod": _shape("collision", '<sphere radius="0.07"/>', "0.02 0.03 0.04"),
+        "base": shape_of("visual", '<mesh filename="parts/part.stl" scale="1 -1 2"/>', "0.1 0 0.2"),
+        "column": shape_of("collision", '<box size="0.1 0.2 0.3"/>', "0 0.1 0", "0.3 0.2 -0.4"),
+        "boom": shape_of("visual", '<mesh filename="parts/part.dae"/>', "0 0 0.1", "0 0 1")
+        + shape_of("collision", '<cylinder radius="0.03" length="0.4"/>', "0.1 0 0", "0 1.2 0"),
+        "rod": shape_of("collision", '<sphere radius="0.07"/>', "0.02 0.03 0.04"),
     }
     text = urdf_text(arm(), ())
     for link, shape in shapes.items():
@@ -334,8 +259,8 @@ def test_meshes_that_are_not_there_are_left_out_and_said(tmp_path: Path) -> None
     pointer.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     text = urdf_text(arm(), ()).replace(
         "</link>",
-        _shape("visual", '<mesh filename="package://none/gone.stl"/>', "0 0 0")
-        + _shape("visual", '<mesh filename="far.stl"/>', "0 0 0")
+        shape_of("visual", '<mesh filename="package://none/gone.stl"/>', "0 0 0")
+        + shape_of("visual", '<mesh filename="far.stl"/>', "0 0 0")
         + "</link>",
         1,
     )
@@ -655,7 +580,7 @@ def hand(folder: Path, count: int = 3) -> Path:
             f"two{finger}", f"one{finger}", f"curl{finger}", position=(0.0, 0.0, 0.05),
             axis=(0.0, 1.0, 0.0), mass=0.03, com=(0.0, 0.0, 0.02), lower=-0.3, upper=1.5,
         )  # fmt: skip
-    ball = _shape("collision", '<sphere radius="0.01"/>', "0 0 0.04")
+    ball = shape_of("collision", '<sphere radius="0.01"/>', "0 0 0.04")
     path = folder / "hand.urdf"
     path.write_text(urdf_text(parts, ()).replace("</link>", f"{ball}</link>"))
     return path
@@ -755,7 +680,7 @@ def test_a_mesh_that_an_mjcf_touches_with_and_lacks_is_no_conversion(tmp_path: P
 
 def test_legs_whose_feet_have_no_shapes_are_no_hand(tmp_path: Path) -> None:
     text = standing_urdf(tmp_path).read_text()
-    ball = _shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
+    ball = shape_of("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
     assert text.count(ball) == 4
     path = tmp_path / "bare.urdf"
     path.write_text(text.replace(ball, ""))
