@@ -13,7 +13,7 @@ from pupper_analysis.base.arrays import plain_state
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.additions import Addition, Ball, put_all
 from pupper_analysis.models.efforts import EffortLimit
-from pupper_analysis.models.spec_state import spec_from, state_of
+from pupper_analysis.models.mjcf import spec_from, state_of
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.models.urdf_tree import UrdfTree

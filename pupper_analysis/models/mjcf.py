@@ -1,4 +1,4 @@
-"""Reads MJCFs as ``mujoco.MjSpec``, and writes specs without loss.
+"""Reads MJCFs as ``mujoco.MjSpec``, and writes specs without loss, as XML or as plain data.
 
 With what an MJCF may need on the way: a plane to stand on, names of the kinds of joints, and what
 is made up for where MuJoCo of today, or without its scene, would refuse it.
@@ -14,7 +14,7 @@ from contextlib import ExitStack, contextmanager
 from enum import IntEnum
 from pathlib import Path
 from threading import Lock
-from typing import Final
+from typing import Any, Final
 from xml.etree import ElementTree
 
 import mujoco
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.inputs import read_content, read_input
+from pupper_analysis.base.inputs import MOST_FILE, read_content, read_input
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER
 
@@ -160,25 +160,6 @@ TIMESTEPS = 1e-5, 0.1
 10 ms, and in one step of the second a base falls 5 cm."""
 
 
-def load_mjcf(path: Path) -> mujoco.MjSpec:
-    """Reads an MJCF file, includes and all; the spec is not compiled, but is known to compile.
-
-    Raises:
-        ModelError: If the file cannot be read, is no MJCF, or does not compile; the message is
-            MuJoCo's.
-    """
-    if not path.is_file():
-        raise ModelError(path, diagnose("no-such-mjcf"))
-    try:
-        with silence_mujoco():
-            spec, same = (spec_of(path)[0] for _ in range(2))
-    except (ValueError, RuntimeError) as error:
-        raise ModelError(path, diagnose("mjcf-not-valid", message=one_line(error))) from error
-    # Here and not later: a copy of a spec lacks what is dangling, and would compile.
-    compile_spec(same, path)
-    return spec
-
-
 def spec_of(path: Path, *, lenient: bool = False) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]:
     """Parses an MJCF, whatever its name ends with: MuJoCo reads files ``*.xml`` alone.
 
@@ -211,16 +192,6 @@ def spec_of(path: Path, *, lenient: bool = False) -> tuple[mujoco.MjSpec, tuple[
 
 
 _INCLUDED = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
-
-
-def list_files(path: Path, spec: mujoco.MjSpec) -> Iterator[Path]:
-    """Yields the files of an MJCF: itself, what it includes, and its meshes."""
-    waiting = [path]
-    while waiting:
-        file = waiting.pop()
-        yield file
-        waiting += [path.parent / name.decode() for name in _INCLUDED.findall(file.read_bytes())]
-    yield from sorted({path.parent / spec.compiler.meshdir / mesh.file for mesh in spec.meshes})
 
 
 def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
@@ -494,3 +465,167 @@ def _restore(node: ElementTree.Element, element: object) -> None:
             continue
         if np.allclose(exact, rounded, rtol=1e-5, atol=1e-12):
             node.set(name, _digits(exact))
+
+
+# Specs as data: MuJoCo's cannot be pickled.
+
+
+_LISTS = (
+    *(
+        "frames",
+        "bodies",
+        "geoms",
+        "sites",
+        "joints",
+        "cameras",
+        "lights",
+        "meshes",
+        "materials",
+        "pairs",
+    ),
+    *("equalities", "tendons", "actuators", "sensors", "keys", "numerics", "hfields", "textures"),
+)
+_QUATERNION = mujoco.mjtOrientation.mjORIENTATION_QUAT
+_PARTS = (
+    *("option", "stat"),
+    *("visual.headlight", "visual.map", "visual.quality", "visual.rgba", "visual.scale"),
+)
+_RESOLVED = {
+    "bodies": ("body", ("pos", "quat", "ipos", "iquat", "inertia", "mass")),
+    "geoms": ("geom", ("pos", "quat", "size")),
+    "sites": ("site", ("pos", "quat", "size")),
+    "joints": ("jnt", ("pos", "axis", "range")),
+    "cameras": ("cam", ("pos", "quat")),
+    "lights": ("light", ("pos", "dir")),
+}
+"""{list: (prefix of its arrays in the model, attributes that they hold)}."""
+
+_ROUNDING = {"rtol": 2e-5, "atol": 1e-12}
+"""What MuJoCo's writer does to numbers: it leaves them six digits."""
+
+
+def state_of(spec: mujoco.MjSpec) -> dict[str, Any]:
+    """Returns a spec as plain data: its XML, the files it needs, and the digits that XML lacks.
+
+    Frames and angles other than quaternions are written as MuJoCo resolves them.
+
+    Args:
+        spec: One that compiles.
+    """
+    assets = {**_files(spec), **spec.assets}
+    spec = spec.copy()
+    with silence_mujoco():
+        model = spec.compile()
+        state = {"xml": spec.to_xml(), "folder": spec.modelfiledir, "assets": assets}
+    return {**state, "exact": _corrections(spec, model, _read(state))}
+
+
+def spec_from(state: dict[str, Any]) -> mujoco.MjSpec:
+    """Returns the spec of such data; it needs no files."""
+    spec = _read(state)
+    parts = dict(_parts(spec))
+    for part, name, value in state["exact"]:
+        setattr(parts[part], name, value)
+        if name == "fullinertia":  # instead of principal axes, which are others' last digits
+            parts[part].inertia, parts[part].iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    return spec
+
+
+def _read(state: dict[str, Any]) -> mujoco.MjSpec:
+    with silence_mujoco():
+        spec = mujoco.MjSpec.from_string(state["xml"], assets=state["assets"])
+    spec.modelfiledir = state["folder"]
+    return spec
+
+
+def _files(spec: mujoco.MjSpec) -> dict[str, bytes]:
+    """Returns the contents of the files that meshes, height fields and textures are read from."""
+    named = [(one.file, one.compiler.meshdir) for one in (*spec.meshes, *spec.hfields, *spec.skins)]
+    for texture in spec.textures:
+        files = (texture.file, *texture.cubefiles)
+        named += [(file, texture.compiler.texturedir) for file in files]
+    contents = {}
+    for file, folder in named:
+        name = Path(file).name if spec.strippath else file
+        place = Path(spec.modelfiledir) / folder / name
+        if file and place.is_file():
+            contents[name] = read_input(place, MOST_FILE)
+    return contents
+
+
+def _parts(spec: mujoco.MjSpec) -> Iterator[tuple[tuple[str, int], Any]]:
+    """Yields all that has numbers in a spec, each under a key."""
+    for name in _LISTS:
+        for index, element in enumerate(getattr(spec, name)):
+            yield (name, index), element
+    for name in _PARTS:
+        part = spec
+        for step in name.split("."):
+            part = getattr(part, step)
+        yield (name, 0), part
+
+
+def _numbers(part: Any) -> Iterator[tuple[str, Any]]:
+    """Yields the attributes of a part that are numbers with fractions."""
+    for name in dir(part):
+        if not name.startswith("_"):
+            value: Any = getattr(part, name, None)
+            if type(value).__name__ in ("MjDoubleVec", "MjFloatVec"):
+                value = np.array(list(value))
+            elif name == "quat" and part.alt.type != _QUATERNION:
+                value = np.array(
+                    mujoco.MjSpec.resolve_orientation(
+                        degree=bool(part.compiler.degree),
+                        sequence=part.compiler.eulerseq,
+                        orientation=part.alt,
+                    )
+                )
+            if isinstance(value, float) or (
+                isinstance(value, np.ndarray) and value.dtype.kind == "f"
+            ):
+                yield name, value
+
+
+def _resolved(model: mujoco.MjModel, key: tuple[str, int], name: str) -> Any:
+    """Returns what MuJoCo made of an element's attribute; None where that is nothing of its own."""
+    prefix, names = _RESOLVED.get(key[0], ("", ()))
+    return getattr(model, f"{prefix}_{name}")[key[1]] if name in names else None
+
+
+def _number(key: tuple[str, int], part: Any) -> tuple[str, int]:
+    """Returns a part's key with its number in the model it is compiled to; frames have none."""
+    number = getattr(part, "id", -1)
+    return key if number < 0 else (key[0], number)
+
+
+def _corrections(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, rounded: mujoco.MjSpec
+) -> list[tuple[tuple[str, int], str, Any]]:
+    """Returns (part, attribute, value) where a number of a spec is another's before rounding.
+
+    Elements are matched by their number in the model, as frames change their order in the spec.
+    """
+    compiled = rounded.copy()
+    with silence_mujoco():
+        compiled.compile()
+    wanted = {_number(key, part): dict(_numbers(part)) for key, part in _parts(spec)}
+    numbers = {key: _number(key, part) for key, part in _parts(compiled)}
+    result = []
+    for key, other in _parts(rounded):
+        number = numbers[key]
+        # Last what takes the place of others.
+        for name, value in sorted(_numbers(other), key=lambda item: item[0] == "fullinertia"):
+            stated = wanted.get(number, {}).get(name)
+            if stated is None:
+                continue
+            for exact in (stated, _resolved(model, number, name), np.deg2rad(stated)):
+                if exact is None or np.shape(exact) != np.shape(value):
+                    continue
+                full = name == "fullinertia" and not np.isnan(exact).any()
+                lost = key[0] == "geoms" and name in LOST_OF_CLASSES
+                if full or lost or np.allclose(exact, value, equal_nan=True, **_ROUNDING):
+                    if not np.array_equal(exact, value, equal_nan=True):
+                        kept = float(exact) if isinstance(value, float) else np.array(exact)
+                        result.append((key, name, kept))
+                    break
+    return result

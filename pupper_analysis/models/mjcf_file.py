@@ -25,7 +25,9 @@ from pupper_analysis.models.mjcf import (
     no_number,
     put_ground,
     silence_mujoco,
+    spec_from,
     spec_of,
+    state_of,
 )
 from pupper_analysis.models.places import (
     Place,
@@ -37,7 +39,6 @@ from pupper_analysis.models.places import (
     refuse_file,
 )
 from pupper_analysis.models.published import existing_file, is_pointer
-from pupper_analysis.models.spec_state import spec_from, state_of
 from pupper_analysis.models.xml import (
     MAX_DEPTH,
     MAX_ELEMENTS,

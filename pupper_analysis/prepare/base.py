@@ -16,17 +16,15 @@ from pupper_analysis.base.arrays import (
     rotation_from_quaternion,
 )
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint, silence_mujoco
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.models.spec_tree import set_inertia
+from pupper_analysis.models.spec_tree import join_free_base, set_inertia
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.robot.contact import limb_ends
-from pupper_analysis.robot.matching.mjcf import limbs_on_the_world, mjcf_tree
+from pupper_analysis.robot.matching.match import limbs_on_the_world, mjcf_tree
 from pupper_analysis.robot.matching.pairs import without_affixes
-from pupper_analysis.robot.matching.trees import at_zero
-from pupper_analysis.robot.matching.urdf import urdf_tree
+from pupper_analysis.robot.matching.trees import at_zero, urdf_tree
 
 Array = NDArray[np.float64]
 

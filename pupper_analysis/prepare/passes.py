@@ -67,7 +67,7 @@ from pupper_analysis.robot.build import build_robot, equipped_robot, with_knowle
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.matching.match import Match, match_models
-from pupper_analysis.robot.matching.urdf import urdf_mimics
+from pupper_analysis.robot.matching.trees import urdf_mimics
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground

@@ -21,6 +21,7 @@ from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.runs import note_input
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.published import SCHEME
 from pupper_analysis.pupper.variants import (
@@ -55,7 +56,7 @@ def describe_variant(variant: str | VariantSpec) -> Description:
     urdf_text, mjcf_spec = _derived(
         spec, spec.name, urdf_source, mjcf_source, _stamp(urdf_source), _stamp(mjcf_source)
     )
-    for file in (urdf_source, *_files(mjcf_source, _stamp(mjcf_source))):
+    for file in (urdf_source, *_files(_read(mjcf_source, _stamp(mjcf_source)))):
         note_input(file)  # each time: what is derived is kept
     return Description(
         name=spec.name,
@@ -85,7 +86,7 @@ def _derived(
     mjcf_stamp: tuple[int, int],
 ) -> tuple[str, mujoco.MjSpec]:
     """Derives a variant's URDF and MJCF once, unless a base file changes."""
-    urdf_text, mjcf_spec = urdf_source.read_text(), _read(mjcf_source, mjcf_stamp).copy()
+    urdf_text, mjcf_spec = urdf_source.read_text(), _read(mjcf_source, mjcf_stamp).spec.copy()
     if spec.leg_scale != 1.0 or spec.torso_mass_scale != 1.0:
         from pupper_analysis.pupper import derive  # yourdfpy is slow to import
 
@@ -105,15 +106,15 @@ def _derived(
 
 
 @lru_cache(maxsize=8)
-def _read(source: Path, _stamp: tuple[int, int]) -> mujoco.MjSpec:
+def _read(source: Path, _stamp: tuple[int, int]) -> MjcfFile:
     """Reads a base MJCF once, unless the file changes; that it compiles is known then."""
-    return mjcf.load_mjcf(source)
+    return read_mjcf(source)
 
 
-@lru_cache(maxsize=8)
-def _files(source: Path, stamp: tuple[int, int]) -> tuple[Path, ...]:
-    """Lists the files of a base MJCF once, unless it changes."""
-    return tuple(mjcf.list_files(source, _read(source, stamp)))
+def _files(mjcf: MjcfFile) -> list[Path]:
+    """Returns the files of an MJCF: itself, what it includes, and its meshes."""
+    meshes = mjcf.path.parent / mjcf.spec.compiler.meshdir
+    return [*mjcf.files, *sorted({meshes / mesh.file for mesh in mjcf.spec.meshes})]
 
 
 def write_variant(

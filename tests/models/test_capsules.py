@@ -9,20 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-import pupper_analysis as pa
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.xml import parse_text
-from tests.support.repository import ROOT
-
-
-@pytest.fixture
-def pair(tmp_path: Path) -> tuple[Path, Path]:
-    urdf, mjcf = tmp_path / "robot.urdf", tmp_path / "robot.xml"
-    text = (ROOT / "urdf" / "pupper_skeleton.urdf").read_text()
-    assert "<cylinder " in text
-    urdf.write_text(text.replace("<cylinder ", "<capsule "))
-    mjcf.write_text((ROOT / "mjcf" / "pupper_skeleton.xml").read_text())
-    return urdf, mjcf
 
 
 def test_engines_get_the_same_points(tmp_path: Path) -> None:
@@ -67,18 +55,3 @@ def _meets(model: mujoco.MjModel, start: np.ndarray, way: np.ndarray) -> float:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return float(mujoco.mj_ray(model, data, start, way, None, 1, -1, np.zeros(1, np.int32), None))
-
-
-def test_capsules_count_in_clearances(
-    pair: tuple[Path, Path], capfd: pytest.CaptureFixture[str]
-) -> None:
-    stand = pa.solve_stand(pa.load_robot(urdf=pair[0], mjcf=pair[1]))
-    pa.compare_models(*pair)
-    assert capfd.readouterr().err == ""
-    original = [ROOT / "urdf" / "pupper_skeleton.urdf", ROOT / "mjcf" / "pupper_skeleton.xml"]
-    flat = pa.solve_stand(pa.load_robot(urdf=original[0], mjcf=original[1]))
-    assert stand.ground_clearance is not None
-    assert flat.ground_clearance is not None
-    # The lowest of a calf is the edge of its cylinder: a capsule's lower end is within the foot.
-    assert stand.ground_clearance.links == flat.ground_clearance.links
-    assert stand.ground_clearance.distance == pytest.approx(flat.ground_clearance.distance)

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.free_base import join_free_base
+from pupper_analysis.models.spec_tree import join_free_base
 from tests.support.conversions import compiled, converted
 from tests.support.legged import Pair, quadruped
 

@@ -648,12 +648,6 @@ def test_the_worker_shows_a_crash(worker: corpus.Worker, tmp_path: Path) -> None
     killer.close()
 
 
-def test_our_files_load(worker: corpus.Worker, models: Path) -> None:
-    for name in {*FAMILIES.values(), "pupper_v3_fixed.xml"}:
-        engine = "pinocchio" if name.endswith("urdf") else "mujoco"
-        assert worker.load(models / name) == {engine: ""}
-
-
 NUMBER = re.compile(rb'(?<=[" ])-?\d+(?:\.\d+)?(?:e-?\d+)?(?=[" ])')
 ELEMENT = re.compile(rb"<[a-z]+\b[^<>]*/>")
 NAME = re.compile(rb'\b(?:name|link|joint|body|mesh|class|geom\d)="([^"]*)"')

@@ -126,22 +126,6 @@ def test_an_effort_of_zero_is_none_where_the_mjcf_has_none(tmp_path: Path) -> No
     assert "many exporters write 0 where nothing is known" in headline(comparison)
 
 
-def test_limits_go_before_a_gram(tmp_path: Path) -> None:
-    part = quadruped()["base"]
-    com = (part.com[0] + 2e-5, *part.com[1:])
-    mjcf = changed(changed(quadruped(), "base", com=com), "shank0", effort=7.0, upper=-0.2)
-    comparison = compared(write(tmp_path, URDF, mjcf_text(mjcf)))
-    assert [kind for kind, _ in found(comparison)] == ["upper limit", "effort", "com"]
-
-
-def test_a_gram_of_a_mass_comes_after_efforts(tmp_path: Path) -> None:
-    mjcf = changed(changed(quadruped(), "base", mass=6.001), "shank0", effort=7.0)
-    assert [kind for kind, _ in found(compared(write(tmp_path, URDF, mjcf_text(mjcf))))] == [
-        "effort",
-        "mass",
-    ]
-
-
 def test_gravity_that_is_rounding_is_no_deviation(tmp_path: Path) -> None:
     """A table with two upright axes: gravity does nothing, and its ratio means nothing."""
     from tests.support.robots import Part

@@ -22,16 +22,6 @@ def tree() -> SpecTree:
     return SpecTree(mujoco.MjSpec.from_string(MJCF))
 
 
-def test_a_spec_tree_has_the_structure_of_the_model() -> None:
-    one = tree()
-    assert one.names == ("base", "arm", "tip")
-    assert [one.parent(name) for name in one.names] == [None, "base", "arm"]
-    assert [one.movers(name) for name in one.names] == [(), ("j",), ()]
-    assert one.fixed_group("arm") == [*one.subtree("arm")] == ["arm", "tip"]
-    assert one.moved_by("j") == "arm"
-    assert one.moved_by("k") is None
-
-
 @pytest.mark.parametrize("name", ["base", "arm"])
 def test_a_mass_is_scaled_with_its_inertia(name: str) -> None:
     """Stated, of a density and of a geom's mass alike: the com stays."""
@@ -61,24 +51,6 @@ def test_an_inertia_of_geoms_is_not_scaled() -> None:
         tree().scale_inertia("arm", 2.0)
 
 
-def test_a_link_is_added_as_pinocchio_has_it() -> None:
-    inertia = pin.Inertia(
-        0.5,
-        np.array([0.1, 0.0, 0.2]),
-        np.array([[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]]),
-    )
-    one = tree()
-    one.add_link("load", "arm", "weld", np.array([0.0, 0.5, 0.0]), inertia)
-    model = one.spec.compile()
-    body = model.body("load")
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, body.iquat)
-    axes = turn.reshape(3, 3)
-    np.testing.assert_allclose(axes @ np.diag(body.inertia) @ axes.T, inertia.inertia, atol=1e-9)
-    np.testing.assert_allclose(body.ipos, inertia.lever)
-    assert (body.mass[0], model.body("arm").id) == (0.5, int(body.parentid[0]))
-
-
 @pytest.mark.parametrize(
     "stated",
     [
@@ -101,10 +73,3 @@ def test_an_inertia_is_stated_in_the_place_of_another(stated: str, products: flo
     made = axes @ np.diag(model.body_inertia[1]) @ axes.T
     np.testing.assert_allclose(made, tensor, atol=1e-15)
     np.testing.assert_allclose(model.body_ipos[1], [0.1, 0.0, 0.2])
-
-
-def test_a_part_goes_with_its_joints() -> None:
-    one = tree()
-    one.remove_subtree("arm")
-    assert one.names == ("base",)
-    assert one.spec.compile().njnt == 1

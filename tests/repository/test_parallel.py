@@ -20,8 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from pupper_analysis.models.mjcf import silence_mujoco, to_xml
-from pupper_analysis.models.spec_state import spec_from, state_of
+from pupper_analysis.models.mjcf import silence_mujoco, spec_from, state_of, to_xml
 from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.tiny import Files
 from tests.support.variants import load, stand_of

@@ -19,9 +19,8 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.published import find_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
-from pupper_analysis.prepare.convert.root import with_one_robot
-from pupper_analysis.prepare.convert.to_mjcf import bare_mjcf
-from pupper_analysis.prepare.convert.to_urdf import urdf_draft
+from pupper_analysis.prepare.convert.from_urdf import bare_mjcf
+from pupper_analysis.prepare.convert.to_urdf import urdf_draft, with_one_robot
 from pupper_analysis.prepare.passes import Feet, robot_of
 from pupper_analysis.robot.robot import PublishedFile, Robot
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import struct
 from collections.abc import Collection, Sequence
@@ -272,9 +271,6 @@ READABLE: Final = (".stl", ".obj", ".msh")
 _CONVERTIBLE: Final = (".dae", ".glb", ".gltf", ".off", ".ply")
 """Endings of those that are read here: no archives, whose content may be of any size and kind."""
 
-_PICTURES: Final = (".bmp", ".gif", ".jpeg", ".jpg", ".png", ".tga", ".tif", ".tiff", ".webp")
-"""Endings of what a mesh may be painted with."""
-
 MOST_BYTES: Final = 200_000_000
 """Largest mesh file that is read: ten times the largest of a published robot that was seen."""
 
@@ -287,13 +283,6 @@ MOST_TOUCHING: Final = 300_000
 
 MOST_TRIANGLES: Final = 500_000
 """Most triangles of a mesh. MuJoCo takes 200,000 of an STL file, and names no limit of an OBJ."""
-
-MOST_PARTS: Final = 10_000
-"""Most places of a file's scene in which a part stands: a robot's link has dozens, at most."""
-
-_GLB: Final = struct.Struct("<4sIIII")
-"""Magic number, version, length; length and kind of the first chunk, which is JSON."""
-
 
 _MSH: Final = struct.Struct("<4i")
 """Counts of vertices, normals, texture coordinates and triangles, at the start of MuJoCo's own."""
@@ -325,11 +314,9 @@ def obj_of(path: Path) -> bytes:
 
     data = read_mesh(path)
     try:
-        if ending in (".glb", ".gltf"):
-            _check_gltf(data)
-        if ending == ".dae":
-            _check_collada(data)
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], resolver=_Beside(path))
+        scene = trimesh.load_scene(
+            io.BytesIO(data), file_type=ending[1:], resolver=_Beside(path), skip_materials=True
+        )
         count = sum(
             len(scene.geometry[scene.graph[node][1]].vertices)
             for node in scene.graph.nodes_geometry
@@ -393,50 +380,8 @@ def _check_count(vertices: int, most: int) -> None:
         raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=most))
 
 
-def _check_gltf(data: bytes) -> None:
-    """Looks how many numbers a glTF file claims: what no buffer has is zero, and needs no file."""
-    if data[:4] == b"glTF":
-        size = int(_GLB.unpack_from(data)[3])
-        data = data[_GLB.size : _GLB.size + size]
-    counts = [int(accessor.get("count", 0)) for accessor in json.loads(data).get("accessors", ())]
-    most = max(MOST_VERTICES, 3 * MOST_TRIANGLES)  # a triangle's corners are counted, too
-    _check_count(max(counts, default=0), most)
-
-
-def _check_collada(data: bytes) -> None:
-    """Counts the parts of a COLLADA scene, without making them.
-
-    A node may stand in another twice, and that one twice in a third: thirty lines make a thousand
-    million parts.
-    """
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
-    root = etree.fromstring(data, parser)
-    nodes = {f"#{node.get('id')}": node for node in root.iter("{*}node")}
-    counts: dict[etree._Element, int] = {}
-
-    def parts(node: etree._Element) -> int:
-        if node not in counts:
-            counts[node] = MOST_PARTS + 1  # where it stands in itself, there is no end
-            inner = [*node.iterfind("{*}node")]
-            inner += [
-                nodes[url]
-                for use in node.iterfind("{*}instance_node")
-                if (url := str(use.get("url"))) in nodes
-            ]
-            shapes = sum(1 for _ in node.iterfind("{*}instance_geometry"))
-            counts[node] = 1 + shapes + sum(map(parts, inner))
-        return counts[node]
-
-    scenes = root.iter("{*}visual_scene")
-    if any(sum(map(parts, scene.iterfind("{*}node"))) > MOST_PARTS for scene in scenes):
-        raise UnreadableError(diagnose("mesh-has-too-many-parts", most=MOST_PARTS))
-
-
 class _Beside:
-    """Finds the files that a mesh names, for trimesh: regular ones, beside it, not too large.
-
-    Pictures are none: shapes are all that is written.
-    """
+    """Finds the files that a mesh names, for trimesh: regular ones, beside it, not too large."""
 
     def __init__(self, path: Path) -> None:
         self.folder = path.parent.resolve()
@@ -447,6 +392,6 @@ class _Beside:
     def get(self, name: str) -> bytes:
         """Returns a file's content."""
         file = (self.folder / name).resolve()
-        if not file.is_relative_to(self.folder) or file.suffix.lower() in _PICTURES:
+        if not file.is_relative_to(self.folder):
             raise FileNotFoundError(name)
         return read_mesh(file)

@@ -15,25 +15,24 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.units import DOWN
-from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.sides import ANY_MOTOR, mirror_pairs, unlike_pairs
 from pupper_analysis.robot.compare.behaviour import (
     Behaviour,
-    Entries,
     MujocoBehaviour,
     affordable_states,
-    is_large,
     random_states,
     still_acting,
 )
-from pupper_analysis.robot.compare.changes import apply_changes, changes_between, convention_changes
 from pupper_analysis.robot.compare.differences import (
     Armature,
     Difference,
     Effect,
     Explanation,
     RelativeError,
+    apply_changes,
+    changes_between,
+    convention_changes,
 )
 from pupper_analysis.robot.compare.mjcf_only import (
     MjcfOnlyEffect,
@@ -46,8 +45,7 @@ from pupper_analysis.robot.matching.alignment import Alignment, align_frames
 from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.robot.matching.trees import Reference, kinematic_trees
-from pupper_analysis.robot.matching.urdf import Mimics
+from pupper_analysis.robot.matching.trees import Mimics, Reference, kinematic_trees
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -102,10 +100,9 @@ def explain_differences(
     coupled, uncoupled = split_mimics(found, reference, mimics or {}, tolerances.limit)
     found = [extra for extra in found if extra not in coupled]
     states = random_states(robot, affordable_states(robot, _STATES), seed=0)
-    entries = _entries(robot, first, reference) if is_large(robot) else None
-    behaviour = Behaviour(robot, states, entries)
+    behaviour = Behaviour(robot, states)
     urdf = behaviour(first)
-    mujoco_sees = MujocoBehaviour(robot, reference, states, alignment.moved, entries)
+    mujoco_sees = MujocoBehaviour(robot, reference, states, alignment.moved)
     mjcf = mujoco_sees(without_effects(reference.model, coupled))
     bare = without_effects(reference.model, [*found, *coupled])
     stripped = mujoco_sees(bare)
@@ -154,21 +151,11 @@ def _left(
     left = {name: judge.relative(name, patched[name], stripped[name]) for name in patched}
     mass, name = patched["mass matrix"], "forward dynamics"
     accelerations = patched[name]
-    if mass.ndim != accelerations.ndim + 1:  # of a large robot, the elements alone
-        return left
     between = np.abs(np.einsum("nij,nj->ni", mass, accelerations - stripped[name])).max()
     forces = np.abs(np.einsum("nij,nj->ni", mass, accelerations)).max()
     if between <= EXPLAINED * forces:
         left[name] = min(left[name], float(between / max(forces, 1e-300)))
     return left
-
-
-def _entries(robot: Robot, urdf: MultibodyTree, reference: Reference) -> Entries:
-    """Returns the elements that the mass matrix of either file can have."""
-    tree = MujocoTree(urdf).model
-    own = Reference(tree, tree, robot.joint_names, urdf.base)
-    models = [(each.model, each.convention().qvel_index) for each in (own, reference)]
-    return Entries(robot.nv, models)
 
 
 def _undamped(values: MultibodyTree, names: Collection[str]) -> MultibodyTree:

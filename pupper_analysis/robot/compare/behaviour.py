@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -35,7 +35,6 @@ class MujocoBehaviour:
         reference: Reference,
         states: States,
         moved: Mapping[str, Array],
-        entries: Entries | None,
     ) -> None:
         """Looks up what all evaluations share: thousands of names, in a large robot.
 
@@ -45,7 +44,6 @@ class MujocoBehaviour:
             states: The states.
             moved: {joint: (3,) where its position is taken, from MuJoCo's anchor, in its body's
                 axes}.
-            entries: The elements of the mass matrix that are compared; None is all.
         """
         model, names = reference.model, reference.names
         self._reference, self._states, self._name = reference, states, robot.name
@@ -59,7 +57,6 @@ class MujocoBehaviour:
         frames = {**robot.description.contact_points, **robot.description.frames}
         self._frames = [frame for _, frame in frames.values()]
         self._local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
-        self._entries = None if entries is None else entries.in_model(model, public)
 
     def __call__(self, model: mujoco.MjModel) -> dict[str, Array]:
         """Evaluates a model with the elements of the reference, at all states."""
@@ -69,6 +66,7 @@ class MujocoBehaviour:
         positions = np.array([position for _, position in places])
         public = self._convention.qvel_index
         weights = np.where(self._members, self._reference.model.body_mass, 0.0)
+        full = np.zeros((model.nv, model.nv))
         rows: dict[str, list[Array]] = {}
         states = zip(self._states.qpos, self._states.qvel, self._states.torques, strict=True)
         for qpos, qvel, torques in states:
@@ -79,12 +77,13 @@ class MujocoBehaviour:
             self._convention.set_state(data, qpos, qvel)
             data.qfrc_applied[self._dofs] = torques
             mujoco.mj_forward(model, data)
+            mujoco.mj_fullM(model, data, full)
             # MuJoCo's anchor of a slide is where it is at rest.
             anchors = data.xanchor[joints] + offsets_in_world(model, data, joints, self._local)
             slid = data.qpos[self._coordinates] - model.qpos0[self._coordinates]
             slid = np.where(self._slides, slid, 0.0)
             result = {
-                "mass matrix": self._mass_matrix(model, data),
+                "mass matrix": full[np.ix_(public, public)],
                 "gravity": gravity,
                 "bias forces": data.qfrc_bias[public].copy(),
                 "com": weights @ data.xipos / max(weights.sum(), 1e-300),
@@ -97,16 +96,6 @@ class MujocoBehaviour:
             for name, value in result.items():
                 rows.setdefault(name, []).append(value)
         return {name: np.array(values) for name, values in rows.items()}
-
-    def _mass_matrix(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-        """Returns the mass matrix, or those of its elements (n,) that are compared."""
-        if self._entries is not None:
-            found: Array = np.append(data.M, 0.0)[self._entries]
-            return found
-        public = self._convention.qvel_index
-        full = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, full)
-        return full[np.ix_(public, public)]
 
 
 def offsets_in_world(
@@ -177,23 +166,16 @@ class Behaviour:
         states: The states.
     """
 
-    def __init__(self, robot: Robot, states: States, entries: Entries | None = None) -> None:
-        """Keeps what the evaluations share.
-
-        Args:
-            robot: The robot.
-            states: The states.
-            entries: The elements of the mass matrix that are compared, of a large robot.
-        """
-        self.states = states
-        self._robot, self._entries = robot, entries
+    def __init__(self, robot: Robot, states: States) -> None:
+        """Keeps what the evaluations share."""
+        self.states, self._robot = states, robot
         self._spare: dict[object, list[Lent]] = {}
         self._tree: MujocoTree | None = None
         self._in_tree: MujocoBehaviour | None = None
 
     def __call__(self, values: MultibodyTree) -> dict[str, Array]:
         """Evaluates the quantities that differences are judged by, at all states."""
-        return self._in_pinocchio(values) if self._entries is None else self._in_mujoco(values)
+        return self._in_mujoco(values) if is_large(self._robot) else self._in_pinocchio(values)
 
     def _in_mujoco(self, values: MultibodyTree) -> dict[str, Array]:
         if self._tree is None or self._in_tree is None or not self._tree.fits(values):
@@ -203,7 +185,7 @@ class Behaviour:
             description = replace(self._robot.description, contact_points={}, frames=frames)
             robot = replace(self._robot, description=description, mj_model=model)
             reference = Reference(model, model, robot.joint_names, values.base)
-            self._in_tree = MujocoBehaviour(robot, reference, self.states, {}, self._entries)
+            self._in_tree = MujocoBehaviour(robot, reference, self.states, {})
         else:
             self._tree.take(values)
         return self._in_tree(self._tree.model)
@@ -317,8 +299,6 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
     )
 
 
-IntArray = NDArray[np.int64]
-
 MOST_IN_PINOCCHIO: Final = 200
 """Degrees of freedom of the largest robot that is evaluated in Pinocchio.
 
@@ -335,9 +315,6 @@ A robot of 306 degrees of freedom is compared at 106 states, one of 1000 at 10.
 _LEAST_STATES: Final = 2
 """States at which a robot of any size is compared: one may happen to be singular."""
 
-_FRAMES: Final = 100
-"""Frames whose Jacobians (3 x nv each) are compared in a large robot."""
-
 
 def is_large(robot: Robot) -> bool:
     """Says whether a robot is too large for Pinocchio's data."""
@@ -351,25 +328,8 @@ def affordable_states(robot: Robot, count: int) -> int:
     return min(count, max(_LEAST_STATES, int(_STATES / (8 * robot.nv**2))))
 
 
-def some_of(robot: Robot, frames: Mapping[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:
-    """Returns the frames that are compared in detail: all, unless the robot is large."""
-    if not is_large(robot) or len(frames) <= _FRAMES:
-        return dict(frames)
-    chosen = np.linspace(0, len(frames) - 1, _FRAMES).astype(int)
-    names = list(frames)
-    return {names[place]: frames[names[place]] for place in chosen}
-
-
-def size_notes(
-    robot: Robot, count: int, frames: Mapping[str, tuple[str, str]]
-) -> Iterator[Diagnostic]:
-    """Yields what is left out of the comparison of a large robot.
-
-    Args:
-        robot: The robot.
-        count: The number of states that was asked for.
-        frames: All that could be compared.
-    """
+def size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
+    """Yields what is left out of the comparison of a large robot at so many states."""
     if not is_large(robot):
         return
     gigabytes, most = 32e-9 * robot.nv**3, MOST_IN_PINOCCHIO
@@ -377,52 +337,3 @@ def size_notes(
     states = affordable_states(robot, count)
     if states < count:
         yield diagnose("large-at-fewer-states", states=states, count=count)
-    some = len(some_of(robot, frames))
-    if some < len(frames):
-        yield diagnose("large-at-fewer-frames", frames=some, count=len(frames))
-
-
-class Entries:
-    """The elements of a large robot's mass matrices that can be other than zero.
-
-    Those of a joint with itself and with the joints that carry it, in any of some trees.
-    """
-
-    def __init__(self, nv: int, models: Iterable[tuple[mujoco.MjModel, IntArray]]) -> None:
-        """Finds the elements that any of some models has.
-
-        Args:
-            nv: Degrees of freedom.
-            models: Models, and where the public degrees of freedom are in each.
-        """
-        found = [_elements(nv, model, public) for model, public in models]
-        self.rows, self.columns = np.divmod(np.unique(np.concatenate(found)), nv)
-
-    def in_model(self, model: mujoco.MjModel, public: IntArray) -> IntArray:
-        """Returns where the elements (n,) are in a model's sparse mass matrix ``data.M``.
-
-        What a model does not have is said to be one place behind its end.
-
-        Args:
-            model: The model.
-            public: Where the public degrees of freedom are in it.
-        """
-        here = np.repeat(np.arange(model.nv), model.M_rownnz) * model.nv + model.M_colind
-        order = np.argsort(here)
-        rows, columns = public[self.rows], public[self.columns]
-        wanted = np.maximum(rows, columns) * model.nv + np.minimum(rows, columns)
-        places = order[np.minimum(np.searchsorted(here, wanted, sorter=order), len(here) - 1)]
-        found: IntArray = np.where(here[places] == wanted, places, len(here))
-        return found
-
-
-def _elements(nv: int, model: mujoco.MjModel, public: IntArray) -> IntArray:
-    """Returns row * nv + column of the elements in a model's mass matrix, in public numbers."""
-    number = np.full(model.nv, -1)
-    number[public] = np.arange(nv)
-    rows = number[np.repeat(np.arange(model.nv), model.M_rownnz)]
-    columns = number[model.M_colind]
-    kept = (rows >= 0) & (columns >= 0)
-    rows, columns = rows[kept], columns[kept]
-    flat: IntArray = np.concatenate([rows * nv + columns, columns * nv + rows])
-    return flat

@@ -38,8 +38,7 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import DIRECTIONS, Pose, Shape, read_shape
 from pupper_analysis.models.sides import OF_LEGS
-from pupper_analysis.models.stated.elements import place_of_geom, touching_geoms
-from pupper_analysis.models.stated.mjcf import read_mjcf_model
+from pupper_analysis.models.stated.mjcf import place_of_geom, read_mjcf_model, touching_geoms
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -52,7 +51,6 @@ from pupper_analysis.robot.compare.attribution import (
     unstated_notes,
 )
 from pupper_analysis.robot.compare.behaviour import check_states
-from pupper_analysis.robot.compare.changes import convention_changes
 from pupper_analysis.robot.compare.differences import (
     CONVENTIONS,
     FORMATS,
@@ -60,6 +58,7 @@ from pupper_analysis.robot.compare.differences import (
     Difference,
     Effect,
     Explanation,
+    convention_changes,
     in_degrees,
     number_pair,
     with_names_of_models,

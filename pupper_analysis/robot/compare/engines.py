@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.arrays import rotation_from_quaternion
@@ -51,7 +51,6 @@ from pupper_analysis.robot.compare.behaviour import (
     offsets_in_world,
     random_states,
     size_notes,
-    some_of,
 )
 from pupper_analysis.robot.compare.mjcf_only import (
     as_it_is,
@@ -62,101 +61,72 @@ from pupper_analysis.robot.compare.mjcf_only import (
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import foot_site
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
-from pupper_analysis.robot.matching.trees import Reference
-from pupper_analysis.robot.matching.urdf import Mimics, urdf_mimics
+from pupper_analysis.robot.matching.trees import Mimics, Reference, urdf_mimics
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class QuantityValues:
-    """One quantity's values in one evaluation.
+Evaluation = dict[str, Array]
+"""{quantity: (n, ...) of the model, or (configurations, n, ...) of states}."""
 
-    Attributes:
-        values: (n, ...) of the model, or (configurations, n, ...) of states.
-        labels: (n,) what each row belongs to.
-        unit: The unit.
-        per_row: Whether each row is judged on its own scale (masses, inertias) instead of on the
-            greatest of all.
-        of_state: Whether there is one set of rows per configuration.
-    """
+BODIES, JOINTS, DOFS, FEET = "bodies", "joints", "dofs", "feet"
 
-    values: Array
-    labels: tuple[str, ...]
-    unit: str
-    per_row: bool = False
-    of_state: bool = False
+QUANTITIES = {
+    "body masses": (BODIES, "kg"),
+    "body coms": (BODIES, "m"),
+    "body inertias": (BODIES, "kg m^2"),
+    "joint positions": (JOINTS, "m"),
+    "joint axes": (JOINTS, ""),
+    "lower joint limits": (JOINTS, "rad"),
+    "upper joint limits": (JOINTS, "rad"),
+    "effort limits": (JOINTS, "N m"),
+    "armature": (JOINTS, "kg m^2"),
+    "joint damping": (JOINTS, "N m s/rad"),
+    "joint friction": (JOINTS, "N m"),
+    "com": ("com", "m"),
+    "com Jacobian": ("com", "m, m/rad"),
+    "mass matrix": (DOFS, "kg, kg m, kg m^2"),
+    "bias forces": (DOFS, "N, N m"),
+    "gravity": (DOFS, "N, N m"),
+    "forward dynamics": (DOFS, "m/s^2, rad/s^2"),
+    "foot positions": (FEET, "m"),
+    "foot Jacobians": (FEET, "m, m/rad"),
+    "gyro": ("IMU", "rad/s"),
+    "accelerometer": ("IMU", "m/s^2"),
+}
+"""{quantity: what its rows belong to, its unit}. What does not depend on the configuration is in
+the base's axes at zero angles."""
+
+PER_ROW = ("body masses", "body inertias")
+"""What is judged on each row's own scale, instead of on the greatest of all."""
 
 
-Evaluation = dict[str, QuantityValues]
+def labels_of(robot: Robot, quantity: str) -> tuple[str, ...]:
+    """Returns what each row of a quantity belongs to."""
+    base = tuple(f"base {axis}" for axis in "xyz") + tuple(f"about {axis}" for axis in "xyz")
+    rows = {
+        BODIES: (robot.base, *robot.joint_names),
+        JOINTS: robot.joint_names,
+        DOFS: (*(base if robot.floating else ()), *robot.joint_names),
+        FEET: robot.contact_points,
+    }
+    of = QUANTITIES[quantity][0]
+    return rows.get(of, (of,))
 
 
-def model_quantities(
-    robot: Robot,
-    *,
-    masses: Sequence[float],
-    coms: Sequence[Array],
-    inertias: Sequence[Array],
-    anchors: Sequence[Array],
-    axes: Sequence[Array],
-    lower: Array,
-    upper: Array,
-    effort: Array,
-    armature: Array,
-    damping: Array,
-    friction: Array,
+def collect(
+    robot: Robot, at_rest: Mapping[str, ArrayLike], of_states: Sequence[Mapping[str, ArrayLike]]
 ) -> Evaluation:
-    """Collects what does not depend on the configuration, in the base's axes at zero angles."""
-    bodies = (robot.base, *robot.joint_names)
-    joints = robot.joint_names
-    rows: list[tuple[str, object, tuple[str, ...], str, bool]] = [
-        ("body masses", masses, bodies, "kg", True),
-        ("body coms", coms, bodies, "m", False),
-        ("body inertias", inertias, bodies, "kg m^2", True),
-        ("joint positions", anchors, joints, "m", False),
-        ("joint axes", axes, joints, "", False),
-        ("lower joint limits", lower, joints, "rad", False),
-        ("upper joint limits", upper, joints, "rad", False),
-        ("effort limits", effort, joints, "N m", False),
-        ("armature", armature, joints, "kg m^2", False),
-        ("joint damping", damping, joints, "N m s/rad", False),
-        ("joint friction", friction, joints, "N m", False),
-    ]
-    return {
-        name: QuantityValues(
-            np.array(values, dtype=float).reshape(len(labels), -1), labels, unit, each
-        )
-        for name, values, labels, unit, each in rows
+    """Collects what does not depend on the configuration, and what was computed at each."""
+    found: Evaluation = {
+        name: np.array(values, dtype=float).reshape(len(labels_of(robot, name)), -1)
+        for name, values in at_rest.items()
     }
-
-
-def state_quantities(robot: Robot, rows: Mapping[str, list[Array]]) -> Evaluation:
-    """Collects what was computed at each configuration."""
-    base = (
-        ()
-        if not robot.floating
-        else ("base x", "base y", "base z", "about x", "about y", "about z")
-    )
-    dofs = (*base, *robot.joint_names)
-    about: dict[str, tuple[tuple[str, ...], str]] = {
-        "foot positions": (robot.contact_points, "m"),
-        "foot Jacobians": (robot.contact_points, "m, m/rad"),
-        "com": (("com",), "m"),
-        "com Jacobian": (("com",), "m, m/rad"),
-        "mass matrix": (dofs, "kg, kg m, kg m^2"),
-        "bias forces": (dofs, "N, N m"),
-        "gravity": (dofs, "N, N m"),
-        "forward dynamics": (dofs, "m/s^2, rad/s^2"),
-        "gyro": (("IMU",), "rad/s"),
-        "accelerometer": (("IMU",), "m/s^2"),
-    }
-    result: Evaluation = {}
-    for name, values in rows.items():
-        labels, unit = about[name]
-        array = np.array(values).reshape(len(values), len(labels), -1)
-        result[name] = QuantityValues(array, labels, unit, of_state=True)
-    return result
+    for name in of_states[0]:
+        rows = np.array([values[name] for values in of_states])
+        found[name] = rows.reshape(len(rows), len(labels_of(robot, name)), -1)
+    return found
 
 
 def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array]) -> Evaluation:
@@ -174,27 +144,24 @@ def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array
     base = 1 if robot.floating else 0
     bodies = [placements[joint].act(model.inertias[joint]) for joint in (base, *ids)]
     v = convention.v_index
-    evaluation = model_quantities(
-        robot,
-        masses=[body.mass for body in bodies],
-        coms=[np.array(body.lever) for body in bodies],
-        inertias=[np.array(body.inertia) for body in bodies],
-        anchors=[
+    at_rest = {
+        **_of_bodies(bodies),
+        "joint positions": [
             rest.joint_position(name) + placements[joint].rotation @ moved.get(name, np.zeros(3))
             for name, joint in zip(robot.joint_names, ids, strict=True)
         ],
-        axes=[rest.joint_axis(name) for name in robot.joint_names],
-        lower=robot.lower_limits,
-        upper=robot.upper_limits,
+        "joint axes": [rest.joint_axis(name) for name in robot.joint_names],
+        "lower joint limits": robot.lower_limits,
+        "upper joint limits": robot.upper_limits,
         # Of 0, a habit of exporters, it is none: MuJoCo's reader of URDFs says so, and `effort_of`.
-        effort=np.where(model.effortLimit[v] == 0, np.inf, model.effortLimit[v]),
-        armature=model.armature[v],
-        damping=model.damping[v],
-        friction=model.friction[v],
-    )
+        "effort limits": np.where(model.effortLimit[v] == 0, np.inf, model.effortLimit[v]),
+        "armature": model.armature[v],
+        "joint damping": model.damping[v],
+        "joint friction": model.friction[v],
+    }
     base_rows = robot.nv - robot.nu
     damping = np.concatenate([model.damping[:base_rows], model.damping[v]])
-    rows: dict[str, list[Array]] = {}
+    of_states = []
     del rest  # Pinocchio's data of hundreds of joints take a second to make: its serve all states
     for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
         config = Configuration(robot, qpos, qvel)
@@ -202,24 +169,29 @@ def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array
         force[robot.nv - robot.nu :] += torques
         qacc = config.forward_dynamics(force)
         values = {
-            "com": config.center_of_mass()[None],
-            "com Jacobian": config.com_jacobian()[None],
+            "com": config.center_of_mass(),
+            "com Jacobian": config.com_jacobian(),
             "mass matrix": config.mass_matrix(),
-            "bias forces": config.bias_forces()[:, None],
-            "gravity": config.gravity()[:, None],
-            "forward dynamics": qacc[:, None],
+            "bias forces": config.bias_forces(),
+            "gravity": config.gravity(),
+            "forward dynamics": qacc,
         }
         if robot.contact_points:
             values["foot positions"] = np.array(list(config.foot_positions().values()))
             values["foot Jacobians"] = np.array(list(config.foot_jacobians().values()))
         if robot.imu is not None:
-            gyro, accelerometer = config.imu(qacc)
-            values["gyro"] = gyro[None]
-            values["accelerometer"] = accelerometer[None]
-        for name, value in values.items():
-            rows.setdefault(name, []).append(value)
+            values["gyro"], values["accelerometer"] = config.imu(qacc)
+        of_states.append(values)
         del config
-    return evaluation | state_quantities(robot, rows)
+    return collect(robot, at_rest, of_states)
+
+
+def _of_bodies(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
+    return {
+        "body masses": [body.mass for body in bodies],
+        "body coms": [np.array(body.lever) for body in bodies],
+        "body inertias": [np.array(body.inertia) for body in bodies],
+    }
 
 
 def mujoco_evaluation(
@@ -245,13 +217,13 @@ def mujoco_evaluation(
     convention.set_state(data, robot.neutral())
     mujoco.mj_forward(model, data)
     dofs = convention.qvel_index[robot.nv - robot.nu :]
-    evaluation = _at_rest(robot, model, data, base, dofs, moved)
+    at_rest = _at_rest(robot, model, data, base, dofs, moved)
     sensors = _imu_sensors(model, robot.imu)
     places = [foot_site(model, frame, robot.name) for frame in frames.values()]
     root = model.body(base).id
     public = convention.qvel_index
     full, jacobian = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
-    rows: dict[str, list[Array]] = {}
+    of_states = []
     for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
         convention.set_state(data, qpos)
         data.qfrc_applied[dofs] = 0.0
@@ -269,22 +241,21 @@ def mujoco_evaluation(
         mujoco.mj_fullM(model, data, full)
         mujoco.mj_jacSubtreeCom(model, data, jacobian, root)
         values = {
-            "com": data.subtree_com[root][None].copy(),
-            "com Jacobian": jacobian[:, public][None].copy(),
+            "com": data.subtree_com[root].copy(),
+            "com Jacobian": jacobian[:, public],
             "mass matrix": full[np.ix_(public, public)],
-            "bias forces": data.qfrc_bias[public][:, None].copy(),
-            "gravity": gravity[:, None],
-            "forward dynamics": data.qacc[public][:, None].copy(),
+            "bias forces": data.qfrc_bias[public],
+            "gravity": gravity,
+            "forward dynamics": data.qacc[public],
         }
         if robot.contact_points:
             values["foot positions"] = np.array(positions)
             values["foot Jacobians"] = np.array(jacobians)
         if sensors is not None:
             for name, address in zip(("gyro", "accelerometer"), sensors, strict=True):
-                values[name] = data.sensordata[address : address + 3][None].copy()
-        for name, value in values.items():
-            rows.setdefault(name, []).append(value)
-    return evaluation | state_quantities(robot, rows)
+                values[name] = data.sensordata[address : address + 3].copy()
+        of_states.append(values)
+    return collect(robot, at_rest, of_states)
 
 
 def _at_rest(
@@ -294,7 +265,7 @@ def _at_rest(
     base: str,
     dofs: NDArray[np.int64],
     moved: Mapping[str, Array],
-) -> Evaluation:
+) -> dict[str, ArrayLike]:
     """Evaluates what does not depend on the state; the data are those of zero angles."""
     joints = [model.joint(name).id for name in robot.joint_names]
     carriers = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
@@ -302,20 +273,17 @@ def _at_rest(
     local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
     anchors = data.xanchor[joints] + offsets_in_world(model, data, joints, local)
     limited = model.jnt_limited[joints].astype(bool)
-    return model_quantities(
-        robot,
-        masses=[body.mass for body in bodies],
-        coms=[np.array(body.lever) for body in bodies],
-        inertias=[np.array(body.inertia) for body in bodies],
-        anchors=list(anchors),
-        axes=[np.array(data.xaxis[joint]) for joint in joints],
-        lower=np.where(limited, model.jnt_range[joints, 0], -np.inf),
-        upper=np.where(limited, model.jnt_range[joints, 1], np.inf),
-        effort=np.array([effort_limit(model, joint) for joint in joints]),
-        armature=joint_armature(model)[dofs],
-        damping=joint_damping(model)[dofs],
-        friction=model.dof_frictionloss[dofs],
-    )
+    return {
+        **_of_bodies(bodies),
+        "joint positions": anchors,
+        "joint axes": data.xaxis[joints],
+        "lower joint limits": np.where(limited, model.jnt_range[joints, 0], -np.inf),
+        "upper joint limits": np.where(limited, model.jnt_range[joints, 1], np.inf),
+        "effort limits": [effort_limit(model, joint) for joint in joints],
+        "armature": joint_armature(model)[dofs],
+        "joint damping": joint_damping(model)[dofs],
+        "joint friction": model.dof_frictionloss[dofs],
+    }
 
 
 def _lumped(
@@ -371,15 +339,10 @@ def yourdfpy_evaluation(robot: Robot, states: States) -> Evaluation:
         urdf.update_cfg(qpos[robot.nq - robot.nu :][order])
         base = _base(robot, qpos)
         origin, rotation = base.translation, base.rotation
-        rows.append(
-            np.array(
-                [
-                    origin + rotation @ urdf.get_transform(frame, robot.base)[:3, 3]
-                    for frame in robot.contact_frames.values()
-                ]
-            )
-        )
-    return state_quantities(robot, {"foot positions": rows})
+        frames = robot.contact_frames.values()
+        places = [urdf.get_transform(frame, robot.base)[:3, 3] for frame in frames]
+        rows.append({"foot positions": [origin + rotation @ place for place in places]})
+    return collect(robot, {}, rows)
 
 
 def _with_unit_axes(text: str) -> bytes:
@@ -539,7 +502,7 @@ def cross_check(
     if mimics is None:
         mimics = urdf_mimics(parse_text(robot.description.urdf))
     coupled, _ = split_mimics(found, reference, mimics, tolerance)
-    evaluations, left_out = _evaluations(
+    evaluations, left_out, robot = _evaluations(
         robot,
         states,
         without_effects(robot.mj_model, found),
@@ -547,7 +510,10 @@ def cross_check(
         moved or {},
     )
     first = URDF_READ if is_large(robot) else URDF_PINOCCHIO
-    checks = tuple(_compare(name, evaluations, first, tolerance) for name in evaluations[first])
+    checks = tuple(
+        _compare(name, evaluations, evaluations[first], labels_of(robot, name), tolerance)
+        for name in evaluations[first]
+    )
     return CrossCheck(
         passed=all(check.passed for check in checks),
         tolerance=tolerance,
@@ -557,7 +523,7 @@ def cross_check(
         worst=max(checks, key=lambda check: check.relative).name,
         notes=(
             *left_out,
-            *size_notes(robot, asked, _pairs(robot)),
+            *size_notes(robot, asked),
             diagnose("armature-is-the-mjcfs"),
             diagnose("gravity-is-the-mjcfs"),
             diagnose("forces-in-forward-dynamics"),
@@ -571,7 +537,7 @@ def _evaluations(
     square: mujoco.MjModel,
     whole: mujoco.MjModel,
     moved: Mapping[str, Array],
-) -> tuple[dict[str, Evaluation], list[Diagnostic]]:
+) -> tuple[dict[str, Evaluation], list[Diagnostic], Robot]:
     """Evaluates both models in all backends.
 
     Args:
@@ -582,7 +548,8 @@ def _evaluations(
         moved: Where joints of the MJCF are taken to be, from where it puts them.
 
     Returns:
-        {backend: its evaluation}, and what was left out and why.
+        {backend: its evaluation}, what was left out and why, and the robot with the frames that
+        both files have in the place of its feet.
     """
     description = robot.description
     left_out = []
@@ -594,7 +561,7 @@ def _evaluations(
     except ModelError as error:
         message = error.diagnostic.values["problem"]
         left_out.append(diagnose("urdf-not-in-mujoco", problem=message))
-    pairs = some_of(robot, _pairs(robot))
+    pairs = {**description.contact_points, **description.frames}  # of both files
     urdf_frames = {name: pair[0] for name, pair in pairs.items()}
     mjcf_frames = {name: pair[1] for name, pair in pairs.items()}
     robot = replace(robot, contact_points=tuple(pairs), contact_frames=urdf_frames)
@@ -627,12 +594,7 @@ def _evaluations(
         )
     if pairs:
         evaluations[URDF_YOURDFPY] = yourdfpy_evaluation(robot, states)
-    return evaluations, left_out
-
-
-def _pairs(robot: Robot) -> dict[str, tuple[str, str]]:
-    """Returns the frames that both files have, which are compared as the feet are."""
-    return {**robot.description.contact_points, **robot.description.frames}
+    return evaluations, left_out, robot
 
 
 def _rebuilt_evaluation(robot: Robot, states: States) -> Evaluation:
@@ -644,25 +606,30 @@ def _rebuilt_evaluation(robot: Robot, states: States) -> Evaluation:
 
 
 def _compare(
-    name: str, evaluations: Mapping[str, Evaluation], first: str, tolerance: float
+    name: str,
+    evaluations: Mapping[str, Evaluation],
+    first: Evaluation,
+    labels: Sequence[str],
+    tolerance: float,
 ) -> QuantityCheck:
-    """Compares one quantity along every edge; the first evaluation gives scale and labels."""
+    """Compares one quantity along every edge; the first evaluation gives the scale."""
     edges: dict[str, float] = {}
-    least = _least_scale(name, evaluations[first])
+    least = _least_scale(name, first)
     worst: tuple[float, float, float, tuple[str, str], str] | None = None
     for pair, whose in EDGES.items():
         if any(name not in evaluations.get(evaluation, {}) for evaluation in pair):
             continue
         one, two = (evaluations[evaluation][name] for evaluation in pair)
-        found = _deviation(one, two, least)
-        edges[whose] = found[0]
-        if worst is None or found[0] > worst[0]:
-            worst = (*found[:3], pair, found[3])
+        relative, deviation, scale, place = _deviation(one, two, least, per_row=name in PER_ROW)
+        edges[whose] = relative
+        if worst is None or relative > worst[0]:
+            where = labels[place[-2]] + (f", #{place[0]}" if len(place) == 3 else "")
+            worst = relative, deviation, scale, pair, where
     assert worst is not None
     relative, deviation, scale, between, where = worst
     return QuantityCheck(
         name=name,
-        unit=evaluations[first][name].unit,
+        unit=QUANTITIES[name][1],
         scale=scale,
         deviation=deviation,
         relative=relative,
@@ -677,31 +644,23 @@ def _compare(
 def _least_scale(name: str, evaluation: Evaluation) -> float:
     """Returns below what a quantity is rounding alone: a ratio of that is no deviation."""
     if name in ("gravity", "bias forces"):  # a millionth of what the robot weighs
-        return 1e-6 * EARTH * float(np.abs(evaluation["mass matrix"].values).max())
+        return 1e-6 * EARTH * float(np.abs(evaluation["mass matrix"]).max())
     return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)
 
 
 def _deviation(
-    one: QuantityValues, two: QuantityValues, least: float
-) -> tuple[float, float, float, str]:
+    one: Array, two: Array, least: float, *, per_row: bool
+) -> tuple[float, float, float, tuple[int, ...]]:
     """Returns the worst relative and absolute deviation, the scale, and the place."""
     with np.errstate(invalid="ignore"):
-        difference = np.abs(one.values - two.values)
-    difference[one.values == two.values] = 0.0  # infinite limits, too
+        difference = np.abs(one - two)
+    difference[one == two] = 0.0  # infinite limits, too
     difference[~np.isfinite(difference)] = np.inf
-    greatest = np.maximum(np.abs(one.values), np.abs(two.values))
+    greatest = np.maximum(np.abs(one), np.abs(two))
     greatest[~np.isfinite(greatest)] = 0.0
-    if one.per_row:
-        scale = greatest.max(axis=-1, keepdims=True) + np.zeros_like(difference)
-    else:
-        scale = np.full_like(difference, greatest.max())
-    scale = np.maximum(scale, least)
+    scale = greatest.max(axis=-1, keepdims=True) if per_row else greatest.max()
+    scale = np.maximum(scale + np.zeros_like(difference), least)
     with np.errstate(over="ignore", invalid="ignore"):
-        relative = np.divide(
-            difference, scale, out=np.where(difference > 0, np.inf, 0.0), where=scale > 0
-        )
-    place = np.unravel_index(int(np.argmax(relative)), relative.shape)
-    where = one.labels[int(place[-2])]
-    if one.of_state:
-        where += f", #{place[0]}"
-    return float(relative[place]), float(difference[place]), float(scale[place]), where
+        relative = difference / scale
+    place = tuple(map(int, np.unravel_index(int(np.argmax(relative)), relative.shape)))
+    return float(relative[place]), float(difference[place]), float(scale[place]), place

@@ -2,10 +2,10 @@
 
 A URDF states a tree of bodies, and damping and friction of its joints. MuJoCo's smooth dynamics
 have more terms: passive forces (``qfrc_spring``, ``qfrc_damper``, ``qfrc_gravcomp``,
-``qfrc_fluid``, and those of flexes and plugins), inertia through tendons and motors, and equality
-constraints. Here they are found in a compiled model, one by one, each with the numbers that have
-to be zero for it to be gone. Nothing rests on the list being complete: who uses it switches all of
-it off, and compares what is left with a model that has none of it.
+``qfrc_fluid``), inertia through tendons and motors, and equality constraints. Here they are found
+in a compiled model, one by one, each with the numbers that have to be zero for it to be gone.
+Nothing rests on the list being complete: who uses it switches all of it off, and compares what is
+left (flexes, plugins) with a model that has none of it.
 
 Source: MuJoCo documentation, "Computation: Passive forces" and "Constraint model: Equality"; the
 arrays are those of ``mjModel``.
@@ -29,8 +29,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.mjcf import JointKind, equality_ends, equality_name
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
-from pupper_analysis.robot.matching.trees import Reference
-from pupper_analysis.robot.matching.urdf import Mimics
+from pupper_analysis.robot.matching.trees import Mimics, Reference
 
 Slot = tuple[str, int | slice]
 """An array of ``mjModel`` (or a number of its ``opt``), and which of its rows."""
@@ -42,8 +41,7 @@ class MjcfOnlyEffect:
 
     Attributes:
         kind: ``spring``, ``damping polynomial``, ``gravity compensation``, ``dry friction`` (of the
-            free joint), ``tendon``, ``fluid``, ``actuator``, ``equality``, ``flex``, ``plugin`` or
-            ``flag``.
+            free joint), ``tendon``, ``fluid``, ``actuator``, ``equality`` or ``flag``.
         element: The joint, body, tendon ... by name; ``#3`` where it has none.
         value: Its numbers.
         unit: Of the numbers, where they have one in common.
@@ -481,31 +479,6 @@ def flex_bodies(model: mujoco.MjModel, flex: int) -> set[int]:
     return found
 
 
-def find_flexes(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yields the deformable bodies, as one, if they are fixed to the robot."""
-    model = scene.model
-    if not model.nflex:
-        return
-    touched = {int(body) for body in (*model.flex_vertbodyid, *model.flex_nodebodyid)}
-    everything = slice(None)
-    arrays = ("stiffness", "bending", "damping", "edgestiffness", "edgedamping")
-    filled = [f"flex_{array}" for array in arrays if getattr(model, f"flex_{array}").any()]
-    if touched & scene.bodies:
-        name = scene.name("flex", 0)
-        message = diagnose("flex-of-the-mjcf-alone", subject=("flex", name))
-        slots = tuple((array, everything) for array in filled)
-        yield MjcfOnlyEffect("flex", name, model.nflex, "", message, slots)
-
-
-def find_plugins(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Plugins of bodies; they cannot be switched off in a compiled model."""
-    for body in sorted(scene.bodies):
-        if scene.model.body_plugin[body] >= 0:
-            name = scene.name("body", body)
-            message = diagnose("plugin-of-the-mjcf-alone", subject=("body", name))
-            yield MjcfOnlyEffect("plugin", name, int(scene.model.body_plugin[body]), "", message)
-
-
 def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """What the file states and switches off again; springs and damping are 0 then."""
     for bit, word, what in _FLAGS:
@@ -534,7 +507,5 @@ def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:
         *find_actuators(scene),
         *find_fluid(scene),
         *find_equalities(scene),
-        *find_flexes(scene),
-        *find_plugins(scene),
         *find_flags(scene),
     ]

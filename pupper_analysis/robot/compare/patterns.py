@@ -32,8 +32,12 @@ from pupper_analysis.models.efforts import gear_left_out
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import MAX_NUMBER
-from pupper_analysis.robot.compare.changes import body_changes, changes_between
-from pupper_analysis.robot.compare.differences import OF_INERTIALS, Difference
+from pupper_analysis.robot.compare.differences import (
+    OF_INERTIALS,
+    Difference,
+    body_changes,
+    changes_between,
+)
 from pupper_analysis.robot.matching.alignment import align_frames, in_body_frame
 from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances

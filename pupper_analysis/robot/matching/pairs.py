@@ -19,8 +19,7 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.matching.alignment import with_base
 from pupper_analysis.robot.matching.conventions import quarter_turns
-from pupper_analysis.robot.matching.trees import at_zero
-from pupper_analysis.robot.matching.urdf import urdf_tree
+from pupper_analysis.robot.matching.trees import at_zero, urdf_tree
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,6 @@ _SECTION: Final = {
     "actuator": "actuator",
     "motor": "actuator",
     "equality": "equality",
-    "flex": "deformable",
 }
 """Sections of an MJCF whose elements a URDF has none of."""
 
@@ -44,7 +43,6 @@ _GLOBAL_OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "fluid": ("density", "viscosity"),
     "gravity": ("gravity",),
     "flag": (),
-    "plugin": (),
 }
 """Kinds that concern the whole of a URDF, and the options of the MJCF that state them."""
 

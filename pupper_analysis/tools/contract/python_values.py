@@ -24,8 +24,7 @@ from typing import Any, Final, cast
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.inputs import is_input, read_text
 from pupper_analysis.models.places import Place, refuse_file
-from pupper_analysis.tools.contract.facts import MOST, Node
-from pupper_analysis.tools.contract.marked import decimals_of
+from pupper_analysis.tools.contract.facts import MOST, Node, decimals_of
 
 MOST_BITS: Final = 1_000
 """Of a whole number: others grow without bound where they are multiplied in a loop."""

@@ -23,8 +23,13 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import free_name, new_file_text, write_numbers
 from pupper_analysis.prepare.bare import Bare, place_as
 from pupper_analysis.prepare.contact_points import lowest_point
-from pupper_analysis.prepare.convert.from_urdf import WORLD, UrdfBodies
-from pupper_analysis.prepare.convert.to_mjcf import LIMBS, BareMjcf, MjcfOptions
+from pupper_analysis.prepare.convert.from_urdf import (
+    LIMBS,
+    WORLD,
+    BareMjcf,
+    MjcfOptions,
+    UrdfBodies,
+)
 from pupper_analysis.prepare.convert.to_urdf import ConversionDraft
 from pupper_analysis.prepare.drives import held_gains_of, servos_of
 from pupper_analysis.prepare.notes import describe_span

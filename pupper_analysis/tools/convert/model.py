@@ -25,9 +25,9 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.prepare.convert.from_urdf import MjcfOptions
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.prepare.convert.repair import Repair
-from pupper_analysis.prepare.convert.to_mjcf import MjcfOptions
 from pupper_analysis.prepare.convert.to_urdf import ConversionDraft, urdf_draft
 from pupper_analysis.prepare.judge import judge_stand, remarks_of_files
 from pupper_analysis.prepare.passes import Feet, robot_of

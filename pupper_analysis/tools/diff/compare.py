@@ -22,8 +22,15 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, to_pinocchio
 from pupper_analysis.models.places import Place
 from pupper_analysis.robot.compare.attribution import EXPLAINED
-from pupper_analysis.robot.compare.changes import apply_changes, changes_between, convention_changes
-from pupper_analysis.robot.compare.differences import VERSIONS, Difference, Effect, RelativeError
+from pupper_analysis.robot.compare.differences import (
+    VERSIONS,
+    Difference,
+    Effect,
+    RelativeError,
+    apply_changes,
+    changes_between,
+    convention_changes,
+)
 from pupper_analysis.robot.matching.alignment import align_frames
 from pupper_analysis.robot.matching.conventions import find_conventions
 from pupper_analysis.robot.matching.pairs import guess_of_trees

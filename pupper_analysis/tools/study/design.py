@@ -44,7 +44,7 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.spec_state import state_of
+from pupper_analysis.models.mjcf import state_of
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.pupper.variant_files import describe_variant, split_word
 from pupper_analysis.pupper.variants import BASES, Scaled, VariantSpec, variant_spec

@@ -1,9 +1,15 @@
-"""The two robots side by side: their trees, the taken values, and where the files' frames are."""
+"""The two robots side by side: their trees, the taken values, where the files' frames are.
+
+And how parts of a rigid body make it another.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import functools
+import operator
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +25,119 @@ from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees
 from pupper_analysis.tools.sync.digits import Digits
 
 Array = NDArray[np.float64]
+
+Part = TypeVar("Part", bound=Hashable)
+
+_TRIANGLE = 1e-6
+"""By how much of itself a principal moment may exceed the sum of the others, for rounding."""
+
+
+def without_parts(whole: pin.Inertia, parts: Sequence[pin.Inertia]) -> pin.Inertia | None:
+    """Returns what is left of a body without some parts of it; None if no mass is left."""
+    if not whole.mass > sum(part.mass for part in parts):
+        return None if parts else whole
+    return functools.reduce(operator.sub, parts, whole)
+
+
+def spread_alike(
+    parts: Mapping[Part, pin.Inertia], wanted: pin.Inertia
+) -> dict[Part, pin.Inertia] | None:
+    """Returns parts of a body that all are as much heavier, and moved by one step.
+
+    Their sum is a body of the same density pattern: its inertia about the com is in proportion to
+    its mass.
+
+    Args:
+        parts: The parts, in one frame.
+        wanted: Their sum, as it shall be.
+
+    Returns:
+        {part: as it shall be}; None if the wanted body is of another pattern, or has no mass.
+    """
+    now = functools.reduce(operator.add, parts.values(), pin.Inertia.Zero())
+    if not (now.mass > 0 and wanted.mass > 0):
+        return None
+    factor, step = wanted.mass / now.mass, wanted.lever - now.lever
+    alike = pin.Inertia(wanted.mass, wanted.lever, factor * np.array(now.inertia))
+    if not is_same_body(alike, wanted, 1e-10):
+        return None
+    return {
+        name: pin.Inertia(factor * part.mass, part.lever + step, factor * np.array(part.inertia))
+        for name, part in parts.items()
+    }
+
+
+def ways_to_weigh(
+    parts: Mapping[Part, pin.Inertia], wanted: pin.Inertia, empty: Part
+) -> list[dict[Part, pin.Inertia]]:
+    """Returns how parts of a body can make it another: one of them alone, or else all alike.
+
+    Args:
+        parts: Those with mass, in one frame.
+        wanted: Their sum, as it shall be.
+        empty: The part that gets it where none has any.
+
+    Returns:
+        {part: as it shall be} for each way; none if there is none.
+    """
+    alone: list[dict[Part, pin.Inertia]] = []
+    for part in sorted(parts, key=lambda one: -parts[one].mass) or [empty]:
+        others = [body for other, body in parts.items() if other != part]
+        left = without_parts(wanted, others)
+        if left is not None and (not others or is_physical(left)):
+            alone.append({part: left})
+    alike = None if alone else spread_alike(parts, wanted)
+    return alone or ([alike] if alike else [])
+
+
+def is_physical(body: pin.Inertia) -> bool:
+    """Says whether a rigid body can be so."""
+    if not body.mass > 0:
+        return False
+    least, middle, greatest = np.linalg.eigvalsh(np.array(body.inertia))
+    return bool(least > 0 and least + middle >= (1 - _TRIANGLE) * greatest)
+
+
+def is_same_body(one: pin.Inertia, two: pin.Inertia, tolerance: float = 1e-11) -> bool:
+    """Says whether two bodies are the same but for rounding."""
+    size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()), 1e-300)
+    return bool(
+        abs(one.mass - two.mass) <= tolerance * max(one.mass, two.mass)
+        and float(np.abs(one.lever - two.lever).max()) <= tolerance
+        and float(np.abs(one.inertia - two.inertia).max()) <= tolerance * size
+    )
+
+
+def turned_like(wanted: Array, own: Array, near: Array) -> Array | None:
+    """Returns the rotation that makes one tensor of another: wanted = R own R^T.
+
+    Args:
+        wanted: The tensor.
+        own: The same in other axes.
+        near: Of the rotations that do, the nearest to this one is returned, or none at all.
+
+    Returns:
+        It; None if the principal moments differ.
+    """
+    moments, axes = np.linalg.eigh(wanted)
+    others, own_axes = np.linalg.eigh(own)
+    if float(np.abs(moments - others).max()) > 1e-10 * float(np.abs(moments).max()):
+        return None
+    candidates = [np.eye(3), near]
+    for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+        turn = axes @ np.diag(signs).astype(float) @ own_axes.T
+        candidates.append(turn if np.linalg.det(turn) > 0 else -turn)
+    size = float(np.abs(wanted).max())
+    right = [
+        turn
+        for turn in candidates
+        if float(np.abs(turn @ own @ turn.T - wanted).max()) <= 1e-11 * size
+    ]
+    straight = [turn for turn in right if np.allclose(turn, np.eye(3), atol=1e-12)]
+    if straight:
+        return straight[0]
+    return max(right, key=lambda turn: float(np.trace(near.T @ turn)), default=None)
+
 
 Key = tuple[str, str]
 """Kind and element of a difference."""

@@ -14,8 +14,12 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.tools.sync.digits import Digits
-from pupper_analysis.tools.sync.orientation import AngleUnits, orientation_change, stated_rotation
+from pupper_analysis.tools.sync.digits import (
+    AngleUnits,
+    Digits,
+    orientation_change,
+    stated_rotation,
+)
 from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
 
 Array = NDArray[np.float64]

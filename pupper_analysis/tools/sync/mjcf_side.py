@@ -25,17 +25,15 @@ from pupper_analysis.models.mjcf import free_joints, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.tools.sync.digits import SAME, Digits
-from pupper_analysis.tools.sync.frames import Key, Side
-from pupper_analysis.tools.sync.inertia import (
-    is_physical,
-    is_same_body,
-    spread_alike,
-    turned_like,
-    without_parts,
+from pupper_analysis.tools.sync.digits import (
+    SAME,
+    AngleUnits,
+    Digits,
+    orientation_change,
+    stated_rotation,
 )
+from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, turned_like, ways_to_weigh
 from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace, elements_within
-from pupper_analysis.tools.sync.orientation import AngleUnits, orientation_change, stated_rotation
 from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
@@ -59,54 +57,34 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     top = model.body(side.sides.matched.mjcf_body[mover]).id
     group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
     placed = {body: _pose(side, body).act(inertia_of_body(model, body)) for body in group}
-    heavy = sorted((b for b in group if placed[b].mass > 0), key=lambda b: -placed[b].mass)
-    if is_same_body(sum((placed[body] for body in heavy), pin.Inertia.Zero()), wanted):
+    heavy = {body: part for body, part in placed.items() if part.mass > 0}
+    if is_same_body(sum(heavy.values(), pin.Inertia.Zero()), wanted):
         return
-    plans: list[_Plan] = []
-    copied = False
-    for body in heavy or [top]:
-        others = [placed[other] for other in heavy if other != body]
-        left = without_parts(wanted, others)
-        if left is None or (others and not is_physical(left)):
-            continue
-        element = side.elements.body(str(model.body(body).name))
-        if element is None:
-            copied = True
-            continue
-        inside = _pose(side, body).actInv(left)
-        plans += _plans(side, body, element, inside)
-    if not plans:
-        alike = spread_alike({body: placed[body] for body in heavy}, wanted)
-        spread = [] if alike is None else list(_spread(side, alike))
-        if not spread or None in spread:
-            reason = diagnose("body-is-a-copy" if copied else "no-body-to-change")
-            side.left.update(dict.fromkeys(keys, reason))
-            return
-        for plan in spread:
-            _write_plan(side, plan)
-        message = diagnose("bodies-changed-alike", bodies=len(spread))
-        side.notes.update(dict.fromkeys(keys, message))
+    ways = ways_to_weigh(heavy, wanted, top)
+    tries = [[_plan(side, body, part) for body, part in way.items()] for way in ways]
+    found = [[one for one in way if one is not None] for way in tries if None not in way]
+    if not found:
+        copied = any(_element(side, body) is None for way in ways for body in way)
+        reason = diagnose("body-is-a-copy" if copied else "no-body-to-change")
+        side.left.update(dict.fromkeys(keys, reason))
         return
-    best = min(plans, key=lambda plan: plan[0])
-    _write_plan(side, best)
-    how = best[3]
-    if len(heavy) > 1:
+    best = min(found, key=lambda way: sum(plan[0] for plan in way))
+    for plan in best:
+        _write_plan(side, plan)
+    how = best[0][3]
+    if len(best) > 1:
+        how = diagnose("bodies-changed-alike", bodies=len(best))
+    elif len(heavy) > 1:
         how = diagnose("one-body-changed", how=how, bodies=len(heavy))
     if how is not None:
         side.notes.update(dict.fromkeys(keys, how))
 
 
-def _spread(side: MjcfSide, alike: Mapping[int, pin.Inertia]) -> Iterator[_Plan | None]:
-    """Yields how each of several bodies gets its own mass; None where one cannot."""
-    for body, part in alike.items():
-        element = side.elements.body(str(side.model.body(body).name))
-        inside = _pose(side, body).actInv(part)
-        plans = [] if element is None else _plans(side, body, element, inside)
-        yield min(plans, key=lambda plan: plan[0], default=None)
+def _element(side: MjcfSide, body: int) -> Element | None:
+    return side.elements.body(str(side.model.body(body).name))
 
 
-def _write_plan(side: MjcfSide, plan: _Plan | None) -> None:
-    assert plan is not None
+def _write_plan(side: MjcfSide, plan: _Plan) -> None:
     _, element, changes, _ = plan
     if element.start < 0 and element.parent is not None:
         element.parent.children.insert(0, element)
@@ -117,20 +95,22 @@ def _pose(side: MjcfSide, body: int) -> pin.SE3:
     return side.sides.bodies[str(side.model.body(body).name)]
 
 
-def _plans(side: MjcfSide, body: int, element: Element, wanted: pin.Inertia) -> list[_Plan]:
-    """Returns the ways to give a body a mass, by the file's own words."""
+def _plan(side: MjcfSide, body: int, part: pin.Inertia) -> _Plan | None:
+    """Returns how to give a body a mass by the file's own words, by the fewest; None if not."""
+    element, wanted = _element(side, body), _pose(side, body).actInv(part)
+    if element is None:
+        return None
     inertial = element.find("inertial")
     by_geoms = side.file.spec.compiler.inertiafromgeom
     ignored = by_geoms == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     if inertial is not None and not ignored:
         now = inertia_of_body(side.model, body)
         changes = inertial_changes(inertial, now, wanted, side.elements.units, side.digits)
-        return [(len(changes), inertial, changes, None)]
-    plans = list(_by_a_geom(side, body, element, wanted))
-    if plans or ignored:
-        return plans
-    if by_geoms == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE and wanted.mass == 0:
-        return []
+        return len(changes), inertial, changes, None
+    of_geom = next(_by_a_geom(side, body, element, wanted), None)
+    none = by_geoms == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE and wanted.mass == 0
+    if of_geom is not None or ignored or none:
+        return of_geom
     new = Element("inertial", {}, element.file, -1, element.line, element)
     words = {
         "pos": side.digits.words([], wanted.lever, 1.0),
@@ -138,19 +118,18 @@ def _plans(side: MjcfSide, body: int, element: Element, wanted: pin.Inertia) -> 
         "fullinertia": side.digits.words([], inertia_entries(wanted.inertia)),
     }
     stated = {name: text for name, text in words.items() if text is not None}
-    return [(_NEW_INERTIAL_COST, new, stated, diagnose("inertial-put-in"))]
+    return _NEW_INERTIAL_COST, new, stated, diagnose("inertial-put-in")
 
 
-def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: pin.Inertia) -> list[_Plan]:
-    """Returns how the mass of one geom makes a body's mass, com and inertia right, if it does."""
+def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: pin.Inertia) -> Iterator[_Plan]:
+    """Yields how the mass of one geom makes a body's mass, com and inertia right, if it does."""
     spec = side.robot.description.mjcf
     name = str(side.model.body(body).name)
     elements = [e for e in elements_within(element) if e.tag == "geom"]
     geoms = list(spec.body(name).geoms)
     if len(geoms) != len(elements):
-        return []
+        return
     more = wanted.mass - float(side.model.body_mass[body])
-    plans: list[_Plan] = []
     for index, (geom, there) in enumerate(zip(geoms, elements, strict=True)):
         if math.isnan(geom.mass) or geom.mass + more <= 0:
             continue
@@ -167,8 +146,7 @@ def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: pin.Inertia)
         if is_same_body(inertia_of_body(model, model.body(name).id), wanted, 1e-10):
             own = "mass" in there.attributes
             how = None if own else diagnose("mass-of-class-stays")
-            plans.append((1, there, {"mass": text}, how))
-    return plans
+            yield 1, there, {"mass": text}, how
 
 
 def inertial_changes(

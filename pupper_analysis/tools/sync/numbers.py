@@ -6,15 +6,16 @@ a file is rewritten, and what is written differs in nothing else.
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
@@ -26,13 +27,12 @@ from pupper_analysis.base.inputs import MOST_FILE, read_input
 from pupper_analysis.base.kinds import hash_of, made_model
 from pupper_analysis.base.runs import note_input, running
 from pupper_analysis.models.attributes import BY_KIND
-from pupper_analysis.models.conversion import inertia_of_body, joint_armature, joint_damping
+from pupper_analysis.models.conversion import joint_armature, joint_damping
 from pupper_analysis.models.mjcf import silence_mujoco, to_xml
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text, read_mjcf
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.published import existing_file
-from pupper_analysis.models.transmission import drives_of, law_of
-from pupper_analysis.models.urdf_file import UrdfFile, for_engines, read_urdf, urdf_from
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.robot.compare.attribution import align_robot
@@ -40,8 +40,9 @@ from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.sync.digits import Digits
-from pupper_analysis.tools.sync.frames import Key, MatchedRobots, Side, pair_robots
+from pupper_analysis.tools.sync.frames import Key, MatchedRobots, Side, is_same_body, pair_robots
 from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.plan import Edit, edits_of
@@ -280,7 +281,8 @@ def write_numbers(
     urdf = _urdf_in_memory(robot) if urdf_path is None else read_urdf(urdf_path, packages)
     mjcf = _mjcf_in_memory(robot) if mjcf_path is None else read_mjcf(mjcf_path)
     tolerances = Tolerances()
-    matched = match_models(urdf, mjcf, names=_names(robot, urdf), tolerances=tolerances)
+    names = _names(robot, urdf)
+    matched = match_models(urdf, mjcf, names=names, tolerances=tolerances)
     both = pair_robots(matched, align_robot(matched.robot, tolerances))
     changes = NumberChanges(both, resolve_numbers(matched, numbers))
     check_own(robot, changes)
@@ -314,7 +316,7 @@ def write_numbers(
         },
         sources=tuple(file for copies in layout for file in copies.files),
     )
-    try_files(written.contents, changes, (urdf, written.urdf), (mjcf, written.mjcf))
+    try_files(written.contents, changes, (urdf, written.urdf), (mjcf, written.mjcf), names)
     return written
 
 
@@ -415,6 +417,7 @@ def try_files(
     changes: NumberChanges,
     urdf: tuple[UrdfFile, Path | None],
     mjcf: tuple[MjcfFile, Path | None],
+    names: Mapping[str, str],
 ) -> None:
     """Writes the files elsewhere, reads them by both engines, and checks what has changed.
 
@@ -423,132 +426,50 @@ def try_files(
         changes: What shall have changed.
         urdf: The URDF as it was, and its place; None if it has no file.
         mjcf: Likewise of the MJCF.
+        names: How the two were matched.
 
     Raises:
         ModelError: If an engine refuses a file, or reads another number than was wanted.
     """
-    matched = changes.both.matched
-    wrong: dict[Key, Diagnostic] = {}
+    robot = changes.both.matched.robot
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         for name, content in contents.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)
         try:
-            if urdf[1] is not None:
-                again = read_urdf(folder / urdf[1], urdf[0].packages)
-                wrong |= _odd_in_urdf(changes, urdf[0], again)
-            if mjcf[1] is not None:
-                wrong |= _odd_in_mjcf(changes, mjcf[0].model, read_mjcf(folder / mjcf[1]).model)
+            one = urdf[0] if urdf[1] is None else read_urdf(folder / urdf[1], urdf[0].packages)
+            two = mjcf[0] if mjcf[1] is None else read_mjcf(folder / mjcf[1])
+            after = match_models(one, two, names=names, tolerances=Tolerances()).robot
         except ModelError as error:
             message = error.cause.with_names(lambda text: text.replace(f"{folder}/", ""))
-            raise ModelError(
-                matched.robot.name, diagnose("written-not-read", problem=message)
-            ) from error
+            raise ModelError(robot.name, diagnose("written-not-read", problem=message)) from error
+    written = [side for side, (_, there) in (("urdf", urdf), ("mjcf", mjcf)) if there is not None]
+    wrong = dict.fromkeys(_odd(changes, after, written), diagnose("read-otherwise"))
     if wrong:
-        raise refuse_numbers(matched.robot, wrong)
+        raise refuse_numbers(robot, wrong)
 
 
-def _odd_in_urdf(
-    changes: NumberChanges, before: UrdfFile, after: UrdfFile
-) -> dict[Key, Diagnostic]:
-    """Returns what Pinocchio reads of a written URDF that is not as wanted."""
-    models = [
-        pin.buildModelFromXML(for_engines(file.root), pin.JointModelFreeFlyer())
-        for file in (before, after)
-    ]
-    wrong: dict[Key, Diagnostic] = {}
-    matched = changes.both.matched
-    for mover, link in matched.urdf_link.items():
-        one, two = (_of_link(model, link) for model in models)
-        wrong |= _odd_body(changes, "urdf", mover, one, two)
-    for name, other in matched.urdf_joint.items():
-        for kind in ("damping", "friction"):
-            values = [
-                float(getattr(model, kind)[model.joints[model.getJointId(other)].idx_v])
-                for model in models
-            ]
-            wrong |= _odd_number(changes, (kind, name), *values, motors=True)
-    return wrong
-
-
-def _of_link(model: pin.Model, link: str) -> Array:
-    """Returns the ten dynamic parameters of all that moves with a link, in its frame."""
-    frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
-    whole = frame.placement.actInv(model.inertias[frame.parentJoint])
-    return np.array(whole.toDynamicParameters())
-
-
-def _odd_in_mjcf(
-    changes: NumberChanges, before: mujoco.MjModel, after: mujoco.MjModel
-) -> dict[Key, Diagnostic]:
-    """Returns what MuJoCo reads of a written MJCF that is not as wanted."""
-    matched, wrong = changes.both.matched, dict[Key, Diagnostic]()
-    bodies = {before.body(i).name or f"body_{i}": i for i in range(1, before.nbody)}
-
-    for mover, body in matched.mjcf_body.items():
-        if body in bodies:
-            one, two = (_of_body(model, bodies[body]) for model in (before, after))
-            wrong |= _odd_body(changes, "mjcf", mover, one, two)
-
-    own = matched.robot.mj_model
-    for name in matched.robot.joint_names:
-        body = str(own.body(int(own.jnt_bodyid[own.joint(name).id])).name)
-        joint = mujoco.mj_name2id(before, mujoco.mjtObj.mjOBJ_JOINT, name)
-        joint = int(before.body_jntadr[bodies[body]]) if joint < 0 else joint
-        dof = int(before.jnt_dofadr[joint])
-        for kind in OF_JOINTS:
-            array = BY_KIND[kind].mujoco
-            values = [float(getattr(model, array)[dof]) for model in (before, after)]
-            wrong |= _odd_number(changes, (kind, name), *values)
-        drives = drives_of(before, joint)
-        if len(drives) == 1:
-            for at, kind in enumerate(OF_SERVOS):
-                values = [law_of(model, drives[0]).at_joint[at] for model in (before, after)]
-                if (kind, name) in changes.wanted or ("kp", name) in changes.wanted:
-                    wrong |= _odd_number(changes, (kind, name), *values)
-    return wrong
-
-
-def _of_body(model: mujoco.MjModel, body: int) -> Array:
-    """Returns the ten dynamic parameters of all that moves with a body, in its frame."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    here = _pose(data, body)
-    whole = np.zeros(10)
-    for other in np.flatnonzero(model.body_weldid == model.body_weldid[body]).tolist():
-        if other:
-            own = (here.inverse() * _pose(data, other)).act(inertia_of_body(model, other))
-            whole += own.toDynamicParameters()
-    return whole
-
-
-def _pose(data: mujoco.MjData, body: int) -> pin.SE3:
-    return pin.SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
-
-
-def _odd_body(
-    changes: NumberChanges, side: str, mover: str, before: Array, after: Array
-) -> Iterator[tuple[Key, Diagnostic]]:
-    """Yields a body that has not changed by what was wanted, if it has not."""
-    apart = np.abs(after - before - changes.step(side, mover))
-    sizes = np.repeat([abs(after[0]), max(abs(after[0]), 1e-3), np.abs(after[4:]).max()], [1, 3, 6])
-    if (apart > _WRITTEN * np.maximum(sizes, 1e-300)).any():
-        kind = next((k for k in OF_BODIES if (k, mover) in changes.wanted), "mass")
-        yield (kind, mover), diagnose("read-otherwise")
-
-
-def _odd_number(
-    changes: NumberChanges, key: Key, before: float, after: float, *, motors: bool = False
-) -> Iterator[tuple[Key, Diagnostic]]:
-    """Yields a number of a joint that is not what was wanted, or has changed unasked."""
-    wanted = before
-    if key in changes.wanted:
-        wanted = float(changes.wanted[key])
-        if motors:
-            wanted = float(getattr(changes.tree("urdf").joints[key[1]], BY_KIND[key[0]].field))
-    if abs(after - wanted) > _WRITTEN * max(abs(wanted), abs(before)):
-        yield key, diagnose("read-otherwise")
+def _odd(changes: NumberChanges, after: Robot, sides: Iterable[str]) -> Iterator[Key]:
+    """Yields what the engines read of written files that is not what was wanted."""
+    trees = dict(zip(("urdf", "mjcf"), kinematic_trees(after), strict=True))
+    for side in sides:
+        wanted, frames = changes.tree(side), changes.both.mjcf_frames if side == "mjcf" else {}
+        for mover, body in trees[side].bodies.items():
+            frame = frames.get(mover, pin.SE3.Identity())
+            if not is_same_body(frame.actInv(wanted.bodies[mover].rigid), body.rigid, _WRITTEN):
+                kind = next((k for k in OF_BODIES if (k, mover) in changes.wanted), "mass")
+                yield kind, mover
+        for kind, (name, joint) in product(OF_JOINTS, trees[side].joints.items()):
+            values = [float(getattr(one, kind)) for one in (joint, wanted.joints[name])]
+            if not math.isclose(*values, rel_tol=_WRITTEN):
+                yield kind, name
+    gains = own_servos(after)
+    for (kind, name), value in changes.wanted.items() if "mjcf" in sides else ():
+        if kind in OF_SERVOS:
+            read = gains[name][OF_SERVOS.index(kind)] if name in gains else math.nan
+            if not math.isclose(read, float(value), rel_tol=_WRITTEN):
+                yield kind, name
 
 
 # Given numbers of a robot, by what moves, and what both of its models become with them.
@@ -670,14 +591,3 @@ class NumberChanges:
         return replace(
             body, mass=mass, com=com, inertia=self.wanted.get(("inertia", mover), pattern)
         )
-
-    def step(self, side: str, mover: str) -> Array:
-        """Returns by what a body changes in its file's frame, as its ten dynamic parameters."""
-        frames = self.both.urdf_frames if side == "urdf" else self.both.mjcf_frames
-        before = self.both.urdf if side == "urdf" else self.both.mjcf
-        frame = frames[mover]
-        one, two = (
-            frame.actInv(tree.bodies[mover].rigid).toDynamicParameters()
-            for tree in (before, self.tree(side))
-        )
-        return np.array(two - one)

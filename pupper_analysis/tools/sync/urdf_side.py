@@ -15,16 +15,8 @@ from pupper_analysis.base.diagnostics import Term, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
-from pupper_analysis.tools.sync.digits import SAME, Digits
-from pupper_analysis.tools.sync.frames import Key, Side
-from pupper_analysis.tools.sync.inertia import (
-    is_physical,
-    is_same_body,
-    spread_alike,
-    turned_like,
-    without_parts,
-)
-from pupper_analysis.tools.sync.orientation import origin_changes
+from pupper_analysis.tools.sync.digits import SAME, Digits, origin_changes
+from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, turned_like, ways_to_weigh
 from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
@@ -194,31 +186,24 @@ class UrdfSide(Side):
         placed = {link: one for link, one in placed.items() if one.mass > 0}
         if is_same_body(sum(placed.values(), pin.Inertia.Zero()), wanted):
             return
-        heavy = sorted(placed, key=lambda link: -placed[link].mass)
-        found: list[tuple[str, Changes]] = []
-        for link in heavy or members[:1]:
-            others = [one for other, one in placed.items() if other != link]
-            left = without_parts(wanted, others)
-            if left is None or (others and not is_physical(left)):
-                continue
-            inside = self._pose(link).actInv(left)
-            found.append((link, inertial_changes(self._links[link].element, inside, self.digits)))
-        if not found:
-            spread = spread_alike(placed, wanted)
-            if spread is None:
-                self.left.update(dict.fromkeys(keys, diagnose("no-link-to-change")))
-                return
-            for link, part in spread.items():
-                inside = self._pose(link).actInv(part)
-                element = self._links[link].element
-                self._write(link, inertial_changes(element, inside, self.digits))
-            message = diagnose("links-changed-alike", links=len(spread))
-            self.notes.update(dict.fromkeys(keys, message))
+        ways = ways_to_weigh(placed, wanted, members[0])
+        if not ways:
+            self.left.update(dict.fromkeys(keys, diagnose("no-link-to-change")))
             return
-        link, changes = min(found, key=lambda one: len(one[1]))
-        self._write(link, changes)
-        if len(heavy) > 1:
-            message = diagnose("one-link-changed", links=len(heavy), link=link)
+
+        def changed(link: str, part: pin.Inertia) -> Changes:
+            inside = self._pose(link).actInv(part)
+            return inertial_changes(self._links[link].element, inside, self.digits)
+
+        tries = [{link: changed(link, part) for link, part in way.items()} for way in ways]
+        best = min(tries, key=lambda way: sum(map(len, way.values())))
+        for link, changes in best.items():
+            self._write(link, changes)
+        if len(placed) > 1:
+            one, several = ("one-link-changed", "links-changed-alike")
+            message = diagnose(several, links=len(best))
+            if len(best) == 1:
+                message = diagnose(one, links=len(placed), link=next(iter(best)))
             self.notes.update(dict.fromkeys(keys, message))
 
     def _write(self, link: str, changes: Changes) -> None:

@@ -1,7 +1,6 @@
 """Reads a USD file (UsdPhysics): what may be opened, and where its prims are.
 
-Nothing is fetched, no plugin is asked for, and what a file brings in is counted before it is
-assembled: a few lines that reference each other can otherwise make more prims than a machine holds.
+Nothing is fetched, and no plugin is asked for.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError, MissingPackageError
 from pupper_analysis.base.inputs import read_input
+from pupper_analysis.base.runs import note_input
 from pupper_analysis.models.places import (
     Place,
     one_line,
@@ -30,9 +30,6 @@ MAX_BYTES: Final = 500_000_000
 
 MAX_DEPTH: Final = 500
 """Deepest nesting of a text layer; USD's own parser of it runs out of stack."""
-
-MAX_PRIMS: Final = 200_000
-"""Most prims of a stage, with all that is referenced: a robot has hundreds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +97,11 @@ def read_usd(path: str | Path) -> UsdFile:
     _check_file(path)
     with _quietly(pxr) as said:
         try:
-            _check_size(pxr, path)
             stage = pxr.Usd.Stage.Open(str(path.absolute()), pxr.Usd.Stage.LoadAll)
             stage.Reload()  # a layer that was open already may be older than its file
+            for layer in stage.GetUsedLayers():
+                if Path(layer.realPath).is_file():  # the session's is none
+                    note_input(Path(layer.realPath))
         except pxr.Tf.ErrorException as error:
             raise refuse_file(
                 Place(path), diagnose("usd-not-valid", message=_words(error))
@@ -156,79 +155,6 @@ def _check_depth(path: Path, text: bytes) -> None:
         depth += {b"{": 1, b"(": 1, b"[": 1, b"}": -1, b")": -1, b"]": -1}.get(bracket, 0)
         if depth > MAX_DEPTH:
             raise refuse_file(Place(path), diagnose("nested-too-deep", most=MAX_DEPTH))
-
-
-def _check_size(pxr: Any, path: Path) -> None:
-    """Refuses a file that brings in more prims than ``MAX_PRIMS``, before they are assembled."""
-    counts: dict[tuple[str, str], int] = {}
-    top = pxr.Sdf.Layer.FindOrOpen(str(path.absolute()))
-    if top is None:
-        raise refuse_file(Place(path), diagnose("usd-not-valid", message=""))
-
-    def layer_of(layer: Any, asset: str) -> Any:
-        """Returns a layer that is brought in; None where it is no file beside this one."""
-        if "://" in asset:
-            return None
-        name = pxr.Sdf.ComputeAssetPathRelativeToLayer(layer, asset)
-        file = Path(name.split("[")[0])
-        if not file.is_file():
-            return None
-        _check_file(file)
-        return pxr.Sdf.Layer.FindOrOpen(name)
-
-    def count(layer: Any, prim: Any) -> int:
-        """Returns at least as many prims as one becomes, itself and what it brings in."""
-        key = layer.identifier, str(prim.path)
-        if key in counts:
-            return counts[key]
-        counts[key] = 0  # what references itself is refused by USD
-        total = 1
-        for child in _children(prim):
-            total += count(layer, child)
-        for arc in _arcs(prim):
-            other = layer_of(layer, arc.assetPath) if arc.assetPath else layer
-            total += 0 if other is None else _of_target(other, arc.primPath)
-            if total > MAX_PRIMS:
-                break
-        counts[key] = min(total, MAX_PRIMS + 1)
-        return counts[key]
-
-    def _of_target(layer: Any, target: Any) -> int:
-        if not target.isEmpty:
-            prim = layer.GetPrimAtPath(target)
-            return whole(layer) if prim is None else count(layer, prim)
-        return whole(layer)
-
-    def whole(layer: Any) -> int:
-        key = layer.identifier, ""
-        if key not in counts:
-            counts[key] = 0
-            below = (layer_of(layer, name) for name in layer.subLayerPaths)
-            total = sum(count(layer, prim) for prim in layer.rootPrims)
-            total += sum(whole(other) for other in below if other is not None)
-            counts[key] = total
-        return counts[key]
-
-    if whole(top) > MAX_PRIMS:
-        raise refuse_file(
-            Place(path), diagnose("too-many-elements", count=whole(top), most=MAX_PRIMS)
-        )
-
-
-def _children(prim: Any) -> Iterator[Any]:
-    """Yields the prims below one, those of its variants too."""
-    yield from prim.nameChildren
-    for variants in prim.variantSets.values():
-        for variant in variants.variants.values():
-            yield variant.primSpec
-
-
-def _arcs(prim: Any) -> Iterator[Any]:
-    """Yields the references and payloads of a prim."""
-    for listed in (prim.referenceList, prim.payloadList):
-        for items in (listed.explicitItems, listed.prependedItems, listed.appendedItems):
-            yield from items
-        yield from listed.addedItems
 
 
 def _named(prims: list[Any]) -> dict[str, str]:

@@ -44,8 +44,7 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.tools.usd.file import PrimPlaces, UsdFile
 from pupper_analysis.tools.usd.file import read_usd as read_file
-from pupper_analysis.tools.usd.joints import Edge
-from pupper_analysis.tools.usd.model import UsdModel
+from pupper_analysis.tools.usd.model import Edge, UsdModel
 from pupper_analysis.tools.usd.model import read_usd_model as read_model
 from pupper_analysis.tools.usd.rules import CHECKS
 

@@ -13,7 +13,7 @@ from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.loading import Check, Found
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.model import HINGE, SLIDE
-from pupper_analysis.tools.usd.model import BALL, WATER, Origin, UsdModel
+from pupper_analysis.tools.usd.model import BALL_RADIUS, WATER, Origin, UsdModel
 
 CONTRADICTION = 1e-3
 """Relative: one schema has single precision, 1e-7, and some writers five digits."""
@@ -69,7 +69,7 @@ def inertia_unstated(robot: UsdModel) -> Iterator[Found]:
                 "inertia-unstated",
                 mass=Quantity(inertial.mass, "kg"),
                 shapes=shapes,
-                radius=Quantity(BALL, "m"),
+                radius=Quantity(BALL_RADIUS, "m"),
             )
             severity = None if shapes else Severity.WARNING
             yield Found(robot.link_tag, name, message, severity=severity)

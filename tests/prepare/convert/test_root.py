@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.prepare.convert.root import with_one_robot
+from pupper_analysis.prepare.convert.to_urdf import with_one_robot
 
 ARM = """<body name="{name}" pos="0 {y} 1"><joint name="{name}_1" axis="0 1 0"/>
   <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"/>

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.robot.compare import changes as explain_module
+from pupper_analysis.robot.compare import differences as explain_module
 from pupper_analysis.robot.compare.attribution import explain_differences
 from pupper_analysis.robot.compare.behaviour import random_states
 from pupper_analysis.robot.compare.differences import Difference, Explanation

@@ -125,36 +125,32 @@ def test_links_that_are_merged_are_named_with_their_shares_and_lines(tmp_path: P
     )
 
 
-def test_the_place_of_a_base(tmp_path: Path) -> None:
-    files = write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0))
-    in_urdf, in_mjcf = lines_of(first_of(compared(files), "mass"), files)
-    assert in_urdf == '<mass value="6.0"/>'
-    assert 'mass="7.0"' in in_mjcf
+SITE, FREE = '<site name="foot1" pos="0.002 0.0 -0.2"/>', '<joint type="free" damping="0.5"/>'
+LOWER_FOOT = [f._replace(position=(0, 0, -0.25)) if f.name == "foot1" else f for f in FEET]
+URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
+NAMELESS = mjcf_text(changed(quadruped(), "shank2", damping=0.5)).replace(
+    '<joint name="knee2" ', "<joint "
+)
+PLACES = {
+    "a base": ("mass", URDF, mjcf_text(changed(quadruped(), "base", mass=7.0)),
+               '<mass value="6.0"/>', 'mass="7.0"'),
+    "a free joint": ("damping", URDF, MJCF.replace("<freejoint/>", FREE),
+                     '<link name="base">', FREE),
+    "a frame": ("frame", urdf_text(quadruped(), LOWER_FOOT), MJCF,
+                '<origin xyz="0.0 0.0 -0.25"/>', '<site name="foot1"'),
+    "a body": ("frame", URDF, MJCF.replace(SITE, '<body name="foot1" pos="0 0 -0.3"/>'),
+               "<origin", '<body name="foot1" pos="0 0 -0.3"/>'),
+    "a joint without a name": ("damping", URDF, NAMELESS.replace('joint="knee2"', 'joint="knee1"'),
+                               "<dynamics", 'damping="0.5"'),
+}  # fmt: skip
 
 
-def test_the_place_of_the_damping_of_a_free_joint(tmp_path: Path) -> None:
-    text = mjcf_text(quadruped()).replace("<freejoint/>", '<joint type="free" damping="0.5"/>')
-    files = write(tmp_path, urdf_text(quadruped()), text)
-    in_urdf, in_mjcf = lines_of(first_of(compared(files), "damping"), files)
-    assert in_urdf == '<link name="base">'
-    assert in_mjcf == '<joint type="free" damping="0.5"/>'
-
-
-def test_the_place_of_a_frame(tmp_path: Path) -> None:
-    moved = [f._replace(position=(0, 0, -0.25)) if f.name == "foot1" else f for f in FEET]
-    files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
-    in_urdf, in_mjcf = lines_of(first_of(compared(files), "frame"), files)
-    assert in_urdf == '<origin xyz="0.0 0.0 -0.25"/>'
-    assert '<site name="foot1"' in in_mjcf
-
-
-def test_the_place_of_a_frame_that_is_a_body(tmp_path: Path) -> None:
-    text = mjcf_text(quadruped())
-    site = '<site name="foot1" pos="0.002 0.0 -0.2"/>'
-    text = text.replace(site, '<body name="foot1" pos="0 0 -0.3"/>')
-    files = write(tmp_path, urdf_text(quadruped()), text)
-    _, in_mjcf = lines_of(first_of(compared(files), "frame"), files)
-    assert in_mjcf == '<body name="foot1" pos="0 0 -0.3"/>'
+@pytest.mark.parametrize("what", PLACES)
+def test_the_place_of(what: str, tmp_path: Path) -> None:
+    kind, urdf, mjcf, *expected = PLACES[what]
+    files = write(tmp_path, urdf, mjcf)
+    shown = lines_of(first_of(compared(files), kind), files)
+    assert all(text in line for text, line in zip(expected, shown, strict=True))
 
 
 def test_the_place_of_an_effort_without_a_motor(tmp_path: Path) -> None:
@@ -167,14 +163,6 @@ def test_the_place_of_an_effort_without_a_motor(tmp_path: Path) -> None:
     difference = next(d for d in compared(files).differences if d.element == "knee1")
     assert difference.mjcf == 9.0
     assert '<joint name="knee1"' in lines_of(difference, files)[1]
-
-
-def test_the_place_of_a_joint_without_a_name(tmp_path: Path) -> None:
-    text = mjcf_text(changed(quadruped(), "shank2", damping=0.5))
-    text = text.replace('<joint name="knee2" ', "<joint ").replace('joint="knee2"', 'joint="knee1"')
-    files = write(tmp_path, urdf_text(quadruped()), text)
-    difference = first_of(compared(files), "damping")
-    assert 'damping="0.5"' in lines_of(difference, files)[1]
 
 
 def test_the_place_of_what_is_included(tmp_path: Path) -> None:

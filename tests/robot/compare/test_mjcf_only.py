@@ -192,18 +192,6 @@ def test_a_controlled_motor_is_left_to_its_controller(tmp_path: Path) -> None:
         assert max(comparison.deviations.values()) < 1e-12, motor
 
 
-def test_a_flex_between_bodies_of_the_robot(tmp_path: Path) -> None:
-    rope = (
-        '<deformable><flex name="rope" dim="1" body="shank0 shank1 shank2" '
-        'vertex="0 0 0 0 0 0 0 0 0" element="0 1 1 2"><edge stiffness="50" damping="2"/></flex>'
-        "</deformable>"
-    )
-    comparison = pair(tmp_path, mjcf_text(quadruped(), extra=rope))
-    assert found(comparison) == [("flex", "rope")]
-    assert comparison.complete
-    assert comparison.differences[0].effects["forward dynamics"].relative > 1e-3
-
-
 # ------------------------------------------------------------------------------------- one joint's
 
 

@@ -69,7 +69,159 @@ class Files:
 
 Expected = tuple[set[str], set[str]]  # kinds, elements: of the first difference
 Mutation = Callable[[Files], Expected | None]
-MUTATIONS: dict[str, Mutation] = {}
+Values = list[float]
+Change = Callable[[Values, random.Random], Values | None]
+"""What becomes of an attribute's numbers; None where that would be no difference."""
+
+
+def numbers(element: Element, name: str, default: str = "0 0 0") -> Values:
+    return [float(text) for text in element.get(name, default).split()]
+
+
+def write(element: Element, name: str, values: Values) -> None:
+    element.set(name, " ".join(repr(value) for value in values))
+
+
+def link(files: Files) -> tuple[Element, str]:
+    found = files.heavy_link()
+    return found, files.mover(found)
+
+
+def joint(files: Files) -> tuple[Element, str]:
+    found = files.moving_joint()
+    return found, found.get("name")
+
+
+def hinge(files: Files) -> tuple[Element, str]:
+    found = files.mjcf_joint()
+    return found, found.get("name")
+
+
+def body(files: Files) -> tuple[Element, str]:
+    found = files.mjcf_body()
+    return found, found.find("joint").get("name")
+
+
+def base(files: Files) -> tuple[Element, str]:
+    body = next(body for body in files.mjcf.iter("body") if body.get("name") == "base_link")
+    return body.find("joint"), "base_link"
+
+
+def option(files: Files) -> tuple[Element, str]:
+    found = files.mjcf.find("option")
+    return ElementTree.SubElement(files.mjcf, "option") if found is None else found, "option"
+
+
+Pick = Callable[[Files], tuple[Element, str]]
+
+
+def changed(pick: Pick, path: str, attribute: str, kind: str, change: Change) -> Mutation:
+    """Changes the numbers of an attribute of an element, or of one below it."""
+
+    def apply(files: Files) -> Expected | None:
+        owner, name = pick(files)
+        element = owner.find(path) if path else owner
+        default = "1 0 0 0" if attribute == "quat" else "0 0 0"
+        values = change(numbers(element, attribute, default), files.choose)
+        if values is None:
+            return None
+        write(element, attribute, values)
+        return {kind}, {name}
+
+    return apply
+
+
+def stated(pick: Pick, kinds: str, **attributes: str) -> Mutation:
+    """States attributes of an element."""
+
+    def apply(files: Files) -> Expected:
+        element, name = pick(files)
+        for attribute, value in attributes.items():
+            element.set(attribute, value)
+        return set(kinds.split(", ")), {name}
+
+    return apply
+
+
+def times(factor: float) -> Change:
+    return lambda values, _: [factor * value for value in values]
+
+
+def moved(index: int, step: float, *, either: bool = True) -> Change:
+    def apply(values: Values, choose: random.Random) -> Values:
+        sign = choose.choice([-1, 1]) if either else 1
+        return [value + sign * step * (at == index) for at, value in enumerate(values)]
+
+    return apply
+
+
+def in_degrees(values: Values, _: random.Random) -> Values | None:
+    return [math.degrees(value) for value in values] if any(values) else None
+
+
+def other_side(values: Values, _: random.Random) -> Values | None:
+    """The y of a hip has the other sign, as when a leg is copied from the other side."""
+    return [values[0], -values[1], values[2]] if abs(values[1]) >= 1e-3 else None
+
+
+def turned(values: Values, _: random.Random) -> Values:
+    (w, x, y, z), c, s = values, math.cos(0.05), math.sin(0.05)  # 0.1 rad more about its own x
+    return [w * c - x * s, w * s + x * c, y * c + z * s, z * c - y * s]
+
+
+def other_order(values: Values, _: random.Random) -> Values | None:
+    """(x, y, z, w) is written for (w, x, y, z)."""
+    return [*values[1:], values[0]] if max(map(abs, values)) <= 0.99 else None
+
+
+MUTATIONS: dict[str, Mutation] = {
+    **{
+        f"{name}_{axis}": changed(pick, path, word, kind, moved(index, step, either=either))
+        for name, pick, path, word, kind, step, either in (
+            ("com", link, "inertial/origin", "xyz", "com", 0.004, True),
+            ("joint_origin", joint, "origin", "xyz", "position", 0.003, True),
+            ("joint_rotation", joint, "origin", "rpy", "rotation", 0.05, False),
+        )
+        for index, axis in enumerate("xyz")
+    },
+    **{
+        f"inertia_{entry}": changed(link, "inertial/inertia", entry, "inertia", times(1.1))
+        for entry in ("ixx", "iyy", "izz")
+    },
+    "mass": changed(link, "inertial/mass", "value", "mass", times(1.05)),
+    "grams_for_kilograms": changed(link, "inertial/mass", "value", "mass", times(1000.0)),
+    "mirrored_sign": changed(joint, "origin", "xyz", "position", other_side),
+    "axis_sign": changed(joint, "axis", "xyz", "axis", times(-1.0)),
+    "axis_direction": changed(joint, "axis", "xyz", "axis", lambda v, _: [v[1], v[2], v[0]]),
+    "lower_limit": changed(joint, "limit", "lower", "lower limit", lambda v, _: [v[0] - 0.1]),
+    "upper_limit": changed(joint, "limit", "upper", "upper limit", lambda v, _: [v[0] + 0.1]),
+    "effort": changed(joint, "limit", "effort", "effort", times(1.2)),
+    "limit_in_degrees": changed(joint, "limit", "upper", "upper limit", in_degrees),
+    "rotation_in_degrees": changed(joint, "origin", "rpy", "rotation", in_degrees),
+    "joint_damping": changed(joint, "dynamics", "damping", "damping", lambda *_: [0.08]),
+    "joint_friction": changed(joint, "dynamics", "friction", "friction", lambda *_: [0.08]),
+    "revolute_made_prismatic": stated(joint, "type", type="prismatic"),
+    "mjcf_body_position": changed(
+        body, "", "pos", "position", lambda v, _: [v[0] + 0.003, v[1] - 0.002, v[2] + 0.001]
+    ),
+    "mjcf_body_rotation": changed(body, "", "quat", "rotation", turned),
+    "mjcf_quaternion_order": changed(body, "", "quat", "rotation", other_order),
+    "mjcf_range": stated(hinge, "lower limit, upper limit", range="-0.2 0.3"),
+    "mjcf_damping": stated(hinge, "damping", damping="0.3"),
+    "mjcf_friction_loss": stated(hinge, "friction", frictionloss="0.3"),
+    "mjcf_armature": stated(hinge, "armature", armature="0.02"),
+    "mjcf_free_joint_with_damping": stated(base, "damping", damping="0.5"),
+    # What a URDF cannot state.
+    "spring": stated(hinge, "spring", stiffness="2"),
+    "weak_spring": stated(hinge, "spring", stiffness="1e-5"),
+    "spring_at_an_angle": stated(hinge, "spring", stiffness="1500", springref="0.4"),
+    "stiffness_polynomial": stated(hinge, "spring", stiffness="0 0 3"),
+    "free_joint_with_spring": stated(base, "spring", stiffness="30"),
+    "fluid_density": stated(option, "fluid", density="1.2"),
+    "fluid_viscosity": stated(option, "fluid", viscosity="0.9"),
+    "fluid_wind": stated(option, "fluid", density="1.2", wind="5 0 1"),
+    "gravity_of_the_moon": stated(option, "gravity", gravity="0 0 -1.62"),
+}
 
 
 def mutation(function: Mutation) -> Mutation:
@@ -77,91 +229,18 @@ def mutation(function: Mutation) -> Mutation:
     return function
 
 
-def numbers(element: Element, name: str, default: str = "0 0 0") -> list[float]:
-    return [float(text) for text in element.get(name, default).split()]
-
-
-def write(element: Element, name: str, values: list[float]) -> None:
-    element.set(name, " ".join(repr(value) for value in values))
-
-
-# ------------------------------------------------------------------------------------- inertials
-
-
-def _inertia_entry(entry: str) -> Mutation:
+def _product_of_inertia(entry: str) -> Mutation:
     def change(files: Files) -> Expected:
-        link = files.heavy_link()
-        inertia = link.find("inertial/inertia")
-        if entry in ("ixx", "iyy", "izz"):
-            inertia.set(entry, repr(1.1 * float(inertia.get(entry))))
-        else:
-            least = min(float(inertia.get(name)) for name in ("ixx", "iyy", "izz"))
-            inertia.set(entry, repr(float(inertia.get(entry)) + 0.1 * least))
-        return {"inertia"}, {files.mover(link)}
+        owner, name = link(files)
+        inertia = owner.find("inertial/inertia")
+        least = min(float(inertia.get(moment)) for moment in ("ixx", "iyy", "izz"))
+        inertia.set(entry, repr(float(inertia.get(entry)) + 0.1 * least))
+        return {"inertia"}, {name}
 
     return change
 
 
-for _entry in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
-    MUTATIONS[f"inertia_{_entry}"] = _inertia_entry(_entry)
-
-
-def _com(axis: int) -> Mutation:
-    def change(files: Files) -> Expected:
-        link = files.heavy_link()
-        origin = link.find("inertial/origin")
-        xyz = numbers(origin, "xyz")
-        xyz[axis] += files.choose.choice([-1, 1]) * 0.004
-        write(origin, "xyz", xyz)
-        return {"com"}, {files.mover(link)}
-
-    return change
-
-
-def _joint_origin(axis: int) -> Mutation:
-    def change(files: Files) -> Expected:
-        joint = files.moving_joint()
-        origin = joint.find("origin")
-        xyz = numbers(origin, "xyz")
-        xyz[axis] += files.choose.choice([-1, 1]) * 0.003
-        write(origin, "xyz", xyz)
-        return {"position"}, {joint.get("name")}
-
-    return change
-
-
-def _joint_turn(axis: int) -> Mutation:
-    def change(files: Files) -> Expected:
-        joint = files.moving_joint()
-        origin = joint.find("origin")
-        rpy = numbers(origin, "rpy")
-        rpy[axis] += 0.05
-        write(origin, "rpy", rpy)
-        return {"rotation"}, {joint.get("name")}
-
-    return change
-
-
-for _index, _axis in enumerate("xyz"):
-    MUTATIONS[f"com_{_axis}"] = _com(_index)
-    MUTATIONS[f"joint_origin_{_axis}"] = _joint_origin(_index)
-    MUTATIONS[f"joint_rotation_{_axis}"] = _joint_turn(_index)
-
-
-@mutation
-def mass(files: Files) -> Expected:
-    link = files.heavy_link()
-    value = link.find("inertial/mass")
-    value.set("value", repr(1.05 * float(value.get("value"))))
-    return {"mass"}, {files.mover(link)}
-
-
-@mutation
-def grams_for_kilograms(files: Files) -> Expected:
-    link = files.heavy_link()
-    value = link.find("inertial/mass")
-    value.set("value", repr(1000 * float(value.get("value"))))
-    return {"mass"}, {files.mover(link)}
+MUTATIONS |= {f"inertia_{entry}": _product_of_inertia(entry) for entry in ("ixy", "ixz", "iyz")}
 
 
 @mutation
@@ -193,19 +272,6 @@ def inertia_axes_swapped(files: Files) -> Expected | None:
     inertia.set("ixx", two)
     inertia.set("izz", one)
     return {"inertia"}, {files.mover(link)}
-
-
-@mutation
-def mirrored_sign(files: Files) -> Expected | None:
-    """The y of a hip has the other sign, as when a leg is copied from the other side."""
-    joint = files.moving_joint()
-    origin = joint.find("origin")
-    xyz = numbers(origin, "xyz")
-    if abs(xyz[1]) < 1e-3:
-        return None
-    xyz[1] *= -1
-    write(origin, "xyz", xyz)
-    return {"position"}, {joint.get("name")}
 
 
 @mutation
@@ -242,78 +308,12 @@ def dropped_link(files: Files) -> Expected | None:
     return {"mass", "com"}, {files.mover(parent)}
 
 
-# ------------------------------------------------------------------------------------- joints
-
-
-@mutation
-def axis_sign(files: Files) -> Expected:
-    joint = files.moving_joint()
-    write(joint.find("axis"), "xyz", [-value for value in numbers(joint.find("axis"), "xyz")])
-    return {"axis"}, {joint.get("name")}
-
-
-@mutation
-def axis_direction(files: Files) -> Expected:
-    joint = files.moving_joint()
-    x, y, z = numbers(joint.find("axis"), "xyz")
-    write(joint.find("axis"), "xyz", [y, z, x])
-    return {"axis"}, {joint.get("name")}
-
-
-def _limit(name: str, kind: str, change: Callable[[float], float]) -> Mutation:
-    def apply(files: Files) -> Expected:
-        joint = files.moving_joint()
-        limit = joint.find("limit")
-        limit.set(name, repr(change(float(limit.get(name)))))
-        return {kind}, {joint.get("name")}
-
-    return apply
-
-
-MUTATIONS["lower_limit"] = _limit("lower", "lower limit", lambda value: value - 0.1)
-MUTATIONS["upper_limit"] = _limit("upper", "upper limit", lambda value: value + 0.1)
-MUTATIONS["effort"] = _limit("effort", "effort", lambda value: 1.2 * value)
-MUTATIONS["limit_in_degrees"] = _limit("upper", "upper limit", lambda value: math.degrees(value))
-
-
-@mutation
-def rotation_in_degrees(files: Files) -> Expected | None:
-    joint = files.moving_joint()
-    origin = joint.find("origin")
-    rpy = numbers(origin, "rpy")
-    if not any(rpy):
-        return None
-    write(origin, "rpy", [math.degrees(value) for value in rpy])
-    return {"rotation"}, {joint.get("name")}
-
-
-@mutation
-def joint_damping(files: Files) -> Expected:
-    joint = files.moving_joint()
-    joint.find("dynamics").set("damping", "0.08")
-    return {"damping"}, {joint.get("name")}
-
-
-@mutation
-def joint_friction(files: Files) -> Expected:
-    joint = files.moving_joint()
-    joint.find("dynamics").set("friction", "0.08")
-    return {"friction"}, {joint.get("name")}
-
-
 @mutation
 def limits_lost(files: Files) -> Expected:
     joint = files.moving_joint()
     joint.set("type", "continuous")
     del joint.find("limit").attrib["lower"], joint.find("limit").attrib["upper"]
     return {"lower limit", "upper limit"}, {joint.get("name")}
-
-
-@mutation
-def revolute_made_prismatic(files: Files) -> Expected:
-    joint = files.moving_joint()
-    joint.set("type", "prismatic")
-    return {"type"}, {joint.get("name")}
 
 
 @mutation
@@ -333,9 +333,6 @@ def foot_frame(files: Files) -> Expected:
     return {"frame", "com", "inertia"}, {foot, files.mover(parent)}
 
 
-# ------------------------------------------------------------------------------------- the MJCF
-
-
 @mutation
 def mjcf_mass(files: Files) -> Expected | None:
     body = files.mjcf_body()
@@ -351,34 +348,6 @@ def mjcf_mass(files: Files) -> Expected | None:
 
 
 @mutation
-def mjcf_body_position(files: Files) -> Expected:
-    body = files.mjcf_body()
-    x, y, z = numbers(body, "pos")
-    write(body, "pos", [x + 0.003, y - 0.002, z + 0.001])
-    return {"position"}, {body.find("joint").get("name")}
-
-
-@mutation
-def mjcf_body_rotation(files: Files) -> Expected:
-    body = files.mjcf_body()
-    w, x, y, z = numbers(body, "quat", "1 0 0 0")
-    c, s = math.cos(0.05), math.sin(0.05)  # 0.1 rad more about its own x
-    write(body, "quat", [w * c - x * s, w * s + x * c, y * c + z * s, z * c - y * s])
-    return {"rotation"}, {body.find("joint").get("name")}
-
-
-@mutation
-def mjcf_quaternion_order(files: Files) -> Expected | None:
-    """(x, y, z, w) is written for (w, x, y, z)."""
-    body = files.mjcf_body()
-    w, x, y, z = numbers(body, "quat", "1 0 0 0")
-    if body.get("quat") is None or max(abs(w), abs(x), abs(y), abs(z)) > 0.99:
-        return None
-    write(body, "quat", [x, y, z, w])
-    return {"rotation"}, {body.find("joint").get("name")}
-
-
-@mutation
 def mjcf_axis(files: Files) -> Expected:
     joint = files.mjcf_joint()
     kind = joint.get("class")
@@ -388,38 +357,10 @@ def mjcf_axis(files: Files) -> Expected:
 
 
 @mutation
-def mjcf_range(files: Files) -> Expected:
-    joint = files.mjcf_joint()
-    joint.set("range", "-0.2 0.3")
-    return {"lower limit", "upper limit"}, {joint.get("name")}
-
-
-@mutation
 def mjcf_force_range(files: Files) -> Expected:
     motor = files.choose.choice(list(files.mjcf.find("actuator")))
     motor.set("forcerange", "-7 7")
     return {"effort"}, {motor.get("joint")}
-
-
-@mutation
-def mjcf_damping(files: Files) -> Expected:
-    joint = files.mjcf_joint()
-    joint.set("damping", "0.3")
-    return {"damping"}, {joint.get("name")}
-
-
-@mutation
-def mjcf_friction_loss(files: Files) -> Expected:
-    joint = files.mjcf_joint()
-    joint.set("frictionloss", "0.3")
-    return {"friction"}, {joint.get("name")}
-
-
-@mutation
-def mjcf_armature(files: Files) -> Expected:
-    joint = files.mjcf_joint()
-    joint.set("armature", "0.02")
-    return {"armature"}, {joint.get("name")}
 
 
 @mutation
@@ -461,33 +402,6 @@ def mjcf_inertia_from_geoms(files: Files) -> Expected | None:
     return {"mass", "com", "inertia"}, names
 
 
-@mutation
-def mjcf_free_joint_with_damping(files: Files) -> Expected:
-    """A default class that is meant for the hinges reaches <joint type="free">."""
-    base = next(body for body in files.mjcf.iter("body") if body.get("name") == "base_link")
-    base.find("joint").set("damping", "0.5")
-    return {"damping"}, {"base_link"}
-
-
-# ----------------------------------------------------------- what a URDF has no words for
-
-
-def _of_joint(kind: str, **attributes: str) -> Mutation:
-    def change(files: Files) -> Expected:
-        joint = files.mjcf_joint()
-        for name, value in attributes.items():
-            joint.set(name, value)
-        return {kind}, {joint.get("name")}
-
-    return change
-
-
-MUTATIONS["spring"] = _of_joint("spring", stiffness="2")
-MUTATIONS["weak_spring"] = _of_joint("spring", stiffness="1e-5")
-MUTATIONS["spring_at_an_angle"] = _of_joint("spring", stiffness="1500", springref="0.4")
-MUTATIONS["stiffness_polynomial"] = _of_joint("spring", stiffness="0 0 3")
-
-
 def _more_damping(files: Files) -> Expected:
     joint = files.mjcf_joint()
     # The linear coefficient stays that of the joint's default class.
@@ -501,13 +415,6 @@ def _more_damping(files: Files) -> Expected:
 
 
 MUTATIONS["damping_polynomial"] = _more_damping
-
-
-@mutation
-def free_joint_with_spring(files: Files) -> Expected:
-    base = next(body for body in files.mjcf.iter("body") if body.get("name") == "base_link")
-    base.find("joint").set("stiffness", "30")
-    return {"spring"}, {"base_link"}
 
 
 @mutation
@@ -584,24 +491,6 @@ MUTATIONS["spatial_spring"] = _between_two_bodies(_spatial_tendon(stiffness="40"
 MUTATIONS["spatial_armature"] = _between_two_bodies(_spatial_tendon(armature="0.3"))
 
 
-def _option(kind: str, **attributes: str) -> Mutation:
-    def change(files: Files) -> Expected:
-        option = files.mjcf.find("option")
-        if option is None:
-            option = ElementTree.SubElement(files.mjcf, "option")
-        for name, value in attributes.items():
-            option.set(name, value)
-        return {kind}, {"option"}
-
-    return change
-
-
-MUTATIONS["fluid_density"] = _option("fluid", density="1.2")
-MUTATIONS["fluid_viscosity"] = _option("fluid", viscosity="0.9")
-MUTATIONS["fluid_wind"] = _option("fluid", density="1.2", wind="5 0 1")
-MUTATIONS["gravity_of_the_moon"] = _option("gravity", gravity="0 0 -1.62")
-
-
 @mutation
 def fluid_around_an_ellipsoid(files: Files) -> Expected:
     body = files.mjcf_body()
@@ -609,15 +498,12 @@ def fluid_around_an_ellipsoid(files: Files) -> Expected:
         body, "geom", type="ellipsoid", size="0.05 0.02 0.03", mass="0", fluidshape="ellipsoid",
         contype="0", conaffinity="0",
     )  # fmt: skip
-    return _option("fluid", density="1000")(files)
+    return stated(option, "fluid", density="1000")(files)
 
 
 def _flag(word: str, kinds: set[str]) -> Mutation:
     def change(files: Files) -> Expected:
-        option = files.mjcf.find("option")
-        if option is None:
-            option = ElementTree.SubElement(files.mjcf, "option")
-        ElementTree.SubElement(option, "flag", {word: "disable"})
+        ElementTree.SubElement(option(files)[0], "flag", {word: "disable"})
         names = {str(joint.get("name")) for joint in files.mjcf.iter("joint")}
         return kinds, {"option", word} | names
 
@@ -719,9 +605,6 @@ def joints_coupled_otherwise(files: Files) -> Expected:
         section, "joint", name="gear", joint1=names[0], joint2=names[1], polycoef="0.1 2.1 0 0 0"
     )
     return {"mimic", "equality"}, {names[0], "gear"}
-
-
-# ------------------------------------------------------------------------------------- the test
 
 
 @cache

@@ -136,13 +136,6 @@ def test_a_number_is_no_list_and_no_list_of_another_length() -> None:
     assert is_same({"urdf": 4.4}, {"urdf": 4.4 * (1 + 1e-15)})
 
 
-def test_moved_lines_are_no_change(folder: Path) -> None:
-    for name in ("hopper.urdf", "hopper.xml"):
-        text = (folder / name).read_text()
-        (folder / name).write_text(text.replace(">\n", ">\n\n"))
-    assert run(folder).returncode == 0
-
-
 def test_what_was_mended_is_stale_until_the_baseline_is_written(folder: Path) -> None:
     change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.2"')
     result = run(folder)
@@ -189,23 +182,6 @@ def test_nobody_can_write_into_the_baseline_that_a_file_is_not_read(folder: Path
     check = pa.guard.check_repository(config)
     assert not check.passed
     assert [r.state for r in check.remarks if r.kind == "refused"] == [RemarkState.NEW]
-
-
-def test_two_files_that_cannot_be_compared(folder: Path) -> None:
-    change(folder / "pupper-analysis.toml", 'feet = ["foot"]', 'feet = ["toe"]')
-    result = run(folder)
-    assert result.returncode == 1
-    assert "crosscheck refused (new)" in result.stdout
-    assert "no frame of both files (for a foot) 'toe'; there are: foot" in result.stdout
-
-
-def test_the_base_that_is_named(folder: Path) -> None:
-    change(folder / "pupper-analysis.toml", 'feet = ["foot"]', 'base = "base"')
-    assert run(folder).returncode == 0
-    change(folder / "pupper-analysis.toml", 'base = "base"', 'base = "trunk"')
-    result = run(folder)
-    assert result.returncode == 1
-    assert "the base is base, not trunk" in result.stdout
 
 
 def test_a_joint_in_one_file_only(folder: Path) -> None:
@@ -328,17 +304,6 @@ def test_init_names_all_models_and_does_not_write_over_one(folder: Path) -> None
     assert "no URDF and no MJCF" in run(empty, "--init").stderr
 
 
-def test_from_a_folder_below_and_by_its_path(folder: Path) -> None:
-    below = folder / "src"
-    below.mkdir()
-    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.25"')
-    assert "::error file=" in run(below, "--format", "github").stdout
-    elsewhere = folder.parent
-    config = "repository/pupper-analysis.toml"
-    shown = run(elsewhere, "--config", config, "--format", "github").stdout
-    assert "::error file=repository/hopper.xml,line=16,title=mass of knee::" in shown
-
-
 def test_paths_are_those_of_the_checkout(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever folder the job works in."""
     monkeypatch.setenv("GITHUB_WORKSPACE", str(folder.parent))
@@ -398,10 +363,6 @@ def test_other_words_are_nothing_new(folder: Path, monkeypatch: pytest.MonkeyPat
     )
     assert found.state is RemarkState.CHANGED
     assert (found.before or {})["values"]["mass"] == -0.4
-
-
-def test_github_shows_what_is_not_known(folder: Path) -> None:
-    assert run(folder, "--format", "github").stdout == "passed: 0 to fix, 1 known\n"
 
 
 REFUSED = {

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import pickle
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +23,7 @@ from pupper_analysis.models.multibody import (
     to_pinocchio,
 )
 from pupper_analysis.robot.matching.trees import kinematic_trees
-from pupper_analysis.tools.diff.compare import Trial, rename_joints, with_fixed
+from pupper_analysis.tools.diff.compare import Trial, with_fixed
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 from tests.support.robots import (
@@ -377,28 +375,6 @@ def test_a_fixed_joint_is_pinocchios(tmp_path: Path) -> None:
         assert here.isApprox(reduced.jointPlacements[reduced.getJointId(name)], 1e-12)
 
 
-def test_renamed_joints_are_the_same_robot(tmp_path: Path) -> None:
-    tree, _ = kinematic_trees(load("v3"))
-    other = rename_joints(rename_joints(tree, {"leg_front_l_2": "x"}), {"x": "leg_front_l_2"})
-    assert other.joints.keys() == tree.joints.keys()
-    assert [joint.parent for joint in other.joints.values()] == [
-        joint.parent for joint in tree.joints.values()
-    ]
-    middle = rename_joints(tree, {"leg_front_l_2": "x"})
-    assert middle.joints["leg_front_l_3"].parent == "x"
-    assert "x" in middle.bodies
-
-
-def test_hanging_torques_of_a_longer_leg(tmp_path: Path) -> None:
-    """Farther out, the shank asks more of the hip; of the knee, and of other legs, as before."""
-    far = replace(ROBOT["shank1"], position=(0.0, 0.16, -0.4))
-    diff = diff_of(tmp_path, ROBOT, {**ROBOT, "shank1": far}, "urdf")
-    assert diff.torques["knee1"][0] == pytest.approx(diff.torques["knee1"][1], rel=1e-12)
-    assert diff.torques["hip1"][1] > diff.torques["hip1"][0]
-    assert diff.torques["hip2"][0] == pytest.approx(diff.torques["hip2"][1], rel=1e-12)
-    assert math.isclose(*diff.mass)
-
-
 # ------------------------------------------------------------------------------------- git
 
 
@@ -644,13 +620,6 @@ def test_diff_prints_its_changes(tmp_path: Path) -> None:
     assert row.split() == ["knee0", f"{old:.4g}", f"{added:.4g}", "+100", "%"]
     assert not any(line.startswith("knee1") for line in shown.splitlines())
     assert content["same"] is False
-
-
-def test_equal_versions_have_no_changes(tmp_path: Path) -> None:
-    written(tmp_path, urdf_text(ROBOT), urdf_text(ROBOT), "urdf")
-    result = run(tmp_path, "old.urdf", "new.urdf")
-    assert result.returncode == 0
-    assert result.stdout == "SAME old.urdf and new.urdf: no change\n"
 
 
 def test_options_of_diff_are_heeded_and_checked(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models import attributes
-from pupper_analysis.models.stated import elements
+from pupper_analysis.models.stated import mjcf as elements
 from tests.support.one_place_edits import FALLS, FELT, HARMLESS, Edit, copied
 from tests.support.random_edits import apart, rollout
 from tests.support.repository import ROOT

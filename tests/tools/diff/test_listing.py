@@ -8,7 +8,7 @@ import mujoco
 
 from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.tools.diff.listing import ENABLED, list_elements
+from pupper_analysis.tools.diff.elements import ENABLED, list_elements
 
 TEXT = """<mujoco>
   <option timestep="0.003" cone="elliptic">

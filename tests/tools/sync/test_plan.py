@@ -16,9 +16,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.arrays import inertia_of
 from pupper_analysis.tools.sync.digits import Digits
-from pupper_analysis.tools.sync.inertia import is_same_body
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 from pupper_analysis.tools.sync.xml_bytes import read_document
 from tests.support.robots import (
@@ -130,18 +128,6 @@ def test_choices_are_a_side_a_kind_or_a_number(
 def test_choices_that_mean_nothing_are_refused(tmp_path: Path, take: str, said: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=re.escape(said)):
         sync(pair(tmp_path, DIFFERENT), take)
-
-
-def test_the_tenth_digit_of_an_inertial_tells_two_bodies_apart() -> None:
-    """Rounding is in the fifteenth: what differs before it is written, and not passed over."""
-    one = inertia_of(2.0, np.array([0.1, 0.0, 0.0]), np.diag([1e-4, 2e-4, 2.5e-4]))
-    for factor, alike in ((1e-15, True), (1e-9, False), (1e-4, False)):
-        others = (
-            inertia_of(2.0 * (1 + factor), one.lever, one.inertia),
-            inertia_of(2.0, one.lever + factor, one.inertia),
-            inertia_of(2.0, one.lever, one.inertia * (1 + factor)),
-        )
-        assert [is_same_body(one, other) for other in others] == [alike] * 3
 
 
 def test_values_can_go_both_ways_at_once(tmp_path: Path) -> None:

@@ -13,13 +13,13 @@ from pupper_analysis.models.loading import Found
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import existing_file, is_pointer
-from pupper_analysis.models.stated.meshes import mesh_problem
 from pupper_analysis.models.stated.model import (
     FIXED,
     MjcfModel,
     RobotModel,
     UrdfModel,
 )
+from pupper_analysis.models.stated.urdf import mesh_problem
 from pupper_analysis.tools.audit.registry import rule
 
 

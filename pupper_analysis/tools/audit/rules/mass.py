@@ -28,13 +28,13 @@ from pupper_analysis.models.stated.model import (
     MjcfModel,
     RobotModel,
 )
-from pupper_analysis.tools.audit.extents import (
+from pupper_analysis.tools.audit.registry import (
     extent_points,
     known_points,
     link_points,
     outside_hull,
+    rule,
 )
-from pupper_analysis.tools.audit.registry import rule
 
 LIGHT, HEAVY = 0.05, 500.0
 """Total masses between which a legged robot is expected (kg)."""

@@ -32,8 +32,7 @@ from pupper_analysis.models.stated.model import (
 )
 from pupper_analysis.robot.contact import ContactParameters, combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
-from pupper_analysis.tools.audit.extents import known_points
-from pupper_analysis.tools.audit.registry import rule
+from pupper_analysis.tools.audit.registry import known_points, rule
 
 
 @dataclass(frozen=True, eq=False)

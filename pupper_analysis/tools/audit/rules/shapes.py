@@ -17,8 +17,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.models.loading import Found
 from pupper_analysis.models.shapes import Shape
 from pupper_analysis.models.stated.model import Array, Link, RobotModel
-from pupper_analysis.tools.audit.extents import extent_points, known_points, link_points
-from pupper_analysis.tools.audit.registry import rule
+from pupper_analysis.tools.audit.registry import extent_points, known_points, link_points, rule
 
 TOLERANCE = 1e-3
 """How exactly shapes are expected at joints and frames (m)."""

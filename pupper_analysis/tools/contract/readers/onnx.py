@@ -10,8 +10,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MOST_FILE, read_input
 from pupper_analysis.models.places import Place, refuse_input
-from pupper_analysis.tools.contract.facts import Node, Request, Role, Source, Statement
-from pupper_analysis.tools.contract.marked import scalar
+from pupper_analysis.tools.contract.facts import Node, Request, Role, Source, Statement, scalar
 from pupper_analysis.tools.contract.readers.tables import of_table
 
 SUFFIXES = (".onnx",)

@@ -20,8 +20,8 @@ from pupper_analysis.tools.contract.facts import (
     Source,
     Statement,
     kind_of,
+    read_marked,
 )
-from pupper_analysis.tools.contract.marked import read_marked
 
 SUFFIXES = (".yaml", ".yml", ".json")
 
