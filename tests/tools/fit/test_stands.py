@@ -275,7 +275,7 @@ def com(one: Robot) -> Array:
     ("kind", "subject", "component", "factor"),
     [("mass", "leg_front_r_3", "", "mass"), ("com", "leg_back_l_2", "z", "com_z")],
 )
-def test_how_sure_thewhole_com_is_follows_from_one_number(
+def test_how_sure_the_whole_com_is_follows_from_one_number(
     robot: Robot, kind: str, subject: str, component: str, factor: str
 ) -> None:
     """By differences: a robot in which that number alone is off by its standard deviation."""
@@ -333,7 +333,7 @@ def test_a_dead_band_is_found_and_kp_is_right_beside_it(
     band, kp = math.radians(0.3), np.array([own_servos(robot)[n][0] for n in robot.joint_names])
     lead = stands.command - stands.position
     lazy = replace(stands, command=stands.command + band * np.sign(lead))
-    fit = fit_stands(robot, lazy, weight=planted.total_mass, priors=["deadband=0.3deg"])
+    fit = fit_stands(robot, lazy, weight=planted.total_mass, priors=["deadband=0.3deg", "load=0"])
     assert fit.explained
     (found,) = (one for one in fit.estimates if one.kind == "deadband")
     assert 0 < found.low < band < found.high

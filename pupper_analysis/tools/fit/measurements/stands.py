@@ -259,7 +259,7 @@ def stands_text(stands: MeasuredStands, *, header: bool = True) -> str:
         on = [f"{one:.6g}" for own in stands.added.values() for one in own[row]]
         numbers = [*stands.command[row], *stands.position[row]]
         cells = [f"{one:.6f}" if math.isfinite(one) else "" for one in numbers]
-        heading = f"{stands.heading[row]:.6g}"
+        heading = f"{stands.heading[row]:.8g}"
         writer.writerow([name, " ".join(stands.swing[row]), heading, *on, *cells])
     return text.getvalue()
 
