@@ -150,9 +150,9 @@ def derive(posterior: Posterior, one: Parameter, mean: float, line: Array) -> Es
 
 
 def kp_over_mass(posterior: Posterior, *, alone: bool = False) -> Estimate | None:
-    """Returns by which factor servos are stiffer than stated over all masses; None if kp is known.
+    """Returns by which factor servos are stiffer over all that they carry; None if kp is known.
 
-    The geometric mean of kp's factors, over the factor of the masses' sum.
+    The geometric mean of kp's factors, over the factor of the masses' sum, with their load.
 
     Args:
         posterior: What is known of the parameters.
@@ -171,6 +171,10 @@ def kp_over_mass(posterior: Posterior, *, alone: bool = False) -> Estimate | Non
     if masses.any() and not alone:
         factor *= float(stated[masses].sum() / mean[masses].sum())
         line[masses] = -1 / mean[masses].sum()
+    loads = np.array([one.kind == "load" for one in posterior.parameters])
+    if loads.any() and not alone:  # what no scale has shown is carried, too
+        factor /= float(1 + mean[loads].sum())
+        line[loads] = -1 / (1 + mean[loads].sum())
     whole = Parameter("kp", "servos", "", 1.0, 0.0)
     return replace(derive(posterior, whole, factor, factor * line), unit="1")
 

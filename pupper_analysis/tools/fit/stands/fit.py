@@ -439,7 +439,7 @@ def fit_stands(
 
 _LEAVE_NONE = (
     *("scale-far-from-the-file", "known-mass-contradicts-the-scale"),
-    *("ground-slopes", "leg-is-longer"),
+    "ground-slopes",
 )
 
 
