@@ -429,8 +429,9 @@ def fit_stands(
         if wiring := find_wiring(robot, given, evidence, fit):
             raise MeasurementError(given.source, wiring.found) from error
         raise
-    # Plugs that are exchanged leave residuals; a wrong scale, a slope, long legs leave none.
-    if all(one.code in _LEAVE_NONE for one in found.failures):
+    # Plugs that are exchanged leave residuals, or a stand out; a wrong scale and a slope do not.
+    whole = all(one.code != "stand-left-out" for one in found.diagnostics)
+    if whole and all(one.code in _LEAVE_NONE for one in found.failures):
         return found
     if wiring := find_wiring(robot, given, evidence, fit):
         return replace(found, failures=(wiring.found, *found.failures))
