@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.simulation.trial import _limits, simulate_nudges
+from pupper_analysis.simulation.trial import _limits, may_be_upset, simulate_nudges
+from pupper_analysis.stance.stand import stand_statics
 from tests.support.legged import quadruped
+from tests.support.variants import load
 
 
 @pytest.mark.parametrize(("limits", "rests"), [("0 1", True), ("-1e-9 1", True), ("-1 1", False)])
@@ -32,3 +34,13 @@ def test_a_joint_that_rests_against_its_limit_does_not_come_to_it(
     legs = np.arange(robot.nu) != nod
     assert np.array_equal(lower[legs], robot.lower_limits[legs])
     assert np.array_equal(upper, robot.upper_limits)
+
+
+def test_a_foot_that_bears_next_to_nothing_may_lift() -> None:
+    """On unlike slopes least tangential forces leave two of four feet with all but no load."""
+    robot, upset = load("v3"), {}
+    for tilt in (0.0, 0.15):
+        task = pa.StandTask(ground=pa.Ground(tilts={"FL": tilt} if tilt else {}))
+        stand = pa.solve_stand_as_simulated(robot, task)
+        upset[tilt] = may_be_upset(robot, stand, stand_statics(robot, stand))
+    assert upset == {0.0: False, 0.15: True}
