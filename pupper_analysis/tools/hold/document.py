@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -153,16 +153,17 @@ def _payload(hold: Hold) -> doc.Table:
         doc.Column(text("mass"), "kg"),
         doc.Column(text("motor-at-its-limit"), left=True),
     )
-    notes: tuple[doc.Words, ...] = ()
-    trial = hold.payload_trial
-    if trial is not None:
-        share = f"{TRIED:.0%}"
-        if trial.passed:
-            notes = (text("payload-trial-holds", share=share),)
-        else:
-            why = join_words(map(doc.tell, trial.failures), "semicolon")
-            notes = (text("payload-trial-fails", share=share, why=why),)
-    return doc.Table(text("payload-at-the-tool"), columns, rows, notes=notes)
+    return doc.Table(text("payload-at-the-tool"), columns, rows, notes=(*_tried(hold),))
+
+
+def _tried(hold: Hold) -> Iterator[doc.Words]:
+    """Yields what became of the payload that was simulated, if one was."""
+    trial, share = hold.payload_trial, f"{TRIED:.0%}"
+    if trial is not None and trial.passed:
+        yield text("payload-trial-holds", share=share)
+    elif trial is not None:
+        why = join_words(map(doc.tell, trial.failures), "semicolon")
+        yield text("payload-trial-fails", share=share, why=why)
 
 
 def _force(hold: Hold) -> doc.Table:
@@ -301,11 +302,13 @@ def _findings(hold: Hold) -> Iterable[doc.Words]:
         somewhere=_limit(hold.payload.somewhere),
         force=_limit(hold.force.weakest),
     )
+    if hold.payload_trial is not None and not hold.payload_trial.passed:
+        yield from (words.marked("warn") for words in _tried(hold))
 
 
 def _limit(most: float) -> str:
     """Writes a limit; nothing where there is none."""
-    return f"{most:.3g}" if math.isfinite(most) else ""
+    return (f"{most:.3g}" if most < 1e3 else f"{most:.0f}") if math.isfinite(most) else ""
 
 
 def _agreement(hold: Hold) -> doc.Words:

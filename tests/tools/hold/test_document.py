@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import Table
 from pupper_analysis.tools.hold.document import hold_document
 from tests.support.arm import arm
@@ -25,3 +28,16 @@ def test_torques_positions_and_sags_are_each_in_their_column() -> None:
     ):
         shown = [float(row[columns[name]].text) for row in table.rows]
         assert shown == pytest.approx(values.tolist(), abs=5e-5 if name == "torque" else 5e-3)
+
+
+def test_a_payload_that_mujoco_lets_fall_is_no_headline_alone() -> None:
+    """Beside the motors' limit, not only in its table, stands what the simulation made of it."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    assert held.payload_trial is not None
+    assert held.payload_trial.passed
+    why = diagnose("nudge-does-not-decay", speed=1e-3, after=Quantity(7.0, "s"), left=5e-4)
+    shaking = replace(held.payload_trial, passed=False, failures=(why,))
+    for trial, lines in ((held.payload_trial, 0), (shaking, 1), (None, 0)):
+        document = hold_document(replace(held, payload_trial=trial))
+        said = [line for line in document.findings if "FAILS in MuJoCo" in str(line)]
+        assert len(said) == lines
