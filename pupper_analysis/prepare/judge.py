@@ -235,14 +235,14 @@ def remarks_of_files(robot: Robot) -> tuple[Diagnostic, ...]:
     """Tells which errors and assumptions of a robot's files all verdicts on it rest on."""
     loaded = as_loaded(robot)
     messages = [note for note in loaded.notes if note.code in _BEARING]
-    own, model = loaded.joint_names, loaded.mj_model
+    own, model = np.array(loaded.joint_names), loaded.mj_model
     dofs = model.jnt_dofadr[[model.joint(name).id for name in own]]
-    for code, values in (
-        ("joints-rub-negatively", model.dof_frictionloss[dofs]),
-        ("joints-damped-negatively", model.dof_damping[dofs]),
-    ):
-        if (values < 0).any():
-            messages.insert(0, diagnose(code, joints=np.array(own)[values < 0].tolist()))
+    if (model.dof_frictionloss[dofs] < 0).any():
+        driven = own[model.dof_frictionloss[dofs] < 0].tolist()
+        messages.insert(0, diagnose("joints-rub-negatively", joints=driven))
+    if (model.dof_damping[dofs] < 0).any():
+        driven = own[model.dof_damping[dofs] < 0].tolist()
+        messages.insert(0, diagnose("joints-damped-negatively", joints=driven))
     made_up = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
     elsewhere = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
     return (*made_up, *elsewhere, *efforts_nobody_meant(robot), *import_refused(robot))

@@ -184,7 +184,7 @@ def test_motors_of_tendons_exert_nothing_and_are_told(
     drive, rows = model_with_servos(robot), robot.home[7:] + np.array([[0.0], [0.1], [-0.2]])
     one_by_one = [drive.command(robot, row, row) for row in rows]
     np.testing.assert_array_equal(drive.command(robot, rows, rows), one_by_one)
-    assert (np.ptp([row[0] for row in one_by_one]) > 0.1) is pulls
+    assert bool(np.ptp([row[0] for row in one_by_one]) > 0.1) is pulls
     plain = quadruped(tmp_path)
     notes = pa.load_robot(urdf=plain.urdf, mjcf=plain.mjcf).notes
     assert not [note for note in notes if note.code == "motors-commanded-zero"]

@@ -188,7 +188,7 @@ class TrackedIntervals(Result):
         intervals: One for each quantity, the others unchanged.
         rollouts: How many runs were simulated.
         seconds: Simulated in each.
-        remarks: As ``Walk.remarks``.
+        remarks: Errors and assumptions of the robot's files that it rests on.
     """
 
     name: str

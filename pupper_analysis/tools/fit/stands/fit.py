@@ -720,17 +720,17 @@ def _used(
     stopped = (position < robot.lower_limits + margin) | (position > robot.upper_limits - margin)
     full = (np.abs(kp * lead) > _FULL * robot.effort_limits) & ~stopped
     notes = [] if commanded.any() else [diagnose("stands-without-commands")]
-    for code, found in (
-        ("stands-at-stops", stopped & commanded),
-        ("stands-with-full-torque", full),
-    ):
+    for at_stop, found in ((True, stopped & commanded), (False, full)):
         if found.any():
             rows, joints = np.nonzero(found)
             where = [stands.names[row] for row in np.unique(rows)]
             names = [robot.joint_names[joint] for joint in np.unique(joints)]
-            notes.append(diagnose(code, stands=where, joints=names))
+            notes.append(diagnose(_LEFT_OUT[at_stop], stands=where, joints=names))
     return replace(stands, command=np.where(stopped | full, np.nan, stands.command)), tuple(notes)
 
+
+_LEFT_OUT = {True: "stands-at-stops", False: "stands-with-full-torque"}
+"""{whether a joint is at a stop, or its motor gives all it can: the note}."""
 
 _FULL = 0.98
 """Of a motor's limit: what it gives then is cut off."""

@@ -417,8 +417,12 @@ class RandomStands:
     def explain(self, wanted: int) -> Diagnostic:
         """Returns why there are fewer than that: what most stands failed in."""
         code = max(self._refused, key=lambda one: self._refused[one])
-        off = Quantity(self._off_limits, "rad")
-        return diagnose(code, found=self._found, wanted=wanted, off=off)
+        if code == "too-few-in-reach":
+            off = Quantity(self._off_limits, "rad")
+            return diagnose("too-few-in-reach", found=self._found, wanted=wanted, off=off)
+        if code == "too-few-within-limits":
+            return diagnose("too-few-within-limits", found=self._found, wanted=wanted)
+        return diagnose("too-few-are-held", found=self._found, wanted=wanted)
 
     def _task(self) -> StandTask:
         rng, size, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
