@@ -156,7 +156,7 @@ def _payload(hold: Hold) -> doc.Table:
     return doc.Table(text("payload-at-the-tool"), columns, rows, notes=(*_tried(hold),))
 
 
-def _tried(hold: Hold) -> Iterator[doc.Words]:
+def _tried(hold: Hold) -> Iterator[doc.Text]:
     """Yields what became of the payload that was simulated, if one was."""
     trial, share = hold.payload_trial, f"{TRIED:.0%}"
     if trial is not None and trial.passed:

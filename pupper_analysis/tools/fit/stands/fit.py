@@ -725,11 +725,11 @@ def _used(
             rows, joints = np.nonzero(found)
             where = [stands.names[row] for row in np.unique(rows)]
             names = [robot.joint_names[joint] for joint in np.unique(joints)]
-            notes.append(diagnose(_LEFT_OUT[at_stop], stands=where, joints=names))
+            notes.append(diagnose(_TELLS_NO_TORQUE[at_stop], stands=where, joints=names))
     return replace(stands, command=np.where(stopped | full, np.nan, stands.command)), tuple(notes)
 
 
-_LEFT_OUT = {True: "stands-at-stops", False: "stands-with-full-torque"}
+_TELLS_NO_TORQUE = {True: "stands-at-stops", False: "stands-with-full-torque"}
 """{whether a joint is at a stop, or its motor gives all it can: the note}."""
 
 _FULL = 0.98
