@@ -200,10 +200,10 @@ class UrdfSide(Side):
         for link, changes in best.items():
             self._write(link, changes)
         if len(placed) > 1:
-            one, several = ("one-link-changed", "links-changed-alike")
-            message = diagnose(several, links=len(best))
+            message = diagnose("links-changed-alike", links=len(best))
             if len(best) == 1:
-                message = diagnose(one, links=len(placed), link=next(iter(best)))
+                link = next(iter(best))
+                message = diagnose("one-link-changed", links=len(placed), link=link)
             self.notes.update(dict.fromkeys(keys, message))
 
     def _write(self, link: str, changes: Changes) -> None:
