@@ -203,12 +203,13 @@ def may_be_upset(robot: Robot, stand: Stand, statics: GravityCompensation) -> bo
     fall = NUDGE * math.sqrt(height_of_com(robot, stand) / float(np.linalg.norm(robot.gravity)))
     (lower, upper), angles = _limits(robot, stand), stand.qpos[7:]
     room = np.minimum(angles - lower, upper - angles)
-    loads = dict.fromkeys(robot.feet_with(statics.contact_forces), 0.0)
-    for point, force in statics.contact_forces.items():
-        loads[robot.foot_of(point)] += float(force @ stand.normals[point])
+    loads = [
+        float(load.force @ stand.normals[robot.feet[foot][0]])
+        for foot, load in statics.foot_loads.items()
+    ]
     return bool(
         statics.com_margin < _FALLS * fall
-        or min(loads.values()) < _LIGHT * sum(loads.values()) / len(loads)
+        or min(loads) < _LIGHT * sum(loads) / len(loads)
         or max(statics.motor_utilisation, default=0.0) > _NEARLY
         or max(statics.friction_utilisation.values(), default=0.0) > _NEARLY
         or min(room, default=math.inf) < _NEAR
