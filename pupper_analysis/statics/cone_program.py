@@ -158,8 +158,8 @@ class Balance:
         return parts
 
     def _balances(self, forces: Array) -> bool:
-        error = _largest(self.base @ forces - self.weight)
-        return error < BALANCE_TOLERANCE * _largest(self.weight)
+        error = math.hypot(*(self.base @ forces - self.weight).tolist())
+        return error < BALANCE_TOLERANCE * math.hypot(*self.weight.tolist())
 
     def _violation(self, forces: Array, friction: Array) -> float:
         """Returns the largest tangential force beyond its cone (N); negative inside all."""
@@ -318,11 +318,6 @@ def _sparse(matrix: Array) -> sparse.csc_matrix:
     ends = np.searchsorted(columns, np.arange(len(by_column) + 1))
     given = by_column[columns, rows], rows.astype(np.int32), ends.astype(np.int32)
     return sparse.csc_matrix(given, shape=matrix.shape)
-
-
-def _largest(values: Array) -> float:
-    """Returns the largest absolute value of a few: quicker than by NumPy."""
-    return _nan_or_max([abs(value) for value in values.tolist()])
 
 
 def _nan_or_max(values: list[float]) -> float:

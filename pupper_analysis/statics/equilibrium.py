@@ -405,8 +405,9 @@ def _result(
         utilisation[robot.closure.following] = 0.0  # whatever the URDF says of their motors
     tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
     places = carrying.points(config)
-    forces.setflags(write=False)  # its rows are shared
-    places.setflags(write=False)
+    com = config.center_of_mass()
+    for own in (torques, base_wrench, utilisation, com, forces, places):  # rows are shared
+        own.setflags(write=False)
     per_foot = FrozenDict(zip(carrying.feet, forces, strict=True))
     points = FrozenDict(zip(carrying.feet, places, strict=True))
     contacts = forces.tolist(), carrying.normals.tolist(), carrying.friction.tolist()
@@ -415,7 +416,6 @@ def _result(
         for force, normal, grip in zip(*contacts, strict=True)
     ]
     sliding = FrozenDict(zip(carrying.feet, shares, strict=True))
-    com = config.center_of_mass()
     over = com if point is None else point
     return GravityCompensation(
         joint_names=robot.joint_names,
