@@ -119,12 +119,12 @@ class Search:
             return -_OUT if there is None else self._torque(joint, sign, there)
 
         moved = motions.moved[way]
+        if self._waves and not motions.bent[way] and motions.slides[moved].all():
+            return max((low, high), key=at)  # a line
         if len(moved) > 1 or not self._waves:
             looks = np.linspace(low, high, motions.places(way))
             bent = bool(motions.bent[way])
             return _sampled(at, looks, fine=fine or not bent, everywhere=bent)
-        if motions.slides[moved[0]]:
-            return max((low, high), key=at)
         spring = sign * float(motions.shares[joint, moved[0]] * self.stiffness[moved[0]])
         third = 2 * math.pi / 3
         ahead, behind = at(third) - spring * third, at(-third) + spring * third
