@@ -79,11 +79,12 @@ def limbs_aside(robot: Robot) -> list[Diagnostic]:
     """
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
     data = pose_at_joints(robot, joints)
-    limbs = [limb.bodies for limb in limbs_of(robot)]
-    if len(limbs) < 2:
+    ends: dict[int, list[int]] = {}  # an arm is one limb, however many fingers it has
+    for limb in limbs_of(robot):
+        ends.setdefault(limb.bodies[0], []).append(limb.bodies[-1])
+    if len(ends) < 2:
         return []
-    roots, ends = [bodies[0] for bodies in limbs], [bodies[-1] for bodies in limbs]
-    spans = data.xipos[ends] - data.xpos[roots]
+    spans = np.array([data.xipos[ends[root]].mean(axis=0) - data.xpos[root] for root in ends])
     lengths = np.linalg.norm(spans, axis=1, keepdims=True)
     along = (spans / np.maximum(lengths, _SHORTEST)).mean(axis=0)  # one long arm is no robot's legs
     axis = int(np.argmax(np.abs(along)))

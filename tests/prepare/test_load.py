@@ -395,6 +395,21 @@ def test_a_urdf_whose_base_is_not_upright_is_refused_with_what_to_do(
     np.testing.assert_allclose([float(x) for x in stated.split()], [*np.pi / 2 * np.array(back), 0])
 
 
+def test_fingers_are_one_limb_of_a_base_on_wheels(tmp_path: Path) -> None:
+    """Six fingers of one arm say no more of where is up than the arm does."""
+    link = '<link name="{}"><inertial><mass value="1"/><inertia ixx="1e-2" iyy="1e-2" izz="1e-2"'
+    link += ' ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    joint = '<joint name="to_{0}" type="revolute"><parent link="{1}"/><child link="{0}"/>'
+    joint += '<origin xyz="{2}"/><axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="9"'
+    joint += ' velocity="9"/></joint>'
+    ways = [("arm", "trunk", "0 .1 0"), ("left", "trunk", "0 .2 0"), ("right", "trunk", "0 -.2 0")]
+    ways += [(f"finger{number}", "arm", "0 .3 0") for number in range(6)]
+    text = "".join(map(link.format, ["trunk", *(way[0] for way in ways)]))
+    path = tmp_path / "wheels.urdf"
+    path.write_text(f'<robot name="w">{text}{"".join(joint.format(*way) for way in ways)}</robot>')
+    assert not limbs_aside(pa.load_robot(path, fixed_base=True))
+
+
 def test_preparing_changes_no_file(tmp_path: Path) -> None:
     pair = biped(tmp_path)
     before = pair.urdf.read_bytes(), pair.mjcf.read_bytes()
