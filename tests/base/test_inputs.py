@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, PupperAnalysisError
 from pupper_analysis.base.inputs import (
     check_input,
@@ -99,24 +98,6 @@ def test_damaged_files_of_every_kind_are_read_or_refused_in_one_line(
     kind: damaged.Kind, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert damaged.problems_of(kind, count=8, seed=3, folder=tmp_path) == []
-
-
-def test_a_readers_bug_is_found(tmp_path: Path) -> None:
-    def fails(path: Path) -> None:
-        raise KeyError(path.name)
-
-    def speaks(path: Path) -> None:
-        raise InputError(path.name, diagnose("no-csv", problem="one\ntwo"))
-
-    def hangs(_path: Path) -> None:
-        while True:
-            pass
-
-    for read, message in ((fails, "KeyError"), (speaks, "no line"), (hangs, "no end")):
-        kind = damaged.Kind("a.csv", b"a,b\n", read)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(damaged, "SECONDS", 0.2)
-            assert message in str(damaged.problem_of(kind, b"", tmp_path))
 
 
 def test_a_name_that_no_file_can_have_is_that_of_none(tmp_path: Path) -> None:

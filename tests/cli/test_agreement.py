@@ -31,19 +31,3 @@ def test_an_arm_holds_what_it_is_said_to_hold(tmp_path: Path) -> None:
     found = agreement.of_robot("arm", place, str(urdf), str(mjcf))
     assert not found.disagreements, found.codes
     assert found.payload > 0
-
-
-def test_robots_that_are_not_there_are_counted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In a folder without any, none is passed over in silence."""
-    asked = ["agreement", "--seeds", "1", "0", "--only", ", ", "--robots", str(tmp_path)]
-    monkeypatch.setattr("sys.argv", asked)
-    with pytest.raises(SystemExit) as leaving:
-        agreement.main()
-    named = len(list(agreement.public_robots(tmp_path)))
-    assert named > 20
-    lines = capsys.readouterr().out.splitlines()
-    assert leaving.value.code == 1
-    assert lines[-1] == f"{named} not there"
-    assert len([line for line in lines if "NOT THERE" in line]) == named

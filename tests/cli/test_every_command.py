@@ -89,13 +89,3 @@ def test_a_knee_that_pushes_away_passes_nowhere(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", SURELY)
 def test_what_becomes_of_a_file_by_itself(name: str, tmp_path: Path) -> None:
     assert every_command.row_of(name, EDITS[name], tmp_path, ()).truth is SURELY[name]
-
-
-def test_a_cell_that_is_better_is_seen() -> None:
-    """Or the table could not fail."""
-    good = every_command.Cell(passed=True, refused=False, own=True, added=False, word="HOLDS")
-    assert good.wrong(Truth.FALLS)
-    assert good.wrong(Truth.SHAKES)
-    assert good.wrong(Truth.LIMP)
-    assert not good.wrong(Truth.STANDS)
-    assert every_command.Cell(False, False, False, False, "FAILS").wrong(Truth.FALLS)

@@ -22,8 +22,6 @@ from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.multibody import from_pinocchio, to_pinocchio
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
-from pupper_analysis.models.stated.urdf import read_urdf_model
-from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 
@@ -70,13 +68,6 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     urdf.write_text(to_text(stated_urdf().root))
     mjcf.write_text(MJCF)
     return urdf, mjcf
-
-
-def test_both_models_state_what_their_files_do(files: tuple[Path, Path]) -> None:
-    one = read_urdf_model(read_urdf(files[0])).joints["j"].stated
-    two = read_mjcf_model(read_mjcf(files[1])).joints["j"].stated
-    assert one == {a.kind: VALUES[a.kind] for a in JOINT_ATTRIBUTES if a.urdf}
-    assert two == {a.kind: VALUES[a.kind] for a in JOINT_ATTRIBUTES if a.mjcf}
 
 
 def test_what_is_not_stated_is_unknown_and_zero_is_not(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
-from pupper_analysis.models.efforts import effort_limit
 
 # Every feature that Pupper has not: joints off the frame's origin, two joints in a body, a slide
 # joint, a reference angle, a static child, a rotated inertia.
@@ -72,12 +71,6 @@ def test_odd_model_has_the_same_dynamics_in_pinocchio() -> None:
         mass = pin.crba(converted, pin_data, q)
         mass = np.triu(mass) + np.triu(mass, 1).T
         np.testing.assert_allclose(mass[6:, 6:], full[6:, 6:], rtol=1e-11, atol=1e-14)
-
-
-def test_effort_limits_count_the_gear() -> None:
-    model = mujoco.MjModel.from_xml_string(ODD)
-    assert effort_limit(model, model.joint("shoulder").id) == 6
-    assert effort_limit(model, model.joint("twist").id) == np.inf
 
 
 def test_pinocchios_own_parser_agrees_where_it_can(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 import re
 from pathlib import Path
 
@@ -73,13 +72,6 @@ def test_a_start_pose_is_found(keyframe: str, tmp_path: Path) -> None:
     stands(robot)
 
 
-def test_a_base_that_the_mjcf_holds_is_freed(tmp_path: Path) -> None:
-    robot = load(quadruped(tmp_path, free=False))
-    assert robot.floating
-    said(robot, "a free joint was added")
-    stands(robot)
-
-
 def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> None:
     """MuJoCo's own conversion of a URDF has no body for the root link, and loses its mass."""
     whole = quadruped(tmp_path, keyframe="", floor=True)
@@ -94,12 +86,6 @@ def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> No
     before = there.mj_model.body(there.mj_base)
     assert float(body.mass[0]) == float(before.mass[0]) == 4
     assert np.sort(body.inertia) == pytest.approx(np.sort(before.inertia), rel=1e-12)
-
-
-def test_but_not_if_it_shall_be_fixed(tmp_path: Path) -> None:
-    robot = load(quadruped(tmp_path, free=False), fixed_base=True)
-    assert not robot.floating
-    assert not robot.feet
 
 
 def test_names_that_differ_by_a_prefix(tmp_path: Path) -> None:
@@ -148,11 +134,6 @@ def test_a_foot_that_neither_file_has(tmp_path: Path) -> None:
 def test_a_keyframe_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(pa.UnknownNameError, match=r"crouch.*home"):
         load(quadruped(tmp_path), keyframe="crouch")
-
-
-def test_a_robot_whose_limbs_touch_nothing(tmp_path: Path) -> None:
-    with pytest.raises(pa.ModelError, match=r"no feet were found.*FL_calf"):
-        load(quadruped(tmp_path, foot=""))
 
 
 COUNTS = {"box": 4, "four spheres": 4, "two capsules": 4, "cylinder": 3}
@@ -605,16 +586,6 @@ def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
 def test_wrong_arguments_are_refused_by_name(wrong: dict[str, object], tmp_path: Path) -> None:
     with pytest.raises(pa.ConfigurationError, match=next(iter(wrong))):
         load(quadruped(tmp_path), **wrong)
-
-
-def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path) -> None:
-    robot = load(biped(tmp_path))
-    again = pickle.loads(pickle.dumps(robot))
-    assert (again.fingerprint, again.notes) == (robot.fingerprint, robot.notes)
-    assert dict(again.feet) == dict(robot.feet)
-    one, two = (pa.stance.solve_stand_on_soft_ground(each) for each in (robot, again))
-    np.testing.assert_array_equal(one.qpos, two.qpos)
-    assert pa.verify_stand(again, two).torque_error < 1e-6
 
 
 def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:

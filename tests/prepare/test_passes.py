@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -13,7 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.passes import PASSES, Draft, Pass, Request, prepare_robot
-from tests.support.legged import Pair, fused, quadruped
+from tests.support.legged import Pair, quadruped
 from tests.support.repository import ROOT
 
 
@@ -94,19 +93,6 @@ def test_as_it_is_nothing_is_added(tmp_path: Path) -> None:
     assert motors.all()
 
 
-def test_a_base_that_was_fused_with_the_world_is_freed_alone(tmp_path: Path) -> None:
-    pair = fused(quadruped(tmp_path))
-    draft = draft_of(pair)
-    assert not [joint for joint in draft.spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
-    freed, codes = run(draft, "name-elements", "free-base")
-    assert codes == ["base-added"]
-    model = freed.spec.copy().compile()
-    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE.value
-    assert model.body_mass.sum() == pytest.approx(
-        pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf).total_mass
-    )
-
-
 def test_ground_motors_and_friction_are_of_the_drafts_own_copy(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     draft = draft_of(pair)
@@ -123,26 +109,6 @@ def test_ground_motors_and_friction_are_of_the_drafts_own_copy(tmp_path: Path) -
         geom for geom in grounded.described.mjcf.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE
     ]
     assert (len(planes), len(found)) == (0, 1)
-
-
-def test_the_narrower_limit_is_kept_by_one_pass(tmp_path: Path) -> None:
-    pair = quadruped(tmp_path)
-    text = pair.mjcf.read_text()
-    draft = draft_of(pair)
-    upto = [each.name for each in PASSES[: [p.name for p in PASSES].index("narrow-limits")]]
-    draft, _ = run(draft, *(name for name in upto if name != "build-held"))
-    joint = draft.robot.joint_names[0]
-    low, high = float(draft.robot.lower_limits[0]), float(draft.robot.upper_limits[0])
-    spec = draft.described.mjcf
-    spec.joint(joint).range = [low + 0.1, high]
-    spec.joint(joint).limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    if spec.compiler.degree:
-        spec.joint(joint).range = np.degrees([low + 0.1, high])
-    narrowed, codes = run(replace(draft, built=None), "build", "narrow-limits")
-    assert codes == ["narrower-limits-kept"]
-    assert narrowed.robot.lower_limits[0] == pytest.approx(low + 0.1)
-    assert narrowed.robot.upper_limits[0] == pytest.approx(high)
-    assert pair.mjcf.read_text() == text
 
 
 def test_files_that_are_ready_need_no_pass() -> None:

@@ -77,15 +77,6 @@ def test_a_ball_in_the_scene_and_named_feet(tmp_path: Path, first: bool) -> None
     assert verdict.passed is not first  # its base is where the keyframe has the ball
 
 
-def test_a_hand_keeps_its_base_in_the_world(tmp_path: Path) -> None:
-    pair = legged.quadruped(tmp_path, foot="", free=False, keyframe="")
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    assert not robot.floating
-    assert "base-kept-in-the-world" in {note.code for note in robot.notes}
-    with pytest.raises(pa.ConfigurationError, match=r"no feet were found.* pupper-analysis hold"):
-        pa.solve_stand(robot)
-
-
 def test_legs_that_a_file_holds_in_the_world_are_freed(tmp_path: Path) -> None:
     pair = legged.quadruped(tmp_path, free=False, keyframe="", actuators="position")
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)

@@ -9,7 +9,7 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from tests.support.bodies import BODIES, assert_same_bodies, mujoco_bodies, pinocchio_bodies
+from tests.support.bodies import BODIES
 from tests.support.engines import mujoco_at
 from tests.support.repository import ROOT
 from tests.support.states import numbers
@@ -38,40 +38,16 @@ def compiled(file: str) -> mujoco.MjModel:
 # ------------------------------------------------------------------------------------- numbers
 
 
-@pytest.mark.parametrize(
-    ("base", "feet", "com"),
-    [
-        (
-            "v3",
-            {
-                "FR": (0.06881, -0.1015, -0.11156),
-                "FL": (0.06881, 0.1015, -0.11156),
-                "RR": (-0.08119, -0.0905, -0.11156),
-                "RL": (-0.08119, 0.0905, -0.11156),
-            },
-            (-0.00272409, 0, -0.00609136),
-        ),
-        (
-            "original",
-            {
-                "FL": (0.075, 0.0835, -0.19),
-                "FR": (0.075, -0.0835, -0.19),
-                "RL": (-0.075, 0.0725, -0.19),
-                "RR": (-0.075, -0.0725, -0.19),
-            },
-            # torso, thighs (0.186 kg), calves (0.05 kg) and feet (0.02 kg) by hand
-            (
-                1.506 * 0.01 / 2.71,
-                0,
-                (1.506 * 0.02 - 4 * (0.186 * 0.04 + 0.05 * 0.135 + 0.02 * 0.19)) / 2.71,
-            ),
-        ),
-    ],
-)
-def test_feet_and_com_at_zero_angles(
-    base: str, feet: dict[str, tuple[float, ...]], com: tuple[float, ...]
-) -> None:
-    robot = load(base)
+def test_feet_and_com_of_v3_at_zero_angles() -> None:
+    """The skeleton's are closed forms: ``test_variants.py``."""
+    feet = {
+        "FR": (0.06881, -0.1015, -0.11156),
+        "FL": (0.06881, 0.1015, -0.11156),
+        "RR": (-0.08119, -0.0905, -0.11156),
+        "RL": (-0.08119, 0.0905, -0.11156),
+    }
+    com = (-0.00272409, 0, -0.00609136)
+    robot = load("v3")
     assert robot.contact_points == tuple(feet)
     config = pa.Configuration(robot, robot.neutral())
     mj = mujoco_at(robot, robot.neutral())
@@ -115,10 +91,6 @@ def test_left_bodies_mirror_the_right_ones(variant: str, source: str) -> None:
 
 
 # ------------------------------------------------------------------------------------- two files
-
-
-def test_urdf_and_mjcf_agree_to_rounding(robot: pa.Robot) -> None:
-    assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-12)
 
 
 # ------------------------------------------------------------------------------------- sensors

@@ -21,8 +21,3 @@ def test_seeds_that_once_failed_pass(path: Path) -> None:
 @given(fuzz.on_files())
 def test_spoilt_files_are_refused(case: fuzz.Case) -> None:
     assert fuzz.found_in(case) == []
-
-
-def test_a_case_survives_writing() -> None:
-    case = fuzz.Case(("audit", "\u202e"), {"robot.xml": b"\xff\x00<a/>", "robot.urdf": b"<r/>"})
-    assert fuzz.Case.from_json(case.to_json()) == case

@@ -29,16 +29,6 @@ def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
     np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * size)
 
 
-def mass_points(robot: pa.Robot, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """MuJoCo's body masses (n,) and their centres in the world (n, 3)."""
-    return robot.mj_model.body_mass, mujoco_at(robot, qpos).xipos
-
-
-def potential_energy(robot: pa.Robot, qpos: np.ndarray) -> float:
-    masses, centres = mass_points(robot, qpos)
-    return float(GRAVITY * masses @ centres[:, 2])
-
-
 # ------------------------------------------------------------------------------------- kinematics
 
 
@@ -122,17 +112,6 @@ def test_contact_jacobian_follows_the_material_point(
         np.testing.assert_allclose(jacobian @ qvel, velocity, atol=1e-7)
 
 
-@given(data=st.data())
-def test_centre_of_mass_is_the_mean_of_mujocos_bodies(
-    any_robot: pa.Robot, data: st.DataObject
-) -> None:
-    qpos = data.draw(positions(any_robot))
-    masses, centres = mass_points(any_robot, qpos)
-    com = masses @ centres / masses.sum()
-    config = pa.Configuration(any_robot, qpos)
-    np.testing.assert_allclose(config.center_of_mass(), com, atol=1e-12)
-
-
 # ------------------------------------------------------------------------------------- dynamics
 
 
@@ -149,18 +128,6 @@ def test_mass_matrix_is_mujocos_and_positive_definite(
     np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-15)
     assert np.linalg.eigvalsh(matrix).min() > 0
     np.testing.assert_allclose(matrix, theirs[np.ix_(v, v)], atol=1e-12)
-
-
-@given(data=st.data())
-def test_gravity_is_the_slope_of_the_potential_energy(
-    any_robot: pa.Robot, data: st.DataObject
-) -> None:
-    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
-    power = rate_along(any_robot, lambda at: potential_energy(any_robot, at), qpos, qvel)
-    gravity = pa.Configuration(any_robot, qpos).gravity()
-    assert gravity @ qvel == pytest.approx(float(power), abs=1e-6)
-    if any_robot.floating:
-        np.testing.assert_allclose(gravity[:3], [0, 0, any_robot.total_mass * GRAVITY], atol=1e-12)
 
 
 @given(data=st.data())

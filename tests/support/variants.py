@@ -8,7 +8,6 @@ import pupper_analysis as pa
 
 NAMES = tuple(pa.VARIANTS)
 
-V3_NAMES = tuple(name for name in NAMES if name.startswith("v3"))
 
 SKELETON_NAMES = tuple(name for name in NAMES if not name.startswith("v3"))
 

@@ -116,17 +116,6 @@ def test_it_is_said_that_there_was_one_file(
     assert not own.falls
 
 
-def test_a_verdict_says_so(of_mjcf: pa.Robot, both: pa.Robot) -> None:
-    from pupper_analysis.present.verdict import in_words, verdict_word
-    from pupper_analysis.tools.stand.stance import study_stance
-
-    verdict = study_stance(of_mjcf, pa.StandTask()).verdict
-    assert verdict.passed
-    assert verdict_word(verdict).en == "HOLDS (from one file)"
-    assert "(from one file) " in in_words(verdict)
-    assert "one file" not in in_words(study_stance(both, pa.StandTask()).verdict)
-
-
 def test_of_two_files_one_can_be_taken(tmp_path: Path) -> None:
     """The URDF's numbers, and then the MJCF's, where they are of two robots."""
     urdf, mjcf = pa.pupper.write_variant("original", tmp_path)
@@ -231,15 +220,6 @@ def test_a_ball_joint_is_fixed_as_beside_a_urdf_that_has_none(tmp_path: Path) ->
     lever = 1.5 * 0.3 * np.sin(0.3) - 0.5 * 0.1 * np.cos(0.3)
     assert abs(config.gravity()[6]) == pytest.approx(9.81 * lever, rel=1e-9)
     assert pa.cross_check(robot).passed
-
-
-def test_a_body_that_has_no_joint_but_a_free_one_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "drone.xml"
-    file.write_text(
-        "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
-    )
-    with pytest.raises(pa.ModelError, match="no joints"):
-        pa.load_robot(file)
 
 
 def test_a_mesh_that_is_seen_and_touches_is_compiled_once(

@@ -21,7 +21,6 @@ from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.stance.task import StandTask
 from tests.support.conversions import standing_urdf
 from tests.support.legged import quadruped as legged
-from tests.support.repository import ROOT
 
 GEOM = (
     *("friction", "solref", "solimp", "solmix", "condim", "contype", "conaffinity", "priority"),
@@ -107,11 +106,6 @@ def test_a_lone_urdf_stands_in_the_world_that_is_written(seed: int, tmp_path: Pa
         stand_statics(again, pa.solve_stand(again)).joint_torques,
         atol=1e-4 * robot.total_mass,
     )
-
-
-def test_our_urdf_stands_in_the_world_that_is_written(tmp_path: Path) -> None:
-    robot, file, _ = both(ROOT / "urdf/pupper_v3.urdf", tmp_path)
-    same_world(robot.mj_model, file)
 
 
 def test_all_that_is_added_says_why(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis.base.errors import ConfigurationError, OutputError
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.tools.analyze import render
 from pupper_analysis.tools.analyze.render import tiles_of
 from tests.support.variants import load, stand_of
@@ -216,10 +216,3 @@ def test_bad_requests(
     with pytest.raises(ConfigurationError, match=message):
         render.render_variants(pairs(*names), tmp_path / "a.png", **options)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.usefixtures("no_opengl")
-def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("no folder")
-    with pytest.raises(OutputError):
-        render.render_variants(pairs("original"), tmp_path / "file" / "a.png", width=WIDTH)

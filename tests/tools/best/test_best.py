@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from pupper_analysis.tools.best.first_order import SmallPayload
 from pupper_analysis.tools.best.search import Objective, StanceSearch, Subspace
 from pupper_analysis.tools.best.space import BASE, LEAST_SINGULAR_VALUE, StanceSpace
 from tests.stance.test_com_margin import margin_of
-from tests.support.commands import run_command
 from tests.support.engines import with_efforts
 from tests.support.random_legged import drawn, written
 from tests.support.variants import load
@@ -243,18 +241,3 @@ def test_a_search_sees_stances_without_it() -> None:
     assert stand.task.com_margin == 0.06
     assert space.room(stand).edges.min() == pytest.approx(margin_of(robot, stand) - 0.06, abs=1e-9)
     assert space.room(stand).edges.min() < 0
-
-
-@pytest.mark.longest
-def test_best_finds_the_largest_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "all.json"
-    status, out, err = run_command(
-        capfd, "best", "payload", "v3", "--payload-at", "0,0,0.08", "--json", str(path)
-    )
-    assert status == 0, err
-    content = json.loads(path.read_text())
-    payload = content["best"]["payload"]
-    assert payload["mass"] == content["best"]["value"]
-    assert payload["point"] == [0.0, 0.0, 0.08]
-    assert payload["trial"]["held"]
-    assert "payload at (0, 0, 80) mm" in out

