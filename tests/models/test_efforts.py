@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -10,10 +11,15 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.efforts import EffortStatement, effort_of, gear_left_out
+from pupper_analysis.models.transmission import Drive, drive_of
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import effort_notes
 from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.tools.stand.stance import study_stance
+from tests.support.conversions import compiled, converted, standing_urdf
 from tests.support.engines import changed
+from tests.support.legged import Pair, biped, quadruped
 from tests.support.variants import load, stand_of
 
 WAYS = ("forcerange", "actuatorfrcrange", "ctrlrange")
@@ -213,3 +219,142 @@ def test_a_command_that_ctrlrange_cuts_off_is_predicted(feedforward: bool) -> No
     assert abs(pose.height_loss - free.height_loss) > 2e-3
     run = pa.verify_stand(robot, stand, feedforward=feedforward, duration=4, nudged=0)
     assert pose.height_loss == pytest.approx(run.height_loss, abs=1e-4)
+
+
+def edited(path: Path, *changes: tuple[str, str]) -> Path:
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new)
+    path.write_text(text)
+    return path
+
+
+KNEE = 'lower="-2.6" upper="-0.4" effort="80"'
+
+
+@pytest.mark.parametrize(
+    ("limit", "free"),
+    [
+        ('effort="80"', True),
+        ('lower="0" upper="0" effort="0"', True),
+        ('lower="0.0" upper="-0" effort="0e0"', True),
+        ('lower="0" upper="0" effort="80"', False),  # who gives it an effort may have locked it
+        ('upper="0" effort="80"', False),
+        ('lower="-1" effort="0"', False),
+    ],
+)
+def test_a_hinge_whose_limit_states_no_range_has_none(
+    limit: str, free: bool, tmp_path: Path
+) -> None:
+    urdf = edited(quadruped(tmp_path).urdf, (KNEE, limit))
+    notes = [note for note in read_urdf(urdf).notes if note.code == "range-unstated"]
+    assert bool(notes) is free
+    if free:
+        assert notes[0].values["names"] == ("FL_knee", "FR_knee", "RL_knee", "RR_knee")
+    # What the audit says of the file as it is written stays.
+    found = [one for one in pa.audit_model(urdf).findings if one.rule == "range-empty"]
+    assert bool(found) is ('lower="-1"' not in limit)
+
+
+def test_a_slide_without_a_range_stays_locked(tmp_path: Path) -> None:
+    urdf = edited(
+        quadruped(tmp_path).urdf,
+        (KNEE, 'effort="80"'),
+        ('_knee" type="revolute"', '_knee" type="prismatic"'),
+    )
+    assert read_urdf(urdf).notes == ()
+
+
+def test_the_mjcfs_range_counts_where_the_urdf_states_none(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    edited(pair.urdf, (KNEE, 'effort="80"'))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    knees = [robot.joint_names.index(f"{leg}_knee") for leg in ("FL", "FR", "RL", "RR")]
+    np.testing.assert_allclose(robot.lower_limits[knees], -2.6)
+    np.testing.assert_allclose(robot.upper_limits[knees], -0.4)
+    found = pa.verify_stand(robot, pa.solve_stand(robot))
+    assert found.passed, found.failures
+    differing = pa.compare_models(pair.urdf, pair.mjcf).differences
+    assert {one.kind for one in differing} == {"lower limit", "upper limit", "effort"}
+    # And where neither has one, they agree.
+    edited(pair.mjcf, (' range="-2.6 -0.4"', ""), ('ctrlrange="-30 30"', 'ctrlrange="-80 80"'))
+    assert pa.compare_models(pair.urdf, pair.mjcf).agree
+
+
+def test_a_converted_hinge_without_limits_has_none(tmp_path: Path) -> None:
+    urdf = edited(standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
+    mjcf, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    assert not any(left.code == "empty-range-left" for left in found.not_converted)
+    model = compiled(mjcf)
+    assert not model.jnt_limited[model.joint("FL_roll").id]
+
+
+def _without_effort(pair: Pair) -> Pair:
+    edited(pair.urdf, ('effort="80" velocity="20"', 'effort="0" velocity="0"'))
+    return pair
+
+
+def test_an_effort_of_zero_is_the_mjcfs_or_none(tmp_path: Path) -> None:
+    pair = _without_effort(quadruped(tmp_path))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    np.testing.assert_array_equal(robot.effort_limits, 30.0)  # its motors' ctrlrange
+    np.testing.assert_array_equal(robot.velocity_limits, np.inf)
+    assert any(note.code == "effort-unstated" for note in robot.notes)
+    stand = pa.solve_stand(robot)
+    held = pa.stance.stand_statics(robot, stand)
+    np.testing.assert_allclose(held.motor_utilisation, np.abs(held.joint_torques) / 30, rtol=1e-12)
+    edited(pair.mjcf, (' ctrlrange="-30 30"', ""))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    np.testing.assert_array_equal(robot.effort_limits, np.inf)
+
+
+def test_what_the_urdfs_motors_cannot_hold_does_not_pass(tmp_path: Path) -> None:
+    """Its MJCF has no limit of force, and its servos are given the URDF's."""
+    pair = biped(tmp_path)
+    edited(pair.urdf, ('effort="80"', 'effort="1"'))
+    edited(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    result = study_stance(robot, pa.StandTask())
+    assert not result.verification.passed
+    assert np.abs(result.verification.joint_torques).max() < 1 + 1e-9
+    assert result.overloaded
+    assert not result.passed
+    pair = _without_effort(biped(tmp_path))
+    edited(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
+    result = study_stance(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf), pa.StandTask())
+    assert result.passed
+    assert not result.overloaded
+
+
+def drive(actuators: str) -> Drive:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="hinge"/><geom size="0.1"/></body></worldbody>'
+        f"<actuator>{actuators}</actuator></mujoco>"
+    )
+    return drive_of(model, 0)
+
+
+def position(kp: float, gear: float = 1.0) -> str:
+    return f'<position joint="hinge" kp="{kp}" gear="{gear}"/>'
+
+
+@pytest.mark.parametrize("gear", [1.0, 3.0, -3.0, 0.1])
+def test_a_gear_makes_no_other_drive(gear: float) -> None:
+    """Both the force and the length of an actuator are taken times the gear."""
+    assert drive(position(10, gear)) is Drive.SERVO
+    assert drive(position(-10, gear)) is Drive.WRONG_SIGN
+    assert drive(position(0, gear)) is Drive.NO_STIFFNESS
+    assert drive(f'<motor joint="hinge" gear="{gear}"/>') is Drive.MOTOR
+
+
+def test_of_two_servos_the_stiffer_one_at_the_joint_says_where_it_goes() -> None:
+    assert drive(position(10) + position(-10, 2)) is Drive.WRONG_SIGN  # 10 - 40 N m/rad
+    assert drive(position(10, 2) + position(-10)) is Drive.SERVO
+
+
+def test_what_an_actuator_makes_of_its_command_is_no_stiffness() -> None:
+    away = '<general joint="hinge" gainprm="40" biastype="affine" biasprm="0 40 0"/>'
+    assert drive(position(30) + away) is Drive.WRONG_SIGN  # 30 - 40 N m/rad
+    assert drive(position(50) + away) is Drive.SERVO

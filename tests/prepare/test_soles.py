@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.contact_points import sole_corners, stays_flat
+from pupper_analysis.prepare.contact_points import fit_sphere, sole_corners, stays_flat
 from pupper_analysis.robot.robot import Robot
 from tests.support.cases import some
 from tests.support.legged import BIPED_FEET, Pair, aside, biped, held, quadruped, sole_mesh
@@ -234,3 +234,12 @@ def test_a_sole_sinks_as_a_plane_whose_forces_have_the_resultant(tmp_path: Path)
     assert min(tilted.depths.values()) > 1e-4
     lifted = holds(robot, pa.StandTask(com=(0.08, 0.06)), within=1e-6)
     assert min(lifted.depths.values()) < -1e-4
+
+
+def test_a_sphere_far_from_the_origin_is_found() -> None:
+    centre, radius, down = np.array([0.4, -0.3, 0.2]), 0.021, np.array([0.0, 0.0, -1.0])
+    directions = np.random.default_rng(0).normal(size=(4000, 3))
+    points = centre + radius * directions / np.linalg.norm(directions, axis=1)[:, None]
+    found, size = fit_sphere(points, centre + radius * down, down)
+    np.testing.assert_allclose(found, centre, atol=1e-9)
+    assert size == pytest.approx(radius, abs=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,11 @@ import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
 from pupper_analysis.simulation.verify import load_by_mujoco
-from tests.support.variants import load
+from pupper_analysis.stance.sag.equilibrium import integrate_step
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from tests.support.engines import mujoco_at
+from tests.support.states import random_state
+from tests.support.variants import NAMES, load
 
 
 @pytest.mark.parametrize("frame", ["leg_front_l_2", "leg_back_r_3_foot_site"])
@@ -61,3 +66,92 @@ def test_a_body_with_two_joints_moves_with_both(tmp_path: Path) -> None:
     assert tool.chain == ("pan", "tilt")
     place = tool.position(Configuration(robot, np.array([0.0, tilt])))
     assert place == pytest.approx([0.5 * np.cos(tilt), 0.0, -0.5 * np.sin(tilt)], abs=1e-12)
+
+
+POINT = (0.05, -0.02, 0.08)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_both_models_carry_the_same_payload(name: str) -> None:
+    loaded = with_payload(load(name), 2.5, POINT)
+    check = pa.cross_check(loaded)
+    assert check.passed, check.worst
+    qpos, qvel = random_state(loaded, 1)
+    data = mujoco_at(loaded, qpos, qvel)
+    config = pa.Configuration(loaded, qpos, qvel)
+    index = loaded.mj_convention.qvel_index
+    np.testing.assert_allclose(config.bias_forces(), data.qfrc_bias[index], atol=1e-9)
+    assert loaded.total_mass == pytest.approx(load(name).total_mass + 2.5, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_a_payloads_weight_is_the_slope_of_its_potential_energy(name: str) -> None:
+    """m g dz/dq, by finite differences of where the point is on a tilted base."""
+    robot, mass = load(name), 3.0
+    qpos, _ = random_state(robot, 2)
+
+    def energy(at: np.ndarray) -> float:
+        config = pa.Configuration(robot, at)
+        place = at[:3] + config.base_rotation() @ POINT
+        return mass * 9.81 * float(place[2])
+
+    steps = 1e-6 * np.eye(robot.nv)
+    slope = [
+        (energy(integrate_step(qpos, s)) - energy(integrate_step(qpos, -s))) / 2e-6 for s in steps
+    ]
+    more = pa.Configuration(with_payload(robot, mass, POINT), qpos).gravity()
+    less = pa.Configuration(robot, qpos).gravity()
+    np.testing.assert_allclose(more - less, slope, atol=1e-7)
+
+
+def test_a_payload_keeps_changed_effort_limits() -> None:
+    robot = load("v3")
+    model = robot.pin_model.copy()
+    efforts = np.array(model.effortLimit)
+    efforts[6:] /= 2
+    model.effortLimit = efforts
+    weak = replace(robot, pin_model=model)
+    loaded = with_payload(weak, 1.0, POINT)
+    np.testing.assert_array_equal(loaded.effort_limits, robot.effort_limits / 2)
+    assert loaded.joint_names == robot.joint_names
+    assert loaded.stand_height == robot.stand_height
+    assert loaded.contact_points == robot.contact_points
+    assert with_payload(robot, 0.0) is robot
+    twice = with_payload(with_payload(robot, 1.0, POINT), 1.0, POINT)
+    once = with_payload(robot, 2.0, POINT)
+    qpos, _ = random_state(robot, 3)
+    np.testing.assert_allclose(
+        pa.Configuration(twice, qpos).mass_matrix(),
+        pa.Configuration(once, qpos).mass_matrix(),
+        atol=1e-12,
+    )
+
+
+def test_the_base_moves_from_under_the_load_and_the_feet_sink() -> None:
+    robot, point, task = load("v3"), (0.08, 0.0, 0.05), pa.StandTask(pitch=0.1, roll=-0.05)
+    loaded, sunk = solve_loaded_stand(robot, task, 2.0, point)
+    feet = np.mean(list(sunk.contact_points.values()), axis=0)
+    com = pa.Configuration(loaded, sunk.qpos).center_of_mass()
+    np.testing.assert_allclose(com[:2], feet[:2], atol=1e-9)
+    assert sunk.qpos[2] == pytest.approx(robot.stand_height, abs=1e-9)
+    statics = pa.stance.stand_statics(loaded, sunk)
+    assert sum(f[2] for f in statics.contact_forces.values()) == pytest.approx(
+        9.81 * (robot.total_mass + 2.0)
+    )
+    _, ahead = solve_loaded_stand(robot, pa.StandTask(offset=(0.0, 0.0)), 2.0, point)
+    assert ahead.depths["FR"] > ahead.depths["RR"] + 1e-4  # the base stays, the load is in front
+    report = pa.verify_stand(loaded, sunk)
+    assert report.passed, report.failures
+
+
+@pytest.mark.parametrize("mass", [-1.0, np.nan, np.inf, "much", True])
+def test_a_payload_of_a_bad_mass_is_refused(mass: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match="mass"):
+        with_payload(load("v3"), mass)  # type: ignore[arg-type]
+
+
+def test_a_fixed_base_carries_nothing() -> None:
+    with pytest.raises(pa.ConfigurationError, match="fixed base"):
+        with_payload(load("v3", fixed_base=True), 1.0)
+    with pytest.raises(pa.ConfigurationError, match="point"):
+        with_payload(load("v3"), 1.0, (0.0, 0.0))

@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
+import mujoco
+import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.prepare.convert.to_urdf import with_one_robot
 
 FINGERS = """
 <mujoco><compiler angle="radian"/>
@@ -84,3 +88,102 @@ def test_numbers_of_contacts_and_options_that_a_urdf_cannot_state_are_listed(
         "integrator": ("1",),
     }
     assert not any(word in urdf.read_text() for word in listed)
+
+
+ARM = """<body name="{name}" pos="0 {y} 1"><joint name="{name}_1" axis="0 1 0"/>
+  <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"/>
+  <body name="{name}_end" pos="0.3 0 0"><joint name="{name}_2" axis="0 0 1"/>
+    <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02"/><site name="{name}_tip"/>
+  </body></body>"""
+CUBE = '<body name="cube" pos="2 0 0.6"><freejoint/><geom type="box" size="0.05 0.05 0.05"/></body>'
+TABLE = '<body name="table" pos="2 0 0.5"><geom type="box" size="0.5 0.5 0.02"/></body>'
+REST = """<actuator>
+  <position name="own" joint="left_2" kp="9"/><position joint="right_2" kp="8"/>
+  <position joint="left_1" kp="7"/></actuator>
+<equality><joint joint1="left_1" joint2="right_1"/></equality>
+<sensor><framepos objtype="site" objname="right_tip"/><jointpos joint="left_1"/></sensor>"""
+
+
+def scene(folder: Path, *bodies: str, rest: str = "", key: str = "") -> Path:
+    file = folder / "scene.xml"
+    keyframe = f'<keyframe><key name="home" {key}/></keyframe>' if key else ""
+    world = "".join(bodies)
+    file.write_text(f"<mujoco><worldbody>{world}</worldbody>{rest}{keyframe}</mujoco>")
+    return file
+
+
+LEFT, RIGHT = ARM.format(name="left", y=0), ARM.format(name="right", y=1)
+
+
+def test_one_robot_is_cut_out_with_all_that_is_its_own(tmp_path: Path) -> None:
+    key = 'qpos="2 0 0.6 1 0 0 0 0.1 0.2 0.3 0.4" ctrl="0.2 0.4 0.1"'
+    file = read_mjcf(scene(tmp_path, CUBE, TABLE, LEFT, RIGHT, rest=REST, key=key))
+    for body in ("left", "left_end"):
+        model = with_one_robot(file, body).model
+        assert [model.joint(index).name for index in range(model.njnt)] == ["left_1", "left_2"]
+        # Its own actuators and its part of the keyframe, in their order.
+        joints = [model.joint(index).name for index in model.actuator_trnid[:, 0]]
+        assert joints == ["left_2", "left_1"]
+        np.testing.assert_array_equal(model.key_qpos, [[0.1, 0.2]])
+        np.testing.assert_array_equal(model.key_ctrl, [[0.2, 0.1]])
+        assert (model.neq, model.nsensor) == (0, 1)
+        assert model.body("table").id > 0
+    assert file.model.njnt == 5  # the file is as it was
+    [message] = [
+        note for note in with_one_robot(file, "right").notes if note.code == "others-left-out"
+    ]
+    assert list(message.values["bodies"]) == ["cube", "left"]
+
+
+def test_furniture_is_no_robot(tmp_path: Path) -> None:
+    """Without a word about it: the arm stands beside a table and a cube that could roll away."""
+    alone = pa.load_robot(scene(tmp_path, LEFT))
+    eye = '<camera name="eye" mode="targetbodycom" target="cube"/>'
+    robot = pa.load_robot(scene(tmp_path, CUBE, TABLE, eye, LEFT))
+    qpos = np.array([0.4, -0.3])
+    torques = [
+        pa.gravity_compensation(pa.Configuration(one, qpos), contacts=[]).joint_torques
+        for one in (alone, robot)
+    ]
+    np.testing.assert_allclose(*torques, atol=1e-12)
+    assert robot.joint_names == ("left_1", "left_2")
+
+
+def test_of_several_robots_one_is_to_be_named(tmp_path: Path) -> None:
+    file = scene(tmp_path, LEFT, RIGHT)
+    with pytest.raises(pa.ModelError, match=r"'left' with 2 joints, 'right' .*; name one"):
+        pa.load_robot(file)
+    assert pa.load_robot(file, body="right").joint_names == ("right_1", "right_2")
+
+
+def test_a_robot_on_a_free_base_goes_before_doors(tmp_path: Path) -> None:
+    box = '<body name="door"><joint name="hinge"/><geom size="0.4"/></body>'
+    walker = LEFT.replace('<joint name="left_1"', '<freejoint name="root"/><joint name="left_1"', 1)
+    walker = walker.replace('<joint name="left_1" axis="0 1 0"/>', "")
+    model = with_one_robot(read_mjcf(scene(tmp_path, box, walker))).model
+    assert [model.joint(index).name for index in range(model.njnt)] == ["root", "left_2"]
+    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+
+
+@pytest.mark.parametrize(
+    ("bodies", "body", "message"),
+    [
+        ((CUBE, LEFT), "cube", "body 'cube' carries no hinge or slide joint"),
+        ((TABLE, LEFT), "table", "body 'table' carries no hinge or slide joint"),
+        ((LEFT,), "middle", "no body 'middle'"),
+        ((TABLE,), None, "it has no joints"),
+        ((CUBE, CUBE.replace("cube", "ball")), None, "several free bodies"),
+    ],
+)
+def test_what_is_no_robot_is_refused(
+    tmp_path: Path, bodies: tuple[str, ...], body: str | None, message: str
+) -> None:
+    with pytest.raises(pa.PupperAnalysisError, match=message):
+        pa.load_robot(scene(tmp_path, *bodies), body=body)
+
+
+def test_a_urdf_has_one_robot() -> None:
+    from pupper_analysis.pupper.variants import model_folder
+
+    with pytest.raises(pa.ConfigurationError, match="it names a body of an MJCF"):
+        pa.load_robot(model_folder("urdf") / "pupper_v3.urdf", body="base_link")

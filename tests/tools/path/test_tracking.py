@@ -11,11 +11,16 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.prepare.own_run import own_run
+from pupper_analysis.present.verdict import lines_to_read
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import STATE, full_state, simulate
+from pupper_analysis.simulation.verdict import Asked, Verdict
 from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.path.tracking import path_commands, study_path, track_path
+from tests.prepare.test_imported import four_legs
+from tests.prepare.test_own_run import codes, slipped
 from tests.support.cases import some
 from tests.support.commands import check_refusal, run_command
 from tests.support.engines import changed, mujoco_at
@@ -251,3 +256,24 @@ def test_no_duration_is_refused_before_any_file(
     monkeypatch.chdir(tmp_path)
     arguments = ["path", "v3", "--seconds", "-2", "--json", "all.json"]
     check_refusal(capfd, tmp_path, arguments, "seconds")
+
+
+def judged(robot: pa.Robot) -> Verdict:
+    return study_path(robot, pa.StandTask(height=0.33), 1.0).verdict
+
+
+def test_a_path_is_tracked_and_says_what_the_file_does(tmp_path: Path) -> None:
+    verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
+    assert verdict.asked is Asked.TRACKED
+    assert verdict.passed
+    assert codes(verdict)[-1] == "own-run"
+    # A short answer has it, too, though it is not against the verdict.
+    first, _ = lines_to_read(verdict)
+    assert any("the file by itself" in str(line) for line in first)
+
+
+def test_other_verdicts_have_the_same_line(tmp_path: Path) -> None:
+    robot = pa.load_robot(four_legs(tmp_path))
+    found = judged(robot)
+    assert found.own == own_run(robot)
+    assert "own-run" in codes(found)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from tests.base.test_files_at_once import contents, deny, fails_at
+from tests.base.test_files import contents, deny, fails_at
 from tests.support.robots import changed, quadruped, write_parts
 
 
