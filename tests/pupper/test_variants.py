@@ -62,14 +62,6 @@ def test_unknown_name_lists_the_known_ones(name: str) -> None:
     assert (caught.value.field, caught.value.value) == ("name", name)
 
 
-@pytest.mark.parametrize("base", ["", "original", "pupper", None, 3, ["v3"]])
-def test_unknown_base_lists_the_known_ones(base: object) -> None:
-    with pytest.raises(pa.VariantError, match="skeleton, v3") as caught:
-        pa.pupper.VariantSpec(base)  # type: ignore[arg-type]
-    assert repr(base) in str(caught.value)
-    assert caught.value.field == "base"
-
-
 @pytest.mark.parametrize("field", ["leg_scale", "torso_mass_scale"])
 @pytest.mark.parametrize(
     "value", [math.nan, math.inf, -math.inf, 0, 0.0, -1.5, "1.5", True, None, [1.5], 1j]

@@ -22,7 +22,6 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf import silence_mujoco, spec_from, state_of, to_xml
 from pupper_analysis.stance.clearance import ClearanceShapes
-from tests.support.tiny import Files
 from tests.support.variants import load, stand_of
 
 REBUILT = 1e-14  # of the largest number of its kind
@@ -206,17 +205,6 @@ def test_limits_that_are_infinite_come_back(tiny: pa.Robot) -> None:
         assert robot.pin_model.effortLimit[-1] == np.inf
         assert robot.pin_model.lowerPositionLimit[-1] == -np.inf
         assert np.isfinite(robot.pin_model.upperPositionLimit[-1])
-
-
-def test_a_robot_needs_no_files_any_more(tiny_files: Files, tmp_path: Path) -> None:
-    for file in tiny_files:
-        (tmp_path / file.name).write_text(file.read_text())
-    robot = pa.load_robot(urdf=tmp_path / "tiny.urdf", mjcf=tmp_path / "tiny.xml", feet=["foot"])
-    data = pickle.dumps(robot)
-    for file in tmp_path.iterdir():
-        file.unlink()
-    back = pickle.loads(data)
-    assert_same_model(robot.mj_model, back.description.mjcf.copy().compile(), REBUILT)
 
 
 def test_meshes_come_along(tmp_path: Path) -> None:
