@@ -2,8 +2,9 @@
 
 A tool is a package that answers one question. Its docstring's first line says which, its
 ``HEADING`` under which heading ``--help`` lists it; ``command.py`` has its ``command``,
-``document.py`` the pages of its results, ``words.toml`` its words. None is imported here: whoever
-lists them reads these lines.
+``document.py`` the pages of its results, ``words.toml`` its words; some have what others look for
+by its name: ``causes.py``, ``guard.py``, ``metrics.py``, ``modes.py``. None is imported here:
+whoever lists them reads these lines.
 
 A format is a package that reads model files: ``format.toml`` says which, ``reader.py`` reads them
 (`models.readers`), ``rules.toml`` has rules of the audit for it alone.
@@ -92,6 +93,14 @@ def other_tools() -> Mapping[str, Tool]:
     One whose package is not there, or is no folder, is left out.
     """
     return _others(GROUP, "command.py")
+
+
+def offering(module: str) -> Mapping[str, str]:
+    """Returns {tool: its package} of the tools that have a module of a name, our own first."""
+    tools = {**own_tools(), **other_tools()}
+    return {
+        name: one.package for name, one in tools.items() if (one.folder / f"{module}.py").is_file()
+    }
 
 
 def own_packages() -> Mapping[str, Tool]:

@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import mujoco
@@ -30,6 +31,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.tools import offering
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.loading import reader_of
 from pupper_analysis.models.mjcf import silence_mujoco, start_data
@@ -58,6 +60,7 @@ from pupper_analysis.robot.compare.differences import (
     Difference,
     Effect,
     Explanation,
+    PatternCause,
     convention_changes,
     in_degrees,
     number_pair,
@@ -69,10 +72,10 @@ from pupper_analysis.robot.compare.engines import (
     CrossCheck,
     cross_check,
 )
-from pupper_analysis.robot.compare.patterns import PatternCause, find_causes, mass_shares
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.match import Match, match_models
+from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees, poses_at_zero
 from pupper_analysis.robot.servos import own_servos
@@ -601,7 +604,7 @@ def compare_models(
         ),
         check=check,
         differences=differences,
-        causes=find_causes(
+        causes=_causes(
             robot, alignment.values, differences, tolerances, _weighed_by_geoms(mjcf_file)
         ),
         deviations=explanation.deviations,
@@ -614,6 +617,17 @@ def compare_models(
         agree=not (differences or unmatched or objections),
         same_robot=not (_mechanical(differences) or unmatched or objections),
     )
+
+
+def _causes(*of: object) -> tuple[PatternCause, ...]:
+    """Returns what several differences come from at once: ``find_causes`` of tools' ``causes.py``.
+
+    Args:
+        *of: The robot, the MJCF's tree in the URDF's link frames, all differences, what counts as
+            one, and the MJCF's bodies that take their mass from their geoms.
+    """
+    modules = (import_module(f"{package}.causes") for package in offering("causes").values())
+    return next((tuple(module.find_causes(*of)) for module in modules), ())
 
 
 def _weighed_by_geoms(mjcf: MjcfFile) -> set[str]:
@@ -693,6 +707,44 @@ def _placed(
             mjcf_place=two.place(difference.kind, difference.element).path,
             made_of=mass_shares(difference, one, two),
         )
+
+
+def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[Diagnostic, ...]:
+    """Says of which links or bodies a mass, a com or an inertia is made, with their lines."""
+    if difference.kind not in ("mass", "com", "inertia"):
+        return ()
+    messages = []
+    for file, sources in (("URDF", urdf), ("MJCF", mjcf)):
+        heavy = [(name, mass) for name, mass in sources.members(difference.element) if mass]
+        if len(heavy) < 2:
+            continue
+        total = sum(mass for _, mass in heavy)
+        heavy.sort(key=lambda member: -member[1])
+        listed_members = [
+            diagnose(
+                "share-of-a-body",
+                subject=("body", name),
+                mass=Quantity(mass, "kg"),
+                share=Quantity(mass / total, "1"),
+                place=str(sources.weight(difference.kind, name)),
+            )
+            for name, mass in heavy[:_LISTED]
+        ]
+        rest = total - sum(mass for _, mass in heavy[:_LISTED])
+        messages.append(
+            diagnose(
+                "body-is-made-of",
+                file=file,
+                members=listed_members,
+                more=len(heavy[_LISTED:]),
+                rest=Quantity(rest, "kg"),
+            )
+        )
+    return tuple(messages)
+
+
+_LISTED = 6
+"""Links of a body that are listed, the heaviest first."""
 
 
 def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:

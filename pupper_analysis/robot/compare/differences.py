@@ -222,6 +222,36 @@ class Difference(Stated, Result):
 
 
 @dataclass(frozen=True, eq=False)
+class PatternCause(Result):
+    """One slip that explains several differences.
+
+    Attributes:
+        kind: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``, ``coms``, ``geoms``,
+            ``equalities``, ``links``, ``scaled links``, ``moved link``, ``inertial`` or ``line``.
+        diagnostic: What it is, with its numbers.
+        differences: Which of the differences it explains, by number, from 0.
+    """
+
+    kind: str
+    diagnostic: Diagnostic
+    differences: tuple[int, ...]
+
+    @property
+    def message(self) -> str:
+        """What it is, in a sentence."""
+        return str(self.diagnostic)
+
+    @property
+    def leads(self) -> bool:
+        """Whether it is reported before all else.
+
+        So are efforts of another place on the drive: the dynamics do not feel them, but whatever is
+        said of what the motors hold is false by the gear.
+        """
+        return self.kind == "gears"
+
+
+@dataclass(frozen=True, eq=False)
 class Armature(Result):
     """The rotors' inertia, which an MJCF states and a URDF cannot.
 

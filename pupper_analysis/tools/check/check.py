@@ -17,13 +17,13 @@ from pupper_analysis.base.errors import OutputError, PupperAnalysisError
 from pupper_analysis.base.files import check_writable
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.tools import offering
 from pupper_analysis.robot.compare.compare import compare_models
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.check.config import (
     GuardConfig,
     GuardedPair,
     find_config,
-    guards,
     read_config,
 )
 from pupper_analysis.tools.check.remarks import (
@@ -277,7 +277,7 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
         else:
             agree, notes = comparison.agree, comparison.notes
             remarks = [*of_comparison(comparison, pair, folder), *remarks]
-    packages = guards()
+    packages = offering("guard")
     for tool, sources in pair.guards.items() if not _refused(remarks) else ():
         try:
             found = import_module(f"{packages[tool]}.guard").guard(files, sources, pair.names)

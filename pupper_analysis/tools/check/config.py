@@ -24,7 +24,7 @@ from pupper_analysis.base.errors import ConfigurationError, InputError, ModelErr
 from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.inputs import MOST_TEXT, is_input, read_input
 from pupper_analysis.base.kinds import MODEL
-from pupper_analysis.base.tools import other_tools, own_tools
+from pupper_analysis.base.tools import offering
 from pupper_analysis.models.loading import kind_of
 from pupper_analysis.models.places import source_name
 from pupper_analysis.robot.matching.match import read_mapping
@@ -198,12 +198,6 @@ _TOP: Final = ("baseline", "fail-on", *_SHARED, "pair")
 _PAIR: Final = ("name", "urdf", "mjcf", "map", "map-file", "feet", "base", *_SHARED)
 
 
-def guards() -> dict[str, str]:
-    """Returns {tool: its package} of those that guard: their names are keys of a pair."""
-    tools = {**other_tools(), **own_tools()}
-    return {name: one.package for name, one in tools.items() if (one.folder / "guard.py").is_file()}
-
-
 _KINDS: Final = tuple(kind.name for kind in fields(Tolerances))
 
 
@@ -239,7 +233,7 @@ class _Reader:
 
     def pairs(self, entry: dict[str, Any], key: Key) -> Iterator[GuardedPair]:
         """Yields the robots of an entry: one, or one for each file that its pattern matches."""
-        self.check_keys(entry, key, (*_PAIR, *guards()))
+        self.check_keys(entry, key, (*_PAIR, *offering("guard")))
         given = {kind: self.text(entry, key, kind) for kind in ("urdf", "mjcf")}
         patterns = {kind: text for kind, text in given.items() if text is not None}
         if not any(char in text for text in patterns.values() for char in _WILD):
@@ -276,7 +270,7 @@ class _Reader:
         return [path.relative_to(self.folder).as_posix() for path in paths]
 
     def pair(self, entry: dict[str, Any], key: Key) -> GuardedPair:
-        self.check_keys(entry, key, (*_PAIR, *guards()))
+        self.check_keys(entry, key, (*_PAIR, *offering("guard")))
         name = self.text(entry, key, "name")
         urdf, mjcf = (self.model(entry, key, kind) for kind in ("urdf", "mjcf"))
         if not name:
@@ -297,7 +291,9 @@ class _Reader:
             tolerances=tolerances.changed(given),
             strict=self.flag(entry, key, "strict"),
             disabled={**self.disabled(top, ()), **self.disabled(entry, key)},
-            guards={tool: self.sources(entry, key, tool) for tool in guards() if tool in entry},
+            guards={
+                tool: self.sources(entry, key, tool) for tool in offering("guard") if tool in entry
+            },
         )
 
     def sources(self, entry: dict[str, Any], key: Key, tool: str) -> tuple[Path, ...]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose, phrase
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.base.runs import note_input
-from pupper_analysis.base.tools import other_tools, own_tools
+from pupper_analysis.base.tools import offering
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import own_clauses
@@ -244,10 +244,9 @@ _ALL = (
 
 def _of_tools() -> Iterator[Metric]:
     """Yields what tools let studies measure: the ``METRICS`` of their ``metrics.py``."""
-    for tool in (*own_tools().values(), *other_tools().values()):
-        if (tool.folder / "metrics.py").is_file():
-            offered = importlib.import_module(f"{tool.package}.metrics").METRICS
-            yield from (Metric(name, **more) for name, more in offered.items())
+    for package in offering("metrics").values():
+        offered = importlib.import_module(f"{package}.metrics").METRICS
+        yield from (Metric(name, **more) for name, more in offered.items())
 
 
 REVISION = 5

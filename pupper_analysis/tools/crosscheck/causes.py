@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_tensor
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
-from pupper_analysis.base.results import Result
 from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
 from pupper_analysis.models.efforts import gear_left_out
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
@@ -35,11 +34,11 @@ from pupper_analysis.models.xml import MAX_NUMBER
 from pupper_analysis.robot.compare.differences import (
     OF_INERTIALS,
     Difference,
+    PatternCause,
     body_changes,
     changes_between,
 )
 from pupper_analysis.robot.matching.alignment import align_frames, in_body_frame
-from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees, poses_at_zero
 from pupper_analysis.robot.robot import Robot
@@ -133,44 +132,6 @@ def from_moments(values: Array) -> TreeBody:
     com = values[1:4] / mass if mass else np.zeros(3)
     shift = mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
     return TreeBody(mass, com, inertia_tensor(values[4:]) - shift)
-
-
-def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[Diagnostic, ...]:
-    """Says of which links or bodies a mass, a com or an inertia is made, with their lines."""
-    if difference.kind not in ("mass", "com", "inertia"):
-        return ()
-    messages = []
-    for file, sources in (("URDF", urdf), ("MJCF", mjcf)):
-        heavy = [(name, mass) for name, mass in sources.members(difference.element) if mass]
-        if len(heavy) < 2:
-            continue
-        total = sum(mass for _, mass in heavy)
-        heavy.sort(key=lambda member: -member[1])
-        listed_members = [
-            diagnose(
-                "share-of-a-body",
-                subject=("body", name),
-                mass=Quantity(mass, "kg"),
-                share=Quantity(mass / total, "1"),
-                place=str(sources.weight(difference.kind, name)),
-            )
-            for name, mass in heavy[:_LISTED]
-        ]
-        rest = total - sum(mass for _, mass in heavy[:_LISTED])
-        messages.append(
-            diagnose(
-                "body-is-made-of",
-                file=file,
-                members=listed_members,
-                more=len(heavy[_LISTED:]),
-                rest=Quantity(rest, "kg"),
-            )
-        )
-    return tuple(messages)
-
-
-_LISTED = 6
-"""Links of a body that are listed, the heaviest first."""
 
 
 Key = tuple[str, str]
@@ -972,36 +933,6 @@ def _apart(one: TreeJoint, two: TreeJoint) -> tuple[float, float]:
     else:
         away = float(np.linalg.norm(np.cross(between, first)))
     return away, float(np.arctan2(sine, abs(float(first @ second))))
-
-
-@dataclass(frozen=True, eq=False)
-class PatternCause(Result):
-    """One slip that explains several differences.
-
-    Attributes:
-        kind: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``, ``coms``, ``geoms``,
-            ``equalities``, ``links``, ``scaled links``, ``moved link``, ``inertial`` or ``line``.
-        diagnostic: What it is, with its numbers.
-        differences: Which of the differences it explains, by number, from 0.
-    """
-
-    kind: str
-    diagnostic: Diagnostic
-    differences: tuple[int, ...]
-
-    @property
-    def message(self) -> str:
-        """What it is, in a sentence."""
-        return str(self.diagnostic)
-
-    @property
-    def leads(self) -> bool:
-        """Whether it is reported before all else.
-
-        So are efforts of another place on the drive: the dynamics do not feel them, but whatever is
-        said of what the motors hold is false by the gear.
-        """
-        return self.kind == "gears"
 
 
 def find_causes(
