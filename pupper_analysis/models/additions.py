@@ -10,12 +10,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.attributes import Number
-from pupper_analysis.models.mjcf_xml import MjcfXml
-from pupper_analysis.models.spec_tree import SpecTree
 
 GRIP: Final[Mapping[str, Number]] = {"cone": "elliptic", "impratio": 100.0}
 """How contacts hold: friction a hundred times as stiff as the ground, on a cone that is round. With
@@ -23,8 +21,33 @@ MuJoCo's defaults (a pyramid, 1) feet creep: Go2 by 58 mm/s on a slope of 17 deg
 pyramid with an impratio of 10 shakes. The models of MuJoCo Menagerie have the same."""
 
 
-Equipped = SpecTree | MjcfXml
-"""An MJCF that is given things, in memory, or a new file."""
+class Equipped(Protocol):
+    """An MJCF that is given things, in memory (`SpecTree`), or a new file."""
+
+    def add_floor(self) -> object:
+        """Adds light and a plane at z = 0."""
+
+    def set_options(self, **values: Number) -> None:
+        """States attributes of ``<option>``."""
+
+    def add_ball(
+        self, name: str, body: str, radius: float, place: tuple[float, ...], like: str
+    ) -> None:
+        """Adds a sphere that touches and weighs nothing."""
+
+    def turn_off_contact(self, geoms: tuple[str, ...]) -> None:
+        """Lets geoms touch nothing."""
+
+    def exclude_contact(self, one: str, two: str) -> None:
+        """Lets two bodies not touch each other."""
+
+    def add_position_servo(
+        self, joint: str, kp: float, kd: float, limits: tuple[float, float] | None
+    ) -> None:
+        """Adds a position servo at a joint, of its name."""
+
+    def set_home(self, qpos: tuple[float, ...], ctrl: tuple[float, ...]) -> None:
+        """Adds the keyframe to start from."""
 
 
 @dataclass(frozen=True)

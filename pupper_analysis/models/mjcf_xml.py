@@ -1,16 +1,15 @@
-"""The XML of an MJCF that is being written: its bodies, and the edits that `SpecTree` has, too."""
+"""The XML of an MJCF that is made of a URDF: its bodies."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import pinocchio as pin
 from lxml import etree
-from numpy.typing import ArrayLike
 
 from pupper_analysis.base import arrays
 from pupper_analysis.base.arrays import (
@@ -21,9 +20,6 @@ from pupper_analysis.base.arrays import (
 )
 from pupper_analysis.models.attributes import (
     COUPLING_TIME,
-    FLOOR,
-    HOME,
-    IMU_SENSORS,
     Number,
 )
 from pupper_analysis.models.xml import add_element, parse_numbers, write_numbers
@@ -163,7 +159,7 @@ class XmlBody:
 
 @dataclass(frozen=True, eq=False)
 class MjcfXml:
-    """An MJCF: what it can be given for a simulation has the verbs of `SpecTree`.
+    """An MJCF that is made of a URDF.
 
     Attributes:
         root: Its ``<mujoco>``.
@@ -211,19 +207,9 @@ class MjcfXml:
         return next(body for body in self.bodies if body.name == name)
 
     @property
-    def joints(self) -> list[etree._Element]:
-        """All hinges and slides."""
-        return [joint for body in self.bodies for joint in body.joints if joint.tag == "joint"]
-
-    @property
     def geoms(self) -> list[etree._Element]:
         """All geoms, those of the world and of classes included."""
         return list(self.root.iter("geom"))
-
-    @property
-    def touches(self) -> bool:
-        """Whether it has shapes of its robot that touch."""
-        return any(geom.get("class") == COLLISION for geom in self.geoms)
 
     @property
     def used_meshes(self) -> set[str]:
@@ -236,44 +222,6 @@ class MjcfXml:
             if geom.get("class") == VISUAL:
                 geom.getparent().remove(geom)
 
-    def remove_empty_sections(self) -> None:
-        """Takes out sections that state nothing."""
-        for node in list(self.root):
-            if node.tag != "worldbody" and not len(node) and not node.attrib:
-                self.root.remove(node)
-
-    def set_options(self, **values: Number) -> None:
-        """States attributes of ``<option>``."""
-        option = self.root.find("option")
-        if option is None:
-            option = etree.Element("option")
-            self.root.insert(1, option)
-        option.attrib.update({name: _text(value) for name, value in values.items()})
-
-    def add_floor(self) -> None:
-        """Adds light, a floor and its look."""
-        asset, world = self.section("asset"), self.section("worldbody")
-        add_element(
-            asset, "texture", name=FLOOR, type="2d", builtin="checker", width="256", height="256",
-            rgb1="0.75 0.77 0.8", rgb2="0.85 0.87 0.9",
-        )  # fmt: skip
-        add_element(
-            asset, "material", name=FLOOR, texture=FLOOR, texrepeat="4 4", texuniform="true"
-        )
-        light = etree.Element("light", {"pos": "0 0 3", "dir": "0 0 -1", "directional": "true"})
-        floor = {"name": FLOOR, "type": "plane", "size": "0 0 0.05", "material": FLOOR}
-        world.insert(0, light)
-        world.insert(1, etree.Element("geom", floor))
-
-    def add_imu(self, body: str, site: str) -> None:
-        """Adds an IMU at a site of a body, which is added at its origin where there is none."""
-        if all(node.get("name") != site for node in self.root.iter("site")):
-            add_element(self.body(body).element, "site", name=site)
-        sensors = self.section("sensor")
-        for kind in IMU_SENSORS:
-            add_element(sensors, kind, name=kind, site=site)
-        add_element(sensors, "framequat", name="orientation", objtype="site", objname=site)
-
     def add_coupling(self, follower: str, leader: str, multiplier: Number, offset: Number) -> None:
         """Makes a joint follow another: q = offset + multiplier q of the leader."""
         add_element(
@@ -281,69 +229,9 @@ class MjcfXml:
             "joint",
             joint1=follower,
             joint2=leader,
-            polycoef=f"{_text(offset)} {_text(multiplier)} 0 0 0",
+            polycoef=f"{text_of(offset)} {text_of(multiplier)} 0 0 0",
             solref=write_numbers([COUPLING_TIME, 1.0]),
         )
-
-    def add_position_servo(
-        self,
-        joint: str,
-        kp: float,
-        kd: float,
-        limits: tuple[Number, Number] | None = None,
-    ) -> None:
-        """Adds a position servo at a joint, of its name."""
-        add_element(
-            self.section("actuator"),
-            "position",
-            name=joint,
-            joint=joint,
-            kp=write_numbers(kp),
-            kv=write_numbers(kd),
-            forcerange=None if limits is None else " ".join(map(_text, limits)),
-        )
-
-    def exclude_contact(self, one: str, two: str) -> None:
-        """Lets two bodies not touch each other."""
-        add_element(self.section("contact"), "exclude", body1=one, body2=two)
-
-    def turn_off_contact(self, geoms: Sequence[str]) -> None:
-        """Lets geoms touch nothing."""
-        for geom in self.geoms:
-            if geom.get("name") in geoms:
-                geom.set("contype", "0")
-                geom.set("conaffinity", "0")
-
-    def add_ball(
-        self,
-        name: str,
-        body: str,
-        radius: float,
-        place: ArrayLike,
-        like: str | None = None,  # noqa: ARG002 - a URDF states nothing of contacts
-    ) -> None:
-        """Adds a sphere that touches, as all its shapes do, and weighs nothing."""
-        add_element(
-            self.body(body).element,
-            "geom",
-            name=name,
-            class_=COLLISION,
-            type="sphere",
-            size=write_numbers(radius),
-            pos=write_numbers(place),
-        )
-
-    @property
-    def home(self) -> list[float] | None:
-        """The positions of its keyframe; None if it has none."""
-        key = self.root.find("keyframe/key")
-        return None if key is None else [float(word) for word in str(key.get("qpos")).split()]
-
-    def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
-        """Adds the keyframe to start from."""
-        key = add_element(self.section("keyframe"), "key", name=HOME, qpos=write_numbers(qpos))
-        if len(ctrl):
-            key.set("ctrl", write_numbers(ctrl))
 
 
 def placement_of(node: etree._Element) -> pin.SE3:
@@ -366,5 +254,6 @@ def _place(node: etree._Element, placement: pin.SE3) -> None:
         node.set("quat", write_numbers(quaternion))
 
 
-def _text(number: Number) -> str:
+def text_of(number: Number) -> str:
+    """Returns how a number is written, or what was written of it."""
     return number if isinstance(number, str) else write_numbers(number)

@@ -20,7 +20,7 @@ from pupper_analysis.models.published import find_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.convert.from_urdf import bare_mjcf
-from pupper_analysis.prepare.convert.to_urdf import urdf_draft, with_one_robot
+from pupper_analysis.prepare.convert.to_urdf import BareUrdf, with_one_robot
 from pupper_analysis.prepare.passes import Feet, robot_of
 from pupper_analysis.robot.robot import PublishedFile, Robot
 
@@ -76,7 +76,7 @@ def _bare_urdf(file: MjcfFile) -> UrdfFile:
     Raises:
         ModelError: If a URDF cannot have the robot.
     """
-    text = urdf_draft(file, file.path, fix_balls=True).text
+    text = BareUrdf.of(file, file.path, fix_balls=True).text
     made = urdf_from(file.path, text, parse_text(text), None)
     if all(joint.is_fixed for joint in made.tree.joints.values()):
         raise ModelError(file.path, diagnose("no-joints"))

@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -24,7 +23,6 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
@@ -32,9 +30,8 @@ from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, ha
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.models.spec_tree import join_free_base
-from pupper_analysis.models.stated.mjcf import stated_numbers, touching_geoms
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
-from pupper_analysis.models.urdf_file import ENDLESS_SLIDE, UrdfFile
+from pupper_analysis.models.urdf_file import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree, set_origin
 from pupper_analysis.models.xml import (
     DIGITS,
@@ -43,8 +40,6 @@ from pupper_analysis.models.xml import (
     new_file_text,
     write_numbers,
 )
-from pupper_analysis.prepare.convert.repair import Repair
-from pupper_analysis.prepare.notes import describe_span
 
 Array = NDArray[np.float64]
 
@@ -228,41 +223,53 @@ class UrdfLinks:
         return free_name(wanted, self._joint_names)
 
 
-def urdf_draft(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> ConversionDraft:
-    """Makes the URDF of an MJCF.
+@dataclass(frozen=True)
+class BareUrdf:
+    """An MJCF's links, shapes, couplings and motors as a URDF.
 
-    Args:
-        file: The MJCF.
-        output: Where the URDF shall be: the paths of its meshes start there.
-        fix_balls: Fix ball joints at rest; else they are refused.
-
-    Raises:
-        ModelError: If a URDF cannot have the robot.
+    Attributes:
+        model: What MuJoCo compiles the MJCF to.
+        text: The URDF.
+        bodies: The bodies that are links.
+        notes: What was assumed.
+        left: What a URDF cannot say of them.
     """
-    spec = file.spec.copy()
-    joined = join_free_base(spec, file.path)
-    notes = [*file.notes, *([joined] if joined else [])]
-    model = compile_spec(spec, file.path) if joined else file.model
-    base = find_root(file, model)
-    tree = UrdfTree(etree.Element("robot", name=str(file.spec.modelname) or file.path.stem))
-    shapes = UrdfShapes(file, model, output.resolve().parent)
-    links = UrdfLinks(file, model, tree, shapes, fix_balls)
-    links.add(base)
-    links.add_sites()
-    left = [*links.left, *shapes.left, *_couplings(tree, model), *tell_other_elements(model)]
-    left += tell_surroundings(model, set(links.links))
-    left += list_lost_numbers(model, set(links.links))
-    if links.unlimited:
-        left.append(diagnose("joints-without-effort-limit", count=links.unlimited))
-    _add_transmissions(tree, model)
-    floating = has_free_joint(model)
-    if floating:
-        notes.append(diagnose("free-base-not-in-urdf"))
-    gone, why = file.lacking, diagnose("no-such-mesh-file")
-    lost = [diagnose("collision-meshes-lost", files=gone, why=why)] if gone else []
-    header = f"Converted from {file.path.name} by pupper-analysis."
-    text = new_file_text(tree.root, header)
-    return ConversionDraft(text, {}, tuple(notes), tuple(left), lost=tuple(lost))
+
+    model: mujoco.MjModel
+    text: str
+    bodies: frozenset[int]
+    notes: tuple[Diagnostic, ...]
+    left: tuple[Diagnostic, ...]
+
+    @staticmethod
+    def of(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> BareUrdf:
+        """Makes the URDF of an MJCF.
+
+        Args:
+            file: The MJCF.
+            output: Where the URDF shall be: the paths of its meshes start there.
+            fix_balls: Fix ball joints at rest; else they are refused.
+
+        Raises:
+            ModelError: If a URDF cannot have the robot.
+        """
+        spec = file.spec.copy()
+        joined = join_free_base(spec, file.path)
+        notes = [*file.notes, *([joined] if joined else [])]
+        model = compile_spec(spec, file.path) if joined else file.model
+        tree = UrdfTree(etree.Element("robot", name=str(file.spec.modelname) or file.path.stem))
+        shapes = UrdfShapes(file, model, output.resolve().parent)
+        links = UrdfLinks(file, model, tree, shapes, fix_balls)
+        links.add(find_root(file, model))
+        links.add_sites()
+        left = [*links.left, *shapes.left, *_couplings(tree, model)]
+        if links.unlimited:
+            left.append(diagnose("joints-without-effort-limit", count=links.unlimited))
+        _add_transmissions(tree, model)
+        if has_free_joint(model):
+            notes.append(diagnose("free-base-not-in-urdf"))
+        text = new_file_text(tree.root, f"Converted from {file.path.name} by pupper-analysis.")
+        return BareUrdf(model, text, frozenset(links.links), tuple(notes), tuple(left))
 
 
 def _weigh_nothing(link: UrdfLink) -> None:
@@ -316,96 +323,6 @@ def _add_transmissions(tree: UrdfTree, model: mujoco.MjModel) -> None:
         add_element(
             add_element(node, "actuator", name=name), "mechanicalReduction"
         ).text = write_numbers(gear)
-
-
-def tell_other_elements(model: mujoco.MjModel) -> list[Diagnostic]:
-    """Tells what else a URDF cannot say."""
-    moving = model.jnt_type != JointKind.FREE
-    dofs = model.jnt_dofadr[moving]
-    some: list[Diagnostic] = []
-    if model.dof_armature[dofs].any():
-        values = describe_span(model.dof_armature[dofs], "kg m^2")
-        some.append(diagnose("armature-not-in-urdf", armature=values))
-    fixed = np.setdiff1d(np.arange(model.nv), dofs)
-    for values, what, unit in (
-        (model.dof_damping, "damping", "N s/m"),
-        (model.dof_frictionloss, "friction", "N"),
-        (model.dof_armature, "armature", "kg"),
-    ):
-        if values[fixed].any():
-            most = Quantity(values[fixed].max(), unit)
-            some.append(diagnose("property-of-free-joint", what=Term(what), value=most))
-    if model.jnt_stiffness[moving].any():
-        count = int((model.jnt_stiffness[moving] != 0).sum())
-        some.append(diagnose("springs-not-in-urdf", count=count))
-    if model.body_gravcomp.any():
-        count = int((model.body_gravcomp != 0).sum())
-        some.append(diagnose("gravity-compensation-not-in-urdf", count=count))
-    elsewhere = sum(not is_at_one_joint(model, number) for number in range(model.nactuator))
-    for count, what in (
-        (model.ntendon, "tendons"),
-        (model.nkey, "keyframes"),
-        (model.nsensor, "sensors"),
-        (model.nexclude, "excluded contacts"),
-        (model.npair, "pairs of geoms that touch"),
-        (elsewhere, "actuators that are not at a joint"),
-    ):
-        if count:
-            some.append(diagnose("not-in-urdf", what=Term(what), count=count))
-    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
-    servos = int((model.actuator_biastype == affine).sum())
-    if servos:
-        some.append(diagnose("gains-not-in-urdf", count=servos))
-    return some
-
-
-def list_lost_numbers(model: mujoco.MjModel, robot: set[int]) -> list[Diagnostic]:
-    """Lists what an MJCF states of contacts and of MuJoCo's options, and a URDF cannot.
-
-    Args:
-        model: The model.
-        robot: The bodies that are links.
-    """
-    touching = [g for g in sorted(touching_geoms(model)) if int(model.geom_bodyid[g]) in robot]
-    some = []
-    for tag, rows in (("geom", touching), ("option", [0])):
-        for word, values in stated_numbers(model, tag, rows).items():
-            distinct = dict.fromkeys(" ".join(f"{n:.6g}" for n in value) for value in values)
-            if tag == "geom":
-                given: dict[str, Any] = {"values": tuple(distinct), "count": len(values)}
-                some.append(diagnose("contact-number-not-in-urdf", what=word, **given))
-            else:
-                some.append(diagnose("option-not-in-urdf", what=word, values=tuple(distinct)))
-    return some
-
-
-def tell_surroundings(model: mujoco.MjModel, robot: set[int]) -> list[Diagnostic]:
-    """Tells what is around the robot, and on it, that no URDF has.
-
-    Args:
-        model: The model.
-        robot: The bodies that are links.
-    """
-    others = [body for body in range(1, model.nbody) if body not in robot]
-    away = [*others] if 0 in robot else [0, *others]
-    some = []
-    if others:
-        names = [model.body(body).name or f"{body}" for body in others]
-        some.append(diagnose("bodies-not-carried", bodies=names))
-    for count, what in (
-        (int(np.isin(model.geom_bodyid, away).sum()), "geoms of the world and of such bodies"),
-        (int(np.isin(model.site_bodyid, away).sum()), "sites there"),
-        (model.ncam, "cameras"),
-        (model.nlight, "lights"),
-    ):
-        if count:
-            some.append(diagnose("not-in-urdf", what=Term(what), count=count))
-    gravity = model.opt.gravity
-    if not np.allclose(gravity, DOWN):
-        some.append(diagnose("gravity-not-in-urdf", gravity=gravity))
-    if model.opt.density or model.opt.viscosity:
-        some.append(diagnose("fluid-not-in-urdf"))
-    return some
 
 
 Geometry = tuple[str, dict[str, str], pin.SE3]
@@ -533,36 +450,6 @@ def _path_of(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
     name = Path(mesh.file).name if file.spec.strippath else mesh.file
     path = file.path.resolve().parent / mesh.compiler.meshdir / name
     return path if path.is_file() else None
-
-
-@dataclass(frozen=True)
-class ConversionDraft:
-    """A new model file that is not written yet.
-
-    Attributes:
-        text: Its XML, for the folder it is meant for.
-        meshes: {file to be written beside it: its content}.
-        notes: What was added, or assumed.
-        not_converted: What the new format cannot say, or what was left out.
-        repairs: Inertials that were repaired.
-        urdf: The URDF with them, if the draft is of one: what the new file is proven against.
-        stands: Whether it is a robot that shall stand.
-        failure: Why it does not, if that is known already.
-        lost: What it cannot do without, and lacks.
-        on_balls: The joints whose feet touch with balls in the place of their meshes, as is
-            reported.
-    """
-
-    text: str
-    meshes: dict[Path, bytes]
-    notes: tuple[Diagnostic, ...]
-    not_converted: tuple[Diagnostic, ...]
-    repairs: tuple[Repair, ...] = ()
-    urdf: UrdfFile | None = None
-    stands: bool = False
-    failure: Diagnostic | None = None
-    lost: tuple[Diagnostic, ...] = ()
-    on_balls: frozenset[str] = frozenset()
 
 
 # One robot of an MJCF that may hold more.

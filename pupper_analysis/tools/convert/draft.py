@@ -1,4 +1,7 @@
-"""A URDF as a new MJCF file: with feet, servos, a floor and a keyframe in which it stands."""
+"""New files that are not written yet: the MJCF of a URDF, the URDF of an MJCF.
+
+The MJCF has feet, servos, a floor and a keyframe in which it stands.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +9,28 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError, StanceUnreachableError
+from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.additions import Addition, Ball, Floor, Options, Servo, Start, put_all
-from pupper_analysis.models.mjcf_xml import MjcfXml
+from pupper_analysis.models.attributes import FLOOR, HOME, IMU_SENSORS, Number
+from pupper_analysis.models.mjcf import JointKind
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.mjcf_xml import COLLISION, MjcfXml, text_of
+from pupper_analysis.models.stated.mjcf import stated_numbers, touching_geoms
+from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.xml import free_name, new_file_text, write_numbers
+from pupper_analysis.models.xml import add_element, free_name, new_file_text, write_numbers
 from pupper_analysis.prepare.bare import Bare, place_as
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.prepare.convert.from_urdf import (
@@ -30,7 +40,8 @@ from pupper_analysis.prepare.convert.from_urdf import (
     MjcfOptions,
     UrdfBodies,
 )
-from pupper_analysis.prepare.convert.to_urdf import ConversionDraft
+from pupper_analysis.prepare.convert.repair import Repair
+from pupper_analysis.prepare.convert.to_urdf import BareUrdf
 from pupper_analysis.prepare.drives import held_gains_of, servos_of
 from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.passes import ground_of_urdf, robot_of
@@ -48,6 +59,149 @@ Array = NDArray[np.float64]
 
 _READ = ("link", "joint", "material")
 """What is read of a <robot>: <transmission>, <gazebo>, <mujoco> ... are other programs'."""
+
+
+@dataclass(frozen=True)
+class ConversionDraft:
+    """A new model file that is not written yet.
+
+    Attributes:
+        text: Its XML, for the folder it is meant for.
+        meshes: {file to be written beside it: its content}.
+        notes: What was added, or assumed.
+        not_converted: What the new format cannot say, or what was left out.
+        repairs: Inertials that were repaired.
+        urdf: The URDF with them, if the draft is of one: what the new file is proven against.
+        stands: Whether it is a robot that shall stand.
+        failure: Why it does not, if that is known already.
+        lost: What it cannot do without, and lacks.
+        on_balls: The joints whose feet touch with balls in the place of their meshes, as is
+            reported.
+    """
+
+    text: str
+    meshes: dict[Path, bytes]
+    notes: tuple[Diagnostic, ...]
+    not_converted: tuple[Diagnostic, ...]
+    repairs: tuple[Repair, ...] = ()
+    urdf: UrdfFile | None = None
+    stands: bool = False
+    failure: Diagnostic | None = None
+    lost: tuple[Diagnostic, ...] = ()
+    on_balls: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, eq=False)
+class NewMjcf(MjcfXml):
+    """An MJCF that is made of a URDF: what it can be given for a simulation, as `SpecTree` can."""
+
+    @property
+    def joints(self) -> list[etree._Element]:
+        """All hinges and slides."""
+        return [joint for body in self.bodies for joint in body.joints if joint.tag == "joint"]
+
+    @property
+    def touches(self) -> bool:
+        """Whether it has shapes of its robot that touch."""
+        return any(geom.get("class") == COLLISION for geom in self.geoms)
+
+    def remove_empty_sections(self) -> None:
+        """Takes out sections that state nothing."""
+        for node in list(self.root):
+            if node.tag != "worldbody" and not len(node) and not node.attrib:
+                self.root.remove(node)
+
+    def set_options(self, **values: Number) -> None:
+        """States attributes of ``<option>``."""
+        option = self.root.find("option")
+        if option is None:
+            option = etree.Element("option")
+            self.root.insert(1, option)
+        option.attrib.update({name: text_of(value) for name, value in values.items()})
+
+    def add_floor(self) -> None:
+        """Adds light, a floor and its look."""
+        asset, world = self.section("asset"), self.section("worldbody")
+        add_element(
+            asset, "texture", name=FLOOR, type="2d", builtin="checker", width="256", height="256",
+            rgb1="0.75 0.77 0.8", rgb2="0.85 0.87 0.9",
+        )  # fmt: skip
+        add_element(
+            asset, "material", name=FLOOR, texture=FLOOR, texrepeat="4 4", texuniform="true"
+        )
+        light = etree.Element("light", {"pos": "0 0 3", "dir": "0 0 -1", "directional": "true"})
+        floor = {"name": FLOOR, "type": "plane", "size": "0 0 0.05", "material": FLOOR}
+        world.insert(0, light)
+        world.insert(1, etree.Element("geom", floor))
+
+    def add_imu(self, body: str, site: str) -> None:
+        """Adds an IMU at a site of a body, which is added at its origin where there is none."""
+        if all(node.get("name") != site for node in self.root.iter("site")):
+            add_element(self.body(body).element, "site", name=site)
+        sensors = self.section("sensor")
+        for kind in IMU_SENSORS:
+            add_element(sensors, kind, name=kind, site=site)
+        add_element(sensors, "framequat", name="orientation", objtype="site", objname=site)
+
+    def add_position_servo(
+        self,
+        joint: str,
+        kp: float,
+        kd: float,
+        limits: tuple[Number, Number] | None = None,
+    ) -> None:
+        """Adds a position servo at a joint, of its name."""
+        add_element(
+            self.section("actuator"),
+            "position",
+            name=joint,
+            joint=joint,
+            kp=write_numbers(kp),
+            kv=write_numbers(kd),
+            forcerange=None if limits is None else " ".join(map(text_of, limits)),
+        )
+
+    def exclude_contact(self, one: str, two: str) -> None:
+        """Lets two bodies not touch each other."""
+        add_element(self.section("contact"), "exclude", body1=one, body2=two)
+
+    def turn_off_contact(self, geoms: Sequence[str]) -> None:
+        """Lets geoms touch nothing."""
+        for geom in self.geoms:
+            if geom.get("name") in geoms:
+                geom.set("contype", "0")
+                geom.set("conaffinity", "0")
+
+    def add_ball(
+        self,
+        name: str,
+        body: str,
+        radius: float,
+        place: ArrayLike,
+        like: str | None = None,  # noqa: ARG002 - a URDF states nothing of contacts
+    ) -> None:
+        """Adds a sphere that touches, as all its shapes do, and weighs nothing."""
+        add_element(
+            self.body(body).element,
+            "geom",
+            name=name,
+            class_=COLLISION,
+            type="sphere",
+            size=write_numbers(radius),
+            pos=write_numbers(place),
+        )
+
+    @property
+    def home(self) -> list[float] | None:
+        """The positions of its keyframe; None if it has none."""
+        key = self.root.find("keyframe/key")
+        return None if key is None else [float(word) for word in str(key.get("qpos")).split()]
+
+    def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
+        """Adds the keyframe to start from."""
+        key = add_element(self.section("keyframe"), "key", name=HOME, qpos=write_numbers(qpos))
+        if len(ctrl):
+            key.set("ctrl", write_numbers(ctrl))
 
 
 class _LeglessError(Exception):
@@ -86,7 +240,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft
     """Makes the MJCF of a URDF, whose base may turn out to have no legs."""
     said = None if options.fixed_base is None else not options.fixed_base
     bare = BareMjcf.of(urdf, output, options, free=said)
-    mjcf, meshes = bare.mjcf, bare.meshes
+    mjcf, meshes = NewMjcf(bare.mjcf.root), bare.meshes
     left = [*bare.bodies.notes, *meshes.notes, *_unsaid(urdf)]
     notes, failure, on_balls = list(bare.notes), None, frozenset[str]()
     if bare.free:
@@ -144,7 +298,7 @@ def _put_stand(
     Returns:
         Its notes, why the robot does not stand, if so, and the joints whose feet are balls now.
     """
-    mjcf, meshes, bodies = bare.mjcf, bare.meshes, bare.bodies
+    mjcf, meshes, bodies = NewMjcf(bare.mjcf.root), bare.meshes, bare.bodies
     # Without shapes nothing can stand, which is no sign of a hand.
     sure = not mjcf.touches
     sure |= bodies.floats or options.feet is not None or options.fixed_base is False
@@ -241,7 +395,8 @@ def _in_own_frame(added: Addition, own: Bare, robot: Robot) -> Addition:
 
 def _put_held(bare: BareMjcf, options: MjcfOptions) -> list[Diagnostic]:
     """Adds the servos of a robot that is held; returns what was added."""
-    if not bare.mjcf.joints:
+    mjcf = NewMjcf(bare.mjcf.root)
+    if not mjcf.joints:
         return [diagnose("nothing-moves")]
     robot = _freed(bare, options) or robot_of(bare.urdf, bare.file(), fixed_base=True)
     added = robot.description.added
@@ -250,7 +405,7 @@ def _put_held(bare: BareMjcf, options: MjcfOptions) -> list[Diagnostic]:
         added = _retuned(robot, *gains)
     # What hangs from the world needs no ground, and no pose of its base.
     added = tuple(each for each in added if not isinstance(each, Floor | Start))
-    put_all(added, bare.mjcf)
+    put_all(added, mjcf)
     return list(dict.fromkeys(each.reason for each in added))
 
 
@@ -269,7 +424,7 @@ def _freed(bare: BareMjcf, options: MjcfOptions) -> Robot | None:
     return robot
 
 
-def _unstated(mjcf: MjcfXml) -> list[Diagnostic]:
+def _unstated(mjcf: NewMjcf) -> list[Diagnostic]:
     """Tells which joints have neither armature nor damping: a URDF states no armature."""
     joints = mjcf.joints
     still, undamped = (sum(j.get(word) is None for j in joints) for word in ("armature", "damping"))
@@ -283,7 +438,7 @@ _KEY_DIGITS = 6
 """Decimals of the base's height: a micrometre."""
 
 
-def _add_imu(mjcf: MjcfXml, bodies: UrdfBodies) -> Diagnostic:
+def _add_imu(mjcf: NewMjcf, bodies: UrdfBodies) -> Diagnostic:
     """Adds an IMU: on the link that is named after one, otherwise at the base's origin.
 
     Returns:
@@ -297,7 +452,7 @@ def _add_imu(mjcf: MjcfXml, bodies: UrdfBodies) -> Diagnostic:
     return diagnose("imu-added", link=named[0] if named else None)
 
 
-def _lift_base(mjcf: MjcfXml, bodies: UrdfBodies, model: mujoco.MjModel) -> None:
+def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None:
     """Puts the base where nothing is in the ground, with all joints at zero or as it stands.
 
     A simulation that is begun without the keyframe would throw it up by what is in the ground.
@@ -497,3 +652,114 @@ def _shared_ending(names: Sequence[str]) -> str:
         ending = letters[0] + ending
     ending = ending.strip("_- ")
     return ending if len(ending) > 1 else ""
+
+
+# An MJCF as a URDF.
+
+
+def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
+    """Makes the URDF of an MJCF.
+
+    Args:
+        file: The MJCF.
+        output: Where the URDF shall be: the paths of its meshes start there.
+
+    Raises:
+        ModelError: If a URDF cannot have the robot.
+    """
+    bare = BareUrdf.of(file, output)
+    left = [*bare.left, *_other_elements(bare.model), *_surroundings(bare.model, bare.bodies)]
+    left += _lost_numbers(bare.model, bare.bodies)
+    gone, why = file.lacking, diagnose("no-such-mesh-file")
+    lost = [diagnose("collision-meshes-lost", files=gone, why=why)] if gone else []
+    return ConversionDraft(bare.text, {}, bare.notes, tuple(left), lost=tuple(lost))
+
+
+def _other_elements(model: mujoco.MjModel) -> list[Diagnostic]:
+    """Tells what else a URDF cannot say."""
+    moving = model.jnt_type != JointKind.FREE
+    dofs = model.jnt_dofadr[moving]
+    some: list[Diagnostic] = []
+    if model.dof_armature[dofs].any():
+        values = describe_span(model.dof_armature[dofs], "kg m^2")
+        some.append(diagnose("armature-not-in-urdf", armature=values))
+    fixed = np.setdiff1d(np.arange(model.nv), dofs)
+    for values, what, unit in (
+        (model.dof_damping, "damping", "N s/m"),
+        (model.dof_frictionloss, "friction", "N"),
+        (model.dof_armature, "armature", "kg"),
+    ):
+        if values[fixed].any():
+            most = Quantity(values[fixed].max(), unit)
+            some.append(diagnose("property-of-free-joint", what=Term(what), value=most))
+    if model.jnt_stiffness[moving].any():
+        count = int((model.jnt_stiffness[moving] != 0).sum())
+        some.append(diagnose("springs-not-in-urdf", count=count))
+    if model.body_gravcomp.any():
+        count = int((model.body_gravcomp != 0).sum())
+        some.append(diagnose("gravity-compensation-not-in-urdf", count=count))
+    elsewhere = sum(not is_at_one_joint(model, number) for number in range(model.nactuator))
+    for count, what in (
+        (model.ntendon, "tendons"),
+        (model.nkey, "keyframes"),
+        (model.nsensor, "sensors"),
+        (model.nexclude, "excluded contacts"),
+        (model.npair, "pairs of geoms that touch"),
+        (elsewhere, "actuators that are not at a joint"),
+    ):
+        if count:
+            some.append(diagnose("not-in-urdf", what=Term(what), count=count))
+    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
+    servos = int((model.actuator_biastype == affine).sum())
+    if servos:
+        some.append(diagnose("gains-not-in-urdf", count=servos))
+    return some
+
+
+def _lost_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
+    """Lists what an MJCF states of contacts and of MuJoCo's options, and a URDF cannot.
+
+    Args:
+        model: The model.
+        robot: The bodies that are links.
+    """
+    touching = [g for g in sorted(touching_geoms(model)) if int(model.geom_bodyid[g]) in robot]
+    some = []
+    for tag, rows in (("geom", touching), ("option", [0])):
+        for word, values in stated_numbers(model, tag, rows).items():
+            distinct = dict.fromkeys(" ".join(f"{n:.6g}" for n in value) for value in values)
+            if tag == "geom":
+                given: dict[str, Any] = {"values": tuple(distinct), "count": len(values)}
+                some.append(diagnose("contact-number-not-in-urdf", what=word, **given))
+            else:
+                some.append(diagnose("option-not-in-urdf", what=word, values=tuple(distinct)))
+    return some
+
+
+def _surroundings(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
+    """Tells what is around the robot, and on it, that no URDF has.
+
+    Args:
+        model: The model.
+        robot: The bodies that are links.
+    """
+    others = [body for body in range(1, model.nbody) if body not in robot]
+    away = [*others] if 0 in robot else [0, *others]
+    some = []
+    if others:
+        names = [model.body(body).name or f"{body}" for body in others]
+        some.append(diagnose("bodies-not-carried", bodies=names))
+    for count, what in (
+        (int(np.isin(model.geom_bodyid, away).sum()), "geoms of the world and of such bodies"),
+        (int(np.isin(model.site_bodyid, away).sum()), "sites there"),
+        (model.ncam, "cameras"),
+        (model.nlight, "lights"),
+    ):
+        if count:
+            some.append(diagnose("not-in-urdf", what=Term(what), count=count))
+    gravity = model.opt.gravity
+    if not np.allclose(gravity, DOWN):
+        some.append(diagnose("gravity-not-in-urdf", gravity=gravity))
+    if model.opt.density or model.opt.viscosity:
+        some.append(diagnose("fluid-not-in-urdf"))
+    return some

@@ -28,7 +28,6 @@ from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.convert.from_urdf import MjcfOptions
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.prepare.convert.repair import Repair
-from pupper_analysis.prepare.convert.to_urdf import ConversionDraft, urdf_draft
 from pupper_analysis.prepare.judge import judge_stand, remarks_of_files
 from pupper_analysis.prepare.passes import Feet, robot_of
 from pupper_analysis.prepare.simulable import check_simulable
@@ -44,7 +43,7 @@ from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import solve_stand
-from pupper_analysis.tools.convert.draft import mjcf_draft
+from pupper_analysis.tools.convert.draft import ConversionDraft, mjcf_draft, urdf_draft
 from pupper_analysis.tools.sync.models import FINE
 
 

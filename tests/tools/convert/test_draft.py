@@ -10,6 +10,7 @@ import pytest
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.xml import add_element
+from pupper_analysis.tools.convert.draft import NewMjcf
 
 ARRAYS = (
     *("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),
@@ -19,9 +20,9 @@ ARRAYS = (
 )
 
 
-def robot() -> MjcfXml:
+def robot() -> NewMjcf:
     """Three hinges in a row on a free base, each body with a sphere."""
-    mjcf = MjcfXml.of_urdf("chain")
+    mjcf = NewMjcf(MjcfXml.of_urdf("chain").root)
     body = add_element(mjcf.section("worldbody"), "body", name="base", pos="0 0 0.4")
     add_element(body, "freejoint", name="root")
     for name in ("base", "one", "two", "three"):
@@ -33,7 +34,7 @@ def robot() -> MjcfXml:
     return mjcf
 
 
-def edit(mjcf: MjcfXml | SpecTree) -> None:
+def edit(mjcf: NewMjcf | SpecTree) -> None:
     mjcf.set_options(integrator="implicitfast", cone="elliptic", impratio=100.0)
     mjcf.add_imu("two", "imu")
     mjcf.add_coupling("three_joint", "two_joint", "-0.5", "0.25")
