@@ -103,7 +103,7 @@ def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize(
     ("script", "arguments"),
-    [("stand_pupper.py", ["--headless", "--seconds", "nan"]), ("view_pupper.py", ["--fix"])],
+    [("stand_pupper.py", ["--headless", "--seconds", "3"]), ("view_pupper.py", ["--fix"])],
 )
 def test_bad_input_of_the_other_scripts(script: str, arguments: list[str]) -> None:
     result = run(script, *arguments)

@@ -56,7 +56,7 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
         *(("--command", "1,0,0"), ("--seeds", "2"), ("--vary", "mass"), ("--fit", "fit.json")),
     ),
     ("live", "v3", "--drop", "--headless"): (("--port", "1"), ("--fixed-base",)),
-    ("live", "v3", "--mujoco", "--headless"): (("--seconds", "3"),),
+    ("live", "v3", "--mujoco", "--headless"): (("--port", "1"),),
     ("live", "v3", "--no-browser"): (("--headless",),),
     ("live", "arm.urdf", "--no-browser"): (("--stance", "height:120"),),
     ("check", "--init"): (("--format", "sarif"), ("--json", "a.json")),

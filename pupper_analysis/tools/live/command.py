@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _ROBOT = frozenset(("words", *(one.name for one in fields(RobotOptions))))
 _USES = {
     "--mujoco": {*_ROBOT, "viewer", "headless", "fixed_base"},
-    "--drop": {*_ROBOT, "dropped", "headless", "seconds"},
+    "--drop": {*_ROBOT, "dropped", "headless"},
     "--policy": {*_ROBOT, "policy", "contract", "asked", "language", "host", "port", "no_browser"},
     "the page": {*_ROBOT, "stance", "language", "host", "port", "no_browser"},
 }
@@ -77,7 +77,6 @@ _USES = {
 @click.option(
     "--fixed-base", is_flag=True, help="With --mujoco: fix the base in the air, without gravity."
 )
-@click.option("--seconds", type=float, help="With --drop: simulated time (s). [default: 6]")
 @shared.file_option("--policy", help="Let this policy walk it: command it, and push it.")
 @CONTRACT
 @COMMAND
@@ -97,7 +96,6 @@ def command(
     dropped: bool,
     headless: bool,
     fixed_base: bool,
-    seconds: float | None,
 ) -> None:
     """Open a page with sliders for a stance that shows its torques, contact forces and sag.
 
@@ -138,8 +136,7 @@ def command(
         if not dropped:
             window.view_robot(robot, fixed=fixed_base, headless=headless)
             return
-        seconds = window.DEFAULT_SECONDS if seconds is None else seconds
-        if not window.drop_and_report(robot, headless=headless, seconds=seconds):
+        if not window.drop_and_report(robot, headless=headless):
             click.get_current_context().exit(shared.FAILED)
         return
     _open_page(meant, stance, browser=not no_browser, **where)

@@ -128,34 +128,6 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[Found]:
         yield Found("actuator", drive.name, message)
 
 
-SLOWEST = 1.0
-"""s: a robot that leans has fallen before a servo answers that is slower."""
-
-
-@rule
-def actuator_slow(robot: MjcfModel) -> Iterator[Found]:
-    """Finds filters with a time constant of more than 1 s."""
-    for model, drive in _drives(robot):
-        filtered = model.actuator_dyntype[drive.id] in (
-            mujoco.mjtDyn.mjDYN_FILTER.value,
-            mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
-        )
-        constant = float(model.actuator_dynprm[drive.id, 0])
-        if filtered and constant > SLOWEST:
-            message = diagnose("actuator-slow", constant=Quantity(constant, "s"))
-            yield Found("actuator", drive.name, message)
-
-
-@rule
-def forcerange_without_zero(robot: MjcfModel) -> Iterator[Found]:
-    """Finds forceranges that do not hold 0."""
-    for model, drive in _drives(robot):
-        low, high = model.actuator_forcerange[drive.id]
-        if model.actuator_forcelimited[drive.id] and not low <= 0 <= high:
-            message = diagnose("forcerange-without-zero", low=low, high=high)
-            yield Found("actuator", drive.name, message)
-
-
 @rule
 def servo_gains_contradict(robot: MjcfModel) -> Iterator[Found]:
     """Finds kp != k, which k < 0 is too; MuJoCo takes kd < 0 for a damping ratio."""

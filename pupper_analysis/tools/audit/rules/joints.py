@@ -88,17 +88,6 @@ def axis_zero(robot: RobotModel) -> Iterator[Found]:
             yield Found("joint", joint.name, diagnose("axis-zero"), "axis")
 
 
-@rule
-def axis_not_unit(robot: RobotModel) -> Iterator[Found]:
-    """Finds axes whose length differs from 1 by more than 1e-3."""
-    for joint in robot.joints.values():
-        length = float(np.linalg.norm(joint.raw_axis))
-        if joint.moves and length > 1e-9 and abs(length - 1.0) > 1e-3:
-            axis = Vector(tuple(joint.raw_axis), "1")
-            message = diagnose("axis-not-unit", axis=axis, length=Quantity(length, "1"))
-            yield Found("joint", joint.name, message, "axis")
-
-
 # Rules about the limits of joints.
 
 

@@ -9,14 +9,13 @@ import numpy as np
 from lxml import etree
 
 from pupper_analysis.base.diagnostics import (
-    Quantity,
     Severity,
     Vector,
     diagnose,
 )
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, PASSIVE
 from pupper_analysis.models.loading import Found
-from pupper_analysis.models.mjcf import TIMESTEPS, JointKind
+from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.mjcf import line_of
 from pupper_analysis.models.stated.model import MjcfModel, RobotModel, UrdfModel
@@ -193,46 +192,6 @@ def rpy_in_degrees(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
                 "rpy-in-degrees", attribute="euler", angles=Vector(tuple(euler), "rad")
             )
             yield Found(tag, name, message, place=place)
-
-
-@rule
-def quaternion_not_unit(robot: MjcfModel) -> Iterator[Found]:
-    """Finds lengths off 1 by more than 1e-3, but for (1, 0, 0, 1) and the like."""
-    for tag, name, element, place in _posed(robot):
-        quaternion = np.array(element.quat)  # type: ignore[attr-defined]
-        length = float(np.linalg.norm(quaternion))
-        parts = np.abs(quaternion[quaternion != 0])
-        on_purpose = length > 0.5 and np.ptp(parts) < 1e-9 * parts.max()
-        if abs(length - 1.0) > 1e-3 and not on_purpose:
-            message = diagnose(
-                "quaternion-not-unit",
-                quaternion=Vector(tuple(quaternion), "1"),
-                length=Quantity(length, "1"),
-            )
-            yield Found(tag, name, message, place=place)
-
-
-@rule
-def keyframe_quaternion(robot: MjcfModel) -> Iterator[Found]:
-    """Finds lengths off 1 by more than 1e-3, of free and ball joints in keyframes."""
-    if robot.mj_model is None:
-        return
-    model = robot.mj_model
-    for joint in range(model.njnt):
-        kind = JointKind(int(model.jnt_type[joint]))
-        if kind not in (JointKind.FREE, JointKind.BALL):
-            continue
-        start = int(model.jnt_qposadr[joint]) + (3 if kind == JointKind.FREE else 0)
-        for key in robot.file.spec.keys:
-            quaternion = np.array(key.qpos)[start : start + 4]
-            length = float(np.linalg.norm(quaternion))
-            if len(quaternion) == 4 and abs(length - 1.0) > 1e-3:
-                message = diagnose(
-                    "keyframe-quaternion",
-                    quaternion=Vector(tuple(quaternion), "1"),
-                    length=Quantity(length, "1"),
-                )
-                yield Found("key", key.name, message)
 
 
 def _posed(robot: MjcfModel) -> Iterator[tuple[str, str, object, Place | None]]:
