@@ -30,6 +30,8 @@ from .robot.compare.compare import compare_models as compare_models
 from .robot.compare.engines import cross_check as cross_check
 from .robot.configuration import Configuration as Configuration
 from .robot.ground import Ground as Ground
+from .robot.plane import Contact as Contact
+from .robot.plane import Plane as Plane
 from .robot.robot import Robot as Robot
 from .simulation.verify import verify_stand as verify_stand
 from .stance.judge import Stand as Stand

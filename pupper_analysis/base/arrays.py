@@ -73,6 +73,12 @@ def inertia_of(mass: float, com: Array, tensor: Array) -> pin.Inertia:
     return result
 
 
+def across(vector: Array, direction: Array) -> Array:
+    """Returns the part of a vector (3,) that is at right angles to a direction (3,)."""
+    part: Array = vector - (vector @ direction) * direction
+    return part
+
+
 def cross_matrices(vectors: Array) -> Array:
     """Returns the matrices (..., 3, 3) that take x to v x x, of vectors v (..., 3)."""
     matrices: Array = (vectors @ _CROSSES).reshape(*vectors.shape, 3)

@@ -141,10 +141,11 @@ class ConfigurationError(PupperAnalysisError):
 
     Attributes:
         field: The name of the argument.
+        problem: What is wrong with it.
     """
 
     def __init__(self, field: str, problem: Problem) -> None:
-        self.field = field
+        self.field, self.problem = field, problem
         super().__init__(diagnose("argument-not-valid", field=field, problem=problem))
 
 

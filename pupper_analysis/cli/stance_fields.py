@@ -19,6 +19,7 @@ from pupper_analysis.cli import shared
 from pupper_analysis.stance.fields import FIELDS, Field
 
 if TYPE_CHECKING:
+    from pupper_analysis.robot.plane import Contact
     from pupper_analysis.stance.task import StandTask
 
 Command = Callable[..., None]
@@ -33,7 +34,7 @@ def option_of(field: Field) -> Callable[[Command], Command]:
     options: dict[str, Any] = {"help": field.help.removesuffix(".") + example}
     point = field.axes or field.choices
     if field.per:
-        form = "X,Y" if point else field.kind.upper()
+        form = "X,Y" if point else "PLANE" if field.kind == "contact" else field.kind.upper()
         options |= {"multiple": True, "metavar": f"{field.per.upper()}={form}"}
     elif point:
         frame = "[FRAME,]" if field.frame else ""
@@ -78,9 +79,51 @@ def to_task_value(field: Field, value: Any) -> Any:
 
 
 def _one(field: Field, text: str, given: str) -> Any:
+    if field.kind == "contact":
+        return parse_contact(field.option, text, given)
     if field.axes or field.choices:
         return shared.parse_point(field.option, text, len(field.axes or "xy"), field.choices)
     return shared.parse_measure(field.option, field.kind, text, given)
+
+
+def parse_contact(option: str, text: str, given: str) -> Contact:
+    """Returns what is touched, of ``wall:0.4m,mu=0.6``; see the option's help.
+
+    Raises:
+        ConfigurationError: For the option, if it is none.
+    """
+    from pupper_analysis.robot.plane import KINDS, Contact, Plane, plane_of
+
+    what, *parts = (part.strip() for part in text.split(","))
+    kind, _, first = what.partition(":")
+    numbers = [first, *(part for part in parts if "=" not in part)]
+    if kind not in (*KINDS, "plane") or len(numbers) != (6 if kind == "plane" else 1):
+        form = "[wall|table|ceiling]:LENGTH, plane:X,Y,Z,NX,NY,NZ"
+        raise ConfigurationError(option, diagnose("not-of-the-form", given=given, form=form))
+    lengths = [shared.parse_measure(option, "length", one, given) for one in numbers]
+    asked: dict[str, Any] = {}
+    for part in (part for part in parts if "=" in part):
+        word, _, value = part.partition("=")
+        if word in ("place", "offset"):
+            asked[word] = shared.parse_point(option, value.replace("/", ","), 3)
+        elif word == "mu":
+            _, asked[word] = shared.parse_number_assignment(option, part)
+        elif word == "radius":
+            asked[word] = shared.parse_measure(option, "length", value, given)
+        else:
+            known = ("mu", "place", "offset", "radius")
+            raise ConfigurationError(option, diagnose("not-one-of", given=word, known=known))
+    friction = asked.pop("mu", None)
+    try:
+        x, y, z, *normal = lengths if kind == "plane" else (0.0, 0.0, 0.0)
+        plane = (
+            Plane((x, y, z), (normal[0], normal[1], normal[2]), friction)
+            if kind == "plane"
+            else plane_of(kind, lengths[0], friction)
+        )
+        return Contact(plane, **asked)
+    except ConfigurationError as error:
+        raise ConfigurationError(option, error.diagnostic) from None
 
 
 _OF_ROBOT = ("payload", "payload_at", "kp", "kd", "integrator", "cone", "impratio")

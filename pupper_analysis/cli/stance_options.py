@@ -160,6 +160,7 @@ class RobotAndTask:
         from pupper_analysis.robot.build import with_efforts
         from pupper_analysis.robot.servos import with_options
         from pupper_analysis.robot.tool import with_payload
+        from pupper_analysis.robot.touching import touching
 
         place = self.place
         robot = with_efforts(robot, parse_efforts(self.effort, robot))
@@ -169,7 +170,8 @@ class RobotAndTask:
             where = ", ".join(f"{1e3 * float(value):.4g}" for value in place[-3:])
             name = f"{loaded.name} + {self.payload:.6g} kg at {frame}({where}) mm"
             loaded = replace(loaded, name=name)
-        return with_options(loaded, self.integrator, self.cone, self.impratio)
+        loaded = with_options(loaded, self.integrator, self.cone, self.impratio)
+        return touching(loaded, self.task().contacts) if self.stance else loaded
 
     @property
     def place(self) -> tuple[str | float, ...]:

@@ -98,14 +98,14 @@ class Ball(Addition):
         body: What it belongs to.
         radius: m.
         place: (3,) in the body's frame (m).
-        like: The geom whose contact parameters it has.
+        like: The geom whose contact parameters it has; None: MuJoCo's own.
     """
 
     name: str
     body: str
     radius: float
     place: tuple[float, ...]
-    like: str
+    like: str | None
 
     def put(self, model: Equipped) -> None:
         """Puts it into a model."""

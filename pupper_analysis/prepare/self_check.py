@@ -53,7 +53,7 @@ from pupper_analysis.robot.as_published import (
 )
 from pupper_analysis.robot.contact import foot_geoms, ground_contacts
 from pupper_analysis.robot.fall import body_moved, nudge_velocity
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, with_friction
 from pupper_analysis.robot.servos import own_servos, servo_gains
 from pupper_analysis.simulation.verify import JOINT_TOLERANCE
 from pupper_analysis.stance.sag.steady_state import steady_state
@@ -352,7 +352,8 @@ def makes_it_shake(robot: Robot, fails: Callable[[Robot], bool]) -> tuple[Cause,
         model = copy.copy(robot.mj_model)
         candidate.switch_off(model)
         geoms = foot_geoms(robot.description, model, robot.contact_places)
-        other = replace(robot, mj_model=model, contacts=ground_contacts(model, geoms))
+        contacts = with_friction(ground_contacts(model, geoms), robot.feet, robot.touching)
+        other = replace(robot, mj_model=model, contacts=contacts, bare=None)
         if not fails(other):
             return with_lines([candidate.cause(0.0)], robot)
     return ()

@@ -20,7 +20,7 @@ from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.statics.support_polygon import support_corners, support_polygon
+from pupper_analysis.statics.support_polygon import support_polygon
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -151,6 +151,11 @@ class StandingScene:
         return np.array([x, y, self.ground.height((x, y))])
 
     @property
+    def normal(self) -> Array:
+        """The direction (3,) out of the ground's plane."""
+        return self.ground.normal()
+
+    @property
     def turn(self) -> Array:
         """The quaternion (w, x, y, z) that takes the level to the ground's plane."""
         return quaternion_from_rotation(self.ground.rotation())
@@ -169,15 +174,15 @@ def describe_scene(
     config = Configuration(robot, stand.qpos)
     com = config.center_of_mass() if statics is None else statics.center_of_mass
     ground = stand.task.ground
+    robot = stand.check(robot)
     points = np.array(list(stand.contact_points.values()))
     steps = ground.steps(stand.rigid_targets, robot.contact_radius)
     return StandingScene(
         ground=ground,
         points=points,
-        polygon=polygon_corners(points) if not ground.tilts else _balanced(robot, stand, points),
+        polygon=polygon_corners(points) if not ground.apart else _balanced(robot, stand, points),
         steps=tuple(
-            Step(foot, ground.heights.get(foot, 0.0), *box, ground.rotation(foot))
-            for foot, box in steps.items()
+            Step(foot, ground.heights.get(foot, 0.0), *step) for foot, step in steps.items()
         ),
         com=com,
         below=np.array([com[0], com[1], height_at(points, com)]),
@@ -199,11 +204,7 @@ def height_at(points: Array, place: Array) -> float:
 
 def _balanced(robot: Robot, stand: Stand, points: Array) -> Array:
     """Returns the corners (m, 3) of where a com is in balance, in the plane through the points."""
-    normals = np.array([*stand.normals.values()])
-    friction = [robot.contacts[foot].sliding_friction for foot in stand.normals if robot.contacts]
-    corners = polygon_corners(
-        np.array([(x, y, 0) for x, y in support_corners(points, normals, friction)])
-    )
+    corners = polygon_corners(np.array([(x, y, 0) for x, y in stand.corners(robot)]))
     return np.array([(x, y, height_at(points, np.array((x, y)))) for x, y, _ in corners])
 
 

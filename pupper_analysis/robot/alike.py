@@ -124,7 +124,8 @@ def limbs_without_feet(robot: Robot, limbs: list[Limb]) -> list[Diagnostic]:
     if not any(note.code == "feet-found" for note in robot.notes):
         return []
     model, messages = robot.mj_model, []
-    carrying = {int(model.body_weldid[body]) for body, _ in robot.contact_places.values()}
+    own = (body for point, (body, _) in robot.contact_places.items() if point not in robot.hands)
+    carrying = {int(model.body_weldid[body]) for body in own}
     footed = [limb for limb in limbs if limb.bodies[-1] in carrying]
     for limb in limbs:
         alike = [other for other in footed if other.like(limb)]

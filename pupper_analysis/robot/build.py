@@ -37,7 +37,14 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.contact import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.floor import floor_of, leave_ground
-from pupper_analysis.robot.robot import Robot, acts_at_rest, effort_notes, efforts_of
+from pupper_analysis.robot.robot import (
+    Robot,
+    Touching,
+    acts_at_rest,
+    effort_notes,
+    efforts_of,
+    with_friction,
+)
 from pupper_analysis.robot.tendons import tell_bonds_not_kept, tell_ranges_not_kept
 
 Array = NDArray[np.float64]
@@ -140,11 +147,22 @@ def equipped_robot(robot: Robot, *added: Addition) -> Robot:
 
 def with_knowledge_of(built: Robot, robot: Robot) -> Robot:
     """Returns a robot that was built anew with what is known of it, and is in no description."""
-    return replace(
+    known = replace(
         built,
         stand_height=robot.stand_height,
         notes=robot.notes,
         published=None if robot.published is None else robot.published.of_changed(robot),
+    )
+    return known if not robot.touching else with_touching(known, robot, robot.touching)
+
+
+def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) -> Robot:
+    """Returns a robot that has a task's contacts, and the stands of the one it was built of."""
+    return replace(
+        built,
+        contacts=with_friction(built.contacts, built.feet, touching),
+        fingerprint=robot.fingerprint,
+        touching=touching,
     )
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -19,12 +20,33 @@ from pupper_analysis.base.arguments import (
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.robot.plane import Plane
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 
 _LEVEL = 0.0
+
+
+class Step(NamedTuple):
+    """The box under a foot.
+
+    Attributes:
+        centre: (3,) in the world (m).
+        half: (3,) half of its sides (m).
+        rotation: (3, 3) of its axes; the third is out of its top.
+    """
+
+    centre: Array
+    half: Array
+    rotation: Array
+
+    @property
+    def top(self) -> Array:
+        """The middle (3,) of its top (m)."""
+        there: Array = self.centre + self.half[2] * self.rotation[:, 2]
+        return there
 
 
 @dataclass(frozen=True)
@@ -36,8 +58,8 @@ class Ground:
         uphill: Direction in which the plane rises, about z from x (rad).
         heights: {foot: height of the step under it, above the plane (m)}.
         tilts: {foot: angle of a step of its own against the horizontal (rad)}, from 0 to pi; those
-            of others are parallel to the plane. Roofs and gutters are made so, walls (pi/2) and
-            ceilings (pi). The foot touches it in its place, at the height of its step.
+            of others are parallel to the plane. The foot touches it in its place, at the height of
+            its step.
         tilt_uphill: {foot: direction in which that rises, as ``uphill`` (rad)}; 0 where not given.
     """
 
@@ -46,6 +68,7 @@ class Ground:
     heights: Mapping[str, float] = field(default_factory=FrozenDict)
     tilts: Mapping[str, float] = field(default_factory=FrozenDict)
     tilt_uphill: Mapping[str, float] = field(default_factory=FrozenDict)
+    _planes: Mapping[str, Plane] = field(default_factory=FrozenDict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         plain = self.slope is _LEVEL and self.uphill is _LEVEL
@@ -65,7 +88,24 @@ class Ground:
     @property
     def level(self) -> bool:
         """Whether it is the plane z = 0 everywhere."""
-        return self.slope == 0 and not any((*self.heights.values(), *self.tilts.values()))
+        own = *self.heights.values(), *self.tilts.values(), *self._planes
+        return self.slope == 0 and not any(own)
+
+    @property
+    def planes(self) -> Mapping[str, Plane]:
+        """{foot: the plane that it touches instead}, by a task's ``contacts``."""
+        return self._planes
+
+    def with_planes(self, planes: Mapping[str, Plane]) -> Ground:
+        """Returns the ground with planes that feet touch instead, {foot: its plane}."""
+        other = replace(self)
+        object.__setattr__(other, "_planes", FrozenDict(planes))
+        return other
+
+    @property
+    def apart(self) -> tuple[str, ...]:
+        """The feet that touch a plane of their own, parallel to no other's."""
+        return (*self.tilts, *self._planes)
 
     def _slope(self, foot: str | None) -> tuple[float, float]:
         """Returns angle and direction uphill (rad) of a foot's step, or of the plane."""
@@ -74,7 +114,10 @@ class Ground:
         return self.slope, self.uphill
 
     def normal(self, foot: str | None = None) -> Array:
-        """Returns the direction (3,) out of the ground, or out of a foot's step."""
+        """Returns the direction (3,) out of the ground, or out of what a foot touches."""
+        if foot is not None and foot in self._planes:
+            out: Array = np.array(self._planes[foot].normal)
+            return out
         slope, uphill = self._slope(foot)
         tilt = math.sin(slope)
         return np.array([-tilt * math.cos(uphill), -tilt * math.sin(uphill), math.cos(slope)])
@@ -94,14 +137,14 @@ class Ground:
             centre: (3,) of its sphere, which may be lifted (m).
             radius: Of the sphere (m).
         """
+        if foot in self._planes:
+            return self._planes[foot].nearest(centre)
         x, y, _ = centre - radius * self.normal(foot) if foot in self.tilts else centre
         return np.array([x, y, self.height((x, y), foot)])
 
     @check_arguments
-    def steps(
-        self, places: Mapping[str, Array], radii: Mapping[str, float]
-    ) -> dict[str, tuple[Array, Array]]:
-        """Returns each step's box, {foot: centre (3,) and half size (3,)} (m).
+    def steps(self, places: Mapping[str, Array], radii: Mapping[str, float]) -> dict[str, Step]:
+        """Returns the box under each foot that is on a step, or on a plane of its own.
 
         That of a step down is as thick as the step is deep, and its top is the bottom of the pit.
 
@@ -112,15 +155,15 @@ class Ground:
                 ``foot/1``, ``foot/2``...
             radii: {contact point: of its sphere (m)}.
         """
-        found = {}
-        for foot in dict.fromkeys((*self.heights, *self.tilts)):
+        found, apart = {}, self.apart
+        for foot in dict.fromkeys((*self.heights, *apart)):
             own = [name for name in places if name == foot or name.startswith(f"{foot}/")]
-            if own and (self.heights.get(foot) or foot in self.tilts):
+            if own and (self.heights.get(foot) or foot in apart):
                 top, reach = self.middle(foot, {name: places[name] for name in own}, radii)
                 wide = reach + STEP_HALF_WIDTH
                 thick = abs(self.heights.get(foot, 0.0)) / 2 * math.cos(self.slope)
-                half = np.array([wide, wide, wide / 2 if foot in self.tilts else thick])
-                found[foot] = top - half[2] * self.normal(foot), half
+                half = np.array([wide, wide, wide / 2 if foot in apart else thick])
+                found[foot] = Step(top - half[2] * self.normal(foot), half, self.rotation(foot))
         return found
 
     def middle(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import plain_state
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.conversion import UrdfImport, acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import (
@@ -159,6 +160,37 @@ class PublishedFile:
         return self if self.loaded is not None else replace(self, loaded=robot)
 
 
+@dataclass(frozen=True)
+class Touching:
+    """What a task's contact makes other in a robot.
+
+    Attributes:
+        friction: Coefficient; None: that of the ground.
+        offset: Of a part that is no foot, (x, y, z) of its ball's centre in its frame (m); None of
+            a foot.
+        radius: Of that ball (m); None: what its shapes hold.
+    """
+
+    friction: float | None = None
+    offset: tuple[float, float, float] | None = None
+    radius: float | None = None
+
+
+def with_friction(
+    contacts: Mapping[str, ContactParameters],
+    feet: Mapping[str, Sequence[str]],
+    touching: Mapping[str, Touching],
+) -> Mapping[str, ContactParameters]:
+    """Returns contact parameters with the friction of planes that feet touch."""
+    own = {
+        point: replace(contacts[point], friction=(mu, mu, *contacts[point].friction[2:]))
+        for name, one in touching.items()
+        if (mu := one.friction) is not None and contacts
+        for point in feet[name]
+    }
+    return MappingProxyType({**contacts, **own}) if own else contacts
+
+
 @dataclass(frozen=True, eq=False)
 class Robot:
     """A robot given by a URDF and an MJCF, with the maps between the two models.
@@ -190,6 +222,8 @@ class Robot:
             feet. Robots with the same hash have the same stands.
         notes: What was assumed or added on loading, or is wrong in the files.
         published: The file as it was published, which verdicts look at; None where there is none.
+        touching: {foot or hand: what a task's contact makes other}; see ``robot.touching``.
+        bare: The robot without these; None if there are none, or it was changed since.
     """
 
     name: str
@@ -216,6 +250,8 @@ class Robot:
     fingerprint: str
     notes: tuple[Diagnostic, ...] = field(default=())
     published: PublishedFile | None = None
+    touching: Mapping[str, Touching] = field(default_factory=FrozenDict)
+    bare: Robot | None = None
 
     def __repr__(self) -> str:
         base = "a free base" if self.floating else "a fixed base"
@@ -241,6 +277,11 @@ class Robot:
             setattr(state["pin_model"], name, values)
         for name, value in state.items():
             vars(self)[name] = MappingProxyType(value) if isinstance(value, dict) else value
+
+    @property
+    def hands(self) -> tuple[str, ...]:
+        """Those of ``feet`` that are none of its own: parts with which a task has it touch."""
+        return tuple(name for name, one in self.touching.items() if one.offset is not None)
 
     @property
     def nq(self) -> int:

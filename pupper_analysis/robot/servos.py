@@ -453,4 +453,5 @@ def with_options(
         mj_model=model,
         notes=messages,
         published=published,
+        bare=None,
     )

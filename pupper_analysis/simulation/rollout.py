@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.robot.configuration import UP
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import on_ground
@@ -83,6 +84,7 @@ def begin_stand(
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
+    robot = stand.check(robot)
     prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
     drive, torques = model_with_servos(robot, kp, kd, integrator), prediction.joint_torques
@@ -111,8 +113,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     data = mujoco.MjData(model)
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot), torques)
     data.act[:] = settled_activations(model, data.ctrl)
-    ground = stand.task.ground
-    normal = ground.normal()
+    apart = stand.task.ground.apart
+    normal = UP if apart else next(iter(stand.normals.values()))
 
     def surplus(drop: float) -> float:
         """Returns by how much the contacts carry more than the weight (N)."""
@@ -124,7 +126,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         pushing = data.qfrc_constraint + data.qfrc_passive - data.qfrc_bias
         return float(normal @ pushing[robot.mj_convention.qvel_index[:3]])
 
-    if ground.tilts and any(stand.depths.values()):  # deep enough; walls hold by friction alone
+    if apart and any(stand.depths.values()):  # deep enough; walls hold by friction alone
         surplus(0.0)
         return full_state(model, data)
     low, high = 0.0, _SHALLOW
@@ -264,24 +266,25 @@ def forced_commands(
     return control, control[:, :, column : column + 3]
 
 
-def check_stand(robot: Robot, stand: Stand, duration: float) -> None:
-    """Checks what a simulation of a stand is given.
+def check_stand(robot: Robot, stand: Stand, duration: float) -> Robot:
+    """Checks what a simulation of a stand is given; returns the robot with its contacts.
 
     Raises:
         ConfigurationError: If the base is fixed, the stand is another robot's, or the duration (s)
             is not between 2 and 600.
     """
-    check_standing(robot, stand)
+    robot = check_standing(robot, stand)
     if not math.isfinite(duration) or not 2.0 <= duration <= 600.0:
         problem = diagnose("not-between", given=f"{duration} s", low=2, high=Quantity(600, "s"))
         raise ConfigurationError("duration", problem)
+    return robot
 
 
-def check_standing(robot: Robot, stand: Stand) -> None:
-    """Checks that a stand is the robot's, and its base free.
+def check_standing(robot: Robot, stand: Stand) -> Robot:
+    """Checks that a stand is the robot's, and its base free; returns it with its contacts.
 
     Raises:
         ConfigurationError: If not.
     """
     robot.check_floating()
-    stand.check(robot)
+    return stand.check(robot)

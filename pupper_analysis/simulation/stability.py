@@ -68,7 +68,7 @@ def stand_stability(
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If it comes to rest nowhere near without feed-forward.
     """
-    check_standing(robot, stand)
+    robot = check_standing(robot, stand)
     if not feedforward:
         pose = steady_state(robot, stand, kp=kp)
         return rest_stability(robot, stand, pose, kp=kp, kd=kd, integrator=integrator)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.base.arrays import across
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import free_joints
@@ -144,7 +145,7 @@ def simulate_nudges(
         ModelError: If the model has no position servos, and kp and kd are not both given.
         StaticsInfeasibleError: If no contact forces balance it.
     """
-    check_stand(robot, stand, duration)
+    robot = check_stand(robot, stand, duration)
     held = begin_stand(robot, stand, kp=kp, kd=kd)
     robot, model, ctrl = held.robot, held.drive.model, held.ctrl
     if not dry_friction:
@@ -180,7 +181,7 @@ def _nearest_edge(robot: Robot, stand: Stand) -> float:
     if len(stand.contact_points) < 2:
         return 0.0
     x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
-    sides = polygon_sides(np.array(list(stand.contact_points.values())))
+    sides = polygon_sides(stand.corners(robot))
     inward = sides[np.argmin(sides @ (x, y, 1.0))]
     return math.atan2(-inward[1], -inward[0])
 
@@ -269,6 +270,7 @@ def _first_event(
     recovered = True
     lower, upper = _limits(robot, stand)
     places: dict[str, Array] = {}
+    out = stand.ways_out(robot)
     carrying = set(robot.feet_with(stand.stance_feet))
     for state in states[:: max(1, round(_SAMPLE_TIME / timestep))]:
         seen = watcher.look(state, ctrl)
@@ -281,7 +283,7 @@ def _first_event(
         feet = watcher.foot_centres()
         places = places or feet
         moved = {
-            foot: np.linalg.norm((feet[foot] - places[foot])[:2])
+            foot: np.linalg.norm(across(feet[foot] - places[foot], out[foot]))
             - min(creeps[foot], CREEPING) * seen.time
             for foot in stand.stance_feet
         }
@@ -292,7 +294,7 @@ def _first_event(
                 foot
                 for foot in stand.stance_feet
                 if robot.foot_of(foot) not in seen.forces
-                and (feet[foot] - places[foot])[2] > LIFTED
+                and (feet[foot] - places[foot]) @ out[foot] > LIFTED
             ],
             Failure.SLIDING: [foot for foot, way in moved.items() if way > SLIPPED],
             Failure.BUCKLING: names[np.abs(angles - stand.qpos[7:]) > LEFT].tolist(),

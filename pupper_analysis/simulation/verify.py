@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.arrays import across
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
@@ -40,7 +41,6 @@ from pupper_analysis.simulation.stability import (
 from pupper_analysis.stance.soft_ground import open_loops
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.statics.support_polygon import interpolate_drop
 
 Array = NDArray[np.float64]
 
@@ -210,7 +210,8 @@ class StandVerification(SimulationSettings, Tabular):
         servo_sag: The part lost in the joints (m).
         contact_sag: The part lost in the softness of feet and ground (m).
         tilt: Angle of the base's orientation at the end against the task's (rad).
-        foot_slip: {foot: horizontal distance from its target} at the end (m).
+        foot_slip: {foot: horizontal distance from its target} at the end (m); of one on a plane of
+            its own along that.
         joint_error: The largest deviation of a joint from the stand in that second (rad).
         joint_torques: (nu,) of the motors, settled (N m).
         predicted_torques: (nu,) (N m).
@@ -218,7 +219,8 @@ class StandVerification(SimulationSettings, Tabular):
         foot_forces: {foot: (3,)} of the ground on the foot, settled, in world axes (N).
         predicted_forces: {foot: (3,)} (N).
         force_error: Largest deviation of a vertical foot force / its prediction (or / ``LIGHT`` of
-            the weight, where a foot is predicted to carry less than that).
+            the weight, where a foot is predicted to carry less than that); on a plane of its own
+            the force that presses counts.
         mujoco_foot_error: Largest distance of a foot from its target at ``stand.qpos`` by MuJoCo's
             kinematics of the MJCF (m).
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
@@ -306,7 +308,7 @@ def verify_stand(
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    check_stand(robot, stand, duration)
+    robot = check_stand(robot, stand, duration)
     after = _time_after(duration, nudged)
     held = begin_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
     robot, drive, prediction = held.robot, held.drive, held.prediction
@@ -314,8 +316,10 @@ def verify_stand(
     upright = monitor.Upright.of(robot, stand.qpos, stand.task.rotation())
     run = settle_and_nudge(drive, start, ctrl, duration - after, after, upright.has_collapsed)
     predicted = robot.per_foot(prediction.contact_forces)
+    out = stand.ways_out(robot)
     light = LIGHT * sum(force[2] for force in predicted.values())
-    loaded = {foot for foot, force in predicted.items() if force[2] >= FORCE_TOLERANCE * light}
+    least = FORCE_TOLERANCE * light
+    loaded = {foot for foot, force in predicted.items() if force @ out[foot] >= least}
     watch = watch_contacts(robot, drive.model, stand, run.states, ctrl, run.settling, loaded)
     found = replace(
         _measured(robot, stand, drive, prediction, run, watch, upright, light),
@@ -420,18 +424,15 @@ def _measured(
     resting = monitor.base_heights(robot, settled)
     base_height = float(resting.mean())
     height_loss = float(stand.qpos[2]) - base_height
-    contact_sag = interpolate_drop(
-        stand.qpos[:2],
-        np.array([stand.foot_targets[foot] for foot in drops]),
-        np.array([drop[2] for drop in drops.values()]),
-    )
+    contact_sag = stand.sunk(robot, drops)
     joints = settled[:, 1 + robot.mj_convention.qpos_index[7:]]
     joint_error = float(np.abs(joints - stand.joint_positions(robot)).max())
     largest = np.abs(prediction.joint_torques).max()
     torque_error = float(np.abs(watch.torques - prediction.joint_torques).max() / largest)
     predicted = robot.per_foot(prediction.contact_forces)
+    out = stand.ways_out(robot)
     force_error = max(
-        abs(watch.forces[foot][2] - force[2]) / max(force[2], light)
+        abs(float((watch.forces[foot] - force) @ out[foot])) / max(float(force @ out[foot]), light)
         for foot, force in predicted.items()
     )
     step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE_TIME, _FRAME))
@@ -455,7 +456,9 @@ def _measured(
         contact_sag=contact_sag,
         tilt=monitor.turned_by(robot, stand.task.rotation(), states[-1]),
         foot_slip={
-            foot: max(float(np.linalg.norm(drops[point][:2])) for point in robot.feet[foot])
+            foot: max(
+                float(np.linalg.norm(across(drops[point], out[foot]))) for point in robot.feet[foot]
+            )
             for foot in robot.feet_with(drops)
         },
         joint_error=joint_error,

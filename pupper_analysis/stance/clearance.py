@@ -93,6 +93,9 @@ class ClearanceShapes:
         self.robot, self.kinematics = robot, Kinematics(robot.structure)
         self.shapes: tuple[CarriedShape, ...] = robot.shapes
         self.parts = [*self._not_feet()]
+        joints = {number: name for name, number in robot.structure.joints.items()}
+        # A hand's own shapes are around its ball.
+        self._hands = {hand: joints.get(robot.structure.parents[hand], "") for hand in robot.hands}
         self._heights = [(part.shape.form.height, part.shape.link) for part in self.parts]
 
     def at(self, qpos: ArrayLike) -> Kinematics:
@@ -240,15 +243,16 @@ class ClearanceShapes:
     ) -> Iterator[coal.DistanceResult]:
         """Yields what of slope and steps is nearest to each of ``parts``."""
         where = self._places(at)
-        obstacles: list[tuple[coal.CollisionGeometry, coal.Transform3s]] = [
-            (coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
+        obstacles: list[tuple[str, coal.CollisionGeometry, coal.Transform3s]] = [
+            ("", coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
         ]
-        for foot, (centre, half) in ground.steps(places, self.robot.contact_radius).items():
-            box = coal.Box(2 * half)
-            obstacles.append((box, coal.Transform3s(ground.rotation(foot), centre)))
+        for foot, step in ground.steps(places, self.robot.contact_radius).items():
+            box = coal.Box(2 * step.half)
+            obstacles.append((foot, box, coal.Transform3s(step.rotation, step.centre)))
         for part in self.parts:
             own = part.shape.form.collision, where[part.number]
-            near = [measure_distance(*own, *one) for one in obstacles]
+            met = [one for foot, *one in obstacles if self._hands.get(foot) != part.shape.joint]
+            near = [measure_distance(*own, *one) for one in met]
             yield min(near, key=lambda found: float(found.min_distance))
 
     def _not_feet(self) -> Iterator[OffGround]:
@@ -292,4 +296,4 @@ def _numbers(pairs: Iterable[tuple[int, int]]) -> IntArray:
 
 def _is_plane(ground: Ground) -> bool:
     """Tells whether no step rises above the slope."""
-    return not ground.tilts and all(height <= 0 for height in ground.heights.values())
+    return not ground.apart and all(height <= 0 for height in ground.heights.values())

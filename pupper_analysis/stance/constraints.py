@@ -35,7 +35,7 @@ aims within half of it: at the end of reach it is all that there is."""
 _PAIRS = 12
 """Pairs of links that are looked at, the nearest: of a quadruped's 300 no more touch at once."""
 
-_FEET = frozenset({"feet", "foot_offsets", "ground"})
+_FEET = frozenset({"feet", "foot_offsets", "ground", "contacts"})
 _FOOTHOLDS, _PLACE, _MARGIN = _FEET | {"swing"}, _FEET | {"offset", "com"}, _FEET | {"com_margin"}
 
 
@@ -218,7 +218,7 @@ class SupportMargin(Constraint):
 
     def _sides(self, goal: Goal) -> Array:
         corners = np.array(goal.corners)  # on several planes of another number, now and then
-        return polygon_sides(corners, SIDES if self._begun.task.ground.tilts else len(corners))
+        return polygon_sides(corners, SIDES if self._begun.task.ground.apart else len(corners))
 
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
@@ -288,13 +288,13 @@ class GroundClearance(Constraint):
 
     name = "ground-clearance"
 
-    _reads = frozenset({"ground", "ground_clearance"})
+    _reads = frozenset({"ground", "contacts", "ground_clearance"})
 
     @property
     def reads(self) -> frozenset[str]:
         """See ``Constraint``: steps are where feet are."""
         ground = self._begun.task.ground
-        steps = any((*ground.heights.values(), *ground.tilts))
+        steps = any((*ground.heights.values(), *ground.apart))
         return self._reads | (_FOOTHOLDS if steps else frozenset())
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
@@ -331,6 +331,14 @@ class SelfClearance(Constraint):
     def nearest(self, _: Goal, at: Kinematics) -> Clearance | None:
         """Returns the least distance between links; None of a robot without such pairs."""
         return self._shapes.between_links(at.qpos)
+
+
+def _is_in_place(goal: Goal) -> bool:
+    """Whether the com's place is given, and where it is in balance takes long to find.
+
+    That the place is inside is then asked when the goal is made.
+    """
+    return bool(goal.task.ground.apart) and goal.task.com != "inside"
 
 
 _CLEARANCES = (GroundClearance, SelfClearance)
@@ -377,7 +385,7 @@ def constraints_of(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
         yield BasePlace(shapes, goal)
     elif goal.task.com != "inside":
         yield PlaceConstraint(shapes, goal)
-    if not goal.by_base or goal.task.com_margin > 0.0:
+    if goal.task.com_margin > 0.0 or not (goal.by_base or _is_in_place(goal)):
         yield SupportMargin(shapes, goal)
     yield JointLimits(shapes, goal)
     ranges = tendon_ranges(shapes.robot)

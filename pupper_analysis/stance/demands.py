@@ -16,9 +16,10 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
+from pupper_analysis.robot.plane import Contact
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, Field
-from pupper_analysis.stance.problem import feet_places, nominal_feet
+from pupper_analysis.stance.problem import feet_places, nominal_feet, usual_place
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -95,8 +96,8 @@ class Numbers:
         """Returns what a task with the same feet has of them (n,)."""
         has = task.values()
         found = [has[key.field][key.foot] if key.foot else has[key.field] for key in self.keys]
-        pairs = zip(found, self.keys, strict=True)
-        return np.array([one["xy".index(key.axis)] if key.axis else one for one, key in pairs])
+        parts = [{axis: number for axis, number, _ in _parts(one, one)} for one in found]
+        return np.array([one[key.axis] for one, key in zip(parts, self.keys, strict=True)])
 
     def task(self, values: Array) -> StandTask:
         """Returns the task with others (n,)."""
@@ -105,12 +106,17 @@ class Numbers:
             changed.setdefault(field, {}).setdefault(foot, []).append(value)
         return self._task.having(
             {
-                name: {foot: _one(parts) for foot, parts in of.items()}
+                name: {foot: self._one(name, foot, parts) for foot, parts in of.items()}
                 if FIELDS[name].per
-                else _one(of[""])
+                else self._one(name, "", of[""])
                 for name, of in changed.items()
             }
         )
+
+    def _one(self, field: str, foot: str, parts: list[float]) -> Any:
+        if FIELDS[field].kind == "contact":
+            return self._task.contacts[foot].at(parts[0])
+        return parts[0] if len(parts) == 1 else tuple(parts)
 
     def inside(self, values: Array) -> Array:
         """Returns values (n,) no further than they may go."""
@@ -122,12 +128,10 @@ def _parts(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]:
     """Yields the axis, the value and the nominal value of each number of a field."""
     if isinstance(value, tuple):
         yield from zip("xy", value, nominal, strict=True)
+    elif isinstance(value, Contact):  # how far off its plane is
+        yield "", value.plane.offset, nominal.plane.offset
     else:
         yield "", value, nominal
-
-
-def _one(parts: list[float]) -> float | tuple[float, ...]:
-    return parts[0] if len(parts) == 1 else tuple(parts)
 
 
 def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
@@ -140,6 +144,11 @@ def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
 
 
 def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
+    if field.kind == "contact":
+        contact, reach = task.contacts[foot], 0.0
+        if foot in robot.hands:  # its place is its ball's
+            reach = robot.contact_radius[robot.feet[foot][0]]
+        return contact.at(float(usual_place(robot, foot) @ contact.plane.normal) - reach)
     if field.nominal == "zero":
         return (0.0, 0.0) if field.axes else 0.0
     if field.nominal == "foot_places":
@@ -152,7 +161,7 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
     stance_feet = [
         place
         for foot, place in feet_places(robot, task).items()
-        if foot not in task.swing
+        if foot not in task.swing and foot not in robot.hands
         for _ in robot.feet[foot]
     ]
     x, y = np.mean(stance_feet, axis=0)
@@ -259,14 +268,14 @@ def describe_limit(
     kind, number = doubtful_number(robot, task, possible, demands) or ("", 0.0)
     return diagnose(
         "demands-can-go",
-        demands=[_describe_demand(possible, demand) for demand in demands],
+        demands=[_describe_demand(possible, demand, task) for demand in demands],
         angle=number if kind == "angle" else None,
         length=number if kind and kind != "angle" else None,
     )
 
 
-def _describe_demand(task: StandTask, demand: str) -> Diagnostic:
-    """Tells a demand's value with its unit, in as many digits as it has."""
+def _describe_demand(task: StandTask, demand: str, asked: StandTask) -> Diagnostic:
+    """Tells a demand's value with its unit, in as many digits as it has; of contacts what gives."""
     name = Term(demand)
     if demand == "ground":
         slope = Quantity(task.ground.slope, "rad")
@@ -275,6 +284,10 @@ def _describe_demand(task: StandTask, demand: str) -> Diagnostic:
             "demanded-ground", field=name, value=slope, cut=_cut(slope), steps=steps, tilts=tilts
         )
     (field,) = _FIELDS[demand]
+    if field.kind == "contact":
+        given = {of: one for of, one in task.contacts.items() if one != asked.contacts[of]}
+        feet = [diagnose("demanded-contact", link=of, value=str(one)) for of, one in given.items()]
+        return diagnose("demanded-of-feet", field=name, feet=feet)
     if field.per:
         return diagnose("demanded-of-feet", field=name, feet=list(_of_feet(task, field)))
     value = field.quantity(getattr(task, demand))

@@ -31,6 +31,7 @@ UNITS = {
     "ratio": "1",
     "stiffness": "N m/rad",
     "damping": "N m s/rad",
+    "contact": "m",
 }
 """{kind of a field: unit of its numbers}."""
 
@@ -80,12 +81,14 @@ class Field:
         name: Of the attribute that has it.
         kind: ``"length"``, ``"angle"``, ``"position"`` (of a joint: an angle, or a length of one
             that slides), ``"point"`` (x, y), ``"point3"``, ``"place"`` (a point, or one of
-            ``choices``), ``"mass"``, ``"ratio"``, ``"stiffness"``, ``"damping"``.
+            ``choices``), ``"mass"``, ``"ratio"``, ``"stiffness"``, ``"damping"``, ``"contact"``
+            (what is touched, and where).
         en: Its words in English.
         zh: Those in Simplified Chinese.
         part: Whose attribute it is: the ``"task"``'s, or its ``"ground"``'s.
         frame: Whether its point may be in another frame than the base's: (frame, x, y, z).
-        per: Of what it is a mapping to such values: ``"foot"``, ``"joint"``; empty if it is none.
+        per: Of what it is a mapping to such values: ``"foot"``, ``"joint"``, ``"link"``; empty if
+            it is none.
         optional: Whether nothing may be asked, by None; else it is 0.
         nominal: What the nominal stand has: ``"zero"``, an attribute of the robot, the ``"centre"``
             of the feet that carry, ``"foot_places"``, or what is the robot's ``"own"``.
@@ -172,6 +175,14 @@ class Field:
                 message = diagnose("neither-word-nor-point", given=value, known=self.choices)
                 raise ConfigurationError(name, message)
             return value
+        if self.kind == "contact":
+            from pupper_analysis.robot.plane import Contact  # no engine, but NumPy
+
+            try:
+                return Contact.of(value)
+            except ConfigurationError as error:
+                where = f"{name}.{error.field}".removesuffix(".contact")
+                raise ConfigurationError(where, error.problem) from None
         if self.axes or self.choices:
             if not isinstance(value, tuple | list | np.ndarray) or len(value) != 2:
                 raise ConfigurationError(name, diagnose("no-place", given=repr(value)))
@@ -210,8 +221,10 @@ class Field:
             message = diagnose("above-the-most", value=given, bound=bound, degrees=degrees)
         raise ConfigurationError(name, message)
 
-    def quantity(self, value: Any) -> Quantity | Vector:
-        """Returns a value with its unit."""
+    def quantity(self, value: Any) -> Any:
+        """Returns a value with its unit; a contact says its own."""
+        if self.kind == "contact":
+            return value
         if isinstance(value, tuple):
             return Vector(value, self.unit)
         return Quantity(value, getattr(value, "unit", self.unit))

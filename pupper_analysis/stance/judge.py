@@ -15,13 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
+from pupper_analysis.robot.configuration import UP
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING, judge_constraints
-from pupper_analysis.stance.problem import Goal, raise_feet
+from pupper_analysis.stance.problem import Goal, feet_centre, raise_feet
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.statics.support_polygon import interpolate_drop, support_corners
 
 Array = NDArray[np.float64]
 
@@ -114,6 +117,40 @@ class Stand(Tabular):
             "depth": [self.depths.get(foot, 0.0) for foot in feet],
         }
 
+    def ways_out(self, robot: Robot) -> dict[str, Array]:
+        """Returns {foot, and contact point, that carries: (3,) which way it lifts}.
+
+        Up, but from a plane of its own.
+        """
+        apart, found = self.task.ground.apart, dict[str, Array]()
+        for foot in robot.feet_with(self.stance_feet):
+            points = robot.feet[foot]
+            out = self.normals[points[0]] if foot in apart else UP
+            found |= dict.fromkeys((foot, *points), out)
+        return found
+
+    def centre(self, robot: Robot) -> Array:
+        """Returns the centre (3,) of the feet that carry, without hands (m)."""
+        points = np.array([*self.contact_points.values()])
+        return feet_centre(robot, self.task.ground, self.stance_feet, points)
+
+    def sunk(self, robot: Robot, drops: Mapping[str, Array]) -> float:
+        """Returns by how much feet that are (3,) lower than they should be lower the base (m).
+
+        Those on planes of their own count only if there are no others.
+        """
+        apart = self.task.ground.apart
+        own = [foot for foot in drops if not apart or robot.foot_of(foot) not in apart] or [*drops]
+        targets = np.array([self.foot_targets[foot] for foot in own])
+        return interpolate_drop(self.qpos[:2], targets, np.array([drops[foot][2] for foot in own]))
+
+    def corners(self, robot: Robot) -> Array:
+        """Returns the corners (n, 2) of where its com is in balance, seen from above (m)."""
+        points = np.array([*self.contact_points.values()])
+        normals = np.array([*self.normals.values()])
+        friction = [robot.contacts[one].sliding_friction for one in self.normals if robot.contacts]
+        return np.array(support_corners(points, normals, friction))
+
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
         """Where the feet's centres (3,) are on rigid ground (m): over the middle of their steps."""
@@ -169,8 +206,8 @@ class Stand(Tabular):
         """Whether the feet are where they shall be, and nothing is in the way."""
         return self.foot_error < TASK_TOLERANCE and not self.blocked
 
-    def check(self, robot: Robot) -> None:
-        """Checks that it is a robot's stand.
+    def check(self, robot: Robot) -> Robot:
+        """Checks that it is a robot's stand, and returns the robot with its task's contacts.
 
         Raises:
             ConfigurationError: If it is another robot's.
@@ -179,6 +216,7 @@ class Stand(Tabular):
             whose = self.robot.rpartition(" ")[0]
             problem = diagnose("stand-of-another-robot", whose=whose, robot=robot.name)
             raise ConfigurationError("stand", problem)
+        return touching(robot, self.task.contacts)
 
     def joint_positions(self, robot: Robot) -> Array:
         """Returns the joints' part (nu,) of ``qpos`` (rad)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.joints import check_in_range, placed_joints, with_units
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import Corner, margin_of_place, support_corners
 
@@ -89,6 +91,24 @@ def _com_freedom(robot: Robot, joints: Array) -> int:
     return int((sizes > max(_LEAST_COM_RATE, _SIDEWAYS * float(sizes.max(initial=0.0)))).sum())
 
 
+class Support:
+    """Where a com is in balance on contacts: found when it is asked for, and shared by goals.
+
+    Args:
+        contacts: (n, 3) points (m).
+        normals: (n, 3) out of the ground.
+        friction: (n,) coefficients, if they are known.
+    """
+
+    def __init__(self, contacts: Array, normals: Array, friction: Sequence[float]) -> None:
+        self._given = contacts, normals, friction
+
+    @cached_property
+    def corners(self) -> tuple[Corner, ...]:
+        """Its corners, seen from above."""
+        return support_corners(*self._given)
+
+
 @dataclass(frozen=True, eq=False)
 class Goal:
     """A task in numbers, for one robot. Goals may share arrays, which nobody changes.
@@ -101,9 +121,9 @@ class Goal:
         contacts: (n, 3) contact points of these.
         touches: {foot that carries: (3,) its contact point}.
         normals: {foot that carries: (3,) out of the ground}.
-        corners: Between which the com is in balance, seen from above: (x, y) of each.
-        centre: (3,) the mean of the contact points; its height that of those on no slope of their
-            own, if there are any.
+        support: Where the com is in balance.
+        centre: (3,) the mean of the feet's contact points, hands left out; its height that of those
+            on no slope or plane of their own, if there are any.
         height: z of the base frame.
         turn: Its orientation, a unit quaternion (w, x, y, z).
         place: (2,) of the com, or of the base frame.
@@ -120,7 +140,7 @@ class Goal:
     contacts: Array
     touches: FrozenDict[str, Array]
     normals: FrozenDict[str, Array]
-    corners: tuple[tuple[float, float], ...]
+    support: Support
     centre: Array
     height: float
     turn: tuple[float, float, float, float]
@@ -129,6 +149,11 @@ class Goal:
     lower: Array
     upper: Array
     give: Array | None = None
+
+    @property
+    def corners(self) -> tuple[Corner, ...]:
+        """Between which the com is in balance, seen from above: (x, y) of each."""
+        return self.support.corners
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:
@@ -213,7 +238,7 @@ def _goal_of(
     if like is not None and _same_feet(like.task, task):
         stance_feet, contacts, targets = like.stance_feet, like.contacts, like.targets
         touches, normals, deep = like.touches, like.normals, like.depths
-        corners, centre = like.corners, like.centre
+        support, centre = like.support, like.centre
     else:
         stance_feet = _stance_feet(robot, task, depths)
         out = ground_normals(robot, task.ground)
@@ -226,14 +251,10 @@ def _goal_of(
         touches = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
         normals = freeze_arrays({foot: out[foot] for foot in stance_feet})
         grip = [robot.contacts[foot].sliding_friction for foot in stance_feet if robot.contacts]
-        corners = support_corners(contacts, np.array([*normals.values()]), grip)
+        support = Support(contacts, np.array([*normals.values()]), grip)
         if checked:
-            _check_area(robot, np.array(corners), stance_feet)
-        centre = contacts.mean(axis=0)
-        tilts = task.ground.tilts
-        flat = [robot.foot_of(foot) not in tilts for foot in stance_feet] if tilts else []
-        if any(flat) and not all(flat):  # a hand high on a wall lifts no base
-            centre[2] = contacts[flat, 2].mean()
+            _check_area(robot, np.array(support.corners), stance_feet)
+        centre = feet_centre(robot, task.ground, stance_feet, contacts)
     task = _filled(robot, task, com)
     assert task.height is not None
     assert task.com is not None
@@ -250,7 +271,7 @@ def _goal_of(
         place = like.place
     # The centre, of which no margin is asked, always is inside.
     if checked and not by_base and not (isinstance(task.com, str) and task.com_margin == 0.0):
-        _check_inside(task, place, corners)
+        _check_inside(task, place, support.corners)
     turn = like.turn if like is not None and _turned_alike(like.task, task) else task.turn()
     return Goal(
         task=task,
@@ -260,7 +281,7 @@ def _goal_of(
         contacts=contacts,
         touches=touches,
         normals=normals,
-        corners=corners,
+        support=support,
         centre=centre,
         height=float(centre[2]) + task.height,
         turn=turn,
@@ -269,6 +290,16 @@ def _goal_of(
         lower=lower,
         upper=upper,
     )
+
+
+def feet_centre(robot: Robot, ground: Ground, stance_feet: Sequence[str], contacts: Array) -> Array:
+    """Returns the centre (3,) of the feet that carry, without hands; see ``Goal`` (m)."""
+    centre: Array = contacts.mean(axis=0)
+    for left_out, parts in ((robot.hands, slice(None)), (ground.apart, slice(2, 3))):
+        kept = [robot.foot_of(foot) not in left_out for foot in stance_feet] if left_out else []
+        if any(kept) and not all(kept):  # a foot high on a wall lifts no base
+            centre[parts] = contacts[kept, parts].mean(axis=0)
+    return centre
 
 
 def _joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tuple[Array, Array]:
@@ -328,11 +359,12 @@ def _turned_alike(one: StandTask, other: StandTask) -> bool:
 
 def _same_feet(one: StandTask, other: StandTask) -> bool:
     """Whether two tasks have the feet in the same places, and the same ones carry."""
-    return (one.ground, one.feet, one.foot_offsets, one.swing) == (
+    return (one.ground, one.feet, one.foot_offsets, one.swing, one.contacts) == (
         other.ground,
         other.feet,
         other.foot_offsets,
         other.swing,
+        other.contacts,
     )
 
 
@@ -355,6 +387,8 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
         gravity = Vector(tuple(robot.gravity), "m/s^2")
         raise ConfigurationError("robot", diagnose("gravity-not-down", gravity=gravity))
     ground = task.ground
+    if task.contacts and touching(robot, task.contacts) is not robot:
+        raise ConfigurationError("contacts", diagnose("made-for-other-contacts", robot=robot.name))
     on_steps = *ground.heights, *ground.tilts, *ground.tilt_uphill
     for foot in (*task.feet, *task.foot_offsets, *task.swing, *on_steps):
         robot.points_of(foot)
@@ -435,6 +469,9 @@ def place_feet(robot: Robot, task: StandTask) -> dict[str, Array]:
     targets: dict[str, Array] = {}
     for foot, place in feet_places(robot, task).items():
         points = robot.feet[foot]
+        if foot in ground.planes:
+            targets |= _on_plane(robot, task, foot, place)
+            continue
         if len(points) == 1:
             targets[points[0]] = ground.centre(foot, place, robot.contact_radius[points[0]])
         else:
@@ -453,6 +490,40 @@ def place_feet(robot: Robot, task: StandTask) -> dict[str, Array]:
         for point in points:
             targets[point] += lifted * (ground.normal(foot) if foot in ground.tilts else UP)
     return {point: targets[point] for point in robot.contact_points}
+
+
+def _on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
+    """Returns the centres {point: (3,)} of a foot, or a hand, on a plane of its own (m).
+
+    It touches in the plane's point that is nearest to where it is asked to be, or stands by
+    default; of a hand nearest to where it is in the home pose.
+    """
+    plane, points = task.ground.planes[foot], robot.feet[foot]
+    near = np.array(task.contacts[foot].place or usual_place(robot, foot).tolist())
+    near[:2] += place - nominal_feet(robot)[foot]  # where it is moved by the task
+    on = plane.nearest(near)
+    out, radii = task.ground.normal(foot), np.array([robot.contact_radius[one] for one in points])
+    on += task.swing.get(foot, 0.0) * out
+    if len(points) == 1:
+        return {points[0]: on + radii[0] * out}
+    nominal = nominal_places(robot)
+    laid = _laid(np.array([nominal[point] for point in points]), radii, out)
+    middle: Array = (laid - radii[:, None] * out).mean(axis=0)
+    return dict(zip(points, laid + on - middle, strict=True))
+
+
+def usual_place(robot: Robot, foot: str) -> Array:
+    """Returns where a foot touches the ground by default, or a hand is in the home pose (3,)."""
+    if foot in robot.hands:
+        return robot.once(_home_places)[robot.feet[foot][0]]
+    return np.array((*nominal_feet(robot)[foot], 0.0))
+
+
+def _home_places(robot: Robot) -> dict[str, Array]:
+    """Returns the contact points' centres, {point: (3,)}, of a robot that stands at home (m)."""
+    qpos = robot.posed(robot.home[robot.nq - robot.nu :])
+    qpos[2] = robot.stand_height
+    return Configuration(robot, qpos).foot_positions()
 
 
 def _laid(sole: Array, radii: Array, normal: Array) -> Array:
@@ -480,7 +551,7 @@ def _upwards(points: Array) -> Array:
 
 def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
     """Returns the direction {contact point: (3,)} out of the ground under each."""
-    if not ground.tilts:
+    if not ground.apart:
         return dict.fromkeys(robot.contact_points, ground.normal())
     return {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}
 
@@ -514,7 +585,7 @@ def raise_feet(
 
     (Level steps are under them at any depth. Of a sole the middle is where it would be.)
     """
-    if not ground.tilts:
+    if not ground.apart:
         return targets
     return {
         point: place + depths[point] * normals[point] if point in normals else place

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.tool import Place, with_payload
+from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import (
@@ -35,6 +37,10 @@ DEPTH_TOLERANCE = 1e-9
 
 
 _MAX_ITERATIONS = 50
+
+_STALLED = 8
+"""Iterations in a row that change depths by no less than one before: a sole that is pressed at its
+edge tilts ever further."""
 
 
 @check_arguments
@@ -66,10 +72,11 @@ def solve_stand_on_soft_ground(
         NotSettlingError: If the depths do not settle.
     """
     if isinstance(task, Stand):
-        task.check(robot)
+        robot = task.check(robot)
         stand, task = task, task.task
     else:
         task = task or StandTask()
+        robot = touching(robot, task.contacts)
         stand = solve_stand(robot, task, explain=explain)
     asked = stand.task
     if asked.com == "inside":
@@ -77,6 +84,7 @@ def solve_stand_on_soft_ground(
         task = replace(task, com=(float(x), float(y)), com_margin=0.0)
     laws = {foot: GroundLaw.of(robot, foot) for foot in stand.stance_feet}
     give = np.zeros(0 if robot.closure is None else 1)
+    least, stalled = math.inf, 0
     for _ in range(_MAX_ITERATIONS):
         forces = stand_statics(
             robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
@@ -94,6 +102,9 @@ def solve_stand_on_soft_ground(
             give = (give + before) / 2 if any(stand.depths.values()) else give
         if change < DEPTH_TOLERANCE:
             return stand.of_task(asked)
+        least, stalled = min(least, change), stalled + 1 if change >= least else 0
+        if stalled == _STALLED:
+            break
         ik_seed = tuple(stand.joint_positions(robot).tolist())
         goal = make_goal(robot, replace(task, ik_seed=ik_seed), depths)
         goal = goal if robot.closure is None else replace(goal, give=give)

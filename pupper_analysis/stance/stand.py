@@ -13,6 +13,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError, UnknownNameError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, has_spare_joints, make_goal
@@ -65,6 +66,7 @@ def solve_stand(
         StanceUnreachableError: If it is out of reach; names the feet and how far they miss, and the
             demands of which one would have to give.
     """
+    robot = touching(robot, task.contacts) if task is not None else robot
     with lend(robot, Context) as context:
         return solve_goal(context, make_goal(robot, task, depths or {}), explain=explain)
 
@@ -102,7 +104,7 @@ def stand_statics(
         ConfigurationError: If the stand is another robot's, or ``distribution`` is unknown.
         StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
     """
-    stand.check(robot)
+    robot = stand.check(robot)
 
     def find() -> GravityCompensation:
         config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
@@ -187,6 +189,7 @@ def solve_stands(
             ``where`` tells which.
     """
     solved: list[Stand | StanceUnreachableError] = []
+    robot = touching(robot, tasks[0].contacts) if tasks else robot
     goals = _goals(robot, tasks)
     with lend(robot, Context) as context:
         sequence = _Sequence(context)

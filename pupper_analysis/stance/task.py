@@ -18,6 +18,7 @@ from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.robot.ground import Ground
+from pupper_analysis.robot.plane import Contact
 from pupper_analysis.stance.fields import FIELDS, Field
 
 Array = NDArray[np.float64]
@@ -46,6 +47,9 @@ class StandTask:
         foot_offsets: {foot: (x, y) from its nominal place (m)}.
         swing: {foot that does not carry: height of its sphere above the ground (m)}.
         ground: Plane and steps.
+        contacts: {foot: what it touches instead of the ground (``Contact``)}; or another link,
+            site, body or geom, a hand: what that touches. No hand moves the centre of the feet, and
+            no foot that is on such a plane the height.
         com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: anywhere in the support
             polygon with at least ``com_margin``, over the centre if that is in reach. By default
             the centre, or inside if the robot's legs cannot move the com in two directions.
@@ -70,6 +74,7 @@ class StandTask:
     foot_offsets: Mapping[str, Point] = field(default_factory=FrozenDict)
     swing: Mapping[str, float] = field(default_factory=FrozenDict)
     ground: Ground = field(default_factory=Ground)
+    contacts: Mapping[str, Contact] = field(default_factory=FrozenDict)
     com: str | Point | None = None
     com_margin: float = 0.0
     joint_margin: float = 0.0
@@ -88,6 +93,9 @@ class StandTask:
             object.__setattr__(self, entry.name, entry.checked(value))
         if type(self.ground) is not Ground:
             check_type("ground", self.ground, Ground)
+        if self.contacts or self.ground.planes:
+            planes = {name: contact.plane for name, contact in self.contacts.items()}
+            object.__setattr__(self, "ground", self.ground.with_planes(planes))
         if self.ik_seed is not None:
             check_type("ik_seed", self.ik_seed, Sequence[float])
             seed = tuple(check_finite("ik_seed", value) for value in self.ik_seed)
@@ -98,6 +106,13 @@ class StandTask:
             if foot in self.foot_offsets:
                 message = diagnose("foot-placed-twice", foot=foot)
                 raise ConfigurationError("feet", message)
+        for name in self.contacts:
+            for other, given in (("heights", self.ground.heights), ("tilts", self.ground.tilts)):
+                if name in given:
+                    problem = diagnose("two-grounds-of-a-foot", name=name, other=other)
+                    raise ConfigurationError("contacts", problem)
+            if self.contacts[name].place is not None and name in {**self.feet, **self.foot_offsets}:
+                raise ConfigurationError("contacts", diagnose("contact-placed-twice", name=name))
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> StandTask:
@@ -113,6 +128,7 @@ class StandTask:
         ground = vars(ground) if isinstance(ground, Ground) else ground
         check_type("ground", ground, Mapping[str, Any])
         values = {name: value for name, value in given.items() if name != "ground"} | dict(ground)
+        values.pop("_planes", None)  # its contacts'
         seed = values.pop("ik_seed", None)
         if not FIELDS.keys() >= values.keys():
             raise ConfigurationError("stand", diagnose("stance-field-unknown", known=(*FIELDS,)))
@@ -187,7 +203,7 @@ class StandTask:
             parts.append(fill_template(entry.words(language).said, fields, language))
         return _COMMA[language].join(parts)
 
-    def _asked(self) -> Iterator[tuple[Field, str, float | Point]]:
+    def _asked(self) -> Iterator[tuple[Field, str, Any]]:
         """Yields what is asked: field, of which foot or joint (or empty), and value."""
         inside = self.com == "inside" or (self.offset is not None and self.com_margin != 0.0)
         for name, value in self.values().items():

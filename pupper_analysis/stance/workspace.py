@@ -83,7 +83,8 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
         StanceUnreachableError: If the task itself is out of reach.
         ConfigurationError: If the robot cannot stand.
     """
-    return find_interval(robot, solve_stand(robot, task), "height")
+    start = solve_stand(robot, task)
+    return find_interval(start.check(robot), start, "height")
 
 
 @check_arguments
@@ -106,6 +107,7 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
         ConfigurationError: If the robot cannot stand.
     """
     start = solve_stand(robot, task)
+    robot = start.check(robot)
     intervals = {direction: find_interval(robot, start, direction) for direction in DIRECTIONS}
     return BaseWorkspace(name=robot.name, start=start, intervals=intervals)
 
@@ -141,7 +143,7 @@ def _limit(
     everywhere has the last word.
     """
     first, most = _FIRST_STEP[direction], _WIDEST.get(direction, math.inf)
-    begin = value = _value(start, direction)
+    begin = value = _value(robot, start, direction)
     step, least, last = first, RESOLUTION * first, start
     shortest = _COARSE * first  # of the steps that are searched for everywhere
 
@@ -168,16 +170,15 @@ def _limit(
     return value
 
 
-def _value(start: Stand, direction: str) -> float:
+def _value(robot: Robot, start: Stand, direction: str) -> float:
     if direction in ("x", "y"):
-        return float(_offset(start)["xy".index(direction)])
+        return float(_offset(robot, start)["xy".index(direction)])
     return float(getattr(start.task, direction))
 
 
-def _offset(start: Stand) -> Array:
+def _offset(robot: Robot, start: Stand) -> Array:
     """Returns the base's place from the centre of the feet (2,) (m)."""
-    centre = np.mean(list(start.contact_points.values()), axis=0)
-    offset: Array = start.qpos[:2] - centre[:2]
+    offset: Array = start.qpos[:2] - start.centre(robot)[:2]
     return offset
 
 
@@ -222,7 +223,7 @@ def _task_at(robot: Robot, start: Stand, direction: str, value: float) -> StandT
         x, y, _ = Configuration(robot, start.qpos).center_of_mass().tolist()
         changes |= {"com": (x, y), "com_margin": 0.0}
     if direction in ("x", "y"):
-        x, y = _offset(start).tolist()
+        x, y = _offset(robot, start).tolist()
         place = (value, y) if direction == "x" else (x, value)
         changes = {"com": "centre", "offset": place}
     return replace(start.task, **changes)

@@ -16,14 +16,12 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.contact import contact_offset
+from pupper_analysis.robot.plane import MOST_FRICTION
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, TangentialMetric
 from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
 
 Array = NDArray[np.float64]
-
-MOST_FRICTION = 1e6
-"""Far beyond all that does not slide; of much more, the cone programmes overflow."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,8 @@ NUMBERS = {"length": 0.0123, "angle": math.radians(7.5), "position": 0.1309}
 
 def asked(field: Field) -> Any:
     """A value of a field that is not the usual one."""
+    if field.kind == "contact":
+        return {"FL": pa.Contact(pa.Plane((0.0123, 0, 0), (-1, 0, 0), 0.5))}
     one = (0.0123, -0.0345) if field.axes or field.choices else NUMBERS[field.kind]
     return {"FL": one} if field.per else one
 
@@ -38,6 +40,8 @@ def numbers_of(value: Any) -> Any:
 
 def near(found: Any, expected: Any) -> bool:
     one = found["FL"] if isinstance(found, dict) else found
+    if isinstance(one, pa.Contact):
+        return bool(one == expected["FL"])
     return bool(one == numbers_of(expected))
 
 
@@ -51,14 +55,16 @@ def said_of(field: Field) -> str:
     if field.axes or field.choices:
         text = "12.3mm,-3.45cm"
     else:
-        text = {"length": "12.3mm", "angle": "7.5deg", "position": "130.9mm"}[field.kind]
+        lengths = {"length": "12.3mm", "contact": "wall:12.3mm,mu=0.5"}
+        text = {**lengths, "angle": "7.5deg", "position": "130.9mm"}[field.kind]
     return f"FL={text}" if field.per else text
 
 
 def test_the_table_has_all_that_a_task_and_its_ground_have() -> None:
     of = {"task": pa.StandTask, "ground": pa.Ground}
     for part, kind in of.items():
-        own = {one.name for one in fields(kind)} - {"ground", "ik_seed"}  # a part, and a start
+        # A part, a start, and what contacts make of the ground.
+        own = {one.name for one in fields(kind)} - {"ground", "ik_seed", "_planes"}
         assert own == {field.name for field in FIELDS.values() if field.part == part}
     usual = pa.StandTask().values()
     assert usual == {name: field.usual for name, field in FIELDS.items()}
@@ -70,7 +76,7 @@ def test_each_field_is_in_the_task_its_json_and_its_words(field: Field) -> None:
     assert task.values()[field.name] == asked(field)
     content = json.loads(to_json(task))
     found = (content if field.part == "task" else content[field.part])[field.name]
-    assert found == json.loads(json.dumps(asked(field)))
+    assert found == json.loads(to_json(asked(field)))
     if field.name == "uphill":  # it is said of a slope
         task = task.having({"slope": 0.1})
     if field.name == "tilt_uphill":  # and of a foot's own

@@ -106,6 +106,40 @@ def held(pair: Pair, *endings: str) -> Pair:
     return pair
 
 
+ARM = (("yaw", "0 0 1", (0.15, 0.0, 0.04)), ("shoulder", "0 1 0", (0.0, 0.0, 0.05)),
+       ("elbow", "0 1 0", (0.22, 0.0, 0.0)))  # fmt: skip
+"""(joint, its axis, where it is in the link before it), of an arm on a trunk's front."""
+
+
+def with_arm(pair: Pair, home: str = "0 -0.9 1.3") -> Pair:
+    """Puts an arm of three hinges on the trunk, in both files; its hand is a sphere of 25 mm."""
+    urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
+    link, body = "trunk", next(one for one in mjcf.iter("body") if one.get("name") == "trunk")
+    motors = mjcf.find("actuator")
+    assert motors is not None
+    for joint, axis, place in ARM:
+        name, com = f"arm_{joint}", (0.0 if joint == "yaw" else 0.11, 0.0, 0.0)
+        for text in (
+            _link(f"{name}_link", 0.4, (2e-4, 1e-3, 1e-3), com),
+            _joint(name, link, f"{name}_link", place, axis, (-2.5, 2.5)),
+        ):
+            urdf.append(ElementTree.fromstring(text))
+        body = ElementTree.SubElement(body, "body", name=f"{name}_link", pos=_numbers(place))
+        moments = {"mass": "0.4", "diaginertia": "2e-4 1e-3 1e-3", "pos": _numbers(com)}
+        ElementTree.SubElement(body, "inertial", moments)
+        ElementTree.SubElement(body, "joint", name=name, axis=axis, range="-2.5 2.5")
+        ElementTree.SubElement(motors, "position", joint=name, kp="150", kv="5")
+        link = f"{name}_link"
+    hand = {"name": "hand", "type": "sphere", "size": "0.025", "pos": "0.22 0 0"}
+    ElementTree.SubElement(body, "geom", hand)
+    key = mjcf.find("keyframe/key")
+    assert key is not None
+    key.set("qpos", f"{key.get('qpos')} {home}")
+    pair.urdf.write_text(ElementTree.tostring(urdf, encoding="unicode"))
+    pair.mjcf.write_text(ElementTree.tostring(mjcf, encoding="unicode"))
+    return pair
+
+
 def aside(pair: Pair, y: float) -> Pair:
     """Puts the com of the base (at x = 0) aside, as it is in files of real robots."""
     urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()

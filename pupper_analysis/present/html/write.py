@@ -121,7 +121,7 @@ def _stand(scene: StandScene) -> dict[str, Any]:
             for one in seen.steps
         ],
         "ground": short_numbers(seen.middle),
-        "normal": short_numbers(seen.ground.normal()),
+        "normal": short_numbers(seen.normal),
         "com": None if statics is None else short_numbers(seen.com),
         "below": short_numbers(seen.below),
         "layers": ["shapes", "axes", *(["forces"] if statics else []), "support", "masses"],

@@ -29,10 +29,10 @@ from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, Solution, Units
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
-from pupper_analysis.statics.support_polygon import interpolate_drop
 
 Array = NDArray[np.float64]
 
@@ -547,6 +547,7 @@ def steady_state(
         StaticsInfeasibleError: If no contact forces balance the stand itself.
         NoEquilibriumError: If there is no equilibrium that continues the stand.
     """
+    robot = touching(robot, stand.task.contacts)
     check_request(robot, stand, feet, seconds)
     robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
     way = HomotopyPath(SagEquilibrium(robot, stand, kp, feet), exact=feedforward)
@@ -602,7 +603,7 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
     if not 0 <= seconds <= LONGEST or (seconds and feet == "sliding"):
         problem = diagnose("creep-not-valid", given=f"{seconds} s")
         raise ConfigurationError("seconds", problem)
-    if feet == "sliding" and (stand.task.ground.slope or stand.task.ground.tilts):
+    if feet == "sliding" and (stand.task.ground.slope or stand.task.ground.apart):
         raise ConfigurationError("feet", diagnose("sliding-on-slope"))
     slippery = [foot for foot in robot.contact_points if robot.contacts[foot].sliding_friction <= 0]
     if feet == "pinned" and slippery:
@@ -669,6 +670,7 @@ def minimum_stiffness(
     if not 0 < tolerance < 1:
         refused = diagnose("not-between", given=tolerance, low=0, high=1)
         raise ConfigurationError("tolerance", refused)
+    robot = touching(robot, stand.task.contacts)
     check_request(robot, stand, feet, 0.0)
 
     def obstacle(kp: float) -> Diagnostic | None:
@@ -706,10 +708,10 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
         viscosities = [system.viscosity(foot, touch.depths[foot]) for foot in system.anchors]
         creep = -forces[:, :2] / np.array(viscosities)[:, None]
     flow[robot.nv :].reshape(-1, 3)[:, :2] = creep
-    targets = np.array([stand.foot_targets[foot] for foot in stand.stance_feet])
-    reached = touch.config.foot_places(stand.stance_feet)
+    reached = touch.config.foot_positions()
+    drops = {foot: stand.foot_targets[foot] - reached[foot] for foot in stand.stance_feet}
     loss = float(stand.qpos[2] - qpos[2])
-    contact_sag = interpolate_drop(stand.qpos[:2], targets, (targets - reached)[:, 2])
+    contact_sag = stand.sunk(robot, drops)
     torques = system.torques(qpos)
     names = np.array(robot.joint_names)
     return SteadyState(

@@ -137,6 +137,7 @@ def analyze_variant(
         ModelError: If a motor is no position servo, or MuJoCo cannot import the URDF.
     """
     stand = solve_stand_as_simulated(robot, solve_stand(robot, task))
+    robot = stand.check(robot)
     config = Configuration(robot, stand.qpos)
     rest = Configuration(robot, robot.neutral())
     # All at once: MuJoCo's steps leave Python to others, who import and check meanwhile.

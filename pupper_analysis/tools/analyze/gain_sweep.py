@@ -144,7 +144,7 @@ def sweep_gains(
         ConfigurationError: If an argument is out of its range, or the base is fixed.
         ModelError: If the model has no servos, and kp or kd is not given.
     """
-    check_stand(robot, stand, duration)
+    robot = check_stand(robot, stand, duration)
     if not (math.isfinite(amplitude) and math.isfinite(frequency)):
         raise ConfigurationError("amplitude, frequency", diagnose("must-be-finite"))
     own = None if kp is not None and kd is not None else model_with_servos(robot)

@@ -12,6 +12,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Place
+from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.workspace import Interval
@@ -122,6 +123,7 @@ def best_stance(
         NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
     """
     robot.check_tree("the best stance")
+    robot = touching(robot, task.contacts) if task is not None else robot
     search = StanceSearch(
         robot, _objective(objective), task, point, to_distribution(distribution), kp
     )

@@ -109,7 +109,7 @@ class StanceSpace:
         self._data = mujoco.MjData(self._grounded.mj_model)
         self._touching = self._touches(nominal)
         self._nominal_values = _singular_values(Configuration(robot, nominal.qpos))
-        self.centre = np.mean(list(nominal.contact_points.values()), axis=0)[:2]
+        self.centre = nominal.centre(robot)[:2]
         self.free = tuple(foot for foot in robot.feet if foot not in task.feet)
         self.names = (*BASE, *(f"{foot} {axis}" for foot in self.free for axis in "xy"))
         height, place = nominal.task.height, nominal.qpos[:2] - self.centre
@@ -228,7 +228,7 @@ class StanceSpace:
         least = LEAST_SINGULAR_VALUE * self._nominal_values
         scale = np.where(self._nominal_values > 0, self._nominal_values, 1.0)
         limits = self._from_limits(stand) - self._reserve - task.joint_margin
-        sides = polygon_sides(np.array(list(stand.contact_points.values())))
+        sides = polygon_sides(stand.corners(self.robot))
         edges = sides[:, :2] @ config.center_of_mass()[:2] + sides[:, 2]
         new = self._touches(stand)
         added = sum(depth for pair, depth in new.items() if pair not in self._touching)

@@ -329,7 +329,7 @@ class Scene:
         """Draws the steps under the feet that stand on some: as high as each, or as deep."""
         for name in [name for name in self._nodes if name.startswith("steps/")]:
             self._nodes[name].visible = False
-        out, thin = seen.ground.normal(), 2e-3 * self._size
+        out, thin = seen.normal, 2e-3 * self._size
         for number, step in enumerate(seen.steps):
             # A pit is a dark square on the ground, which nobody can look through.
             pit = step.height < 0

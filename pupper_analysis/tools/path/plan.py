@@ -303,6 +303,8 @@ def stance_path(
         StaticsInfeasibleError: If a sample cannot be held, or not at this speed; says when.
     """
     robot.check_tree("a path")
+    if any(stance.contacts for stance in stances):
+        raise ConfigurationError("contacts", diagnose("no-path-with-contacts"))
     per_segment = _samples(seconds, rate, stances)
     geometry = path_geometry(robot, stances, per_segment, float(seconds), rolling=rolling)
     duration = float(seconds) / len(geometry.segments)

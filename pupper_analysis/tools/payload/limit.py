@@ -23,6 +23,7 @@ from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
+from pupper_analysis.robot.touching import touching
 from pupper_analysis.simulation.rollout import begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
@@ -245,10 +246,11 @@ def payload_limit(
     """
     place = find_place(robot, point)
     if isinstance(stance, Stand):
-        stance.check(robot)
+        robot = stance.check(robot)
         task = stance.task
     else:
         task = stance or StandTask()
+        robot = touching(robot, task.contacts)
     # Without payload a refusal explains itself.
     stand_statics(robot, solve_stand_as_simulated(robot, solve_stand(robot, task)))
     search = _Search(robot, task, place, kp, kd)
@@ -277,7 +279,6 @@ def payload_limit(
     held = search.at(most if math.isfinite(most) else 0.0)
     assert held.stand is not None
     assert held.statics is not None
-    feet = np.mean(list(held.stand.contact_points.values()), axis=0)
     return PayloadLimit(
         name=robot.name,
         mass=most,
@@ -292,7 +293,7 @@ def payload_limit(
             if not math.isfinite(limit)
         ),
         stand=held.stand,
-        offset=held.stand.qpos[:2] - feet[:2],
+        offset=held.stand.qpos[:2] - held.stand.centre(robot)[:2],
         joint_torques=held.statics.joint_torques,
         contact_forces=held.statics.contact_forces,
         verdict=judged(TRIED * most if carries else 0.0),

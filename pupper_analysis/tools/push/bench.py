@@ -364,7 +364,7 @@ def simulate_push(
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    check_stand(robot, stand, duration)
+    robot = check_stand(robot, stand, duration)
     impulse, direction = check_finite("impulse", impulse), check_finite("direction", direction)
     if not 0 <= impulse <= HARDEST:
         problem = diagnose("impulse-not-valid", given=Quantity(impulse, "N s"), most=HARDEST)

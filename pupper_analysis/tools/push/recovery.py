@@ -213,7 +213,7 @@ def push_recovery(
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    check_stand(robot, stand, duration)
+    robot = check_stand(robot, stand, duration)
     if not 3 <= directions <= 360:
         problem = diagnose("not-between", given=directions, low=3, high=360)
         raise ConfigurationError("directions", problem)

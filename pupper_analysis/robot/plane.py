@@ -1,0 +1,184 @@
+"""What a robot touches besides the ground: planes, and its contacts with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.arguments import check_finite, check_length, check_type
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+MOST_FRICTION = 1e6
+"""Far beyond all that does not slide; of much more, the cone programmes overflow."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane in the world: a wall, a table, a side of a roof.
+
+    Attributes:
+        point: (x, y, z) on it (m).
+        normal: (x, y, z) out of it, towards the robot; a unit vector, whatever length is given.
+        friction: Coefficient of what touches it; that of the ground by default.
+    """
+
+    point: Point
+    normal: Point
+    friction: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", _point("plane.point", self.point))
+        given = _three("plane.normal", self.normal)
+        way = tuple(check_finite("plane.normal", one) for one in given)
+        size = math.hypot(*way)
+        if not size:
+            raise ConfigurationError("plane.normal", diagnose("normal-has-no-direction"))
+        object.__setattr__(self, "normal", tuple(one / size for one in way))
+        if self.friction is not None:
+            friction = check_finite("plane.friction", self.friction)
+            if not 0 <= friction <= MOST_FRICTION:
+                problem = diagnose("not-between", given=friction, low=0, high=MOST_FRICTION)
+                raise ConfigurationError("plane.friction", problem)
+            object.__setattr__(self, "friction", friction)
+
+    @property
+    def offset(self) -> float:
+        """How far it is from the world's origin, along its normal (m)."""
+        return math.fsum(a * b for a, b in zip(self.point, self.normal, strict=True))
+
+    def height(self, place: Array) -> float:
+        """Returns how far a place (3,) is above it (m); negative behind it."""
+        return float((place - np.array(self.point)) @ np.array(self.normal))
+
+    def nearest(self, place: Array) -> Array:
+        """Returns the point (3,) of it that is nearest to a place (3,) (m)."""
+        there: Array = place - self.height(place) * np.array(self.normal)
+        return there
+
+    def moved(self, offset: float) -> Plane:
+        """Returns the parallel plane at another ``offset`` (m)."""
+        more = offset - self.offset
+        x, y, z = (
+            offset * b if abs(b) == 1.0 else a + more * b  # exactly, along an axis
+            for a, b in zip(self.point, self.normal, strict=True)
+        )
+        return replace(self, point=(x, y, z))
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A foot, or another part of the robot, that touches a plane of its own.
+
+    A foot touches with what it is. Another part, a hand, touches with a ball in a point of its
+    link, which weighs nothing and touches that plane alone.
+
+    Attributes:
+        plane: What it touches.
+        place: (x, y, z) where, or next to it: the nearest point of the plane (m). By default where
+            the foot stands by default, or where a hand is with the joints at home.
+        offset: Of a hand, (x, y, z) of its ball's centre in the frame of its link (m).
+        radius: Of that ball (m); by default of the largest there that is within the hand's own
+            shapes, or 1 cm if it is in none.
+    """
+
+    plane: Plane
+    place: Point | None = None
+    offset: Point = (0.0, 0.0, 0.0)
+    radius: float | None = None
+
+    def __post_init__(self) -> None:
+        check_type("plane", self.plane, Plane)
+        if self.place is not None:
+            object.__setattr__(self, "place", _point("place", self.place))
+        object.__setattr__(self, "offset", _point("offset", self.offset))
+        if self.radius is not None:
+            radius = check_length("radius", self.radius)
+            if not radius > 0:
+                raise ConfigurationError("radius", diagnose("not-above", value=radius, bound=0))
+            object.__setattr__(self, "radius", radius)
+
+    @staticmethod
+    def of(given: Any) -> Contact:
+        """Returns a contact of plain data, as JSON has it, or the contact given.
+
+        Raises:
+            ConfigurationError: If it is none.
+        """
+        if not isinstance(given, Mapping):
+            check_type("contact", given, Contact)
+            contact: Contact = given
+            return contact
+        plane = given.get("plane")
+        try:
+            plane = Plane(**plane) if isinstance(plane, Mapping) else plane
+            return Contact(**{**given, "plane": plane})
+        except TypeError as error:
+            problem = diagnose("no-contact", given=repr(given))
+            raise ConfigurationError("contact", problem) from error
+
+    def at(self, offset: float) -> Contact:
+        """Returns a contact with the parallel plane at another ``offset`` (m)."""
+        return replace(self, plane=self.plane.moved(offset))
+
+    def __str__(self) -> str:
+        """Returns it as it is typed: ``wall:0.4m,mu=0.6``."""
+        return self._typed(repr)
+
+    def __format__(self, spec: str) -> str:
+        """Returns the same with numbers in a format, such as ``.4g``; exactly with none."""
+        return self._typed(lambda number: format(number, spec)) if spec else str(self)
+
+    def _typed(self, number: Callable[[float], str]) -> str:
+        normal, offset = self.plane.normal, self.plane.offset
+        known = {out: (name, sign) for name, (out, sign) in KINDS.items()}
+        if normal in known:
+            name, sign = known[normal]
+            parts = [f"{name}:{number(sign * offset)}m"]
+        else:
+            parts = ["plane:" + ",".join(map(number, (*self.plane.point, *normal)))]
+        if self.plane.friction is not None:
+            parts.append(f"mu={number(self.plane.friction)}")
+        if self.place is not None:
+            parts.append("place=" + "/".join(map(number, self.place)))
+        if any(self.offset):
+            parts.append("offset=" + "/".join(map(number, self.offset)))
+        if self.radius is not None:
+            parts.append(f"radius={number(self.radius)}")
+        return ",".join(parts)
+
+
+KINDS: dict[str, tuple[Point, float]] = {
+    "wall": ((-1.0, 0.0, 0.0), -1.0),
+    "table": ((0.0, 0.0, 1.0), 1.0),
+    "ceiling": ((0.0, 0.0, -1.0), -1.0),
+}
+"""{kind of plane: its normal, and what of its offset is the number that is typed}: a wall at x, a
+table and a ceiling at a height."""
+
+
+def plane_of(kind: str, at: float, friction: float | None = None) -> Plane:
+    """Returns a wall, a table or a ceiling at a place (m); see ``KINDS``."""
+    normal, _ = KINDS[kind]
+    x, y, z = (abs(one) * at for one in normal)
+    return Plane((x, y, z), normal, friction)
+
+
+def _three(name: str, value: Any) -> tuple[Any, Any, Any]:
+    if not isinstance(value, tuple | list | np.ndarray) or len(value) != 3:
+        raise ConfigurationError(name, diagnose("no-point", given=repr(value)))
+    x, y, z = value
+    return x, y, z
+
+
+def _point(name: str, value: Any) -> Point:
+    x, y, z = (check_length(name, one) for one in _three(name, value))
+    return x, y, z

@@ -1,0 +1,109 @@
+"""Contacts of robots that others have published: hands on tables, feet on roofs and walls.
+
+Where the files are from: see ``test_real_robots``. Each stance is proven in MuJoCo, nudged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import cache
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.touching import touching
+from pupper_analysis.stance.problem import usual_place
+from tests.robots.test_real_robots import LAB, MJCF, file
+from tests.support.variants import load
+
+Contacts = Mapping[str, pa.Contact]
+UP, WALL = (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)
+EXACT, CREEPING = 1e-6, 1e-2
+"""Of torques and forces: one steep foot beside level ones creeps in MuJoCo."""
+
+
+@cache
+def robot(name: str) -> pa.Robot:
+    if name == "v3":
+        return load("v3")
+    places = {"g1": (LAB, "unitree_g1/xmls/g1.xml"), "go2": (MJCF, "go2/go2.xml")}
+    return pa.load_robot(file(*places[name]))
+
+
+def hand(
+    name: str, normal: tuple[float, float, float], away: float = 0.0
+) -> Callable[..., Contacts]:
+    """A plane that a hand touches in its home pose, or so far along its normal (m)."""
+
+    def make(of: pa.Robot) -> Contacts:
+        there = touching(of, {name: pa.Contact(pa.Plane((0, 0, 0), normal))})
+        out = np.array(normal)
+        point = usual_place(there, name) + (away - there.contact_radius[name]) * out
+        return {name: pa.Contact(pa.Plane(tuple(point.tolist()), normal, 0.6))}
+
+    return make
+
+
+def both(of: pa.Robot) -> Contacts:
+    return {**hand("left_palm", UP)(of), **hand("right_palm", UP)(of)}
+
+
+def sides(degrees: float, friction: float | None = None, feet: int = 4) -> Callable[..., Contacts]:
+    """Left and right feet on planes that rise towards the middle (a roof), or away from it."""
+
+    def make(of: pa.Robot) -> Contacts:
+        tilt, found = math.radians(degrees), {}
+        for foot, place in list(pa.solve_stand(of).contact_points.items())[:feet]:
+            side = math.copysign(1.0, place[1])
+            ridge = (0.0, 0.0, abs(float(place[1])) * math.tan(tilt))
+            normal = (0.0, side * math.sin(tilt), math.cos(tilt))
+            found[foot] = pa.Contact(pa.Plane(ridge, normal, friction))
+        return found
+
+    return make
+
+
+def ramp(degrees: float) -> Callable[..., Contacts]:
+    """The front right foot on a plane that rises before it, a little higher than the others."""
+
+    def make(of: pa.Robot) -> Contacts:
+        tilt, rise = math.radians(degrees), 0.1 * of.stand_height
+        place = pa.solve_stand(of).contact_points["FR"] + (0.01, 0.0, rise)
+        normal = (-math.sin(tilt), 0.0, math.cos(tilt))
+        return {"FR": pa.Contact(pa.Plane(tuple(place.tolist()), normal), tuple(place.tolist()))}
+
+    return make
+
+
+STANCES = {
+    "g1, table": ("g1", hand("left_palm", UP), EXACT),
+    "g1, table higher": ("g1", hand("left_palm", UP, 0.03), EXACT),
+    "g1, table lower": ("g1", hand("left_palm", UP, -0.02), EXACT),
+    "g1, other hand": ("g1", hand("right_palm", UP), EXACT),
+    "g1, wall": ("g1", hand("left_palm", WALL), EXACT),
+    "g1, both hands": ("g1", both, EXACT),
+    **{f"{name}, roof": (name, sides(30), EXACT) for name in ("v3", "go2")},
+    **{f"{name}, gutter": (name, sides(-30), EXACT) for name in ("v3", "go2")},
+    **{f"{name}, slippery roof": (name, sides(20, 0.5), EXACT) for name in ("v3", "go2")},
+    **{f"{name}, half a roof": (name, sides(20, feet=2), EXACT) for name in ("v3", "go2")},
+    **{f"{name}, ramp": (name, ramp(10), CREEPING) for name in ("v3", "go2")},
+    "go2, steep ramp": ("go2", ramp(45), CREEPING),
+}
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("stance", STANCES)
+def test_mujoco_holds_stances_on_what_they_state(stance: str) -> None:
+    name, make, within = STANCES[stance]
+    of = robot(name)
+    contacts = make(of)
+    stand = pa.solve_stand_as_simulated(of, pa.StandTask(contacts=contacts))
+    for link, contact in contacts.items():
+        for point in stand.check(of).feet[link]:
+            assert contact.plane.height(stand.contact_points[point]) == pytest.approx(0, abs=1e-9)
+    found = pa.verify_stand(of, stand)
+    assert found.passed, [str(one) for one in found.failures]
+    assert found.torque_error < within
+    assert found.force_error < within

@@ -1,0 +1,392 @@
+"""Contacts that a task states: feet on planes, hands. MuJoCo and own programmes are the judges."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import clarabel
+import mujoco
+import numpy as np
+import pytest
+from scipy import sparse
+
+import pupper_analysis as pa
+from pupper_analysis.base.results import to_json
+from pupper_analysis.cli.stance_fields import parse_contact
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.touching import touching
+from pupper_analysis.statics.support_polygon import margin_of_place
+from pupper_analysis.tools.path.plan import stance_path
+from tests.stance.test_tilts import edges_of, in_balance, sideways
+from tests.support.legged import quadruped, with_arm
+from tests.support.variants import load
+
+TABLE, HAND = 0.5, "hand"
+
+
+@pytest.fixture(scope="module")
+def armed(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
+    """A quadruped with an arm of three joints, whose hand is a sphere of 25 mm."""
+    pair = with_arm(quadruped(tmp_path_factory.mktemp("armed"), floor=True, actuators="position"))
+    return pa.load_robot(*pair)
+
+
+def roof(degrees: float, friction: float | None = None) -> dict[str, pa.Contact]:
+    """v3's feet on a roof whose ridge is above the x axis."""
+    s, c = math.sin(math.radians(degrees)), math.cos(math.radians(degrees))
+    left, right = (pa.Plane((0, 0, 0.045), (0, side * s, c), friction) for side in (1, -1))
+    return {f: pa.Contact(left if f[1] == "L" else right) for f in ("FL", "FR", "RL", "RR")}
+
+
+def table(friction: float | None = None, **more: object) -> dict[str, pa.Contact]:
+    return {HAND: pa.Contact(pa.Plane((0, 0, TABLE), (0, 0, 1), friction), **more)}  # type: ignore[arg-type]
+
+
+def test_mujoco_holds_a_stand_on_a_roof() -> None:
+    robot = load("v3")
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=roof(30, 0.9)))
+    for foot, point in stand.contact_points.items():
+        plane = stand.task.contacts[foot].plane
+        assert plane.height(point) == pytest.approx(0, abs=1e-12)
+        np.testing.assert_allclose(stand.normals[foot], plane.normal, atol=1e-15)
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, [str(one) for one in found.failures]
+    assert found.torque_error < 1e-6
+    assert found.force_error < 1e-6
+
+
+@pytest.mark.parametrize("com", [None, (0.05, 0.02)])
+def test_mujoco_holds_a_stand_with_a_hand_on_a_table(
+    armed: pa.Robot, com: tuple[float, float] | None
+) -> None:
+    stand = pa.solve_stand_as_simulated(armed, pa.StandTask(contacts=table(0.6), com=com))
+    found = pa.verify_stand(armed, stand, integrator="implicitfast")
+    assert found.passed, [str(one) for one in found.failures]
+    assert found.torque_error < 1e-6
+    assert found.force_error < 1e-6
+    assert found.predicted_forces[HAND][2] > 5.0  # N
+    assert found.mujoco_residual < 1e-9
+    alone = pa.verify_stand(armed, stand, integrator="implicitfast", feedforward=False)
+    sag = pa.steady_state(armed, stand, seconds=4.5)  # in the middle of what is measured
+    assert sag.height_loss == pytest.approx(alone.height_loss, rel=1e-3)
+    assert sag.contact_sag == pytest.approx(alone.contact_sag, rel=1e-3)
+    for foot, force in alone.foot_forces.items():
+        np.testing.assert_allclose(sag.contact_forces[foot], force, atol=5e-3)
+
+
+def least_torque(robot: pa.Robot, stand: pa.Stand) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The forces of least squared torque, by Clarabel on MuJoCo's Jacobians, and the torques."""
+    model, points = robot.mj_model, list(stand.stance_feet)
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(model, data)
+    rows = []
+    for point in points:
+        body, place = robot.contact_places[point]
+        centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+        deep = robot.contact_radius[point] - stand.depths[point] / 2
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, jacobian, None, centre - deep * stand.normals[point], body)
+        rows.append(jacobian[:, robot.mj_convention.qvel_index])
+    pushed = np.vstack(rows).T
+    load = data.qfrc_bias[robot.mj_convention.qvel_index]
+    size = 3 * len(points)
+    cones = np.zeros((4 * len(points), size))
+    for number, point in enumerate(points):
+        out, own = stand.normals[point], slice(3 * number, 3 * number + 3)
+        cones[4 * number, own] = robot.contacts[point].sliding_friction * out
+        cones[4 * number + 1 : 4 * number + 4, own] = np.eye(3) - np.outer(out, out)
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.tol_gap_abs, settings.tol_gap_rel = False, 1e-13, 1e-13
+    solved = clarabel.DefaultSolver(
+        sparse.csc_matrix(np.triu(pushed[6:].T @ pushed[6:] + 1e-12 * np.eye(size))),
+        -pushed[6:].T @ load[6:],
+        sparse.csc_matrix(np.vstack([pushed[:6], -cones])),
+        np.concatenate([load[:6], np.zeros(len(cones))]),
+        [clarabel.ZeroConeT(6), *[clarabel.SecondOrderConeT(4)] * len(points)],
+        settings,
+    ).solve()
+    forces = np.array(solved.x)
+    return dict(zip(points, forces.reshape(-1, 3), strict=True)), load[6:] - pushed[6:] @ forces
+
+
+def test_least_torque_is_that_of_a_cone_programme_on_mujocos_numbers(armed: pa.Robot) -> None:
+    for robot, task in (
+        (load("v3"), pa.StandTask(contacts=roof(30, 0.9))),
+        (load("v3"), pa.StandTask(contacts=roof(20, 0.25))),  # at the edge of some cones
+        (armed, pa.StandTask(contacts=table(0.2))),
+    ):
+        stand = pa.solve_stand_as_simulated(robot, task)
+        robot = stand.check(robot)
+        ours = pa.stance.stand_statics(robot, stand, distribution="minimum torque")
+        forces, torques = least_torque(robot, stand)
+        np.testing.assert_allclose(ours.joint_torques, torques, atol=1e-5)
+        for point, force in forces.items():
+            np.testing.assert_allclose(ours.contact_forces[point], force, atol=1e-3)
+
+
+def test_a_plane_through_each_foots_place_is_a_tilt() -> None:
+    """The same stand, torques and sag, said in another way."""
+    robot, ground = load("v3"), sideways(30, roof=True)
+    one = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=ground))
+    planes = {
+        foot: pa.Contact(pa.Plane(tuple(one.contact_points[foot]), tuple(one.normals[foot])))
+        for foot in robot.feet
+    }
+    two = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=planes))
+    np.testing.assert_allclose(two.qpos, one.qpos, atol=1e-9)
+    assert two.com_margin == pytest.approx(one.com_margin, abs=1e-9)
+    sags = [pa.steady_state(robot, stand) for stand in (one, two)]
+    np.testing.assert_allclose(sags[1].qpos, sags[0].qpos, atol=1e-9)
+
+
+def test_friction_is_the_planes_in_mujoco_and_in_statics() -> None:
+    """A foot's own: 0.7 where all else of the contact is the ground's, and others keep theirs."""
+    robot, contacts = load("v3"), roof(20)
+    own = pa.Contact(pa.Plane(contacts["FL"].plane.point, contacts["FL"].plane.normal, 0.7))
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=contacts | {"FL": own}))
+    grounded = on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets)
+    data = mujoco.MjData(grounded.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(grounded.mj_model, data)
+    seen = {}
+    for touch in data.contact:
+        foot = next(grounded.foot_geoms[geom] for geom in touch.geom if geom in grounded.foot_geoms)
+        seen[foot] = touch
+    assert seen.keys() == set(robot.feet)
+    for foot, touch in seen.items():
+        parameters = robot.contacts[foot]
+        assert touch.friction[0] == (0.7 if foot == "FL" else parameters.sliding_friction)
+        np.testing.assert_allclose(touch.friction[2:], parameters.friction[2:], atol=1e-15)
+        np.testing.assert_allclose(touch.solref, parameters.solref, atol=1e-15)
+        np.testing.assert_allclose(touch.solimp, parameters.solimp, atol=1e-15)
+    assert grounded.contacts["FL"].sliding_friction == 0.7
+    assert grounded.contacts["FR"] == robot.contacts["FR"]
+
+
+def test_the_friction_that_is_needed_holds_and_less_does_not() -> None:
+    robot, angle = load("v3"), math.radians(20)
+    slope = (-math.sin(angle), 0.0, math.cos(angle))
+
+    def statics(friction: float) -> object:
+        plane = pa.Contact(pa.Plane((0, 0, 0), slope, friction))
+        task = pa.StandTask(contacts=dict.fromkeys(robot.feet, plane), pitch=-0.2)
+        return pa.stance.stand_statics(robot, pa.solve_stand(robot, task))
+
+    with pytest.raises(pa.StaticsInfeasibleError) as caught:
+        statics(0.2)
+    needed = caught.value.friction_needed
+    assert needed == pytest.approx(math.tan(angle), rel=1e-5)
+    statics(1.001 * needed)
+    with pytest.raises(pa.StaticsInfeasibleError):
+        statics(0.999 * needed)
+
+
+def test_a_hand_is_a_ball_that_weighs_nothing_and_touches_its_plane_alone(armed: pa.Robot) -> None:
+    task = pa.StandTask(contacts=table())
+    robot = touching(armed, task.contacts)
+    assert robot.hands == (HAND,)
+    assert robot.contact_points == (*armed.contact_points, HAND)
+    assert robot.contact_radius[HAND] == pytest.approx(0.025, abs=1e-9)  # what the hand is
+    assert robot.total_mass == armed.total_mass
+    assert robot.mj_model.body_mass.sum() == armed.mj_model.body_mass.sum()
+    random = np.random.default_rng(0)
+    qpos = robot.posed(random.uniform(-1, 1, robot.nu))
+    config = pa.Configuration(robot, qpos)
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    np.testing.assert_allclose(
+        config.foot_positions()[HAND], data.geom(HAND).xpos, atol=1e-12
+    )  # both engines' place
+    stand = pa.solve_stand(armed, task)
+    model = on_ground(robot, stand.task.ground, stand.rigid_targets).mj_model
+    top = model.geom(f"step_{HAND}").id
+    meets = [
+        model.geom(geom).name
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom]
+        and (
+            model.geom_contype[geom] & model.geom_conaffinity[top]
+            or model.geom_contype[top] & model.geom_conaffinity[geom]
+        )
+    ]
+    assert meets == [f"{HAND} (contact)"]
+
+
+def test_a_hand_is_where_it_is_at_home_or_where_it_is_put(armed: pa.Robot) -> None:
+    home = armed.posed(armed.home[7:])
+    home[2] = armed.stand_height
+    robot = touching(armed, table())
+    there = pa.Configuration(robot, home).foot_positions()[HAND]
+    stand = pa.solve_stand(armed, pa.StandTask(contacts=table()))
+    np.testing.assert_allclose(stand.contact_points[HAND], (*there[:2], TABLE), atol=1e-12)
+    wall = pa.Contact(pa.Plane((0.5, 0, 0), (-1, 0, 0)), place=(0.45, 0.05, 0.48), radius=0.01)
+    stand = pa.solve_stand(armed, pa.StandTask(contacts={HAND: wall}))
+    np.testing.assert_allclose(stand.contact_points[HAND], (0.5, 0.05, 0.48), atol=1e-12)
+    feet = [stand.contact_points[foot] for foot in armed.feet]
+    assert stand.qpos[2] == pytest.approx(np.mean(feet, axis=0)[2] + armed.stand_height, abs=1e-9)
+
+
+def test_a_robot_has_the_contacts_of_each_task(armed: pa.Robot) -> None:
+    """The same robot for the same contacts, wherever planes are; and back again."""
+    one = touching(armed, table(0.5))
+    assert touching(armed, {HAND: pa.Contact(pa.Plane((0, 0, 1), (1, 0, 0), 0.5))}) is one
+    assert touching(one, table(0.5)) is one
+    assert touching(one, {}) is armed
+    assert touching(one, table(0.6)) is touching(armed, table(0.6))
+    assert touching(armed, {"FL_calf": pa.Contact(pa.Plane((0, 0, 0), (0, 0, 1)))}) is armed
+    loaded = pa.robot.with_payload(one, 0.5)
+    assert loaded.contacts[HAND].sliding_friction == 0.5
+    assert touching(loaded, table(0.5)) is loaded
+    with pytest.raises(pa.ConfigurationError, match="contacts"):
+        touching(loaded, {})
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("seed", range(2))
+def test_where_a_com_is_in_balance_is_what_a_search_says(armed: pa.Robot, seed: int) -> None:
+    """1,000 places each, a linear programme on edges of the cones at each."""
+    wall = pa.Contact(pa.Plane((0.5, 0, 0.5), (-0.8, 0, 0.6), 0.5))
+    task = pa.StandTask(contacts={HAND: wall})
+    stand = pa.solve_stand(armed, task)
+    robot = stand.check(armed)
+    corners = tuple(map(tuple, stand.corners(robot).tolist()))
+    points = np.array([*stand.contact_points.values()])
+    cones = [
+        edges_of(stand.normals[point], robot.contacts[point].sliding_friction)
+        for point in stand.contact_points
+    ]
+    ends = np.array(corners)
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    size = float((high - low).max())
+    tried = {True: 0, False: 0}
+    random = np.random.default_rng(seed)
+    for place in random.uniform(low - 0.2 * size, high + 0.2 * size, (1000, 2)):
+        margin = margin_of_place((float(place[0]), float(place[1])), corners)
+        if abs(margin) > 0.01 * size:
+            assert in_balance(points, cones, place) is (margin > 0)
+            tried[margin > 0] += 1
+    assert min(tried.values()) > 100
+
+
+def test_a_task_comes_back_from_json_and_from_what_is_typed() -> None:
+    contacts = {
+        "FL": pa.Contact(pa.Plane((0.4, 0, 0), (-2, 0, 0), 0.6), place=(0.4, 0.1, 0.3)),
+        "hand": pa.Contact(pa.Plane((0, 0, 0.7), (0, 0, 1)), offset=(0.1, 0, 0), radius=0.02),
+        "head": pa.Contact(pa.Plane((0, 0, 1.2), (0, 0, -1))),
+        "RR": pa.Contact(pa.Plane((0.1, 0.2, 0.3), (0.0, 0.6, 0.8), 0.0)),
+    }
+    task = pa.StandTask(contacts=contacts, ground=pa.Ground(slope=0.1))
+    assert pa.StandTask.of(json.loads(to_json(task))) == task
+    assert task.ground.planes.keys() == contacts.keys()
+    assert not pa.StandTask(ground=task.ground).ground.planes  # they are the task's alone
+    for contact in contacts.values():
+        assert parse_contact("contact", str(contact), "") == contact
+    assert str(contacts["FL"]).startswith("wall:0.4m,mu=0.6")
+    assert "FL on wall:0.4m" in str(task)
+    assert "FL 接触 wall:0.4m" in task.said("zh")
+
+
+def plane(**more: object) -> pa.Contact:
+    return pa.Contact(pa.Plane((0, 0, 0.02), (0, 0, 1)), **more)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda: pa.Plane((0, 0, 0), (0, 0, 0)), "no direction"),
+        (lambda: pa.Plane((0, 0, 0), (0, 0, 1), -0.1), "friction: -0.1 is not between"),
+        (lambda: pa.Plane((0, 0, math.nan), (0, 0, 1)), r"plane\.point"),
+        (lambda: pa.Plane((0, 0), (0, 0, 1)), "not a point"),  # type: ignore[arg-type]
+        (lambda: plane(radius=0), "radius"),
+        (lambda: pa.StandTask(contacts={"FL": "wall"}), r"contacts\[FL\]"),  # type: ignore[dict-item]
+        (lambda: pa.StandTask.of({"contacts": {"FL": {"wall": 1}}}), "is no contact"),
+        (
+            lambda: pa.StandTask(contacts={"FL": plane()}, ground=pa.Ground(heights={"FL": 0.01})),
+            "FL has a plane of its own, and is in heights",
+        ),
+        (
+            lambda: pa.StandTask(contacts={"FL": plane()}, ground=pa.Ground(tilts={"FL": 0.1})),
+            "FL has a plane of its own, and is in tilts",
+        ),
+        (
+            lambda: pa.StandTask(
+                contacts={"FL": plane(place=(0, 0, 0))}, foot_offsets={"FL": (0, 0)}
+            ),
+            "has a place",
+        ),
+    ],
+)
+def test_what_is_no_contact_is_refused_in_a_line(make: object, match: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=match) as caught:
+        make()  # type: ignore[operator]
+    assert "\n" not in str(caught.value)
+
+
+def test_a_part_that_there_is_not_or_that_is_a_foot_is_refused(armed: pa.Robot) -> None:
+    with pytest.raises(pa.UnknownNameError, match="arm_elbow_link"):
+        pa.solve_stand(armed, pa.StandTask(contacts={"paw": plane()}))
+    calf = pa.StandTask(contacts={"FL_knee_body": plane()})
+    with pytest.raises(pa.UnknownNameError):
+        pa.solve_stand(armed, calf)
+    v3 = load("v3")
+    carrier = v3.contact_frames["FL"]
+    with pytest.raises(pa.ConfigurationError, match="state the contact of FL"):
+        pa.solve_stand(v3, pa.StandTask(contacts={carrier: plane()}))
+    with pytest.raises(pa.ConfigurationError, match="FL is a foot"):
+        pa.solve_stand(v3, pa.StandTask(contacts={"FL": plane(radius=0.01)}))
+
+
+def test_a_hand_out_of_reach_says_so(armed: pa.Robot) -> None:
+    far = pa.Contact(pa.Plane((2.0, 0, 0), (-1, 0, 0)))
+    with pytest.raises(pa.StanceUnreachableError, match=HAND):
+        pa.solve_stand(armed, pa.StandTask(contacts={HAND: far}), explain=False)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        pa.Plane((0.9, 0, 0), (-1, 0, 0), 0.6),
+        pa.Plane((0, 0, 0.9), (0, 0, 1)),
+        pytest.param(pa.Plane((0.9, 0, 0), (-0.8, 0, 0.6)), marks=pytest.mark.longest),
+    ],
+    ids=["wall", "table", "slanted"],
+)
+def test_which_contact_would_have_to_give_and_how_far(armed: pa.Robot, asked: pa.Plane) -> None:
+    """What is stated holds as it is typed, and half a millimetre beyond nothing does."""
+    foot = pa.Contact(pa.Plane((0, 0, 0.02), (0, 0, 1)))
+    task = pa.StandTask(contacts={HAND: pa.Contact(asked), "RL_calf": foot})
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(armed, task)
+    limit = caught.value.limits["contacts"]["contacts"]
+    assert limit["RL_calf"] == foot  # it need not give, and is not named
+    said = str(caught.value).partition("Possible")[2]
+    assert f"contacts {HAND}={limit[HAND]}." in said
+    typed = parse_contact("contact", str(limit[HAND]), "")
+    assert typed.plane.normal == asked.normal
+    assert pa.solve_stand(armed, pa.StandTask(contacts={HAND: typed, "RL_calf": foot})).solved
+    beyond = typed.at(typed.plane.offset + math.copysign(5e-4, asked.offset - typed.plane.offset))
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(armed, pa.StandTask(contacts={HAND: beyond, "RL_calf": foot}), explain=False)
+
+
+def test_a_path_with_contacts_is_refused(armed: pa.Robot) -> None:
+    task = pa.StandTask(contacts=table())
+    with pytest.raises(pa.ConfigurationError, match="no path"):
+        stance_path(armed, [task, task], 1.0)
+
+
+def test_a_contact_is_seen_in_a_picture(armed: pa.Robot, tmp_path: Path) -> None:
+    from pupper_analysis.present.scene import describe_scene
+
+    stand = pa.solve_stand_as_simulated(armed, pa.StandTask(contacts=table()))
+    scene = describe_scene(armed, stand, pa.stance.stand_statics(armed, stand))
+    (step,) = scene.steps
+    assert step.foot == HAND
+    top = step.centre + step.rotation[:, 2] * step.half[2]
+    assert top[2] == pytest.approx(TABLE, abs=1e-12)
+    assert {contact.foot for contact in scene.contacts} == {*armed.feet, HAND}
+    pa.report.write_report(stand, tmp_path / "stand.html", robots=[armed])
