@@ -98,17 +98,6 @@ def test_joints_are_read_as_they_are_written(tiny: pa.Robot) -> None:
 # ------------------------------------------------------------------------------------- alignment
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_turned_frames_are_no_difference(tmp_path: Path, seed: int) -> None:
-    files = write(tmp_path, urdf_text(quadruped()), mjcf_text(quadruped()))
-    files.mjcf.write_text(turned_frames(read_mjcf(files.mjcf).model, seed))
-    comparison = compared(files, tolerances=Tolerances.strict())
-    assert found(comparison) == []
-    assert comparison.agree
-    assert max(comparison.deviations.values()) < 1e-14
-    assert comparison.check.passed
-
-
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_turned_frames_of_a_real_robot(tmp_path: Path, name: str) -> None:
     urdf, _ = pa.pupper.write_variant(name, tmp_path)

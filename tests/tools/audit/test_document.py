@@ -92,14 +92,6 @@ def test_audit_writes_every_format(broken: Path) -> None:
     assert {"mass-not-positive", "mirror-limits"} <= failed
 
 
-def test_equal_findings_are_printed_once() -> None:
-    audit = audit_model(ROOT / "urdf" / "pupper_v3.urdf")
-    shown = printed(audit, everything=False)
-    messages = {(finding.rule, finding.message) for finding in audit.findings}
-    for _, message in messages:
-        assert shown.count(message) == 1
-
-
 def test_what_to_do_is_said_once_for_the_findings_of_a_rule(tmp_path: Path) -> None:
     """Four calves of another mass each: four findings, and one remedy."""
     text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()

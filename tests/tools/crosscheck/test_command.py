@@ -163,17 +163,6 @@ def test_bad_input_is_one_line_and_exit_status_2(
     assert {path: path.stat().st_mtime_ns for path in models.rglob("*")} == before
 
 
-@pytest.mark.parametrize("case", ["missing URDF", "swapped", "tolerance of nothing"])
-def test_bad_input_of_the_program_itself(models: Path, case: str) -> None:
-    arguments, message = BAD[case]
-    result = run(models, *arguments)
-    assert result.returncode == 2
-    assert message in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
-    assert "Traceback" not in result.stderr
-    assert result.stdout == ""
-
-
 UNUSUAL: dict[str, Callable[[str], str]] = {
     "floating joint": lambda text: text.replace('"hip1" type="revolute"', '"hip1" type="floating"'),
     "planar joint": lambda text: text.replace('"hip1" type="revolute"', '"hip1" type="planar"'),
