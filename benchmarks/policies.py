@@ -32,8 +32,7 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.tools.contract.readers import read_onnx
 from pupper_analysis.tools.walk.gait import simulate_walk
-from pupper_analysis.tools.walk.network_files import onnx_network
-from pupper_analysis.tools.walk.policy import Policy
+from pupper_analysis.tools.walk.policy import Policy, onnx_network
 
 COMMAND, SECONDS, WARM_UP = np.array([0.5, 0.0, 0.0]), 8.0, 2.0
 SAME = 0.03  # m/s: apart by when the first action comes, and where the first foot is put down

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 import pupper_analysis as pa
-from pupper_analysis.tools.analyze.comparison import (
+from pupper_analysis.tools.analyze.document import (
     RatioReference,
     compare_with_base,
     comparison_table,

@@ -8,7 +8,7 @@ import pytest
 
 from pupper_analysis.present.document import Document
 from pupper_analysis.simulation.verdict import judge_stance
-from pupper_analysis.tools.analyze import comparison
+from pupper_analysis.tools.analyze import document as comparison
 from pupper_analysis.tools.stand.document import stance_document
 from tests.support import printing
 from tests.support.stubs import (

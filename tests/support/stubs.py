@@ -224,7 +224,7 @@ def row(name: str, shift: float, **changes: Any) -> Any:
         "cross_check": 1.5e-13,
         "verified": True,
     }
-    return tool("analyze.comparison").ComparisonRow(**{**fields, **changes})
+    return tool("analyze.document").ComparisonRow(**{**fields, **changes})
 
 
 def pushes(shift: float) -> Stub:
@@ -461,7 +461,7 @@ def _variants() -> Report:
     )
     third = row("three", 0.02, stands_without=False)
     spec = Stub(name="mine", base="v3", leg_scale=1.21, torso_mass_scale=2.31)
-    comparison = tool("analyze.comparison")
+    comparison = tool("analyze.document")
     listed = comparison.variants_table([(spec, Stub(total_mass=3.4567, stand_height=0.14159))])
     compared = comparison.comparison_table([row("one", 0.0), other, third])
     return _alone(Document(Name("Variants"), Name("variants"), (compared, listed)))

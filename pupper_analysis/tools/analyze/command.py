@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.stance.task import StandTask
     from pupper_analysis.tools.analyze.analysis import Analysis
-    from pupper_analysis.tools.analyze.comparison import ComparisonRow
+    from pupper_analysis.tools.analyze.document import ComparisonRow
 
 
 @shared.command("analyze")
@@ -125,9 +125,9 @@ def command(
     if shown and (everything or len(rows) > 1):
         _print_comparison(rows)
     if style == "markdown":
-        from pupper_analysis.tools.analyze import comparison
+        from pupper_analysis.tools.analyze.document import comparison_table
 
-        overview = [comparison.comparison_table(rows)]
+        overview = [comparison_table(rows)]
         shared.show_results(_named(analyses), style, robots=robots, overview=overview)
     if folder is not None:
         _draw(robots, analyses, folder)
@@ -175,25 +175,25 @@ def _compared(
     """Puts each variant beside the base model that it is made of; files have none."""
     from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
-    from pupper_analysis.tools.analyze import comparison
+    from pupper_analysis.tools.analyze import document
     from pupper_analysis.tools.analyze.analysis import leg_lengths, thigh_shape_length
 
     references = {}
     for name in {one.base for one in meant if isinstance(one, VariantSpec)}:
         robot = load_variant(VariantSpec(base=name))
-        references[name] = comparison.RatioReference(
+        references[name] = document.RatioReference(
             robot.total_mass, leg_lengths(robot)[0], thigh_shape_length(robot)
         )
     bases = [str(one) if isinstance(one, RobotFiles) else one.base for one in meant]
     return [
-        comparison.compare_with_base(analysis, base, references.get(base))
+        document.compare_with_base(analysis, base, references.get(base))
         for base, analysis in zip(bases, analyses, strict=True)
     ]
 
 
 def _print_comparison(rows: list[ComparisonRow]) -> None:
     from pupper_analysis.present.terminal import make_console, print_table
-    from pupper_analysis.tools.analyze.comparison import comparison_table
+    from pupper_analysis.tools.analyze.document import comparison_table
 
     print_table(make_console(), comparison_table(rows))
 
@@ -206,7 +206,7 @@ def _write(
     report_path: Path | None,
 ) -> None:
     """Writes JSON and report, and says how many are verified."""
-    from pupper_analysis.tools.analyze.comparison import comparison_table
+    from pupper_analysis.tools.analyze.document import comparison_table
 
     content: dict[str, Any] = {"variants": dict(_named(analyses)), "comparison": rows}
     shared.write_json(json_path, content)
@@ -218,8 +218,12 @@ def _write(
 
 def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
     from pupper_analysis.present.figures.pose import pose_figure
-    from pupper_analysis.tools.analyze import render
-    from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
+    from pupper_analysis.tools.analyze.figures import (
+        gain_figure,
+        height_figure,
+        render_variants,
+        torque_figure,
+    )
 
     for robot, analysis in zip(robots, analyses, strict=True):
         path = folder / f"pose_{analysis.name}.png"
@@ -228,9 +232,7 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
     height_figure(analyses, folder / "heights.png")
     gain_figure(analyses, folder / "gains.png")
     stands = [analysis.stand for analysis in analyses]
-    picture = render.render_variants(
-        list(zip(robots, stands, strict=True)), folder / "variants.png"
-    )
+    picture = render_variants(list(zip(robots, stands, strict=True)), folder / "variants.png")
     shared.confirm_written(f"{folder}/")
     if picture.note:
         click.echo(f"note: {picture.note}", err=True)
@@ -239,7 +241,7 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
 def _print_list(specs: list[VariantSpec]) -> None:
     from pupper_analysis.present.terminal import make_console, print_table
     from pupper_analysis.pupper.variant_files import load_variant
-    from pupper_analysis.tools.analyze import comparison
+    from pupper_analysis.tools.analyze import document
 
     variants = [(spec, load_variant(spec)) for spec in specs]
-    print_table(make_console(), comparison.variants_table(variants))
+    print_table(make_console(), document.variants_table(variants))

@@ -2,26 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import os
+import platform
+import sys
+import textwrap
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
+from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import in_english, text
 from pupper_analysis.present.documents.loads import torque_plot
 from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.figures import drawing
-from pupper_analysis.present.figures.drawing import write_plots
+from pupper_analysis.present.figures.drawing import save_figure, write_plots
+from pupper_analysis.present.figures.pose import (
+    BOX_FACES,
+    Skeleton,
+    draw_skeleton,
+    hull_corners,
+)
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand
+from pupper_analysis.tools.analyze.analysis import leg_lengths
 from pupper_analysis.tools.analyze.document import deviation_table
 
 if TYPE_CHECKING:
@@ -177,3 +199,415 @@ def _write_cells(axes: Axes, table: doc.Table, norm: LogNorm, size: float) -> No
             if cell.mark:
                 place = (column - 0.46, row - 0.46)
                 axes.add_patch(Rectangle(place, 0.92, 0.92, fill=False, ec=drawing.RED, lw=2.2))
+
+
+Array = NDArray[np.float64]
+
+ELEVATION, AZIMUTH = math.radians(20), math.radians(140)  # of the camera's line of sight
+AHEAD = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), 0.0])
+RIGHT = np.array([math.sin(AZIMUTH), -math.cos(AZIMUTH), 0.0])
+UP = math.sin(ELEVATION) * AHEAD + math.cos(ELEVATION) * np.array([0.0, 0.0, 1.0])
+SUN = np.array([-0.30, 0.24, -1.0])  # where the light that casts shadows goes
+_GAP = 0.09  # around a robot, in tile widths
+LABEL = 0.125  # for the text below it, in tile widths
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """The part of the picture that shows one robot, in a parallel projection.
+
+    Attributes:
+        robot: The robot.
+        qpos: (nq,) where it is.
+        lines: The same as lines.
+        left: Where the tile begins (pixels from the picture's left edge).
+        top: Likewise, from its top edge.
+        width: Of the tile (pixels).
+        height: Of the tile (pixels).
+        scale: Pixels per metre.
+        centre: (2,) what is in the tile's middle: m along ``RIGHT`` and ``UP``.
+    """
+
+    robot: Robot
+    qpos: Array
+    lines: Skeleton
+    left: int
+    top: int
+    width: int
+    height: int
+    scale: float
+    centre: Array
+
+    def pixels(self, points: Array) -> Array:
+        """Returns where points (n, 3) in the world are in the picture (n, 2), y downwards."""
+        offset = self.scale * (project_points(points) - self.centre) * (1, -1)
+        middle = (self.left + self.width / 2, self.top + self.height / 2)
+        place: Array = middle + offset
+        return place
+
+
+def project_points(points: Array) -> Array:
+    """Returns points (n, 3) in the plane of the picture (n, 2) (m)."""
+    seen: Array = points @ np.array([RIGHT, UP]).T
+    return seen
+
+
+def tiles_of(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
+    """Gives each robot a tile: all to one scale, and those of a row on one line."""
+    lines = [draw_skeleton(robot, qpos) for robot, qpos in poses]
+    low, high = np.empty((len(poses), 2)), np.empty((len(poses), 2))
+    for index, ((robot, _), line) in enumerate(zip(poses, lines, strict=True)):
+        points = line.points()
+        shadow = points - np.outer(points[:, 2] / SUN[2], SUN)
+        seen = project_points(np.concatenate([points, shadow]))
+        radius = max(robot.contact_radius.values())
+        low[index], high[index] = seen.min(axis=0) - radius, seen.max(axis=0) + radius
+    size = high - low
+    tile_width = width // columns
+    scale = (1 - 2 * _GAP) * tile_width / float(size[:, 0].max())
+    gap, label = _GAP * tile_width / scale, LABEL * tile_width / scale
+    tiles: list[Tile] = []
+    top = 0
+    for first in range(0, len(poses), columns):
+        row = range(first, min(first + columns, len(poses)))
+        extent = float(size[row, 1].max()) + 2 * gap + label
+        height = round(extent * scale)
+        for index in row:
+            across = (low[index, 0] + high[index, 0]) / 2
+            middle = np.array([across, low[index, 1] + extent / 2 - label - gap])
+            left = (index - first) * tile_width
+            tiles.append(
+                Tile(*poses[index], lines[index], left, top, tile_width, height, scale, middle)
+            )
+        top += height
+    return tiles
+
+
+Image = NDArray[np.uint8]
+GROUND = "#EEF1F5"
+_SHADOWS = ((0.18, 0.012), (0.20, 0.056))  # darkness, and blur in radii of the robot
+_SHADOW_SIZE = 512  # pixels
+_OVERSAMPLING = 2  # pixels rendered per pixel shown, in each direction
+_HIDDEN = 5  # a group of geoms that MuJoCo does not draw
+_OFF = ("disable", "disabled", "off", "false", "0")
+
+
+def _model(tile: Tile) -> mujoco.MjModel:
+    """Compiles a robot's MJCF, its ground hidden, and with the lights of the picture."""
+    robot = tile.robot
+    spec = robot.description.mjcf.copy()
+    for geom in spec.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            geom.group = _HIDDEN
+    free = [joint for joint in spec.joints if joint.type == JointKind.FREE]
+    for element in (*spec.lights, *(() if robot.floating else (*free, *spec.keys))):
+        spec.delete(element)
+    directional = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    sun, fill = (spec.worldbody.add_light(type=directional) for _ in range(2))
+    extent = max(tile.width, tile.height) / tile.scale / 2
+    sun.pos, sun.dir, sun.castshadow = (
+        tile.lines.points().mean(axis=0) - 2 * extent * SUN,
+        SUN,
+        True,
+    )
+    sun.diffuse, sun.specular = (0.45,) * 3, (0.25,) * 3
+    fill.dir, fill.castshadow = (-0.6, -0.7, -0.5), False
+    fill.diffuse, fill.specular = (0.18,) * 3, (0.0,) * 3
+    visual = spec.visual
+    visual.headlight.ambient, visual.headlight.diffuse = (0.42,) * 3, (0.25,) * 3
+    visual.headlight.specular = (0.05,) * 3
+    visual.global_.offwidth = _OVERSAMPLING * tile.width
+    visual.global_.offheight = _OVERSAMPLING * tile.height
+    visual.global_.orthographic = True
+    visual.quality.shadowsize, visual.quality.offsamples = 2048, 0
+    visual.map.shadowclip = 1.0
+    spec.stat.extent = extent
+    return compile_spec(spec, robot.description.mjcf_source)
+
+
+def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Image], str, str | None]:
+    """Returns an image per tile, from which backend, and no note; or none, ``lines`` and why."""
+    reasons = []
+    for backend in _backends():
+        try:
+            with _quiet_attempt():
+                return _render_with(backend, tiles), backend, None
+        except PupperAnalysisError:
+            raise
+        except Exception as error:  # every driver fails in its own way
+            reasons.append(f"{backend}: {textwrap.shorten(str(error), 100, placeholder='...')}")
+    why = "; ".join(reasons) or "MUJOCO_GL switches it off"
+    return [], "lines", f"no OpenGL ({why}): a line drawing instead of a rendered picture"
+
+
+def _backends() -> tuple[str, ...]:
+    """Returns the modules of ``mujoco`` to get OpenGL from: the user's, or those that may do.
+
+    MuJoCo reads MUJOCO_GL when it is imported, which is too early: so its choice is made here.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if wanted in _OFF:
+        return ()
+    if wanted in ("egl", "osmesa", "glfw", "cgl"):
+        return (wanted,)
+    if platform.system() == "Linux":
+        display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        return ("egl", "osmesa", "glfw") if display else ("egl", "osmesa")
+    return ("cgl", "glfw") if platform.system() == "Darwin" else ("glfw",)
+
+
+@contextmanager
+def _quiet_attempt() -> Iterator[None]:
+    """Keeps drivers quiet, and lets another backend follow if this one fails.
+
+    PyOpenGL is bound to one backend on import, by an environment variable that mujoco sets.
+    """
+    variables = {name: os.environ.get(name) for name in ("PYOPENGL_PLATFORM", "EGL_LOG_LEVEL")}
+    modules = set(sys.modules)
+    os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except Exception:
+        for name in set(sys.modules) - modules:
+            if name.startswith(("OpenGL", "mujoco.")):
+                del sys.modules[name]
+        raise
+    finally:
+        for name, value in variables.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Image]:
+    size = tiles[0].width, max(tile.height for tile in tiles)
+    window: Any = import_module(f"mujoco.{backend}").GLContext(*size)
+    try:
+        window.make_current()
+        if backend == "glfw" and not import_module("glfw").get_current_context():
+            # MuJoCo ends the process when it is asked a second time without a context.
+            raise RuntimeError("it cannot open a window")
+        return [_render_tile(tile) for tile in tiles]
+    finally:
+        window.free()
+
+
+def _render_tile(tile: Tile) -> Image:
+    model = _model(tile)
+    data = mujoco.MjData(model)
+    tile.robot.mj_convention.set_state(data, tile.qpos)
+    mujoco.mj_forward(model, data)
+    context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+    try:
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
+        shadow = _shadow(tile, model, data, context)
+        camera = _Camera(
+            AZIMUTH, -ELEVATION, tile.centre @ np.array([RIGHT, UP]), tile.height / tile.scale
+        )
+        shape = (_OVERSAMPLING * tile.height, _OVERSAMPLING * tile.width)
+        image, robot = _shoot(camera, shape, model, data, context)
+    finally:
+        context.free()
+    # Pixels on an outline are shared by robot and ground.
+    image[~robot] = 0
+    steps = [(i, j) for i in range(_OVERSAMPLING) for j in range(_OVERSAMPLING)]
+    colour, share = np.zeros((*shadow.shape, 3), np.uint16), np.zeros(shadow.shape, np.uint16)
+    for i, j in steps:
+        colour += image[i::_OVERSAMPLING, j::_OVERSAMPLING]
+        share += robot[i::_OVERSAMPLING, j::_OVERSAMPLING]
+    ground = np.array(to_rgb(GROUND), np.float32) * (255 * shadow)[:, :, None]
+    mixed = (colour + (len(steps) - share)[:, :, None] * ground) / np.float32(len(steps))
+    return np.asarray(mixed + np.float32(0.5), dtype=np.uint8)
+
+
+def _shadow(
+    tile: Tile, model: mujoco.MjModel, data: mujoco.MjData, context: mujoco.MjrContext
+) -> Array:
+    """Returns by what the ground's light is to be multiplied, per pixel of the tile.
+
+    The shadow is the robot's outline as the sun sees it, blurred, and mapped to the ground.
+    """
+    azimuth = math.atan2(SUN[1], SUN[0])
+    elevation = math.atan2(SUN[2], math.hypot(SUN[0], SUN[1]))
+    points = tile.lines.points()
+    middle = points.mean(axis=0)
+    reach = float(np.linalg.norm(points - middle, axis=1).max())
+    sun = _Camera(azimuth, elevation, middle, 2.8 * reach)
+    side = min(_SHADOW_SIZE, _OVERSAMPLING * min(tile.width, tile.height))
+    outline = _shoot(sun, (side, side), model, data, context)[1].astype(float)
+    scale = side / sun.height
+    # Both a sharp shadow, which ties the feet to the ground, and a soft one.
+    dark = sum(
+        weight * ndimage.gaussian_filter(outline, scale * reach * blur) for weight, blur in _SHADOWS
+    )
+    # From a pixel (row, column) of the tile to the ground, and on to a pixel of the outline.
+    ground = np.column_stack([-AHEAD / math.sin(ELEVATION), RIGHT]) / tile.scale
+    to_pixels = scale * np.array([-sun.axes()[1], sun.axes()[0]])
+    matrix = to_pixels @ ground
+    x, y = tile.centre
+    centre = x * RIGHT + y / math.sin(ELEVATION) * AHEAD
+    shape = (tile.height, tile.width)
+    offset = to_pixels @ (centre - middle) + (side - 1) / 2 - matrix @ (np.array(shape) - 1) / 2
+    mapped = ndimage.affine_transform(dark, matrix, offset, shape, order=1)
+    light: Array = 1 - mapped
+    return light.astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class _Camera:
+    """A camera with parallel projection.
+
+    Attributes:
+        azimuth: Of its line of sight (rad).
+        elevation: Likewise; negative looks down.
+        centre: (3,) what is in the picture's middle (m).
+        height: Of what it shows (m).
+    """
+
+    azimuth: float
+    elevation: float
+    centre: Array
+    height: float
+
+    def axes(self) -> Array:
+        """Returns the directions (2, 3) of the picture's right and up in the world."""
+        sine, cosine = math.sin(self.azimuth), math.cos(self.azimuth)
+        tilt, level = math.sin(self.elevation), math.cos(self.elevation)
+        return np.array([[sine, -cosine, 0.0], [-tilt * cosine, -tilt * sine, level]])
+
+
+def _shoot(
+    camera: _Camera,
+    shape: tuple[int, int],
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    context: mujoco.MjrContext,
+) -> tuple[Image, NDArray[np.bool_]]:
+    """Returns a picture (height, width, 3), and where in it there is a robot (height, width)."""
+    model.vis.global_.fovy = camera.height
+    view = mujoco.MjvCamera()
+    view.lookat[:] = camera.centre
+    view.distance = 2 * camera.height
+    view.azimuth, view.elevation = math.degrees(camera.azimuth), math.degrees(camera.elevation)
+    view.orthographic = 1
+    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
+    everything = mujoco.mjtCatBit.mjCAT_ALL.value
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, view, everything, scene)
+    scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX.value] = 0
+    height, width = shape
+    image = np.empty((height, width, 3), dtype=np.uint8)
+    depth = np.empty((height, width), dtype=np.float32)
+    frame = mujoco.MjrRect(0, 0, width, height)
+    mujoco.mjr_render(frame, scene, context)
+    mujoco.mjr_readPixels(image, depth, frame, context)
+    return image[::-1], depth[::-1] < 1.0
+
+
+_DPI = 100
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture that has been written.
+
+    Attributes:
+        path: The PNG.
+        method: Who drew it: ``egl``, ``osmesa``, ``glfw`` or ``cgl`` (OpenGL), or ``lines``.
+        note: Why it is a line drawing, if it is one.
+    """
+
+    path: Path
+    method: str
+    note: str | None
+
+
+def render_variants(
+    robots_and_stands: Sequence[tuple[Robot, Stand]],
+    path: str | Path,
+    *,
+    width: int = 1500,
+    columns: int = 3,
+) -> Picture:
+    """Renders robots standing side by side, to one scale, with names, leg lengths and masses.
+
+    Args:
+        robots_and_stands: The robots, each with its stand.
+        path: The PNG to write.
+        width: Of the picture (pixels).
+        columns: Robots in a row.
+
+    Returns:
+        What was written. Without OpenGL it is a line drawing, and the note says why.
+
+    Raises:
+        ConfigurationError: If there is no robot, or ``width`` or ``columns`` is out of range.
+        OutputError: If the file cannot be written.
+    """
+    poses = [(robot, stand.qpos) for robot, stand in robots_and_stands]
+    return _picture(poses, Path(path), width, columns)
+
+
+def _picture(poses: Sequence[tuple[Robot, Array]], path: Path, width: int, columns: int) -> Picture:
+    if not poses:
+        raise ConfigurationError("robots_and_stands", diagnose("no-robot-to-draw"))
+    if not 200 <= width <= 4096:
+        raise ConfigurationError(
+            "width", diagnose("pixels-out-of-range", pixels=width, least=200, most=4096)
+        )
+    if columns < 1:
+        raise ConfigurationError("columns", diagnose("not-positive", value=columns))
+    tiles = tiles_of(poses, width, min(columns, len(poses)))
+    images, method, note = render_tiles(tiles)
+    width = max(tile.left + tile.width for tile in tiles)
+    height = max(tile.top + tile.height for tile in tiles)
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=GROUND)
+    canvas = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(height, 0), zorder=1)
+    canvas.set_axis_off()
+    if images:
+        picture = np.full((height, width, 3), images[0][0, 0])
+        for tile, image in zip(tiles, images, strict=True):
+            picture[tile.top :, tile.left :][: tile.height, : tile.width] = image
+        figure.figimage(picture, origin="upper")
+    for tile in tiles:
+        if not images:
+            _draw_lines(canvas, tile)
+        _write_label(canvas, tile)
+    save_figure(figure, path)
+    return Picture(path, method, note)
+
+
+def _write_label(canvas: Axes, tile: Tile) -> None:
+    robot = tile.robot
+    # Letters that fit the tile, in points.
+    size = 0.03 * tile.width * 72 / _DPI
+    x, y = tile.left + tile.width / 2, tile.top + tile.height - (LABEL + 0.02) * tile.width
+    legs = sum(length or 0.0 for length in leg_lengths(robot))
+    numbers = f"legs {1e3 * legs:.0f} mm, mass {robot.total_mass:.2f} kg"
+    below = y + 2.0 * size * _DPI / 72
+    common: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
+    canvas.text(x, y, robot.name, size=1.35 * size, weight="bold", color="#1F2937", **common)
+    canvas.text(x, below, numbers, size=size, color="#4B5563", **common)
+
+
+def _draw_lines(canvas: Axes, tile: Tile) -> None:
+    """Draws a robot as lines, in the projection of the rendered picture."""
+    lines = tile.lines
+    thick = 0.035 * tile.width * 72 / _DPI
+    legs = np.array([leg[[0, -1]] for leg in lines.legs.values()])
+    feet = hull_corners(legs[:, -1])
+    ground = tile.pixels(np.column_stack([feet, np.zeros(len(feet))]))
+    canvas.fill(*ground.T, color="#DDE2E9", zorder=1)
+    for leg in lines.legs.values():
+        # The camera is on the right: the legs of that side hide the base, it hides the others.
+        near = leg[0, 1] < legs[:, 0, 1].mean()
+        order, colour = (4, "#374151") if near else (2, "#9CA3AF")
+        seen = tile.pixels(leg).T
+        canvas.plot(*seen, color=colour, lw=thick, solid_capstyle="round", zorder=order)
+        canvas.plot(*seen[:, -1:], "o", color="#111827", ms=2 * thick, zorder=order)
+    for box in lines.boxes:
+        for face in BOX_FACES:
+            corners = tile.pixels(box[list(face)]).T
+            canvas.fill(*corners, fc="#F3C453", ec="#7A5300", alpha=0.6, lw=thick / 10, zorder=3)

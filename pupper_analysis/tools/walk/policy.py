@@ -2,22 +2,46 @@
 
 from __future__ import annotations
 
+import io
+import struct
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pupper_analysis.base.errors import InputError, ModelError
-from pupper_analysis.base.inputs import is_input, read_toml
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import InputError, MissingPackageError, ModelError
+from pupper_analysis.base.inputs import MOST_FILE, is_input, read_input, read_toml
+from pupper_analysis.models.places import Place, refuse_file, refuse_input
 from pupper_analysis.tools.contract.facts import Request
-from pupper_analysis.tools.contract.readers import onnx, read_onnx, tables
+from pupper_analysis.tools.contract.readers import (
+    OnnxFile,
+    gather_fields,
+    integers_of,
+    onnx,
+    read_onnx,
+    tables,
+    text_of,
+)
+from pupper_analysis.tools.contract.readers.onnx import Message
 from pupper_analysis.tools.walk.contract import Contract, contract_of, of_rtneural, of_source
-from pupper_analysis.tools.walk.network import Network
-from pupper_analysis.tools.walk.network_files import (
-    TORCHSCRIPT,
-    onnx_network,
-    read_rtneural,
-    rtneural_network,
-    torchscript_network,
+from pupper_analysis.tools.walk.network import (
+    ACTIVATIONS,
+    MOST_WEIGHTS,
+    Network,
+    Node,
+    Operation,
+    checked,
+    dense,
+    elu,
+    gru,
+    lstm,
 )
 
 
@@ -72,3 +96,382 @@ class Policy:
     def with_contract(self, **changed: Any) -> Policy:
         """Returns the policy with other fields of its contract."""
         return replace(self, contract=replace(self.contract, **changed))
+
+
+Array = NDArray[np.float64]
+
+_TYPES = {1: "<f4", 6: "<i4", 7: "<i8", 10: "<f2", 11: "<f8"}
+"""NumPy's types of TensorProto's."""
+
+_LISTS = {1: 4, 6: 5, 7: 7, 11: 10}
+"""The field that holds numbers of a type, where they are not raw."""
+
+
+def _floats(values: Sequence[Any]) -> list[float]:
+    return [one for value in values for (one,) in struct.iter_unpack("<f", bytes(value))]
+
+
+def _tensor(path: Path, data: int | memoryview) -> tuple[str, Array]:
+    """Returns a tensor's name and its numbers."""
+    tensor = gather_fields(data)
+    name, dims = text_of(tensor, 8), integers_of(tensor.get(1, ()))
+    kind = tensor.get(2, [0])[0]
+    count = 1
+    for dim in dims:
+        count *= dim
+    if count > MOST_WEIGHTS or any(dim < 0 for dim in dims):
+        problem = diagnose("too-many-weights", layer=name, count=count, most=MOST_WEIGHTS)
+        raise ModelError(path, problem)
+    if kind not in _TYPES or tensor.get(14, [0])[0]:
+        raise ModelError(path, diagnose("weights-elsewhere", layer=name))
+    if 9 in tensor:
+        raw = bytes(tensor[9][0])
+        size = np.dtype(_TYPES[kind]).itemsize
+        found = np.frombuffer(raw[: len(raw) // size * size], dtype=_TYPES[kind])
+    elif kind in (1, 11):
+        form = "<f4" if kind == 1 else "<f8"
+        found = np.frombuffer(b"".join(map(bytes, tensor.get(_LISTS[kind], ()))), dtype=form)
+    else:
+        found = np.array(integers_of(tensor.get(_LISTS.get(kind, 5), ())))
+    if found.size != count:
+        problem = diagnose("layer-sizes", layer=name, sizes=f"{dims}, {found.size}")
+        raise ModelError(path, problem)
+    return name, found.reshape(dims).astype(np.float64)
+
+
+def onnx_network(path: Path, file: OnnxFile) -> Network:
+    """Returns the network of an ONNX file.
+
+    Args:
+        path: The file, for messages.
+        file: What was read of it.
+
+    Raises:
+        ModelError: If it has none, or operators that policies do not consist of.
+    """
+    try:
+        return _network(path, file)
+    except (ValueError, KeyError, IndexError, TypeError, struct.error) as error:
+        raise ModelError(path, diagnose("no-network")) from error
+
+
+def _network(path: Path, file: OnnxFile) -> Network:
+    graph = file.graph
+    constants = dict(_tensor(path, one) for one in graph.get(5, ()))
+    if sum(one.size for one in constants.values()) > MOST_WEIGHTS:
+        count = sum(one.size for one in constants.values())
+        problem = diagnose("too-many-weights", layer="", count=count, most=MOST_WEIGHTS)
+        raise ModelError(path, problem)
+    inputs, outputs = list(file.inputs.items()), list(file.outputs)
+    nodes = [
+        _node(path, gather_fields(one), number, constants) for number, one in enumerate(graph[1], 1)
+    ]
+    if len(inputs) != len(outputs):
+        problem = diagnose("states-unpaired", inputs=len(inputs), outputs=len(outputs))
+        raise ModelError(path, problem)
+    memory = []
+    for (name, dims), following in zip(inputs[1:], outputs[1:], strict=True):
+        if not dims or max(dims[:-1], default=1) > 1:
+            raise ModelError(path, diagnose("layer-sizes", layer=name, sizes=str(dims)))
+        memory.append((name, following, dims[-1]))
+    size = inputs[0][1][-1] if inputs[0][1] else 0
+    if not 0 < size <= MOST_WEIGHTS:
+        raise ModelError(path, diagnose("layer-sizes", layer=inputs[0][0], sizes=str(inputs[0][1])))
+    used = {name for node in nodes for name in node.inputs}
+    kept = {name: value for name, value in constants.items() if name in used}
+    return checked(path, nodes, kept, (inputs[0][0], outputs[0]), memory, size)
+
+
+def _node(path: Path, node: Message, number: int, constants: dict[str, Array]) -> Node:
+    kind = text_of(node, 4)
+    name = text_of(node, 3) or f"layer {number} ({kind})"
+    inputs = tuple(text_of(node, 1, index) for index in range(len(node.get(1, ()))))
+    outputs = tuple(text_of(node, 2, index) for index in range(len(node[2])))
+    given: dict[str, Any] = {}
+    for one in node.get(5, ()):
+        attribute = gather_fields(one)
+        key = text_of(attribute, 1)
+        if 5 in attribute:
+            given[key] = _tensor(path, attribute[5][0])[1]
+        elif 3 in attribute:
+            given[key] = integers_of(attribute[3])[0]
+        elif 8 in attribute:
+            given[key] = integers_of(attribute[8])
+        elif 2 in attribute:
+            given[key] = struct.unpack("<f", bytes(attribute[2][0]))[0]
+        elif 4 in attribute:
+            given[key] = text_of(attribute, 4)
+    if kind == "Constant" and "value" in given:
+        constants[outputs[0]] = given["value"]
+        return Node(name, lambda value: value, (outputs[0],), outputs)
+    make = _OPERATORS.get(kind)
+    operation = None if make is None else make(given, len(outputs))
+    if operation is None:
+        problem = diagnose("layer-unknown", layer=f"{name}: {kind}", known=sorted(_OPERATORS))
+        raise ModelError(path, problem)
+    if kind in _IGNORED:
+        return Node(name, operation, inputs[:1], outputs[:1])
+    if kind in ("GRU", "LSTM"):  # the fifth input is the lengths of sequences
+        inputs = tuple(one for index, one in enumerate(inputs) if index != 4)
+    return Node(name, operation, inputs, outputs)
+
+
+Make = Callable[[dict[str, Any], int], Operation | None]
+
+
+def _gemm(given: dict[str, Any], _: int) -> Operation | None:
+    if given.get("transA") or not given.get("alpha", 1.0) == given.get("beta", 1.0) == 1.0:
+        return None
+    turned = bool(given.get("transB"))
+
+    def apply(value: Array, weights: Array, bias: Array | float = 0.0) -> Any:
+        return np.matmul(value, weights.T if turned else weights) + bias
+
+    return apply
+
+
+def _last_axis(given: dict[str, Any]) -> bool:
+    """Tells whether an operator acts along an observation; else batches would be mixed."""
+    return given.get("axis", 0) in (-1, 1, 2)
+
+
+def _split(given: dict[str, Any], count: int) -> Operation | None:
+    if not _last_axis(given):
+        return None
+
+    def apply(value: Array, sizes: Array | None = None) -> tuple[Array, ...]:
+        parts = given.get("split") if sizes is None else sizes.astype(int).tolist()
+        places = count if parts is None else np.cumsum(parts)[:-1].tolist()
+        return tuple(np.split(value, places, axis=-1))
+
+    return apply
+
+
+def _concat(given: dict[str, Any], _: int) -> Operation | None:
+    if not _last_axis(given):
+        return None
+
+    def apply(*values: Array) -> Any:
+        return np.concatenate([np.reshape(one, (*values[0].shape[:-1], -1)) for one in values], -1)
+
+    return apply
+
+
+def _clip(given: dict[str, Any], _: int) -> Operation:
+    def apply(value: Array, low: Any = None, high: Any = None) -> Any:
+        low = given.get("min", -np.inf) if low is None else low
+        return np.clip(value, low, given.get("max", np.inf) if high is None else high)
+
+    return apply
+
+
+def _gru(given: dict[str, Any], _: int) -> Operation | None:
+    if given.get("direction", "forward") != "forward" or given.get("activations"):
+        return None
+    after = bool(given.get("linear_before_reset", 0))
+
+    def apply(value: Array, w: Array, r: Array, b: Array, hidden: Array) -> Any:
+        biases = b[0].reshape(2, -1)
+        state = gru(value, hidden, w[0].T, r[0].T, biases, after=after)
+        return state, state
+
+    return apply
+
+
+def _lstm(given: dict[str, Any], _: int) -> Operation | None:
+    if given.get("direction", "forward") != "forward" or given.get("activations"):
+        return None
+
+    def turned(weights: Array) -> Array:
+        one, out, stay, fresh = np.split(weights, 4)  # i, o, f, c in ONNX
+        return np.concatenate([one, stay, fresh, out])
+
+    def apply(value: Array, w: Array, r: Array, b: Array, hidden: Array, cell: Array) -> Any:
+        bias = turned(b[0, : len(w[0])]) + turned(b[0, len(w[0]) :])
+        state, cell = lstm(value, hidden, cell, turned(w[0]).T, turned(r[0]).T, bias)
+        return state, state, cell
+
+    return apply
+
+
+def _plain(operation: Operation) -> Make:
+    return lambda _given, _count: operation
+
+
+_IGNORED = ("Identity", "Cast", "Dropout", "Flatten", "Reshape", "Squeeze", "Unsqueeze")
+"""What leaves an observation's numbers in their order."""
+
+_OPERATORS: dict[str, Make] = {
+    "Add": _plain(np.add),
+    "Sub": _plain(np.subtract),
+    "Mul": _plain(np.multiply),
+    "Div": _plain(np.divide),
+    "MatMul": _plain(np.matmul),
+    "Neg": _plain(np.negative),
+    "Exp": _plain(np.exp),
+    "Sqrt": _plain(np.sqrt),
+    "Relu": _plain(ACTIVATIONS["relu"]),
+    "Tanh": _plain(np.tanh),
+    "Sigmoid": _plain(ACTIVATIONS["sigmoid"]),
+    "Softsign": _plain(ACTIVATIONS["softsign"]),
+    "Softplus": _plain(ACTIVATIONS["softplus"]),
+    "Selu": _plain(ACTIVATIONS["selu"]),
+    "Elu": lambda given, _: lambda value: elu(value, given.get("alpha", 1.0)),
+    "LeakyRelu": lambda given, _: (
+        lambda value: np.where(value > 0, value, given.get("alpha", 0.01) * value)
+    ),
+    "Gemm": _gemm,
+    "Split": _split,
+    "Concat": _concat,
+    "Clip": _clip,
+    "GRU": _gru,
+    "LSTM": _lstm,
+    **dict.fromkeys(_IGNORED, _plain(ACTIVATIONS["linear"])),
+}
+
+
+_ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}
+"""How many arrays of weights a layer has."""
+
+
+def read_rtneural(path: Path) -> dict[str, Any]:
+    """Returns what RTNeural's JSON holds.
+
+    Raises:
+        ModelError: If it cannot be read, or has no list of layers.
+    """
+    try:
+        values = orjson.loads(read_input(path, MOST_FILE))
+    except InputError as error:
+        raise refuse_input(path, error) from error
+    except orjson.JSONDecodeError as error:
+        message = diagnose("contract-no-json", problem=error.msg)
+        raise refuse_file(Place(path, error.lineno), message) from error
+    if not isinstance(values, dict) or not isinstance(values.get("layers"), list):
+        raise ModelError(path, diagnose("contract-no-rtneural"))
+    return values
+
+
+def rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
+    """Returns the network of an RTNeural JSON.
+
+    Args:
+        path: The file, for messages.
+        values: Its content.
+
+    Raises:
+        ModelError: If a layer is of another kind, or sizes do not fit; it names the layer.
+    """
+    layers = values["layers"]
+    if not layers:
+        raise ModelError(path, diagnose("no-network"))
+    nodes: list[Node] = []
+    constants: dict[str, Array] = {}
+    memory: list[tuple[str, str, int]] = []
+    last = "observation"
+    inputs = 0
+    for number, layer in enumerate(layers, 1):
+        kind = layer.get("type") if isinstance(layer, dict) else None
+        name = f"layer {number} ({kind})"
+        after = f"value {number}"
+        if kind in _ARRAYS:
+            arrays = _weights(path, name, layer, _ARRAYS[kind])
+            if not inputs:
+                inputs = len(arrays[0])
+            named = tuple(f"{name}, weights {index}" for index in range(1, len(arrays) + 1))
+            constants |= dict(zip(named, arrays, strict=True))
+            if kind == "lstm":
+                size, state = len(arrays[1]), (f"{name} h", f"{name} c")
+                ahead = (after, f"{name} c next")
+                nodes.append(Node(name, lstm, (last, *state, *named), ahead))
+                memory += zip(state, ahead, (size, size), strict=True)
+            elif kind == "gru":
+                nodes.append(Node(name, gru, (last, f"{name} h", *named), (after,)))
+                memory.append((f"{name} h", after, len(arrays[1])))
+            else:
+                nodes.append(Node(name, dense, (last, *named), (after,)))
+            last = after
+        elif kind != "activation":
+            known = (*_ARRAYS, "activation")
+            raise ModelError(path, diagnose("layer-unknown", layer=name, known=known))
+        activation = layer.get("activation") or "linear"
+        if activation not in ACTIVATIONS:
+            problem = diagnose("layer-unknown", layer=f"{name}: {activation}", known=ACTIVATIONS)
+            raise ModelError(path, problem)
+        if kind not in ("gru", "lstm") and activation != "linear":  # theirs are inside
+            shaped = f"{after} {activation}"
+            nodes.append(Node(name, ACTIVATIONS[activation], (last,), (shaped,)))
+            last = shaped
+    return checked(path, nodes, constants, ("observation", last), memory, inputs)
+
+
+def _weights(path: Path, name: str, layer: dict[str, Any], count: int) -> list[Array]:
+    """Returns the arrays of a layer; biases are vectors, or two of them for a GRU."""
+    given = layer.get("weights")
+    if not isinstance(given, list) or len(given) != count:
+        raise ModelError(path, diagnose("layer-weights", layer=name, count=count))
+    try:
+        arrays = [np.array(one, dtype=np.float64) for one in given]
+    except (ValueError, TypeError) as error:
+        raise ModelError(path, diagnose("layer-weights", layer=name, count=count)) from error
+    fits = all(one.ndim == 2 for one in arrays[:-1])
+    if not fits or arrays[-1].ndim not in (1, 2) or sum(one.size for one in arrays) > MOST_WEIGHTS:
+        raise ModelError(path, diagnose("layer-weights", layer=name, count=count))
+    return arrays
+
+
+TORCHSCRIPT = (".pt", ".pth", ".jit", ".ts")
+"""How files of TorchScript are called."""
+
+_MOST_BYTES = 4 * MOST_WEIGHTS
+"""Of a file of TorchScript: as many weights in single precision as any network may have."""
+
+
+def torchscript_network(path: Path) -> Network:
+    """Returns the network of a TorchScript file.
+
+    Raises:
+        MissingPackageError: If torch is not installed.
+        ModelError: If it is none, or keeps a state of its own from one observation to the next.
+    """
+    try:
+        data = read_input(path, _MOST_BYTES)
+    except InputError as error:
+        raise ModelError(error.path, error.cause) from error
+    try:
+        torch = import_module("torch")
+    except ImportError as error:
+        raise MissingPackageError("torch", "torch") from error
+    try:
+        with warnings.catch_warnings():  # torch has had successors of this format since 2.9
+            warnings.simplefilter("ignore")
+            module = torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
+    except Exception as error:  # torch's reader raises whatever its C++ throws
+        raise ModelError(path, diagnose("no-network")) from error
+    weights = dict(module.named_parameters())
+    count = sum(int(one.numel()) for one in weights.values())
+    if count > MOST_WEIGHTS:
+        problem = diagnose("too-many-weights", layer="", count=count, most=MOST_WEIGHTS)
+        raise ModelError(path, problem)
+    first = next((one for one in weights.values() if one.ndim == 2), None)
+    if first is None:
+        raise ModelError(path, diagnose("no-network"))
+    kind, size = first.dtype, int(first.shape[1])
+
+    def apply(value: Array) -> Any:
+        with torch.no_grad():
+            try:
+                made = [module(torch.tensor(row, dtype=kind)).double().numpy() for row in value]
+            except (RuntimeError, AttributeError) as error:  # sizes; a tuple where one is due
+                raise ValueError(str(error)) from error
+        return np.stack(made)
+
+    constants = {name: one.detach().double().numpy() for name, one in weights.items()}
+    node = Node("TorchScript", apply, ("observation",), ("action",))
+    network = checked(path, [node], constants, ("observation", "action"), [], size)
+    zeros, ones = np.zeros((1, size)), np.ones((1, size))
+    before = network.forward(zeros)[0]
+    network.forward(ones)
+    if not np.array_equal(before, network.forward(zeros)[0], equal_nan=True):
+        raise ModelError(path, diagnose("network-keeps-state"))
+    return network

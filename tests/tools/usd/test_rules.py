@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
 from pupper_analysis.tools.audit.audit import RULES, audit_model
-from pupper_analysis.tools.usd.rules import CHECKS
+from pupper_analysis.tools.usd.reader import CHECKS
 from tests.support.commands import answer
 from tests.tools.usd import written as usd
 

@@ -15,7 +15,7 @@ import pytest
 
 from pupper_analysis.base.errors import MissingPackageError, ModelError
 from pupper_analysis.tools.contract.readers import read_onnx
-from pupper_analysis.tools.walk import network_files
+from pupper_analysis.tools.walk import policy as network_files
 from pupper_analysis.tools.walk.network import ACTIVATIONS, Network, gru
 from pupper_analysis.tools.walk.policy import Policy
 from tests.tools.walk import made

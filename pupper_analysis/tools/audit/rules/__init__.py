@@ -4,7 +4,6 @@ from pupper_analysis.tools.audit.rules import (  # noqa: F401
     actuators,
     files,
     joints,
-    legs,
     mass,
     mirror,
     shapes,

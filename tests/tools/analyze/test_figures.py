@@ -14,8 +14,8 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.tools.analyze import render
-from pupper_analysis.tools.analyze.render import tiles_of
+from pupper_analysis.tools.analyze import figures as render
+from pupper_analysis.tools.analyze.figures import tiles_of
 from tests.support.variants import load, stand_of
 
 WIDTH = 420
@@ -125,7 +125,7 @@ def test_a_fresh_process_is_quiet(
     """Renders twice, in a process without a display: MuJoCo may not survive a second failure."""
     code = (
         "import sys, pupper_analysis as pa\n"
-        "from pupper_analysis.tools.analyze.render import render_variants\n"
+        "from pupper_analysis.tools.analyze.figures import render_variants\n"
         "robot = pa.load_variant('original')\n"
         "pair = robot, pa.solve_stand(robot)\n"
         "for _ in range(2):\n"
