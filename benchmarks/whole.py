@@ -131,7 +131,7 @@ def start_up(repeats: int) -> dict[str, float]:
 def default_run(names: Iterable[str]) -> dict[str, float]:
     """Returns how long each stage of the default run takes for some variants, {stage: s}."""
     from pupper_analysis.present.figures.pose import pose_figure
-    from pupper_analysis.tools.analyze import render
+    from pupper_analysis.tools.analyze import figures as render
     from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 
     taken: dict[str, float] = {}

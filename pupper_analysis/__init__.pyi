@@ -26,8 +26,6 @@ from .prepare.judge import judge_stand as judge_stand
 from .pupper.variant_files import load_variant as load_variant
 from .pupper.variants import VARIANTS as VARIANTS
 from .robot import matching as matching
-from .robot.compare.compare import compare_models as compare_models
-from .robot.compare.engines import cross_check as cross_check
 from .robot.configuration import Configuration as Configuration
 from .robot.ground import Ground as Ground
 from .robot.plane import Contact as Contact
@@ -51,6 +49,8 @@ from .tools.analyze.analysis import analyze_variant as analyze_variant
 from .tools.audit.audit import audit_model as audit_model
 from .tools.best.best import best_stance as best_stance
 from .tools.convert.model import convert_model as convert_model
+from .tools.crosscheck.crosscheck import compare_models as compare_models
+from .tools.crosscheck.engines import cross_check as cross_check
 from .tools.diff.compare import diff_models as diff_models
 from .tools.fit.fit import fit as fit
 from .tools.fit.measurements.log import read_log as read_log

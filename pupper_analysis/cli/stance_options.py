@@ -210,11 +210,11 @@ def _print_first_difference(robot: Robot) -> None:
     from pupper_analysis.present.document import tell
     from pupper_analysis.present.terminal import make_console
     from pupper_analysis.present.terminal import print_notes as print_lines
-    from pupper_analysis.robot.compare.compare import compare_models
+    from pupper_analysis.robot.compare.compare import compare_files
 
     files = robot.description
     try:
-        comparison = compare_models(files.urdf_source, files.mjcf_source)
+        comparison = compare_files(files.urdf_source, files.mjcf_source).result
     except ModelError:
         return  # they are not comparable as they are; the verdict has said enough
     first = diagnose("first-difference-of-files", cause=comparison.first_to_mend)

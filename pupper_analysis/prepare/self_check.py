@@ -216,10 +216,10 @@ def _of_loading(
     if not any(abs(computed.torque_error - one.torque_error) <= SAME for one in alike):
         return ()
     # Forty modules, which hardly a verdict needs.
-    from pupper_analysis.robot.compare.compare import compare_models
+    from pupper_analysis.robot.compare.compare import compare_files
 
     with contextlib.suppress(PupperAnalysisError):
-        found = compare_models(robot.description.urdf_source, file.path)
+        found = compare_files(robot.description.urdf_source, file.path).result
         felt = [one.diagnostic for one in found.differences if one.weight[0] > 0]
         felt += found.parts
         if felt:

@@ -15,8 +15,8 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import compile_spec, no_number, to_xml
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.prepare.convert.load import load_robot
-from pupper_analysis.robot.compare.compare import compare_models
 from pupper_analysis.tools.audit.audit import audit_model
+from pupper_analysis.tools.crosscheck.crosscheck import compare_models
 from pupper_analysis.tools.diff.compare import diff_models
 from tests.support.robots import Files, mjcf_text, quadruped, urdf_text
 

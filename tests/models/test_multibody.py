@@ -14,11 +14,11 @@ import pupper_analysis as pa
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.robot.compare.compare import compare_models
 from pupper_analysis.robot.compare.differences import changes_between
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
+from pupper_analysis.tools.crosscheck.crosscheck import compare_models
 from tests.support.cases import some
 from tests.support.robots import (
     Parts,

@@ -9,9 +9,9 @@ import pytest
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import MAX_DEPTH, read_urdf
-from pupper_analysis.robot.compare.compare import compare_models
-from pupper_analysis.robot.compare.engines import URDF_MUJOCO
 from pupper_analysis.tools.audit.audit import audit_model
+from pupper_analysis.tools.crosscheck.crosscheck import compare_models
+from pupper_analysis.tools.crosscheck.engines import URDF_MUJOCO
 from tests.support.robots import (
     Files,
     all_changed,

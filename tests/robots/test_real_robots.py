@@ -33,8 +33,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.compare.compare import Comparison, compare_models
 from pupper_analysis.robot.compare.differences import Difference
+from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
 from tests.support.repository import benchmark
 from tests.support.robots import found
 

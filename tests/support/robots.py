@@ -8,20 +8,24 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot.compare.attribution import explain_differences
-from pupper_analysis.robot.compare.compare import Comparison, compare_models
+from pupper_analysis.robot.compare.compare import FilesCompared
 from pupper_analysis.robot.compare.differences import Explanation
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 
 NOTHING = (0.0, 0.0, 0.0)
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)
@@ -356,10 +360,10 @@ def explained(
 
 
 def compared(files: Files, **options: Any) -> Comparison:
-    return compare_models(files.urdf, files.mjcf, **{"configurations": 2, **options})
+    return pa.compare_models(files.urdf, files.mjcf, **{"configurations": 2, **options})
 
 
-def found(result: Explanation | Comparison) -> list[tuple[str, str]]:
+def found(result: Explanation | FilesCompared) -> list[tuple[str, str]]:
     """The kind and element of each difference, in their order."""
     return [(difference.kind, difference.element) for difference in result.differences]
 
@@ -373,7 +377,7 @@ def line_at(place: str | None, files: Mapping[str, Path]) -> str:
     return path.read_text().splitlines()[int(line) - 1]
 
 
-def headline(comparison: Comparison) -> str:
+def headline(comparison: FilesCompared) -> str:
     """What is said first of a comparison: whether they agree, and what is to be mended first."""
     agree = "SAME ROBOT, DIFFERENT CONVENTIONS" if comparison.same_robot else "DISAGREE"
     return f"{'AGREE' if comparison.agree else agree}: {comparison.first_to_mend}"

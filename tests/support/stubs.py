@@ -19,7 +19,7 @@ from pupper_analysis.base.tools import own_tools
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.present.document import Document, Name, Report, text
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
-from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.robot.compare.compare import FilesCompared
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.stance.task import StandTask
@@ -445,7 +445,7 @@ def files() -> Any:
         only_mjcf=("head",),
     )
     for name in ("unexplained", "first_to_mend"):
-        setattr(found, name, vars(Comparison)[name].fget(found))
+        setattr(found, name, vars(FilesCompared)[name].fget(found))
     return found
 
 

@@ -22,7 +22,6 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -52,7 +51,6 @@ from pupper_analysis.robot.compare.attribution import (
     explain_differences,
     unstated_notes,
 )
-from pupper_analysis.robot.compare.behaviour import check_states
 from pupper_analysis.robot.compare.differences import (
     CONVENTIONS,
     FORMATS,
@@ -66,13 +64,8 @@ from pupper_analysis.robot.compare.differences import (
     number_pair,
     with_names_of_models,
 )
-from pupper_analysis.robot.compare.engines import (
-    OF_ONE_MODEL,
-    OF_THE_MJCF,
-    CrossCheck,
-    cross_check,
-)
 from pupper_analysis.robot.contact import limb_ends
+from pupper_analysis.robot.matching.alignment import Alignment
 from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.sources import Sources
@@ -408,12 +401,8 @@ def _in_root(urdf: etree._Element, link: str) -> Array:
     return axes
 
 
-ENGINES_AGREE = 1e-8
-"""How far the two engines may deviate on one model, relative to a quantity's scale."""
-
-
 @dataclass(frozen=True, eq=False)
-class Comparison(Tabular):
+class FilesCompared(Tabular):
     """What became of the comparison of a URDF with an MJCF.
 
     Attributes:
@@ -428,14 +417,12 @@ class Comparison(Tabular):
         parts: What one file has and the other lacks, as a whole with its joints; it was taken off
             to compare the rest.
         notes: What was assumed or left out.
-        check: The cross-check: both models in both engines.
         differences: Of the files, the one with the greatest effect first.
         causes: Slips that explain several differences each.
         deviations: {quantity: relative deviation between the models}.
         residual: {quantity: relative deviation that is left when all differences are taken away}.
         explained: Share of the worst deviation that the differences explain (1 is all).
         complete: Whether nothing is left unexplained.
-        engines: Quantities on which the engines deviate for one and the same model.
         mount: How a fixed base is tilted in one file, and what that does to gravity; None if it is
             not, or the base is free.
         objections: Why the files do not agree, besides the differences: what no difference
@@ -454,14 +441,12 @@ class Comparison(Tabular):
     only_mjcf: tuple[str, ...]
     parts: tuple[Diagnostic, ...]
     notes: tuple[Diagnostic, ...]
-    check: CrossCheck
     differences: tuple[Difference, ...]
     causes: tuple[PatternCause, ...]
     deviations: dict[str, float]
     residual: dict[str, float]
     explained: float
     complete: bool
-    engines: tuple[Diagnostic, ...]
     mount: Mount | None
     objections: tuple[Diagnostic, ...]
     agree: bool
@@ -500,9 +485,25 @@ class Comparison(Tabular):
         return {name: [getattr(found, name) for found in self.differences] for name in names}
 
 
-@check_arguments
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Two files that were compared.
+
+    Attributes:
+        result: How they differ.
+        matched: Both as one robot.
+        alignment: The MJCF's tree in the URDF's link frames.
+        explanation: Every number in which they differ, and the proof that none is missing.
+    """
+
+    result: FilesCompared
+    matched: Match
+    alignment: Alignment
+    explanation: Explanation
+
+
 @silence_mujoco()
-def compare_models(
+def compare_files(
     urdf: str | Path,
     mjcf: str | Path,
     *,
@@ -513,9 +514,7 @@ def compare_models(
     strict_names: bool = False,
     any_coordinates: bool = False,
     same_mount: bool = False,
-    configurations: int = 20,
-    seed: int = 0,
-) -> Comparison:
+) -> Compared:
     """Compares a URDF with an MJCF of the same robot, and explains how they differ.
 
     A file of another format (`base.tools.formats`) may stand in the place of either.
@@ -536,11 +535,6 @@ def compare_models(
             another pose.
         same_mount: A fixed base that is tilted against the URDF's is an objection; otherwise
             `mount` alone tells of it.
-        configurations: Number of random configurations of the cross-check.
-        seed: Of the random numbers, 0 or more.
-
-    Returns:
-        The comparison.
 
     Raises:
         ModelError: If a file cannot be read, or the two cannot be matched.
@@ -548,7 +542,6 @@ def compare_models(
         UnknownNameError: If a name is not in its file.
         ConfigurationError: If an argument is out of its range.
     """
-    check_states(configurations, seed)
     tolerances = tolerances or Tolerances()
     urdf_file, mjcf_file = _first(urdf, packages), _second(mjcf)
     matched = match_models(
@@ -562,14 +555,6 @@ def compare_models(
         mass = Quantity(robot.total_mass, "kg")
         raise ModelError(urdf_file.path, diagnose("robot-without-mass", mass=mass))
     alignment = align_robot(robot, tolerances)
-    check = cross_check(
-        robot,
-        configurations=configurations,
-        tolerance=tolerances.dynamics,
-        seed=seed,
-        mimics=matched.mimics,
-        moved=alignment.moved,
-    )
     explanation = explain_differences(
         robot,
         tolerances=tolerances,
@@ -587,7 +572,7 @@ def compare_models(
     objections = (*_legs_without_base(matched), *_objections(explanation, tolerances))
     if mount is not None and same_mount:
         objections = (*objections, mount.diagnostic)
-    return Comparison(
+    result = FilesCompared(
         urdf=str(urdf_file.path),
         mjcf=str(mjcf_file.path),
         base=robot.base,
@@ -602,7 +587,6 @@ def compare_models(
             *unstated_notes(matched, explanation),
             *untold,
         ),
-        check=check,
         differences=differences,
         causes=_causes(
             robot, alignment.values, differences, tolerances, _weighed_by_geoms(mjcf_file)
@@ -611,12 +595,12 @@ def compare_models(
         residual=explanation.residual,
         explained=_explained(explanation),
         complete=explanation.complete,
-        engines=_engines(check, explanation),
         mount=mount,
         objections=objections,
         agree=not (differences or unmatched or objections),
         same_robot=not (_mechanical(differences) or unmatched or objections),
     )
+    return Compared(result, matched, alignment, explanation)
 
 
 def _causes(*of: object) -> tuple[PatternCause, ...]:
@@ -745,24 +729,6 @@ def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[D
 
 _LISTED = 6
 """Links of a body that are listed, the heaviest first."""
-
-
-def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
-    """Says where the engines deviate for one and the same model."""
-    return tuple(
-        diagnose(
-            "engines-deviate",
-            subject=("quantity", quantity.name),
-            relative=relative,
-            edge=Term(whose),
-        )
-        for quantity in check.quantities
-        for whose, relative in quantity.edges.items()
-        if whose in OF_ONE_MODEL
-        and relative > ENGINES_AGREE
-        # With forces of MuJoCo's that a tree of joints has not, the two got different models.
-        and not (explanation.remains and whose in OF_THE_MJCF)
-    )
 
 
 def _explained(explanation: Explanation) -> float:

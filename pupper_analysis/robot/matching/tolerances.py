@@ -60,6 +60,11 @@ class Tolerances:
         """Returns tolerances that pass rounding errors of floating-point numbers alone."""
         return Tolerances(**{kind.name: 1e-9 for kind in fields(Tolerances)})
 
+    @staticmethod
+    def fine() -> Tolerances:
+        """Returns the same, digit for digit, but for gravity, which a URDF does not state."""
+        return replace(Tolerances.strict(), gravity=Tolerances().gravity)
+
     def changed(self, changes: Mapping[str, float]) -> Tolerances:
         """Returns these tolerances with some changed.
 

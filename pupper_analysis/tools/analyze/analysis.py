@@ -13,7 +13,6 @@ from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.prepare.judge import judge
-from pupper_analysis.robot.compare.engines import CrossCheck, cross_check
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import (
     JointSummary,
@@ -33,6 +32,7 @@ from pupper_analysis.statics.equilibrium import (
     gravity_compensation,
 )
 from pupper_analysis.tools.analyze.gain_sweep import GainSweep, sweep_gains
+from pupper_analysis.tools.crosscheck.engines import CrossCheck, cross_check
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from pupper_analysis.base.files import check_writable
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.tools import offering
-from pupper_analysis.robot.compare.compare import compare_models
+from pupper_analysis.robot.compare.compare import compare_files
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.check.config import (
     GuardConfig,
@@ -262,7 +262,7 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
     # What cannot be read by itself is not refused once more.
     if pair.urdf is not None and pair.mjcf is not None and not _refused(remarks):
         try:
-            comparison = compare_models(
+            comparison = compare_files(
                 pair.urdf,
                 pair.mjcf,
                 names=pair.names,
@@ -271,7 +271,7 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
                 tolerances=pair.tolerances,
                 strict_names=pair.strict,
                 same_mount=pair.strict,
-            )
+            ).result
         except PupperAnalysisError as error:
             remarks.append(of_error(error, "crosscheck", pair, pair.urdf, folder))
         else:

@@ -30,7 +30,7 @@ from pupper_analysis.base.inputs import read_text
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import source_name
-from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.robot.compare.compare import FilesCompared
 from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.tools.audit.audit import RULES, Audit
 from pupper_analysis.tools.check.config import GuardedPair
@@ -135,7 +135,7 @@ class Remark(Result):
         return f"{self.kind}{joint}{self.element}"
 
 
-def of_comparison(comparison: Comparison, pair: GuardedPair, folder: Path) -> Iterator[Remark]:
+def of_comparison(comparison: FilesCompared, pair: GuardedPair, folder: Path) -> Iterator[Remark]:
     """Yields a remark per difference, per joint in one file only, and per objection."""
     file = relative_path(comparison.urdf, folder)
     causes = {

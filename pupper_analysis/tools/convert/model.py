@@ -33,8 +33,9 @@ from pupper_analysis.prepare.passes import Feet, robot_of
 from pupper_analysis.prepare.simulable import check_simulable
 from pupper_analysis.present.verdict import published_clauses
 from pupper_analysis.robot.alike import structure
-from pupper_analysis.robot.compare.compare import Comparison, compare_models
+from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import OF_INERTIALS
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.stability import LASTING, Stability, step_stability
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state
@@ -44,7 +45,6 @@ from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.tools.convert.draft import ConversionDraft, mjcf_draft, urdf_draft
-from pupper_analysis.tools.sync.models import FINE
 
 
 @check_arguments
@@ -136,7 +136,7 @@ def convert_model(
             check_simulable(file)  # before anything is written
     contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
     write_all([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
-    comparison = compare_models(urdf, mjcf, packages=packages, tolerances=FINE)
+    comparison = compare_files(urdf, mjcf, packages=packages, tolerances=Tolerances.fine()).result
     verification, kept = None, None
     failures = list(_disagreements(comparison, draft))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
@@ -181,7 +181,7 @@ def _refuse_given(options: MjcfOptions, source: Path) -> None:
             raise ConfigurationError(field.name, diagnose("not-of-an-mjcf", source=source))
 
 
-def _disagreements(comparison: Comparison, draft: ConversionDraft) -> Iterator[Diagnostic]:
+def _disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterator[Diagnostic]:
     """Yields what makes the files disagree, but for what the notes tell.
 
     Inertials that were repaired, of which the comparison proves that they explain all that is left,
@@ -237,7 +237,7 @@ class Conversion(Result):
     notes: tuple[Diagnostic, ...]
     not_converted: tuple[Diagnostic, ...]
     repairs: tuple[Repair, ...]
-    comparison: Comparison
+    comparison: FilesCompared
     verification: StandVerification | None
     kept: KeyframeRun | None
     failures: tuple[Diagnostic, ...]

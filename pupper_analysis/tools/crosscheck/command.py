@@ -92,8 +92,8 @@ def command(
     alone), 1 they differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
-    from pupper_analysis.robot.compare.compare import compare_models
     from pupper_analysis.robot.matching.tolerances import Tolerances
+    from pupper_analysis.tools.crosscheck.crosscheck import compare_models
     from pupper_analysis.tools.crosscheck.document import comparison_cases, comparison_remarks
 
     names = mapped_names(pairs, map_file)

@@ -23,9 +23,10 @@ from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of, quote_line
 from pupper_analysis.present.formats import Annotation, CheckedItem
-from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.compare.differences import MANIFOLD, Difference, about_kind
-from pupper_analysis.robot.compare.engines import (
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.crosscheck.crosscheck import Comparison
+from pupper_analysis.tools.crosscheck.engines import (
     EDGES,
     EXTRAS,
     MJCF_MUJOCO,
@@ -35,7 +36,6 @@ from pupper_analysis.robot.compare.engines import (
     URDF_READ,
     URDF_YOURDFPY,
 )
-from pupper_analysis.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from pupper_analysis.present.html.write import (
     pack_poses,
     short_numbers,
 )
-from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 
 Array = NDArray[np.float64]
 

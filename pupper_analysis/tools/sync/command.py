@@ -100,14 +100,14 @@ def command(
     from pupper_analysis.present.document import Report
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.sync.document import question_text, sync_document
-    from pupper_analysis.tools.sync.models import FINE, sync_models
+    from pupper_analysis.tools.sync.models import sync_models
 
     if dry_run:
         refuse_idle("--dry-run", "backup")
     if not take and not _is_terminal():
         refuse_alone(("--take",), "take_absent", "partial", "backup")
     names, folders = mapped_names(pairs, map_file), shared.package_folders(packages)
-    tolerances = with_changes(FINE if fine else Tolerances(), changes)
+    tolerances = with_changes(Tolerances.fine() if fine else Tolerances(), changes)
 
     def run(chosen: tuple[str, ...], dry: bool) -> Sync:
         return sync_models(

@@ -22,7 +22,7 @@ from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.robot.compare.compare import Comparison, compare_models
+from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import SERVO_GAINS, Difference
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.sync.frames import Key
@@ -34,9 +34,6 @@ from pupper_analysis.tools.sync.plan import (
     make_plan,
 )
 from pupper_analysis.tools.sync.xml_bytes import XmlDocument
-
-FINE = replace(Tolerances.strict(), gravity=Tolerances().gravity)
-"""What counts as a difference, digit for digit: rounding does not; a URDF states no gravity."""
 
 
 @dataclass(frozen=True)
@@ -164,26 +161,25 @@ def sync_models(
     )
 
 
-def _compared(files: Files, tolerances: Tolerances) -> Comparison:
-    return compare_models(
+def _compared(files: Files, tolerances: Tolerances) -> FilesCompared:
+    return compare_files(
         files.urdf,
         files.mjcf,
         names=files.names,
         packages=files.packages,
         feet=files.feet,
         tolerances=tolerances,
-        configurations=1,
-    )
+    ).result
 
 
 def _tried(
     files: Files,
     tolerances: Tolerances,
-    comparison: Comparison,
+    comparison: FilesCompared,
     keys: Mapping[Key, str],
     *,
     absent: bool,
-) -> tuple[Plan, Comparison]:
+) -> tuple[Plan, FilesCompared]:
     """Returns a plan that does what it says, and the comparison of the files after it.
 
     What was planned is written beside the files, and compared. What still differs then is left as
@@ -216,7 +212,7 @@ def _tried(
         refused |= dict.fromkeys(still, diagnose("change-mends-nothing"))
 
 
-def _after(plan: Plan, tolerances: Tolerances) -> Comparison:
+def _after(plan: Plan, tolerances: Tolerances) -> FilesCompared:
     with stage_files(plan.urdf, plan.mjcf) as (urdf, mjcf):
         return _compared(replace(plan.files, urdf=urdf, mjcf=mjcf), tolerances)
 
@@ -256,8 +252,8 @@ def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...],
 
 def _unmended(
     plan: Plan,
-    before: Comparison,
-    after: Comparison,
+    before: FilesCompared,
+    after: FilesCompared,
     keys: Mapping[Key, str],
     labels: Mapping[Key, str],
 ) -> Iterable[Unmended]:

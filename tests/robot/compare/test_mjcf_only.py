@@ -16,9 +16,7 @@ from hypothesis import strategies as st
 from pupper_analysis.robot.compare import mjcf_only as extras_module
 from pupper_analysis.robot.compare.attribution import explain_differences
 from pupper_analysis.robot.compare.behaviour import random_states
-from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.compare.differences import Effect
-from pupper_analysis.robot.compare.engines import EXTRAS, cross_check
 from pupper_analysis.robot.compare.mjcf_only import (
     as_it_is,
     mjcf_only_effects,
@@ -27,6 +25,8 @@ from pupper_analysis.robot.compare.mjcf_only import (
 )
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Reference
+from pupper_analysis.tools.crosscheck.crosscheck import Comparison
+from pupper_analysis.tools.crosscheck.engines import EXTRAS, cross_check
 from tests.support.robots import (
     Files,
     all_changed,

@@ -17,8 +17,8 @@ from xml.etree import ElementTree
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.compare.compare import Comparison, compare_models
 from pupper_analysis.robot.compare.differences import Difference
+from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
 
 Element = ElementTree.Element
 PLACES = 3  # randomly chosen places per kind and pair

@@ -13,9 +13,9 @@ import pytest
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.matching.match import match_models, read_mapping
 from pupper_analysis.robot.matching.trees import kinematic_trees
+from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.robots import (
     FEET,
     Files,

@@ -10,8 +10,8 @@ import pytest
 
 from pupper_analysis.present.formats import write_junit
 from pupper_analysis.robot.compare import mjcf_only as extras
-from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from pupper_analysis.tools.crosscheck.document import (
     comparison_cases,
     comparison_remarks,

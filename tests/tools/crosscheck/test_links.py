@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pupper_analysis.models.multibody import TreeBody
-from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.tools.crosscheck.causes import body_moments, by_pattern, fold_bodies
+from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.robots import (
     Part,
     Parts,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.sync.models import FINE
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from tests.robots.test_real_robots import MJCF, URDF, file
 
 PAIRS = {
@@ -33,7 +33,7 @@ def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path
     urdf, mjcf = (file(*place) for place in PAIRS[robot])
     shutil.copytree(mjcf.parent, tmp_path / "mjcf")
     files = shutil.copy(urdf, tmp_path), tmp_path / "mjcf" / mjcf.name
-    result = pa.sync_models(*files, take=side, tolerances=FINE, take_absent=True)
+    result = pa.sync_models(*files, take=side, tolerances=Tolerances.fine(), take_absent=True)
     assert len(result.differences) > 25
     unwritten = UNWRITTEN.get(robot, set())
     assert {one.difference for one in result.not_mended} == unwritten
@@ -48,5 +48,5 @@ def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path
     for old, new in zip((urdf, mjcf), files, strict=True):
         kept = [line for line in Path(new).read_bytes().splitlines() if b'="' not in line]
         assert kept == [line for line in old.read_bytes().splitlines() if b'="' not in line]
-    again = pa.sync_models(*files, take=side, tolerances=FINE)
+    again = pa.sync_models(*files, take=side, tolerances=Tolerances.fine())
     assert (again.edits, again.agree) == ((), not unwritten)

@@ -13,7 +13,7 @@ pytest.importorskip("pxr", reason="usd-core is not installed")
 
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.robot.compare.compare import Comparison, compare_models
+from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
 from pupper_analysis.tools.usd.file import read_usd
 from pupper_analysis.tools.usd.model import read_usd_model
 from pupper_analysis.tools.usd.reader import mjspec_of

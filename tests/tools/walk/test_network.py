@@ -15,7 +15,7 @@ import pytest
 
 from pupper_analysis.base.errors import MissingPackageError, ModelError
 from pupper_analysis.tools.contract.readers import read_onnx
-from pupper_analysis.tools.walk import policy as network_files
+from pupper_analysis.tools.walk import policy
 from pupper_analysis.tools.walk.network import ACTIVATIONS, Network, gru
 from pupper_analysis.tools.walk.policy import Policy
 from tests.tools.walk import made
@@ -43,7 +43,7 @@ def rows(count: int, size: int, seed: int = 0) -> Any:
 
 
 def read(layers: list[dict[str, Any]]) -> Network:
-    return network_files.rtneural_network(Path("made.json"), {"layers": layers})
+    return policy.rtneural_network(Path("made.json"), {"layers": layers})
 
 
 @pytest.mark.parametrize("activation", BY_LOOPS)
@@ -126,7 +126,7 @@ def test_a_row_does_not_depend_on_its_neighbours() -> None:
 def read_graph(data: bytes, folder: Path) -> Network:
     path = folder / "made.onnx"
     path.write_bytes(data)
-    return network_files.onnx_network(path, read_onnx(path))
+    return policy.onnx_network(path, read_onnx(path))
 
 
 def made_graphs() -> dict[str, bytes]:
@@ -193,12 +193,12 @@ def test_what_is_no_policy_of_rtneural_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "policy.json"
     path.write_text('{"kp":\n nothing}')
     with pytest.raises(ModelError, match=r"policy\.json:2: it is no JSON"):
-        network_files.read_rtneural(path)
+        policy.read_rtneural(path)
     path.write_text('{"layers": 3}')
     with pytest.raises(ModelError, match="no list of layers"):
-        network_files.read_rtneural(path)
+        policy.read_rtneural(path)
     with pytest.raises(ModelError, match="missing"):
-        network_files.read_rtneural(tmp_path / "missing.json")
+        policy.read_rtneural(tmp_path / "missing.json")
 
 
 def test_what_does_not_fit_names_its_layer() -> None:
@@ -259,7 +259,7 @@ def _saved(torch: Any, module: Any, path: Path) -> Path:
 def test_torchscript_as_by_loops(torch: Any, tmp_path: Path) -> None:
     layers = torch.nn.Linear(7, 9), torch.nn.ELU(), torch.nn.Linear(9, 4)
     path = _saved(torch, torch.nn.Sequential(*layers), tmp_path / "plain.pt")
-    network, given = network_files.torchscript_network(path), rows(5, 7)
+    network, given = policy.torchscript_network(path), rows(5, 7)
     found, _ = network.forward(given)
     assert (network.inputs, network.outputs) == (7, 4)
     for row, out in zip(given, found, strict=True):
@@ -289,12 +289,12 @@ def test_torchscript_that_cannot_be_run_in_lockstep_is_refused(torch: Any, tmp_p
         warnings.simplefilter("ignore")
         torch.jit.save(torch.jit.trace(Counting(), torch.zeros(1, 3), check_trace=False), str(path))
     with pytest.raises(ModelError, match="keeps a state"):
-        network_files.torchscript_network(path)
+        policy.torchscript_network(path)
     pickled = tmp_path / "pickled.pt"
     torch.save(torch.nn.Linear(3, 2).state_dict(), str(pickled))
     with pytest.raises(ModelError, match="no network"):
-        network_files.torchscript_network(pickled)
+        policy.torchscript_network(pickled)
     bad = torch.nn.Linear(3, 2)
     bad.weight.data[0, 0] = math.nan
     with pytest.raises(ModelError, match="weight"):
-        network_files.torchscript_network(_saved(torch, bad, tmp_path / "nan.pt"))
+        policy.torchscript_network(_saved(torch, bad, tmp_path / "nan.pt"))
