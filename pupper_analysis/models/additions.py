@@ -31,7 +31,7 @@ class Equipped(Protocol):
         """States attributes of ``<option>``."""
 
     def add_ball(
-        self, name: str, body: str, radius: float, place: tuple[float, ...], like: str
+        self, name: str, body: str, radius: float, place: tuple[float, ...], like: str | None
     ) -> None:
         """Adds a sphere that touches and weighs nothing."""
 
