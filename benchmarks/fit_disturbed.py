@@ -19,12 +19,15 @@ from __future__ import annotations
 
 import argparse
 import csv
+import functools
 import math
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import mujoco
 import numpy as np
@@ -32,9 +35,9 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, stands_text
-from pupper_analysis.tools.fit.parameters import bodies_of
-from pupper_analysis.tools.fit.stands.fit import KNOWN_MASS, StandFit, fit_stands
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, read_stands, stands_text
+from pupper_analysis.tools.fit.parameters import KINDS, bodies_of
+from pupper_analysis.tools.fit.stands.fit import KNOWN_MASS, WEIGHED, StandFit, fit_stands
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, plan_stands
 from pupper_analysis.tools.study.parameters import scale_robot
 
@@ -68,6 +71,8 @@ class Planted:
         kp: (nu,) true (N m/rad).
         offsets: (nu,) true (rad).
         truth: What is true by the estimates' names.
+        scale: Factor on what a scale shows.
+        added: (4,) factor on what a known mass weighs, and by how much it is elsewhere (m).
     """
 
     stated: Robot
@@ -75,6 +80,8 @@ class Planted:
     kp: np.ndarray
     offsets: np.ndarray
     truth: dict[str, float]
+    scale: float
+    added: np.ndarray
 
 
 def offset_of(robot: Robot) -> float:
@@ -99,7 +106,10 @@ def plant(robot: Robot, rng: np.random.Generator) -> Planted:
     for kind, values in (("kp", stiffness), ("offset", offsets)):
         truth |= {f"{kind} {n}": float(one) for n, one in zip(names, values, strict=True)}
     true = replace(scale_robot(robot, factors), fingerprint=robot.fingerprint)
-    return Planted(robot, true, stiffness, offsets, truth)
+    scale = 1 + WEIGHED * rng.normal()
+    widths = [KINDS[kind].width for kind in ("added", "place", "place", "place")]
+    added = np.array([1.0, 0.0, 0.0, 0.0]) + widths * rng.normal(size=4)
+    return Planted(robot, true, stiffness, offsets, truth, scale, added)
 
 
 @dataclass(frozen=True)
@@ -226,6 +236,7 @@ class Rig:
         if other.pack:
             self.add(other.pack * true.total_mass, np.array([0.3, 0.0, 0.3]) * stated.stand_height)
         self.limits = np.where(np.isfinite(true.effort_limits), true.effort_limits, 1e6)
+        self.height = math.nan  # of the base (m), in the stand that was taken last
         self.wiring, self.signs = np.arange(true.nu), np.ones(true.nu)
         if other.swapped:
             one, two = last_joints(stated)[:2]
@@ -299,6 +310,7 @@ class Rig:
             mujoco.mj_step(model, data)
         if not np.isfinite(data.qpos).all() or np.abs(data.qvel).max() > 0.02:
             return None
+        self.height = float(data.qpos[self.every[2]])
         carry, force = Counter[str](), np.zeros(6)
         for number in range(data.ncon):
             contact = data.contact[number]
@@ -371,7 +383,7 @@ def truth_of(rig: Rig) -> dict[str, float]:
 
 def stands_of(rig: Rig, plan: StandPlan) -> MeasuredStands | None:
     """Returns what was measured of the planned stands that stood; None of fewer than five."""
-    place = np.zeros(3) if plan.place is None else plan.place.offset
+    place = np.zeros(3) if plan.place is None else np.array(plan.place.offset)
     taken = [(one, found) for one in plan.stands if (found := rig.take(one, place)) is not None]
     if len(taken) < 5:
         return None
@@ -389,9 +401,50 @@ def stands_of(rig: Rig, plan: StandPlan) -> MeasuredStands | None:
     )
 
 
+def kept_stands(
+    name: str, title: str, seed: int, rig: Rig, plan: Callable[[], StandPlan], keep: Path | None
+) -> MeasuredStands | None:
+    """Returns what a person has in a file: from those that were taken before, if it is there.
+
+    A scale changes nothing of how robots stand: such disturbances share their stands.
+    """
+    other = replace(DISTURBANCES[title], weight=1.0)
+    first = next(own for own, one in DISTURBANCES.items() if one == other)
+    with TemporaryDirectory() as folder:
+        file = (keep or Path(folder)) / f"{name}-{first.replace(' ', '_')}-{seed}.csv"
+        if not file.exists():
+            file.parent.mkdir(parents=True, exist_ok=True)
+            found = stands_of(rig, plan())
+            file.write_text("" if found is None else stands_text(found))
+        return said(read_stands(file), rig.planted.added) if file.stat().st_size else None
+
+
+def said(stands: MeasuredStands, off: np.ndarray) -> MeasuredStands:
+    """Returns stands with known masses as a kitchen scale and a ruler have them."""
+    added = {
+        link: np.where(own[:, :1] > 0, np.hstack([own[:, :1] / off[0], own[:, 1:] - off[1:]]), 0.0)
+        for link, own in stands.added.items()
+    }
+    return replace(stands, added=added)
+
+
 @dataclass(frozen=True)
 class Row:
-    """What came of one fit."""
+    """What came of one fit.
+
+    Attributes:
+        robot: Its name.
+        disturbance: Likewise.
+        seed: Of the robot.
+        stands: How many stood.
+        outcome: EXPLAINED, named, NOT EXPLAINED, refused, or that it does not stand.
+        codes: What it fails by.
+        held: Intervals that hold the truth, of numbers that measurements determine.
+        determined: How many there are.
+        spread: Root mean square of what these are off by, in their standard deviations.
+        kp: By what the factor of all kp is off.
+        kp_said: What is said of it (95 %).
+    """
 
     robot: str
     disturbance: str
@@ -399,15 +452,20 @@ class Row:
     stands: int
     outcome: str
     codes: str
-    held: int
-    determined: int
-    kp: float
-    kp_said: float
+    held: int = 0
+    determined: int = 0
+    spread: float = math.nan
+    kp: float = math.nan
+    kp_said: float = math.nan
 
 
 def rows(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -> Iterator[Row]:
     """Yields what comes of each fit."""
-    plans: dict[float, StandPlan] = {}
+
+    @functools.cache
+    def plan(added: float) -> StandPlan:
+        return plan_stands(robot, given.stands, kp=kp, added=added * robot.total_mass)
+
     had = set()
     if given.csv and given.csv.exists():
         with given.csv.open(newline="") as file:
@@ -417,22 +475,14 @@ def rows(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -
             if (given.only and title not in given.only) or (name, title, str(seed)) in had:
                 continue
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-            if other.added not in plans:
-                plans[other.added] = plan_stands(
-                    robot, given.stands, kp=kp, added=other.added * robot.total_mass
-                )
             planted = plant(robot, rng)
             if kp is not None:  # and not that of servos which were added
                 planted = replace(planted, kp=planted.kp * kp / servo_gains(robot).kp)
             rig = Rig(planted, other)
-            stands = stands_of(rig, plans[other.added])
+            stands = kept_stands(name, title, seed, rig, partial(plan, other.added), given.keep)
             if stands is None:
-                yield Row(name, title, seed, 0, "does not stand", "", 0, 0, math.nan, math.nan)
+                yield Row(name, title, seed, 0, "does not stand", "")
                 continue
-            if given.keep:
-                given.keep.mkdir(parents=True, exist_ok=True)
-                file = given.keep / f"{name}-{title.replace(' ', '_')}-{seed}.csv"
-                file.write_text(stands_text(stands))
             yield fitted(name, title, seed, robot, rig, stands, kp)
 
 
@@ -447,27 +497,36 @@ def fitted(
 ) -> Row:
     """Fits, and counts the intervals that hold the truth."""
     truth = truth_of(rig)
-    weight = rig.robot.total_mass * rig.other.weight
+    weight = rig.robot.total_mass * rig.other.weight * rig.planted.scale
     try:
         fit: StandFit = fit_stands(robot, stands, weight=weight, kp=kp)
     except pa.PupperAnalysisError as error:
         code = getattr(getattr(error, "cause", None), "code", type(error).__name__)
-        return Row(name, title, seed, len(stands), "refused", code, 0, 0, math.nan, math.nan)
-    whole = replace(fit.total_mass, name="mass")
-    determined = [
-        one for one in (whole, *fit.estimates) if one.name in truth and one.determined == "data"
-    ]
-    held = sum(one.low <= truth[one.name] <= one.high for one in determined)
-    said = "EXPLAINED" if fit.explained else "named"
-    codes = " ".join(dict.fromkeys(one.code for one in fit.failures))
-    if not fit.explained and set(codes.split()) <= {"residuals-too-large", "far-from-the-file"}:
-        said = "NOT EXPLAINED"
+        return Row(name, title, seed, len(stands), "refused", code)
     stated = servo_gains(robot, kp, None if kp is None else 0.0).kp
     factor = float(np.exp(np.log(rig.kp / stated).mean()))
-    off, half = math.nan, math.nan
+    carried = truth["mass"] / robot.total_mass * (1 + truth["load scale"])
+    truth["kp over mass"] = factor / carried
+    derived = [replace(fit.total_mass, name="mass")]
+    if fit.kp_over_mass is not None:
+        derived.append(replace(fit.kp_over_mass, name="kp over mass"))
+    determined = [
+        one for one in (*derived, *fit.estimates) if one.name in truth and one.determined == "data"
+    ]
+    held = sum(one.low <= truth[one.name] <= one.high for one in determined)
+    off = np.array([(one.mean - truth[one.name]) / one.std for one in determined])
+    spread = math.sqrt(float(np.mean(off**2))) if len(off) else math.nan
+    outcome = "EXPLAINED" if fit.explained else "named"
+    codes = " ".join(dict.fromkeys(one.code for one in fit.failures))
+    if not fit.explained and set(codes.split()) <= {"residuals-too-large", "far-from-the-file"}:
+        outcome = "NOT EXPLAINED"
+    by, half = math.nan, math.nan
     if fit.kp_factor is not None:
-        off, half = fit.kp_factor.mean / factor - 1, 1.96 * fit.kp_factor.std / factor
-    return Row(name, title, seed, len(stands), said, codes, held, len(determined), off, half)
+        by, half = fit.kp_factor.mean / factor - 1, 1.96 * fit.kp_factor.std / factor
+    counts = int(held), len(determined), round(spread, 3)
+    return Row(
+        name, title, seed, len(stands), outcome, codes, *counts, round(by, 4), round(half, 4)
+    )
 
 
 def main() -> None:
@@ -478,7 +537,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="seed")
     parser.add_argument("--stands", type=int, default=16)
-    parser.add_argument("--keep", type=Path, help="a folder for the measurements")
+    parser.add_argument("--keep", type=Path, help="a folder of measurements: what it has is used")
     parser.add_argument("--csv", type=Path, help="a file to add rows to, but for those that it has")
     given = parser.parse_args()
     known = given.robot in pa.VARIANTS

@@ -12,12 +12,7 @@ from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS
 from pupper_analysis.tools.fit.record.recorder import Recording
-from pupper_analysis.tools.fit.result import (
-    Determined,
-    Estimate,
-    Fit,
-    MotionFit,
-)
+from pupper_analysis.tools.fit.result import Determined, Estimate, Fit, MotionFit
 from pupper_analysis.tools.fit.stands.fit import StandFit
 from pupper_analysis.tools.fit.stands.plan import StandPlan
 

@@ -108,7 +108,7 @@ class MeasuredStands:
         found = self.ordered(robot)
         for finding in find_degrees(robot, range(robot.nu), found.position, found.command):
             raise MeasurementError(self.source, finding)
-        found._check_limits(robot)
+        found.check_limits(robot, found.position, _BEYOND)
         for row, name in enumerate(found.names):
             unread = np.flatnonzero(~np.isfinite(found.position[row]))
             if unread.size:
@@ -121,17 +121,22 @@ class MeasuredStands:
                 raise MeasurementError(self.source, finding)
         return found
 
-    def _check_limits(self, robot: Robot) -> None:
-        """Checks that no joint is read where it cannot be.
+    def check_limits(self, robot: Robot, angles: Array, margin: float = 0.0) -> None:
+        """Checks that no joint is read, or led, to where it cannot be.
+
+        Args:
+            robot: The robot.
+            angles: (m, nu) of the stands (rad); NaN is not looked at.
+            margin: Beyond a limit that is no mistake.
 
         Raises:
             MeasurementError: If one is.
         """
-        beyond = np.fmax(self.position - robot.upper_limits, robot.lower_limits - self.position)
-        for row, joint in np.argwhere(beyond > _BEYOND).tolist():
+        beyond = np.fmax(angles - robot.upper_limits, robot.lower_limits - angles)
+        for row, joint in np.argwhere(beyond > margin).tolist():
             name, who = self.names[row], robot.joint_names[joint]
             ends = robot.lower_limits[joint], robot.upper_limits[joint]
-            found = (self.position[row, joint], *ends)
+            found = (angles[row, joint], *ends)
             at, low, high = (Quantity(float(one), "rad") for one in found)
             finding = diagnose(
                 "stand-beyond-limits", stand=name, joint=who, position=at, low=low, high=high

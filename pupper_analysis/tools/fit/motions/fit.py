@@ -20,24 +20,9 @@ from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.measurements.log_quality import column_quantum, inspect_log
-from pupper_analysis.tools.fit.motions.rollouts import (
-    SERVOS,
-    Moments,
-    Run,
-    Simulator,
-    split_runs,
-)
-from pupper_analysis.tools.fit.parameters import (
-    ParameterTable,
-    Prior,
-    give_widths,
-    parse_priors,
-)
-from pupper_analysis.tools.fit.result import (
-    MotionFit,
-    describe_parameters,
-    kp_over_mass,
-)
+from pupper_analysis.tools.fit.motions.rollouts import SERVOS, Moments, Run, Simulator, split_runs
+from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, give_widths, parse_priors
+from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, kp_over_mass
 
 Array = NDArray[np.float64]
 

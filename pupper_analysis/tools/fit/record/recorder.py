@@ -25,11 +25,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.statics.support_polygon import com_margin
-from pupper_analysis.tools.fit.measurements.stands import (
-    MeasuredStands,
-    read_stands,
-    stands_text,
-)
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, read_stands, stands_text
 from pupper_analysis.tools.fit.record.bridge import Bridge, Person
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, com_width
 
@@ -270,21 +266,10 @@ def _check(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
     Raises:
         MeasurementError: If one is beyond a limit, or out of balance.
     """
+    # What is empty in a plan is nowhere: it is beyond any limit.
+    planned.check_limits(robot, np.nan_to_num(planned.command, nan=np.inf))
     for row, name in enumerate(planned.names):
-        command = planned.command[row]
-        for joint, value in enumerate(command.tolist()):
-            low, high = robot.lower_limits[joint], robot.upper_limits[joint]
-            if not low <= value <= high:
-                finding = diagnose(
-                    "stand-beyond-limits",
-                    stand=name,
-                    joint=robot.joint_names[joint],
-                    position=Quantity(value, "rad"),
-                    low=Quantity(float(low), "rad"),
-                    high=Quantity(float(high), "rad"),
-                )
-                raise MeasurementError(planned.source, finding)
-        loaded = robot
+        command, loaded = planned.command[row], robot
         for link, own in planned.added.items():
             mass, *place = own[row].tolist()
             loaded = with_payload(loaded, mass, (link, *place))

@@ -104,6 +104,9 @@ def readings_of(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
         )
 
 
+_SHOWS = 1.0
+"""Standard deviations that the robot's weight makes: forces that show less are within a sole."""
+
 _RANK = 1e-12
 """Of the largest eigenvalue: directions of own unknowns that no row tells of."""
 
@@ -146,7 +149,7 @@ class StandRows:
         regressor: GravityRegressor,
     ) -> None:
         self._table, self._numbers, self._reading = table, numbers, reading
-        self._forces, self._noise, self._regressor = forces, noise, regressor
+        self._forces, self._regressor = forces, regressor
         robot, points = numbers.robot, reading.points
         self.kp = numbers.kp
         self._robot, self._names = robot, robot.joint_names
@@ -178,30 +181,48 @@ class StandRows:
         self._stiff = np.where(known, numbers.stiff, 0.0)
         self._known = known
         self._scale = robot.total_mass * float(np.linalg.norm(robot.gravity))
-        pressed = np.maximum(forces[:, 2], 0.0)
-        own = math.sqrt(0.5) * noise.moment * np.repeat(pressed, 3)
-        last = _LAST * np.repeat([noise.friction, noise.moment], 6)
-        self._sources = np.concatenate([np.full(robot.nu, noise.encoder), own, last])
-        sizes, rows = (len(table), 3 + 3 * len(points), len(self._sources)), robot.nv + len(points)
-        self.by_x, self.by_own, self.by_noise = (np.zeros((rows, size)) for size in sizes)
-        self.residual, self.deviation = np.zeros((2, rows))
+        own, sources = 3 + 3 * len(points), robot.nu + 3 * len(points) + 12
+        rows = robot.nv + len(points)
+        self.residual = np.zeros(rows)
+        self.by_x, self.by_own, self.by_noise = (
+            np.zeros((rows, size)) for size in (len(table), own, sources)
+        )
         self._balance()
         self._contact()
+        self.weigh(noise)
+
+    def weigh(self, noise: StandNoise) -> None:
+        """Takes noise to be another: nothing else of the rows depends on it."""
+        pressed, length = np.maximum(self._forces[:, 2], 0.0), self._robot.stand_height
+        own = math.sqrt(0.5) * noise.moment * np.repeat(pressed, 3)
+        last = _LAST * np.repeat([noise.friction, noise.moment], 6)
+        self._sources = np.concatenate([np.full(self._robot.nu, noise.encoder), own, last])
+        # A joint rests anywhere in its band of dry friction; half of it is the last motion's.
+        rubbing = noise.friction * self._numbers.rubbing
+        torque = np.hypot(_LINEAR * self._scale * length, rubbing / math.sqrt(6.0))
+        torque = np.where(self._known, torque, _UNKNOWN * self._scale * length)
+        base = _BALANCE * self._scale * np.array([1.0, 1.0, 1.0, length, length, length])
+        flatness = np.full(len(pressed), noise.flatness)
+        self.deviation = np.concatenate([base, torque, flatness])
 
     def _covariance(self) -> Array:
         found: Array = self._sources**2 * self.by_noise @ self.by_noise.T
         return found + np.diag(self.deviation**2)
 
-    def whiten(self) -> tuple[Array, Array, Array, float]:
-        """Returns r, and its derivatives by x and y, of combinations with noise of variance 1.
-
-        And the logarithm of the determinant of the noise's covariance.
-        """
+    def eliminate(self) -> tuple[Linearised, Array]:
+        """Returns residuals, whitened, that no own unknown changes; and the own unknowns' step."""
         factor = np.linalg.cholesky(self._covariance())
         white = np.linalg.solve(factor, np.column_stack([self.residual, self.by_x, self.by_own]))
-        n = self.by_x.shape[1]
-        log_noise = 2 * float(np.log(np.diag(factor)).sum())
-        return white[:, 0], white[:, 1 : 1 + n], white[:, 1 + n :], log_noise
+        n = 1 + self.by_x.shape[1]
+        residual, by_x, by_own = white[:, 0], white[:, 1:n], white[:, n:]
+        left, lengths, right = np.linalg.svd(by_own, full_matrices=True)
+        rank = int(np.count_nonzero(lengths > _SHOWS / self._scale))
+        step = right[:rank].T @ (left[:, :rank].T @ -residual / lengths[:rank])
+        rest = left[:, rank:].T
+        # The determinant of noise in the combinations that are left: det(P' C P) =
+        # det(C) det(B' C^-1 B) / det(B' B), and the last depends on no noise.
+        log_noise = 2 * float(np.log(np.diag(factor)).sum() + np.log(lengths[:rank]).sum())
+        return Linearised.of(rest @ residual, rest @ by_x, log_noise), step
 
     def left(self) -> tuple[Array, Array]:
         """Returns residuals of the joints at the best own unknowns, and what noise makes of them.
@@ -234,7 +255,6 @@ class StandRows:
         residual[6:] += numbers.kp * self._lead
         residual += np.einsum("pij,pi->j", self._twists[:, 3:], kept)
         by_x, by_own, by_noise = (one[:nv] for one in (self.by_x, self.by_own, self.by_noise))
-        self.deviation[:nv] = self._unsure()
         by_own[:, :3] = -stiffness[:, _TURNS_AND_HEIGHT]
         by_own[:, 3:] = self.jacobians.reshape(-1, nv).T
         # What a foot sinks further brings its contact nearer to its centre by half of that.
@@ -261,6 +281,10 @@ class StandRows:
         nu = self._robot.nu
         by_noise[6:, :nu] += np.diag(self.kp * self._known)
         by_noise[:, :nu] += stiffness[:, 6:]
+        for link in self._reading.added:
+            yielded = numbers.rubbing * self._signs
+            self._put(by_x[6:], yielded, "settling", link)
+            residual[6:] += numbers.settling[link] * yielded
         turning = self._twists[:, 3:]
         by_noise[:, nu:-12] = turning.reshape(-1, nv).T
         joints, feet = self._last_motions()
@@ -327,15 +351,6 @@ class StandRows:
         for rows in (residual, by_x.T, by_own.T, by_noise.T):
             rows *= share
 
-    def _unsure(self) -> Array:
-        """Returns the standard deviations (nv,) of balance, but for what encoders' noise does."""
-        length, rubbing = self._robot.stand_height, self._noise.friction * self._numbers.rubbing
-        # A joint rests anywhere in its band of dry friction; half of it is the last motion's.
-        torque = np.hypot(_LINEAR * self._scale * length, rubbing / math.sqrt(6.0))
-        torque = np.where(self._known, torque, _UNKNOWN * self._scale * length)
-        base = _BALANCE * self._scale * np.array([1.0, 1.0, 1.0, length, length, length])
-        return np.concatenate([base, torque])
-
     def _contact(self) -> None:
         """z_p - r_p + softness depth(f_p) = 0."""
         points = self._reading.points
@@ -344,7 +359,6 @@ class StandRows:
         by_x, by_own, by_noise = (one[nv:] for one in (self.by_x, self.by_own, self.by_noise))
         self.residual[nv:] = self.config.foot_places(points)[:, 2] - self._radius
         self.residual[nv:] += self._softness * self._deep
-        self.deviation[nv:] = self._noise.flatness
         by_own[:, :3] = heights[:, _TURNS_AND_HEIGHT]
         by_noise[:, : self._robot.nu] -= heights[:, 6:]
         for joint, name in enumerate(self._names):
@@ -395,6 +409,7 @@ class Numbers:
         down: (3,) gravity in the ground's axes (m/s^2).
         tilts: (2, 3) its derivatives by the slope.
         deadband: Error for which a servo gives nothing (rad).
+        settling: {link: friction where a known mass is on it, in parts of ``rubbing``}.
         load: What stands on the feet beyond the masses, in parts of these.
         size: Of gravity (m/s^2).
         mass: Of the whole robot (kg).
@@ -415,6 +430,7 @@ class Numbers:
     down: Array
     tilts: Array
     deadband: float
+    settling: Mapping[str, float]
     load: float
     size: float
     mass: float
@@ -427,7 +443,9 @@ class Numbers:
         """Returns the same as a stand has it: with known masses on, turned about the vertical."""
         if not reading.added and not reading.heading:
             return self
-        model, loads = self.robot.pin_model.copy(), []
+        robot, loads = self.robot, []
+        if reading.added:
+            robot = replace(robot, pin_model=robot.pin_model.copy())
         other = self.robot.structure.model  # whose joints the regressor numbers
         for link, (stated, *place) in reading.added.items():
             frame = other.frames[other.getFrameId(link, pin.FrameType.BODY)]
@@ -436,12 +454,13 @@ class Numbers:
             at = frame.placement.act(np.array(place) + moved)
             turn = frame.placement.rotation
             loads.append(Load(link, frame.parentJoint, float(stated), mass, at, turn))
+            model = robot.pin_model
             moves = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
             model.inertias[moves] += pin.Inertia(mass, at, np.zeros((3, 3)))
         back = pin.utils.rotate("z", -reading.heading)
         return replace(
             self,
-            robot=replace(self.robot, pin_model=model),
+            robot=robot,
             down=back @ self.down,
             tilts=self.tilts @ back.T,
             loads=tuple(loads),
@@ -517,9 +536,6 @@ class GravityRegressor:
         return forces[0], list(by_mass.T), list(np.moveaxis(by_com, 1, 0)), forces[1:]
 
 
-_SHOWS = 1.0
-"""Standard deviations that the robot's weight makes: forces that show less are within a sole."""
-
 _LOOKS = 2
 """Steps of a stand's own unknowns for each of the parameters': equations are linear in forces."""
 
@@ -573,8 +589,9 @@ class StandEquations:
         Where they are only tried (x is not ``about``), stands' own unknowns stay as they are. Where
         these are known for about these parameters, one look is enough.
         """
-        numbers, total, had = self._numbers(x), Linearised.nothing(len(x)), list(self._own)
+        total, had = Linearised.nothing(len(x)), list(self._own)
         try:
+            numbers = self._numbers(x)
             for stand in range(len(self._readings)):
                 total += self.stand(stand, numbers, evaluations)
         except np.linalg.LinAlgError:  # far from anything that stands
@@ -594,18 +611,15 @@ class StandEquations:
 
     def stand(self, stand: int, numbers: Numbers, evaluations: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of one stand, its own unknowns eliminated."""
-        least = _SHOWS / (self.robot.total_mass * float(np.linalg.norm(self.robot.gravity)))
         for _ in range(evaluations):
-            residual, by_x, by_own, log_noise = self._look(stand, numbers).whiten()
-            left, lengths, right = np.linalg.svd(by_own, full_matrices=True)
-            rank = int(np.count_nonzero(lengths > least))
-            step = right[:rank].T @ (left[:, :rank].T @ -residual / lengths[:rank])
+            found, step = self._look(stand, numbers).eliminate()
             self._move(stand, step)
-        rest = left[:, rank:].T
-        # That of the combinations which are left: det(P' C P) = det(C) det(B' C^-1 B) / det(B' B),
-        # and the last depends on no noise.
-        log_noise += 2 * float(np.log(lengths[:rank]).sum())
-        return Linearised.of(rest @ residual, rest @ by_x, log_noise)
+        return found
+
+    def looks(self, x: Array) -> list[StandRows]:
+        """Returns the rows of every stand at parameters, and at own unknowns as they are."""
+        numbers = self._numbers(x)
+        return [self._look(stand, numbers) for stand in range(len(self._readings))]
 
     def _look(self, stand: int, numbers: Numbers) -> StandRows:
         (base, forces), reading = self._own[stand], self._readings[stand]
@@ -635,7 +649,9 @@ class StandEquations:
                 model.frames[at].placement *= pin.SE3(np.eye(3), longer * ahead)
         size = float(np.linalg.norm(robot.gravity))
         one, two = (table.value(x, "slope", "floor", axis, 0.0) for axis in "xy")
-        upright = math.sqrt(1 - one * one - two * two)
+        if (squared := 1 - one * one - two * two) <= 0:
+            raise np.linalg.LinAlgError("on a wall")
+        upright = math.sqrt(squared)
         return Numbers(
             vector=x,
             robot=replace(robot, pin_model=model),
@@ -651,6 +667,10 @@ class StandEquations:
             down=size * np.array([one, two, -upright]),
             tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
             deadband=table.value(x, "deadband", "servos", "", 0.0),
+            settling={
+                link: table.value(x, "settling", link, "", 0.0)
+                for link in dict.fromkeys(link for one in self._readings for link in one.added)
+            },
             load=table.value(x, "load", "scale", "", 0.0),
             size=size,
             mass=self._mass(x),

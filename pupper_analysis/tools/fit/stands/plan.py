@@ -28,12 +28,7 @@ from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, stands_text
-from pupper_analysis.tools.fit.parameters import (
-    ParameterTable,
-    Prior,
-    give_widths,
-    parse_priors,
-)
+from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, give_widths, parse_priors
 from pupper_analysis.tools.fit.result import Estimate, describe_parameter, determined_by
 from pupper_analysis.tools.fit.stands.equations import StandEquations
 from pupper_analysis.tools.fit.stands.fit import (

@@ -1,0 +1,154 @@
+"""How near a fitted robot's files come to the robot, in stands that were not fitted.
+
+    python benchmarks/fit_held_out.py --robot v3 [--kp 60] [--seeds 5] [--csv FILE]
+
+Robots and stands are those of ``fit_disturbed.py``, undisturbed: in bare MuJoCo, with friction
+that holds. Three of four stands are fitted, as a person would; the fit is written, and the models
+that it wrote are read again. With them, the fit's kp and zeros, and no friction, the stands that
+were left out are commanded in bare MuJoCo again; likewise with the files as they were. What joints
+and the base's height are off by, from the true robot's, is root mean square over these stands.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import zlib
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from fit_disturbed import PLAIN, Planted, Rig, kept_stands, plant
+
+import pupper_analysis as pa
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servo_gains
+from pupper_analysis.tools.fit.stands.fit import StandFit, fit_stands
+from pupper_analysis.tools.fit.stands.plan import PlannedStand, plan_stands
+from pupper_analysis.tools.fit.write import write_fit
+
+EVERY = 4
+"""One stand in so many is not fitted."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What files of one robot are off by, before and after a fit."""
+
+    robot: str
+    seed: int
+    fitted: int
+    predicted: int
+    outcome: str
+    joints_before: float
+    joints_after: float
+    height_before: float
+    height_after: float
+    feet_before: int
+    feet_after: int
+
+
+def written(robot: Robot, fit: StandFit, folder: Path) -> Robot:
+    """Returns the robot of the files that a fit writes."""
+    models = write_fit(robot, fit.posterior, folder, fit=fit).models
+    files = [str(folder / one) for one in (models.urdf, models.mjcf) if one is not None]
+    return pa.load_robot(*files)
+
+
+Taken = tuple[np.ndarray, float, list[int]]
+"""What encoders read, how high the base is (m), which feet are in the air, by their numbers."""
+
+
+def take(rig: Rig, stands: list[PlannedStand], robot: Robot) -> list[Taken | None]:
+    """Returns what is read of each stand; None of a fall. (Files give feet other names.)"""
+    said, own, found = list(robot.feet), list(rig.robot.feet), []
+    for one in stands:
+        swing = tuple(own[said.index(foot)] for foot in one.swing)
+        taken = rig.take(replace(one, swing=swing), np.zeros(3))
+        found.append(taken and (taken[0], rig.height, [own.index(foot) for foot in taken[1]]))
+    return found
+
+
+def off(found: list[Taken | None], truth: list[Taken | None]) -> tuple[float, float, int]:
+    """Returns what stands are off by (mrad, mm), and in how many the same feet carry."""
+    joints, heights, feet = [], [], 0
+    for one, true in zip(found, truth, strict=True):
+        if one is not None and true is not None:
+            joints.append(one[0] - true[0])
+            heights.append(one[1] - true[1])
+            feet += one[2] == true[2]
+    if not joints:
+        return math.nan, math.nan, 0
+    rms = [float(np.sqrt(np.mean(np.square(one)))) for one in (joints, heights)]
+    return round(1e3 * rms[0], 2), round(1e3 * rms[1], 2), feet
+
+
+def row(name: str, seed: int, robot: Robot, kp: float | None, keep: Path | None) -> Row | None:
+    """Returns what is found with one robot; None if it does not stand."""
+    plan = plan_stands(robot, 16, kp=kp, added=0.0)
+    planted = plant(robot, np.random.default_rng([seed, zlib.crc32(name.encode())]))
+    stated = servo_gains(robot, kp, None if kp is None else 0.0).kp
+    if kp is not None:
+        planted = replace(planted, kp=planted.kp * kp / servo_gains(robot).kp)
+    rig = Rig(planted, PLAIN)
+    taken = kept_stands(name, "none", seed, rig, lambda: plan, keep)
+    if taken is None:
+        return None
+    places = [at for at in range(len(taken)) if at % EVERY == EVERY - 1]
+    fit = fit_stands(
+        robot,
+        taken.part([at for at in range(len(taken)) if at not in places]),
+        weight=rig.robot.total_mass * planted.scale,
+        kp=kp,
+    )
+    by = {one.name: one for one in plan.stands}
+    left = [by[taken.names[at]] for at in places]
+    truth = take(rig, left, robot)
+    mean = {one.name: one.mean for one in fit.estimates}
+    numbers = partial(Planted, robot, truth={}, scale=1.0, added=np.zeros(4))
+    with TemporaryDirectory() as folder:
+        fitted = replace(written(robot, fit, Path(folder)), fingerprint=robot.fingerprint)
+    before = numbers(robot=robot, kp=stated, offsets=np.zeros(robot.nu))
+    names = robot.joint_names
+    after = numbers(
+        robot=fitted,
+        kp=np.array([mean.get(f"kp {n}", k) for n, k in zip(names, stated, strict=True)]),
+        offsets=np.array([mean[f"offset {n}"] for n in names]),
+    )
+    smooth = replace(PLAIN, stiction=0.0)
+    (j0, h0, f0), (j1, h1, f1) = (
+        off(take(Rig(one, smooth), left, robot), truth) for one in (before, after)
+    )
+    said = "EXPLAINED" if fit.explained else "NOT EXPLAINED"
+    return Row(name, seed, len(taken) - len(places), len(left), said, j0, j1, h0, h1, f0, f1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--robot", default="v3", help="a variant, or a file")
+    parser.add_argument("--kp", type=float, help="of the servos, where the file states none")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--keep", type=Path, help="a folder of measurements: what it has is used")
+    parser.add_argument("--csv", type=Path, help="a file to add rows to")
+    given = parser.parse_args()
+    known = given.robot in pa.VARIANTS
+    robot = pa.load_variant(given.robot) if known else pa.load_robot(given.robot)
+    for seed in range(given.seeds):
+        found = row(Path(given.robot).stem, seed, robot, given.kp, given.keep)
+        if found is None:
+            continue
+        print(*vars(found).values(), sep=" | ", flush=True)
+        if given.csv:
+            new = not given.csv.exists()
+            with given.csv.open("a", newline="") as file:
+                writer = csv.writer(file, lineterminator="\n")
+                if new:
+                    writer.writerow(vars(found))
+                writer.writerow(vars(found).values())
+
+
+if __name__ == "__main__":
+    main()
