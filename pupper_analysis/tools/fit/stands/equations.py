@@ -203,7 +203,7 @@ class StandRows:
         torque = np.where(self._known, torque, _UNKNOWN * self._scale * length)
         base = _BALANCE * self._scale * np.array([1.0, 1.0, 1.0, length, length, length])
         flatness = np.full(len(pressed), noise.flatness)
-        self.deviation = np.concatenate([base, torque, flatness])
+        self.deviation: Array = np.concatenate([base, torque, flatness])
 
     def _covariance(self) -> Array:
         found: Array = self._sources**2 * self.by_noise @ self.by_noise.T
