@@ -158,8 +158,11 @@ def with_knowledge_of(built: Robot, robot: Robot) -> Robot:
 
 def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) -> Robot:
     """Returns a robot that has a task's contacts, and the stands of the one it was built of."""
+    hands = {name for name, one in touching.items() if one.offset is not None}
+    feet = sorted(built.feet.items(), key=lambda foot: foot[0] in hands)  # as they are, hands last
     return replace(
         built,
+        feet=MappingProxyType(dict(feet)),
         contacts=with_friction(built.contacts, built.feet, touching),
         fingerprint=robot.fingerprint,
         touching=touching,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arguments import check_finite, check_length, check_type
+from pupper_analysis.base.arguments import check_finite, check_length, check_type, check_vector
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 
@@ -37,8 +37,7 @@ class Plane:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", _point("plane.point", self.point))
-        given = _three("plane.normal", self.normal)
-        way = tuple(check_finite("plane.normal", one) for one in given)
+        way = check_vector("plane.normal", self.normal, 3).tolist()
         size = math.hypot(*way)
         if not size:
             raise ConfigurationError("plane.normal", diagnose("normal-has-no-direction"))
@@ -51,9 +50,17 @@ class Plane:
             object.__setattr__(self, "friction", friction)
 
     @property
-    def offset(self) -> float:
-        """How far it is from the world's origin, along its normal (m)."""
-        return math.fsum(a * b for a, b in zip(self.point, self.normal, strict=True))
+    def kind(self) -> tuple[str, float]:
+        """Which of ``KINDS`` it is, and the sign of its number; of no name another one."""
+        return next(
+            ((name, sign) for name, (out, sign) in KINDS.items() if out == self.normal), _ANY
+        )
+
+    @property
+    def number(self) -> float:
+        """Where it is, as one types it: of a wall x, of a table z; else along its normal (m)."""
+        offset = math.fsum(a * b for a, b in zip(self.point, self.normal, strict=True))
+        return self.kind[1] * offset
 
     def height(self, place: Array) -> float:
         """Returns how far a place (3,) is above it (m); negative behind it."""
@@ -64,9 +71,10 @@ class Plane:
         there: Array = place - self.height(place) * np.array(self.normal)
         return there
 
-    def moved(self, offset: float) -> Plane:
-        """Returns the parallel plane at another ``offset`` (m)."""
-        more = offset - self.offset
+    def moved(self, number: float) -> Plane:
+        """Returns the parallel plane at another ``number`` (m)."""
+        offset = self.kind[1] * number
+        more = self.kind[1] * (number - self.number)
         x, y, z = (
             offset * b if abs(b) == 1.0 else a + more * b  # exactly, along an axis
             for a, b in zip(self.point, self.normal, strict=True)
@@ -125,9 +133,9 @@ class Contact:
             problem = diagnose("no-contact", given=repr(given))
             raise ConfigurationError("contact", problem) from error
 
-    def at(self, offset: float) -> Contact:
-        """Returns a contact with the parallel plane at another ``offset`` (m)."""
-        return replace(self, plane=self.plane.moved(offset))
+    def at(self, number: float) -> Contact:
+        """Returns a contact with the parallel plane at another ``number`` (m)."""
+        return replace(self, plane=self.plane.moved(number))
 
     def __str__(self) -> str:
         """Returns it as it is typed: ``wall:0.4m,mu=0.6``."""
@@ -138,13 +146,10 @@ class Contact:
         return self._typed(lambda number: format(number, spec)) if spec else str(self)
 
     def _typed(self, number: Callable[[float], str]) -> str:
-        normal, offset = self.plane.normal, self.plane.offset
-        known = {out: (name, sign) for name, (out, sign) in KINDS.items()}
-        if normal in known:
-            name, sign = known[normal]
-            parts = [f"{name}:{number(sign * offset)}m"]
-        else:
-            parts = ["plane:" + ",".join(map(number, (*self.plane.point, *normal)))]
+        plane, (kind, _) = self.plane, self.plane.kind
+        parts = [f"{kind}:{number(plane.number)}m"]
+        if not kind:
+            parts = ["plane:" + ",".join(map(number, (*plane.point, *plane.normal)))]
         if self.plane.friction is not None:
             parts.append(f"mu={number(self.plane.friction)}")
         if self.place is not None:
@@ -161,8 +166,10 @@ KINDS: dict[str, tuple[Point, float]] = {
     "table": ((0.0, 0.0, 1.0), 1.0),
     "ceiling": ((0.0, 0.0, -1.0), -1.0),
 }
-"""{kind of plane: its normal, and what of its offset is the number that is typed}: a wall at x, a
+"""{kind of plane: its normal, and the sign of its number, how far it is along that}: a wall at x, a
 table and a ceiling at a height."""
+
+_ANY = "", 1.0
 
 
 def plane_of(kind: str, at: float, friction: float | None = None) -> Plane:
@@ -172,13 +179,6 @@ def plane_of(kind: str, at: float, friction: float | None = None) -> Plane:
     return Plane((x, y, z), normal, friction)
 
 
-def _three(name: str, value: Any) -> tuple[Any, Any, Any]:
-    if not isinstance(value, tuple | list | np.ndarray) or len(value) != 3:
-        raise ConfigurationError(name, diagnose("no-point", given=repr(value)))
-    x, y, z = value
-    return x, y, z
-
-
 def _point(name: str, value: Any) -> Point:
-    x, y, z = (check_length(name, one) for one in _three(name, value))
+    x, y, z = (check_length(name, one) for one in check_vector(name, value, 3).tolist())
     return x, y, z

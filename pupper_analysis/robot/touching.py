@@ -105,8 +105,9 @@ def _with_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
         foot_geoms=geoms,
         made_frames=described.made_frames | {frame for frame, _ in frames.values()},
     )
+    said = (one.reason for one in added if isinstance(one, Ball))
     # What was changed in Pinocchio's model since it was read, such as a limit, stays.
-    return replace(built, pin_model=model)
+    return replace(built, pin_model=model, notes=(*built.notes, *said))
 
 
 _PROBE, _BALL = 1e-4, 1e-2
@@ -132,11 +133,13 @@ def _room(robot: Robot, tool: Tool) -> float:
 
 
 def _check_no_foot(robot: Robot, name: str, tool: Tool) -> None:
-    """Refuses a hand that is on a foot's link.
+    """Refuses a hand that is on a foot's link, or on the base, whose place is the task's own.
 
     Raises:
         ConfigurationError: If it is.
     """
+    if not tool.chain:
+        raise ConfigurationError("contacts", diagnose("contact-is-on-the-base", name=name))
     structure = robot.structure
     joint = structure.model.frames[structure.links[tool.link]].parentJoint
     for point, number in structure.parents.items():

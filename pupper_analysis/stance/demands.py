@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -129,7 +130,7 @@ def _parts(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]:
     if isinstance(value, tuple):
         yield from zip("xy", value, nominal, strict=True)
     elif isinstance(value, Contact):  # how far off its plane is
-        yield "", value.plane.offset, nominal.plane.offset
+        yield "", value.plane.number, nominal.plane.number
     else:
         yield "", value, nominal
 
@@ -145,10 +146,10 @@ def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
 
 def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
     if field.kind == "contact":
-        contact, reach = task.contacts[foot], 0.0
-        if foot in robot.hands:  # its place is its ball's
-            reach = robot.contact_radius[robot.feet[foot][0]]
-        return contact.at(float(usual_place(robot, foot) @ contact.plane.normal) - reach)
+        contact, place = task.contacts[foot], usual_place(robot, foot)
+        if foot in robot.hands:  # it is its ball's
+            place -= robot.contact_radius[robot.feet[foot][0]] * np.array(contact.plane.normal)
+        return replace(contact, plane=replace(contact.plane, point=tuple(place.tolist())))
     if field.nominal == "zero":
         return (0.0, 0.0) if field.axes else 0.0
     if field.nominal == "foot_places":

@@ -122,8 +122,8 @@ class Goal:
         touches: {foot that carries: (3,) its contact point}.
         normals: {foot that carries: (3,) out of the ground}.
         support: Where the com is in balance.
-        centre: (3,) the mean of the feet's contact points, hands left out; its height that of those
-            on no slope or plane of their own, if there are any.
+        centre: (3,) the mean of the feet's contact points, without hands and feet on walls; its
+            height that of those on no slope or plane of their own, if there are any.
         height: z of the base frame.
         turn: Its orientation, a unit quaternion (w, x, y, z).
         place: (2,) of the com, or of the base frame.
@@ -293,9 +293,10 @@ def _goal_of(
 
 
 def feet_centre(robot: Robot, ground: Ground, stance_feet: Sequence[str], contacts: Array) -> Array:
-    """Returns the centre (3,) of the feet that carry, without hands; see ``Goal`` (m)."""
+    """Returns the centre (3,) of the feet that carry, without hands or walls; see ``Goal`` (m)."""
     centre: Array = contacts.mean(axis=0)
-    for left_out, parts in ((robot.hands, slice(None)), (ground.apart, slice(2, 3))):
+    steep = [foot for foot in ground.apart if ground.normal(foot)[2] < _STEEP]
+    for left_out, parts in (((*robot.hands, *steep), slice(None)), (ground.apart, slice(2, 3))):
         kept = [robot.foot_of(foot) not in left_out for foot in stance_feet] if left_out else []
         if any(kept) and not all(kept):  # a foot high on a wall lifts no base
             centre[parts] = contacts[kept, parts].mean(axis=0)
@@ -421,6 +422,9 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
 
 _MAX_ITERATIONS = 4  # of fitting a plane to spheres of unequal size: each depends on the other
 
+_STEEP = 0.5
+"""Vertical part of the normal of a plane that bears no weight: friction holds nothing on 60 deg."""
+
 _COINCIDENT = 1e-9  # m: contact points that are nearer to each other, or to a line, are on it
 
 
@@ -515,7 +519,7 @@ def _on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[st
 def usual_place(robot: Robot, foot: str) -> Array:
     """Returns where a foot touches the ground by default, or a hand is in the home pose (3,)."""
     if foot in robot.hands:
-        return robot.once(_home_places)[robot.feet[foot][0]]
+        return robot.once(_home_places)[robot.feet[foot][0]].copy()
     return np.array((*nominal_feet(robot)[foot], 0.0))
 
 
@@ -553,7 +557,8 @@ def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
     """Returns the direction {contact point: (3,)} out of the ground under each."""
     if not ground.apart:
         return dict.fromkeys(robot.contact_points, ground.normal())
-    return {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}
+    out = {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}
+    return {point: out[point] for point in robot.contact_points}
 
 
 def sink_feet(

@@ -48,8 +48,8 @@ class StandTask:
         swing: {foot that does not carry: height of its sphere above the ground (m)}.
         ground: Plane and steps.
         contacts: {foot: what it touches instead of the ground (``Contact``)}; or another link,
-            site, body or geom, a hand: what that touches. No hand moves the centre of the feet, and
-            no foot that is on such a plane the height.
+            site, body or geom, a hand: what that touches. No hand moves the centre of the feet, nor
+            does a foot on what is steeper than 60 deg; no foot on such a plane moves the height.
         com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: anywhere in the support
             polygon with at least ``com_margin``, over the centre if that is in reach. By default
             the centre, or inside if the robot's legs cannot move the com in two directions.

@@ -89,6 +89,7 @@ STANCES = {
     **{f"{name}, slippery roof": (name, sides(20, 0.5), EXACT) for name in ("v3", "go2")},
     **{f"{name}, half a roof": (name, sides(20, feet=2), EXACT) for name in ("v3", "go2")},
     **{f"{name}, ramp": (name, ramp(10), CREEPING) for name in ("v3", "go2")},
+    **{f"{name}, wall": (name, ramp(90), EXACT) for name in ("v3", "go2")},
     "go2, steep ramp": ("go2", ramp(45), CREEPING),
 }
 

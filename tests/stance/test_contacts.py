@@ -17,10 +17,14 @@ from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.robot.touching import touching
+from pupper_analysis.stance.problem import ground_normals
+from pupper_analysis.stance.sag.equilibrium import ground_points
 from pupper_analysis.statics.support_polygon import margin_of_place
 from pupper_analysis.tools.path.plan import stance_path
+from pupper_analysis.tools.study.design import task_of
+from pupper_analysis.tools.study.study import Study
 from tests.stance.test_tilts import edges_of, in_balance, sideways
-from tests.support.legged import quadruped, with_arm
+from tests.support.legged import biped, quadruped, with_arm
 from tests.support.variants import load
 
 TABLE, HAND = 0.5, "hand"
@@ -190,6 +194,8 @@ def test_a_hand_is_a_ball_that_weighs_nothing_and_touches_its_plane_alone(armed:
     assert robot.hands == (HAND,)
     assert robot.contact_points == (*armed.contact_points, HAND)
     assert robot.contact_radius[HAND] == pytest.approx(0.025, abs=1e-9)  # what the hand is
+    assert robot.notes[-1].code == "hand-touches-by-ball"
+    assert "ball of 25 mm" in str(robot.notes[-1])
     assert robot.total_mass == armed.total_mass
     assert robot.mj_model.body_mass.sum() == armed.mj_model.body_mass.sum()
     random = np.random.default_rng(0)
@@ -214,6 +220,25 @@ def test_a_hand_is_a_ball_that_weighs_nothing_and_touches_its_plane_alone(armed:
         )
     ]
     assert meets == [f"{HAND} (contact)"]
+
+
+def test_soles_and_a_hand_have_each_their_own_ground(tmp_path: Path) -> None:
+    """Contact points are in one order in all that goes through them, the hand's behind."""
+    robot = pa.load_robot(*with_arm(biped(tmp_path), "", "pelvis"))
+    contact = pa.Contact(pa.Plane((0, 0, TABLE), (0, 0, 1), 0.6), place=(0.45, 0.0, TABLE))
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts={HAND: contact}))
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, [str(one) for one in found.failures]
+    assert found.torque_error < 1e-6
+    assert list(found.predicted_forces) == [*robot.feet, HAND]
+    alone = pa.verify_stand(robot, stand, feedforward=False)
+    sag = pa.steady_state(robot, stand, seconds=4.5)
+    assert sag.height_loss == pytest.approx(alone.height_loss, rel=1e-3)
+    named = stand.check(robot)
+    assert [*ground_normals(named, stand.task.ground)] == [*named.contact_points]
+    points = ground_points(named, stand)
+    assert [*points] == [*named.contact_points]
+    assert points[HAND][2] == pytest.approx(stand.contact_points[HAND][2], abs=1e-12)
 
 
 def test_a_hand_is_where_it_is_at_home_or_where_it_is_put(armed: pa.Robot) -> None:
@@ -290,6 +315,22 @@ def test_a_task_comes_back_from_json_and_from_what_is_typed() -> None:
     assert "FL 接触 wall:0.4m" in task.said("zh")
 
 
+def test_a_study_varies_where_a_plane_is() -> None:
+    """By the number that is typed: x of a wall, z of a table, else along the normal."""
+    slanted = pa.Contact(pa.Plane((0.1, 0.2, 0.3), (0.0, 0.6, 0.8)))
+    wall = pa.Contact(pa.Plane((0.4, 0, 0), (-1, 0, 0), 0.6))
+    task = pa.StandTask(contacts={"a": wall, "b": slanted, "c": wall})
+    found = task_of(task, {"contacts:a": 0.45, "contacts:b": 0.5}).contacts
+    assert found["a"] == pa.Contact(pa.Plane((0.45, 0, 0), (-1, 0, 0), 0.6))
+    assert found["c"] == wall
+    moved = np.array(found["b"].plane.point) - slanted.plane.point
+    np.testing.assert_allclose(moved, 0.14 * np.array(slanted.plane.normal), atol=1e-15)
+    assert found["b"].plane.number == pytest.approx(0.5, abs=1e-15)
+    design = {"robot": "v3", "measure": ["stands"], "vary": {"contacts:X": {"values": [1, 2]}}}
+    with pytest.raises(pa.UnknownNameError, match="contact 'X'"):
+        Study.of(design)
+
+
 def plane(**more: object) -> pa.Contact:
     return pa.Contact(pa.Plane((0, 0, 0.02), (0, 0, 1)), **more)  # type: ignore[arg-type]
 
@@ -300,7 +341,7 @@ def plane(**more: object) -> pa.Contact:
         (lambda: pa.Plane((0, 0, 0), (0, 0, 0)), "no direction"),
         (lambda: pa.Plane((0, 0, 0), (0, 0, 1), -0.1), "friction: -0.1 is not between"),
         (lambda: pa.Plane((0, 0, math.nan), (0, 0, 1)), r"plane\.point"),
-        (lambda: pa.Plane((0, 0), (0, 0, 1)), "not a point"),  # type: ignore[arg-type]
+        (lambda: pa.Plane((0, 0), (0, 0, 1)), r"plane\.point"),  # type: ignore[arg-type]
         (lambda: plane(radius=0), "radius"),
         (lambda: pa.StandTask(contacts={"FL": "wall"}), r"contacts\[FL\]"),  # type: ignore[dict-item]
         (lambda: pa.StandTask.of({"contacts": {"FL": {"wall": 1}}}), "is no contact"),
@@ -336,6 +377,8 @@ def test_a_part_that_there_is_not_or_that_is_a_foot_is_refused(armed: pa.Robot) 
     carrier = v3.contact_frames["FL"]
     with pytest.raises(pa.ConfigurationError, match="state the contact of FL"):
         pa.solve_stand(v3, pa.StandTask(contacts={carrier: plane()}))
+    with pytest.raises(pa.ConfigurationError, match="trunk is fixed to the base"):
+        pa.solve_stand(armed, pa.StandTask(contacts={"trunk": plane()}))
     with pytest.raises(pa.ConfigurationError, match="FL is a foot"):
         pa.solve_stand(v3, pa.StandTask(contacts={"FL": plane(radius=0.01)}))
 
@@ -368,7 +411,7 @@ def test_which_contact_would_have_to_give_and_how_far(armed: pa.Robot, asked: pa
     typed = parse_contact("contact", str(limit[HAND]), "")
     assert typed.plane.normal == asked.normal
     assert pa.solve_stand(armed, pa.StandTask(contacts={HAND: typed, "RL_calf": foot})).solved
-    beyond = typed.at(typed.plane.offset + math.copysign(5e-4, asked.offset - typed.plane.offset))
+    beyond = typed.at(typed.plane.number + math.copysign(5e-4, asked.number - typed.plane.number))
     with pytest.raises(pa.StanceUnreachableError):
         pa.solve_stand(armed, pa.StandTask(contacts={HAND: beyond, "RL_calf": foot}), explain=False)
 

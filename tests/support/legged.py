@@ -111,10 +111,10 @@ ARM = (("yaw", "0 0 1", (0.15, 0.0, 0.04)), ("shoulder", "0 1 0", (0.0, 0.0, 0.0
 """(joint, its axis, where it is in the link before it), of an arm on a trunk's front."""
 
 
-def with_arm(pair: Pair, home: str = "0 -0.9 1.3") -> Pair:
-    """Puts an arm of three hinges on the trunk, in both files; its hand is a sphere of 25 mm."""
+def with_arm(pair: Pair, home: str = "0 -0.9 1.3", on: str = "trunk") -> Pair:
+    """Puts an arm of three hinges on a link, in both files; its hand is a sphere of 25 mm."""
     urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
-    link, body = "trunk", next(one for one in mjcf.iter("body") if one.get("name") == "trunk")
+    link, body = on, next(one for one in mjcf.iter("body") if one.get("name") == on)
     motors = mjcf.find("actuator")
     assert motors is not None
     for joint, axis, place in ARM:
@@ -128,13 +128,15 @@ def with_arm(pair: Pair, home: str = "0 -0.9 1.3") -> Pair:
         moments = {"mass": "0.4", "diaginertia": "2e-4 1e-3 1e-3", "pos": _numbers(com)}
         ElementTree.SubElement(body, "inertial", moments)
         ElementTree.SubElement(body, "joint", name=name, axis=axis, range="-2.5 2.5")
-        ElementTree.SubElement(motors, "position", joint=name, kp="150", kv="5")
+        if home:
+            ElementTree.SubElement(motors, "position", joint=name, kp="150", kv="5")
+        else:
+            ElementTree.SubElement(motors, "motor", joint=name, ctrlrange="-80 80")
         link = f"{name}_link"
     hand = {"name": "hand", "type": "sphere", "size": "0.025", "pos": "0.22 0 0"}
     ElementTree.SubElement(body, "geom", hand)
-    key = mjcf.find("keyframe/key")
-    assert key is not None
-    key.set("qpos", f"{key.get('qpos')} {home}")
+    for key in mjcf.iter("key"):
+        key.set("qpos", f"{key.get('qpos')} {home}")
     pair.urdf.write_text(ElementTree.tostring(urdf, encoding="unicode"))
     pair.mjcf.write_text(ElementTree.tostring(mjcf, encoding="unicode"))
     return pair

@@ -594,7 +594,7 @@ def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
         else:  # parallel to the plane through the origin
             on = np.array([0.0, 0.0, ground.heights.get(foot, 0.0)])
         found |= dict.fromkeys(points, on)
-    return found
+    return {point: found[point] for point in robot.contact_points}
 
 
 def contact_compliance(robot: Robot, units: Units) -> tuple[dict[str, float], dict[str, float]]:

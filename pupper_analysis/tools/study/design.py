@@ -58,6 +58,7 @@ from pupper_analysis.tools.study.measures import METRICS, Design, Metric
 from pupper_analysis.tools.study.parameters import (
     ADDED,
     OF_JOINTS,
+    OF_LINKS,
     SERVOS,
     Named,
     scale_robot,
@@ -342,7 +343,7 @@ class Maker:
             PupperAnalysisError: If there is none; ``failure_kind`` says of which kind.
         """
         gains = {n: v for n, v in numbers.items() if servo_number(n)}
-        stance = {n: v for n, v in numbers.items() if n in STANCE or of_joints(n)}
+        stance = {n: v for n, v in numbers.items() if n in STANCE or of_stance(n)}
         model = {n: v for n, v in numbers.items() if n not in gains and n not in stance}
         for name in ("kp", "kd"):
             if name in gains:
@@ -378,9 +379,9 @@ def servo_number(name: str) -> bool:
     return name.partition(":")[0] in SERVOS
 
 
-def of_joints(name: str) -> bool:
-    """Whether a number is one of the stance, of joints: ``posture:JOINT``."""
-    return name.partition(":")[0] in OF_JOINTS
+def of_stance(name: str) -> bool:
+    """Whether a number is one of the stance: ``posture:JOINT``, ``contacts:LINK``."""
+    return name.partition(":")[0] in (*OF_JOINTS, *OF_LINKS)
 
 
 def task_of(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
@@ -398,9 +399,11 @@ def task_of(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
             changes[known.name] = tuple(point)
         elif name in numbers:
             changes[known.name] = numbers[name]
-    for name in filter(of_joints, numbers):
-        field, _, joint = name.partition(":")
-        changes[field] = {**changes.get(field, values[field]), joint: numbers[name]}
+    for name in filter(of_stance, numbers):
+        field, _, of = name.partition(":")
+        whole = changes.get(field, values[field])
+        number = whole[of].at(numbers[name]) if field in OF_LINKS else numbers[name]
+        changes[field] = {**whole, of: number}
     return task.having(changes)
 
 

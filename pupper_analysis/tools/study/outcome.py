@@ -25,7 +25,7 @@ from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.tools.study.design import ENDS, NUMBERS, UNBOUNDED, from_record
 from pupper_analysis.tools.study.measures import METRICS
-from pupper_analysis.tools.study.parameters import AXES, OF_JOINTS
+from pupper_analysis.tools.study.parameters import AXES, OF_JOINTS, OF_LINKS
 from pupper_analysis.tools.study.store import Store, require_library
 from pupper_analysis.tools.study.study import Study
 
@@ -472,7 +472,7 @@ def unit_of(column: str) -> str:
     """Returns the unit of a metric or of a number that varies; empty of ratios and factors."""
     if column.partition(":")[0] in AXES:
         return UNBOUNDED.unit
-    if column.partition(":")[0] in OF_JOINTS:
+    if column.partition(":")[0] in (*OF_JOINTS, *OF_LINKS):
         return FIELDS[column.partition(":")[0]].unit
     metric = METRICS.get(column.partition(".")[0])
     unit = metric.unit if metric else NUMBERS[column].unit if column in NUMBERS else ""

@@ -34,6 +34,9 @@ Array = NDArray[np.float64]
 OF_JOINTS = tuple(name for name, field in FIELDS.items() if field.per == "joint")
 """Kinds that are fields of the stance, of each joint."""
 
+OF_LINKS = tuple(name for name, field in FIELDS.items() if field.per == "link")
+"""Kinds that are fields of the stance, of what the study's own stance states."""
+
 KINDS = {
     "mass": "mass and inertia of bodies",
     "inertia": "inertia of bodies about their centres of mass",
@@ -48,6 +51,7 @@ KINDS = {
     "kp": "stiffness of servos",
     "kd": "damping of servos",
     **dict.fromkeys(OF_JOINTS, "position of joints that carry no foot (rad, m)"),
+    **dict.fromkeys(OF_LINKS, "where the plane of a contact is, as it is typed (m)"),
 }
 """What ``KIND:PATTERN`` may say: factors on what the files say, but for the offsets of coms."""
 
@@ -57,7 +61,7 @@ EACH = "each"
 AXES = ("com_x", "com_y", "com_z")
 """Kinds that are added, along these axes (m), and are no factors."""
 
-ADDED = (*AXES, *OF_JOINTS)
+ADDED = (*AXES, *OF_JOINTS, *OF_LINKS)
 """Kinds that are no factors of what the files say, and have no bounds."""
 
 BODIES = ("mass", "inertia", "length", *AXES)

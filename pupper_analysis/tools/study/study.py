@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite, check_type
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError, InputError, StudyError, VariantError
+from pupper_analysis.base.errors import (
+    ConfigurationError,
+    InputError,
+    StudyError,
+    UnknownNameError,
+    VariantError,
+)
 from pupper_analysis.base.inputs import is_input, read_toml
 from pupper_analysis.base.provenance import list_versions
 from pupper_analysis.base.results import Result
@@ -49,6 +55,7 @@ from pupper_analysis.tools.study.measures import (
 )
 from pupper_analysis.tools.study.parameters import (
     OF_JOINTS,
+    OF_LINKS,
     SERVOS,
     Named,
     groups_of,
@@ -174,7 +181,11 @@ class Study:
         for name, one in self.variables.items():
             check_range(name, *one.range)
             named = Named.of(name)
-            if named is not None:
+            if named is not None and named.kind in OF_LINKS:
+                if named.pattern not in self.task.contacts:
+                    known = (*self.task.contacts,)
+                    raise UnknownNameError(self.base.name, "contact", named.pattern, known)
+            elif named is not None:
                 joints_of(self.base, named)
             if named is not None and named.kind in OF_JOINTS:
                 placed_joints(self.base, {named.pattern: 0.0})
