@@ -72,6 +72,10 @@ def to_task_value(field: Field, value: Any) -> Any:
     """Returns an option's value as the task has it."""
     if field.per:
         given = [(shared.parse_assignment(field.option, text), text) for text in value]
+        names = [of for (of, _), _ in given]
+        twice = next((of for of in names if names.count(of) > 1), None)
+        if field.kind == "contact" and twice is not None:
+            raise ConfigurationError(field.option, diagnose("contact-stated-twice", name=twice))
         return {of: _one(field, text, whole) for (of, text), whole in given}
     if value is None or value in field.choices or not (field.axes or field.choices):
         return value

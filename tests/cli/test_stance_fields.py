@@ -6,8 +6,10 @@ from pathlib import Path
 import click
 import pytest
 
-from pupper_analysis import Ground, StandTask
+from pupper_analysis import Contact, Ground, Plane, StandTask
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
+from pupper_analysis.tools.study.write import stance_text
 from tests.support.commands import check_refusal
 
 
@@ -53,6 +55,47 @@ def test_what_is_typed_goes_first(tmp_path: Path) -> None:
     ):
         assert asked(*arguments).task() == StandTask(height=0.11, roll=0.2)
     assert asked().task() == StandTask()
+
+
+@pytest.mark.parametrize(
+    ("typed", "message"),
+    [
+        ("FL=wall", "is no length"),
+        ("FL=door:1m", "is not of the form"),
+        ("FL=wall:0.4m,mu=-1", "friction: -1.0 is not between 0 and"),
+        ("FL=wall:0.4m,mu=slippery", "'slippery' in"),
+        ("FL=wall:0.4m,foo=1", "'foo' is none of 'mu', 'place', 'offset', 'radius'"),
+        ("FL=plane:0,0,0,1", "is not of the form"),
+        ("FL=plane:0,0,0,0,0,0", "is no direction"),
+        ("FL=table:1cm,place=1/2", "is not of the form"),
+        ("FL=table:1cm,radius=0", "radius: 0 is not more than 0"),
+    ],
+)
+def test_a_contact_that_is_none_is_refused_in_a_line(typed: str, message: str) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        asked("--contact", typed).task()
+    assert refused.value.field == "contact"
+    assert message in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_contacts_are_typed_and_written_into_files(tmp_path: Path) -> None:
+    task = StandTask(
+        contacts={
+            "FL": Contact(Plane((0.4, 0, 0), (-1, 0, 0), 0.6)),
+            "hand": Contact(Plane((0.1, 0.2, 0.3), (0, 0.6, 0.8)), (0.1, 0.2, 0.4), (0.05, 0, 0)),
+        }
+    )
+    typed = [
+        "FL=wall:40cm,mu=0.6",
+        "hand=plane:0.1,0.2,30cm,0,3,4,place=0.1/0.2/0.4,offset=5cm/0/0",
+    ]
+    assert asked(*(part for one in typed for part in ("--contact", one))).task() == task
+    file = tmp_path / "lean.toml"
+    file.write_text(stance_text(task))
+    assert asked("--stance", str(file)).task() == task
+    with pytest.raises(ConfigurationError, match="FL touches one plane, and two are stated"):
+        asked("--contact", typed[0], "--contact", "FL=table:1cm").task()
 
 
 @pytest.mark.parametrize(
