@@ -12,9 +12,9 @@ from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.hold.hold import hold_posture
 from tests.prepare import test_judge
 from tests.prepare.test_own_run import codes
-from tests.prepare.test_planted import causes, right
+from tests.prepare.test_planted import right
 from tests.support import arm, features
-from tests.support.planted import HELD, planted
+from tests.support.planted import HELD
 
 
 def _servos(gain: float, bias: float) -> str:
@@ -101,12 +101,6 @@ def test_gravity_that_is_not_the_earths_stands_in_the_verdict(tmp_path: Path, gr
 def judged(urdf: Path, mjcf: Path) -> Verdict:
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
     return hold_posture(robot, {"shoulder": -0.5, "elbow": 1.0}).verdict
-
-
-def test_of_an_arm_that_is_sound_nothing_is_told(tmp_path: Path) -> None:
-    verdict = judged(*planted(tmp_path, "arm", None))
-    assert verdict.passed, in_words(verdict)
-    assert causes(verdict) == []
 
 
 @pytest.mark.parametrize("plant", sorted(HELD)[::4])

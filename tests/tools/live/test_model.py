@@ -90,17 +90,6 @@ def model_of(name: str = "v3") -> Model:
     return Model(LiveVariants(pa.VARIANTS[name]))
 
 
-def test_a_state_is_what_it_says() -> None:
-    assert parse_state(str(RICH)) == RICH
-    assert str(State()) == ""
-    assert parse_state("") == State()
-    odd = State(
-        swing={"a,b;c:d&e=f%": 2.0}, heights={"<i>": -1.0}, foot_offsets={"ö <b>": (1.0, 2.0)}
-    )
-    assert parse_state(str(odd)) == odd
-    assert set(str(odd)) <= set("abcdefghijklmnopqrstuvwxyz:;,%_0123456789ABCDEF.-")
-
-
 numbers = st.floats(-1e4, 1e4)
 
 

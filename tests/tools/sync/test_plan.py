@@ -75,15 +75,6 @@ def test_without_a_choice_nothing_is_changed(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_files_that_agree_are_left_alone(tmp_path: Path) -> None:
-    files = pair(tmp_path)
-    before = [file.read_bytes() for file in files]
-    result = sync(files, "urdf")
-    assert result.agree
-    assert (result.edits, result.not_mended, result.written, result.diff) == ((), (), (), "")
-    assert [file.read_bytes() for file in files] == before
-
-
 DIFFERENT = changed(changed(ROBOT, "base", mass=7.0), "thigh1", effort=25.0, damping=0.3)
 
 
