@@ -22,18 +22,8 @@ from tests.support.tiny import Files
 from tests.support.variants import load, stand_of
 
 APART = {  # below, each with an argument that is wrong
-    "to_json",
-    "load_robot",
-    "fit",
-    "fit_motion",
-    "fit_stands",
-    "pareto_front",
-    "study_outcome",
-    "plan_stands",
-    "tool_payload",
-    "write_design",
-    "write_plan",
-    "write_randomisation",
+    *("to_json", "load_robot", "fit", "fit_motion", "fit_stands", "pareto_front", "study_outcome"),
+    *("plan_stands", "tool_payload", "write_design", "write_plan", "write_randomisation"),
     "write_report",
 }
 OFFERED = {

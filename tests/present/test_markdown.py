@@ -109,28 +109,9 @@ def test_a_document_is_markdown() -> None:
 
 
 EVIL = (
-    "@everyone",
-    "#1",
-    "GH-7",
-    ":tada:",
-    "https://evil.example",
-    "www.evil.example",
-    "[a](javascript:b)",
-    "![a](b)",
-    "<img src=x onerror=alert(1)>",
-    "<!-- a",
-    "&lt;b&gt;",
-    "`a",
-    "a | b",
-    "**a**",
-    "~~a~~",
-    "$a$",
-    "- a",
-    "1. a",
-    "+ a",
-    "a\n\n# b",
-    "\u202eb",
-    "</details>",
+    *("@everyone", "#1", "GH-7", ":tada:", "https://evil.example", "www.evil.example"),
+    *("[a](javascript:b)", "![a](b)", "<img src=x onerror=alert(1)>", "<!-- a", "&lt;b&gt;", "`a"),
+    *("a | b", "**a**", "~~a~~", "$a$", "- a", "1. a", "+ a", "a\n\n# b", "\u202eb", "</details>"),
 )
 
 

@@ -46,17 +46,8 @@ def run(code: str, folder: Path) -> str:
 
 LOADED = "import sys; print([m for m in {names} if m in sys.modules])"
 HEAVY = (
-    "pxr",
-    "matplotlib",
-    "yourdfpy",
-    "trimesh",
-    "placo",
-    "clarabel",
-    "scipy",
-    "shapely",
-    "click",
-    "rich",
-    "jinja2",
+    *("pxr", "matplotlib", "yourdfpy", "trimesh", "placo", "clarabel", "scipy", "shapely"),
+    *("click", "rich", "jinja2"),
 )
 
 

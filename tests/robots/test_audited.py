@@ -29,18 +29,11 @@ PLACEHOLDERS = (
     "ur_description/urdf/ur3_robot",  # which has the efforts of a UR10
 )
 MEANT = (
-    "a1_description/urdf/a1",
-    "go1_description/urdf/go1",
-    "go2_description/urdf/go2",
-    "b1_description/urdf/b1",
-    "g1_description/urdf/g1_29dof_rev_1_0",
-    "z1_description/urdf/z1",
-    "anymal_b_simple_description/robots/anymal",
-    "hyq_description/robots/hyq_no_sensors",
-    "panda_description/urdf/panda",
-    "ur_description/urdf/ur5_robot",
-    "xarm_description/urdf/xarm7",
-    "talos_data/robots/talos_reduced",
+    *("a1_description/urdf/a1", "go1_description/urdf/go1", "go2_description/urdf/go2"),
+    *("b1_description/urdf/b1", "g1_description/urdf/g1_29dof_rev_1_0", "z1_description/urdf/z1"),
+    *("anymal_b_simple_description/robots/anymal", "hyq_description/robots/hyq_no_sensors"),
+    *("panda_description/urdf/panda", "ur_description/urdf/ur5_robot"),
+    *("xarm_description/urdf/xarm7", "talos_data/robots/talos_reduced"),
 )
 
 

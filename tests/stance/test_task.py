@@ -83,13 +83,8 @@ def test_a_task_says_what_it_asks() -> None:
         com_margin=0.01,
     )
     for words in (
-        "height 150.0 mm",
-        "roll 5.7 deg",
-        "FL moved by (10, -20) mm",
-        "RR lifted 20 mm",
-        "slope 5.7 deg",
-        "FR on 30 mm",
-        "com in the support polygon (margin >= 10 mm)",
+        *("height 150.0 mm", "roll 5.7 deg", "FL moved by (10, -20) mm", "RR lifted 20 mm"),
+        *("slope 5.7 deg", "FR on 30 mm", "com in the support polygon (margin >= 10 mm)"),
     ):
         assert words in str(task)
 

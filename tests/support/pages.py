@@ -55,12 +55,7 @@ SPEED = "0.13,0,0"
 """m/s, m/s, rad/s."""
 
 HELP_LONGEST = (
-    "study",
-    "--seeds 20",
-    "--vary",
-    "--orders",
-    "best payload",
-    "payload v3-long",
+    *("study", "--seeds 20", "--vary", "--orders", "best payload", "payload v3-long"),
     "fit v3 --log",
 )
 """Words of those that take minutes."""

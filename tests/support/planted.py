@@ -476,18 +476,9 @@ PLANTS: dict[str, tuple[Plant, Codes]] = {
 """{what: (how it is planted, what may be told of it)}; ``own-run`` where its joint's drive is."""
 
 HELD = (
-    "a bias beside all servos",
-    "a bias beside one servo",
-    "a gain 1.2 times the stiffness",
-    "a gain of one, 1.4 times",
-    "affine gains",
-    "a step of 20 ms",
-    "one velocity servo",
-    "one motor",
-    "a stiffness below zero",
-    "a group is disabled",
-    "a filter of 20 s",
-    "a delay",
+    *("a bias beside all servos", "a bias beside one servo", "a gain 1.2 times the stiffness"),
+    *("a gain of one, 1.4 times", "affine gains", "a step of 20 ms", "one velocity servo"),
+    *("one motor", "a stiffness below zero", "a group is disabled", "a filter of 20 s", "a delay"),
 )
 """Those that can be planted in an arm."""
 

@@ -542,13 +542,6 @@ def test_an_unusual_armature_of_a_slide_is_a_mass(tmp_path: Path) -> None:
     assert "armature 0.2 kg in the MJCF" in difference.message
 
 
-def test_armatures_by_place_on_the_leg_are_not_unusual(tmp_path: Path) -> None:
-    """Hips and knees have other motors; that is usual."""
-    assert explained(tmp_path, quadruped(), quadruped()).differences == ()
-    two = changed(changed(quadruped(), "shank2", armature=0.2), "shank1", armature=0.2)
-    assert explained(tmp_path, quadruped(), two).differences == ()  # no majority: nobody is wrong
-
-
 def test_parts_without_damping_in_either_file(tmp_path: Path) -> None:
     bare = all_changed(quadruped(), damping=0.0, friction=0.0)
     explanation = explained(tmp_path, bare, bare)

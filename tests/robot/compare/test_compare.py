@@ -188,16 +188,6 @@ def test_places_when_joints_are_mapped(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- verdict
 
 
-def test_files_that_agree_have_no_findings(tmp_path: Path) -> None:
-    comparison = compared(write_parts(tmp_path, quadruped(), quadruped()))
-    assert comparison.agree
-    assert comparison.complete
-    assert comparison.explained == 1.0
-    assert comparison.differences == ()
-    assert comparison.engines == ()
-    assert comparison.check.passed
-
-
 def test_what_differs_is_explained_in_full(tmp_path: Path) -> None:
     comparison = compared(
         write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.6))

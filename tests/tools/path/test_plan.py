@@ -254,13 +254,7 @@ def test_files_hold_the_path(tmp_path: Path) -> None:
             for key in ("qvel", "qacc", "forces", "moments", "zero_moment_point", "zmp_margin"):
                 np.testing.assert_array_equal(arrays[key], getattr(path, key))
             for key in (
-                "time",
-                "qpos",
-                "torques",
-                "stance_feet",
-                "loads",
-                "clearance",
-                "com_margin",
+                *("time", "qpos", "torques", "stance_feet", "loads", "clearance", "com_margin"),
             ):
                 np.testing.assert_array_equal(arrays[key], getattr(path, key))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["new", "path.data", "path.npz"]

@@ -35,14 +35,7 @@ def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Pa
     own = ("--urdf", str(urdf), "--mjcf", str(mjcf))
     feet = [part for foot in ("FL", "FR", "RL", "RR") for part in ("--foot", f"{foot}_foot")]
     stance = (
-        "--swing",
-        "FL_foot=1cm",
-        "--com",
-        "inside",
-        "--com-margin",
-        "1cm",
-        "--height",
-        "0.15",
+        *("--swing", "FL_foot=1cm", "--com", "inside", "--com-margin", "1cm", "--height", "0.15"),
     )
     file, figure = tmp_path / "own.json", tmp_path / "own.png"
     servos = ("--kp", "60", "--kd", "1")
