@@ -32,12 +32,7 @@ from pupper_analysis.base.tools import own_tools
 from pupper_analysis.cli.stance_fields import read_stance_file
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.convert.meshes import (
-    UnreadableError,
-    check_detail,
-    obj_of,
-    read_mesh,
-)
+from pupper_analysis.prepare.convert.meshes import UnreadableError, check_detail, obj_of, read_mesh
 from pupper_analysis.robot.matching.match import read_mapping
 from pupper_analysis.tools.check.config import read_config
 from pupper_analysis.tools.check.remarks import read_baseline

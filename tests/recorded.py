@@ -187,12 +187,7 @@ JOBS = {
     "path": Job(lambda robot, _: pa.stance.stance_path(robot, squat(robot), 2.0, rate=8.0), CONES),
     "cross-check": Job(checked),
     "payload": Job(payload, 2e-3, slow=True, same_engines=True, why=SEARCHED),
-    "verification": Job(
-        verification,
-        STEPPED,
-        same_engines=True,
-        why=SIMULATED,
-    ),
+    "verification": Job(verification, STEPPED, same_engines=True, why=SIMULATED),
     "minimum stiffness": Job(
         lambda robot, stand: pa.stance.minimum_stiffness(robot, stand),
         slow=True,
@@ -209,13 +204,7 @@ JOBS = {
         same_engines=True,
         why=SIMULATED,
     ),
-    "gain sweep": Job(
-        gain_sweep,
-        STEPPED,
-        slow=True,
-        same_engines=True,
-        why=SIMULATED,
-    ),
+    "gain sweep": Job(gain_sweep, STEPPED, slow=True, same_engines=True, why=SIMULATED),
 }
 
 

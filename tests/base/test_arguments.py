@@ -14,9 +14,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.arguments import (
-    check_type,
-)
+from pupper_analysis.base.arguments import check_type
 from tests.support.names import public, public_modules
 from tests.support.tiny import Files
 from tests.support.variants import load, stand_of
@@ -34,13 +32,7 @@ OFFERED = {
 }
 FUNCTIONS = sorted(OFFERED.keys() - APART)
 JUNK = ("v3", b"v3", -1, 0, 1e308, math.nan, None, object(), [], {}, [None], {"x": None}, ())
-SLOW = {
-    "push_recovery",
-    "best_stance",
-    "simulate_payload",
-    "simulate_push",
-    "sweep_gains",
-}
+SLOW = {"push_recovery", "best_stance", "simulate_payload", "simulate_push", "sweep_gains"}
 
 
 @pytest.fixture

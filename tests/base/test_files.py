@@ -21,13 +21,7 @@ import pupper_analysis as pa
 from pupper_analysis.base import files
 from pupper_analysis.base.errors import OutputError, VariantError
 from pupper_analysis.base.files import Writing, whole_file, write_all
-from pupper_analysis.base.kinds import (
-    EDITED,
-    MODEL,
-    OWN,
-    RESULTS,
-    Kind,
-)
+from pupper_analysis.base.kinds import EDITED, MODEL, OWN, RESULTS, Kind
 from pupper_analysis.base.provenance import marked_json
 from pupper_analysis.base.runs import note_input, running
 from tests.support.commands import run_command

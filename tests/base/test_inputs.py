@@ -8,13 +8,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import InputError, PupperAnalysisError
-from pupper_analysis.base.inputs import (
-    check_input,
-    decode_input,
-    is_input,
-    read_input,
-    read_toml,
-)
+from pupper_analysis.base.inputs import check_input, decode_input, is_input, read_input, read_toml
 from tests import damaged
 
 

@@ -8,9 +8,7 @@ from pathlib import Path
 import click
 import pytest
 
-from pupper_analysis import (
-    cli,
-)
+from pupper_analysis import cli
 from pupper_analysis.cli.robots import RobotOptions
 from pupper_analysis.cli.stance_fields import TYPED
 from pupper_analysis.cli.stance_options import RobotAndTask

@@ -11,12 +11,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.attributes import (
-    IN_A_TREE,
-    JOINT_ATTRIBUTES,
-    PASSIVE,
-    JointAttribute,
-)
+from pupper_analysis.models.attributes import IN_A_TREE, JOINT_ATTRIBUTES, PASSIVE, JointAttribute
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.multibody import from_pinocchio, to_pinocchio

@@ -113,11 +113,7 @@ CHANGES: dict[str, tuple[str, dict[str, Any], tuple[str, str]]] = {
     "base mass": ("base", {"mass": 7.0}, ("mass", "base")),
     "mass": ("shank1", {"mass": 0.5}, ("mass", "knee1")),
     "com": ("thigh2", {"com": (0.01, 0.022, -0.06)}, ("com", "hip2")),
-    "inertia": (
-        "thigh0",
-        {"inertia": (0.008, 0.007, 0.003, 0.0, 1e-3, 0.0)},
-        ("inertia", "hip0"),
-    ),
+    "inertia": ("thigh0", {"inertia": (0.008, 0.007, 0.003, 0.0, 1e-3, 0.0)}, ("inertia", "hip0")),
     "position": ("thigh3", {"position": (-0.2, 0.13, 0.01)}, ("position", "hip3")),
     "position below": ("shank0", {"position": (0.0, 0.08, -0.25)}, ("position", "knee0")),
     "axis": ("shank2", {"axis": (0.0, 1.0, 0.2)}, ("axis", "knee2")),

@@ -12,21 +12,12 @@ from functools import cache
 
 import pytest
 
-from pupper_analysis.present.document import (
-    Cell,
-    Column,
-    Number,
-    Report,
-    Table,
-    in_english,
-)
+from pupper_analysis.present.document import Cell, Column, Number, Report, Table, in_english
 from pupper_analysis.present.html.write import render_page
 from pupper_analysis.present.markdown import write_markdown
 from tests.support.html_page import Page
 from tests.support.repository import ROOT
-from tests.support.stubs import (
-    REPORTS,
-)
+from tests.support.stubs import REPORTS
 
 GOLDEN = ROOT / "tests" / "golden"
 

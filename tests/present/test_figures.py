@@ -32,11 +32,7 @@ from tests.support.variants import load, stand_of
 
 NAMES = ("original", "v3")
 
-PANELS: tuple[Callable[[Any, Path], None], ...] = (
-    torque_figure,
-    height_figure,
-    gain_figure,
-)
+PANELS: tuple[Callable[[Any, Path], None], ...] = (torque_figure, height_figure, gain_figure)
 
 
 @cache

@@ -45,10 +45,7 @@ DOCUMENT = Document(
     (
         TABLE,
         Sides(
-            tell(problem("mass 1 kg")),
-            PLACES,
-            (text("no-change"),),
-            text("all-ok").marked("warn"),
+            tell(problem("mass 1 kg")), PLACES, (text("no-change"),), text("all-ok").marked("warn")
         ),
         Lines((tell(problem("it sank")),), "bad", text("objections"), detail=True),
         Listing(text("no-change"), "-a\n+```b", "diff"),

@@ -11,14 +11,7 @@ from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.tools.analyze import document as comparison
 from pupper_analysis.tools.stand.document import stance_document
 from tests.support import printing
-from tests.support.stubs import (
-    ANALYSIS,
-    SERVOS,
-    STAND,
-    problem,
-    run,
-    stance,
-)
+from tests.support.stubs import ANALYSIS, SERVOS, STAND, problem, run, stance
 
 
 def printed(shown: Document) -> list[str]:
@@ -30,11 +23,7 @@ def printed(shown: Document) -> list[str]:
 def test_what_is_compared_is_what_is_meant() -> None:
     """Each field of a row from its own of the analysis; ratios the right way up."""
     stub = Stub(
-        **{
-            **vars(ANALYSIS),
-            "thigh_shape_length": 0.09,
-            "stand": Stub(task=Stub(height=0.1234)),
-        }
+        **{**vars(ANALYSIS), "thigh_shape_length": 0.09, "stand": Stub(task=Stub(height=0.1234))}
     )
     found = vars(
         comparison.compare_with_base(stub, "v3", comparison.RatioReference(1.5, 0.05, 0.045))

@@ -11,11 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pupper_analysis.present.formats import (
-    Annotation,
-    from_root,
-    write_sarif,
-)
+from pupper_analysis.present.formats import Annotation, from_root, write_sarif
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 

@@ -78,11 +78,7 @@ def tiny_with(tmp_path: Path, old: str, new: str) -> tuple[Path, Path]:
     [
         ('mass value="0.5"', 'mass value="-0.5"', "what joint 'turn' moves has a mass of -0.5 kg"),
         ('mass value="2"', 'mass value="-2"', "the base has a mass of -2 kg"),
-        (
-            'ixx="0.02"',
-            'ixx="-0.02"',
-            "a mass of 2 kg and moments of inertia from -0.02",
-        ),
+        ('ixx="0.02"', 'ixx="-0.02"', "a mass of 2 kg and moments of inertia from -0.02"),
         ('ixx="0.001"', 'ixx="-1"', "what joint 'bend' moves"),
     ],
 )

@@ -95,12 +95,7 @@ def test_a_table_is_no_part_of_the_com(tmp_path: Path) -> None:
 def test_contacts_by_pairs_are_those_of_the_feet(tmp_path: Path) -> None:
     """The prepared robot's contacts are those that MuJoCo makes of the file as it is."""
     values = 'friction="0.37 0.37 0.02 0.003 0.003" solref="0.03 1.2" solimp="0.9 0.95 0.002 0.5 2"'
-    names = (
-        ("foot0", "ground"),
-        ("ground", "foot1"),
-        ("foot2", "ground"),
-        ("ground", "foot3"),
-    )
+    names = (("foot0", "ground"), ("ground", "foot1"), ("foot2", "ground"), ("ground", "foot3"))
     pairs = "".join(
         f'<pair geom1="{one}" geom2="{two}" condim="4" {values}/>' for one, two in names
     )

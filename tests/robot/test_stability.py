@@ -11,12 +11,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.stability import (
-    Mode,
-    free_of_friction,
-    servo_stability,
-    step_derivative,
-)
+from pupper_analysis.robot.stability import Mode, free_of_friction, servo_stability, step_derivative
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state, simulate
 from pupper_analysis.simulation.stability import measure_response
@@ -239,8 +234,7 @@ def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
 
 
 @pytest.mark.parametrize(
-    ("examples", "nudges"),
-    [(10, 2), pytest.param(60, 20, marks=pytest.mark.longest)],
+    ("examples", "nudges"), [(10, 2), pytest.param(60, 20, marks=pytest.mark.longest)]
 )
 def test_what_holds_stays_and_what_is_refused_does_not(examples: int, nudges: int) -> None:
     """Of random stands, payloads and gains; each judgement is taken at its word."""

@@ -264,10 +264,7 @@ def test_a_root_link_that_is_off_the_base_is_no_difference(name: str, tmp_path: 
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "tiago_pro_description/robots/tiago_pro",
-        "hextilt_description/urdf/hextilt_flying_arm_5",
-    ],
+    ["tiago_pro_description/robots/tiago_pro", "hextilt_description/urdf/hextilt_flying_arm_5"],
 )
 def test_a_fixed_base_with_links_welded_to_it_is_no_difference(name: str, tmp_path: Path) -> None:
     """The first joint is on a link that is welded to the base, off its frame."""

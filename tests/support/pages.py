@@ -40,10 +40,7 @@ from tests.support.repository import ROOT
 FOLDERS = ("docs/how-to", "docs/tutorials", "docs/explanation", "docs/zh", "docs/zh/how-to")
 """Of pages whose every block is run, beside the README."""
 
-NEVER = {
-    "pip install": "it needs the network",
-    "--bridge ros2": "it needs a robot's own computer",
-}
+NEVER = {"pip install": "it needs the network", "--bridge ros2": "it needs a robot's own computer"}
 if shutil.which("jq") is None:
     NEVER["| jq"] = "jq is not there"
 """Lines that are run nowhere: {their words: why}."""

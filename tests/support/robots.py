@@ -350,11 +350,7 @@ def robot_of(folder: Path, urdf: Parts, mjcf: Parts, **options: Any) -> Robot:
 
 
 def explained(
-    folder: Path,
-    urdf: Parts,
-    mjcf: Parts,
-    tolerances: Tolerances | None = None,
-    **options: Any,
+    folder: Path, urdf: Parts, mjcf: Parts, tolerances: Tolerances | None = None, **options: Any
 ) -> Explanation:
     return explain_differences(robot_of(folder, urdf, mjcf, **options), tolerances=tolerances)
 

@@ -186,11 +186,7 @@ def test_refusals_are_diagnostics_and_no_sentences() -> None:
         ("{at:read:.3g}", {"at": Quantity(np.pi / 6, "rad")}, "30 deg"),
         ("{at:read:.3g}", {"at": Quantity(0.02, "m")}, "20 mm"),
         ("{at:read:.3g}", {"at": Quantity(0.02, "rad or m")}, "0.02 rad or m"),
-        (
-            "{x:mm:.3g} or {x:deg:.3g}",
-            {"x": Quantity(0.01, "rad or m")},
-            "10 mm or 0.573 deg",
-        ),
+        ("{x:mm:.3g} or {x:deg:.3g}", {"x": Quantity(0.01, "rad or m")}, "10 mm or 0.573 deg"),
         ("{share:%:.0f}", {"share": Quantity(0.25, "1")}, "25 %"),
         (
             "{mass:g} {time:g}",

@@ -11,12 +11,7 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from pupper_analysis.models.additions import (
-    Floor,
-    Options,
-    Servo,
-    Start,
-)
+from pupper_analysis.models.additions import Floor, Options, Servo, Start
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.stance.task import StandTask
 from tests.support.conversions import standing_urdf

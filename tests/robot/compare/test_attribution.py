@@ -449,9 +449,7 @@ HINTS: dict[str, tuple[dict[str, Any], dict[str, Any], str, str]] = {
 def test_the_message_gives_both_values_and_the_likely_slip(tmp_path: Path, hint: str) -> None:
     urdf, mjcf, kind, words = HINTS[hint]
     explanation = explained(
-        tmp_path,
-        changed(quadruped(), "shank0", **urdf),
-        changed(quadruped(), "shank0", **mjcf),
+        tmp_path, changed(quadruped(), "shank0", **urdf), changed(quadruped(), "shank0", **mjcf)
     )
     messages = {d.kind: d.message for d in explanation.differences if d.element == "knee0"}
     assert words in messages[kind]

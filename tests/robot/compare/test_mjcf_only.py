@@ -354,10 +354,7 @@ def accelerations(text: str, seed: int) -> np.ndarray:
 @example(chosen={}, silent=set(SILENT), seed=0)
 @example(chosen={}, silent=set(), seed=0)
 def test_never_agree_while_mujoco_accelerates_otherwise(
-    tmp_path_factory: pytest.TempPathFactory,
-    chosen: dict[str, float],
-    silent: set[str],
-    seed: int,
+    tmp_path_factory: pytest.TempPathFactory, chosen: dict[str, float], silent: set[str], seed: int
 ) -> None:
     text = MJCF
     for kind, size in chosen.items():

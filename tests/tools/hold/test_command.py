@@ -55,10 +55,7 @@ def test_weak_motors_and_bad_input(
     assert "OVERLOADED: the motors cannot hold it: elbow" in output
     high = f"{math.degrees(RANGES['elbow'][1]):.4g} deg"
     for wrong, said in (
-        (
-            ("--joints", "elbow=3"),
-            f"elbow at 171.9 deg, outside 11.46 deg to {high}",
-        ),
+        (("--joints", "elbow=3"), f"elbow at 171.9 deg, outside 11.46 deg to {high}"),
         (("--joints", "elbow=90"), "(for degrees write 90deg)"),
         (("--joints", "elbow=3kg"), "3kg"),
         (("--joints", "elbow=3cm"), "elbow turns: its position is an angle"),

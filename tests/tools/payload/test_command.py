@@ -29,7 +29,7 @@ def test_what_lasts_is_what_motors_of_that_effort_carry(
 def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     arguments = [
-        *("original", "--payload-at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1"),
+        *("original", "--payload-at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
     ]
     status, out, err = run_command(capfd, "payload", "-v", *arguments, "--json", str(path))
     assert status == 0, err
