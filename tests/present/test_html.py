@@ -41,6 +41,7 @@ from pupper_analysis.present.html import plots, write
 from pupper_analysis.present.html.write import scene_of
 from pupper_analysis.present.scene import coarsen_mesh, describe_scene, shapes_of, shown_geoms
 from pupper_analysis.tools.stand.stance import study_stance
+from tests.support.commands import answer
 from tests.support.html_page import Page, shown
 from tests.support.repository import ROOT
 from tests.support.stubs import problem
@@ -529,3 +530,9 @@ def test_bad_arguments_are_refused(tmp_path: Path) -> None:
     with pytest.raises(pa.OutputError):
         pa.report.write_report(audit(), tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_report_goes_to_standard_output() -> None:
+    found = answer("audit", str(ROOT / "urdf" / "pupper_v3.urdf"), "--report", "-")
+    assert Page(found.stdout).root.find(".//h1") is not None
+    assert "OK" in found.stderr
