@@ -24,7 +24,7 @@ from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING, judge_c
 from pupper_analysis.stance.problem import Goal, feet_centre, raise_feet
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.statics.support_polygon import interpolate_drop, support_corners
+from pupper_analysis.statics.support_polygon import support_corners
 
 Array = NDArray[np.float64]
 
@@ -141,8 +141,9 @@ class Stand(Tabular):
         """
         apart = self.task.ground.apart
         own = [foot for foot in drops if not apart or robot.foot_of(foot) not in apart] or [*drops]
-        targets = np.array([self.foot_targets[foot] for foot in own])
-        return interpolate_drop(self.qpos[:2], targets, np.array([drops[foot][2] for foot in own]))
+        places = np.array([(1.0, *self.foot_targets[foot][:2]) for foot in own])
+        plane = np.linalg.lstsq(places, np.array([drops[foot][2] for foot in own]))[0]
+        return float(plane @ (1.0, self.qpos[0], self.qpos[1]))
 
     def corners(self, robot: Robot) -> Array:
         """Returns the corners (n, 2) of where its com is in balance, seen from above (m)."""

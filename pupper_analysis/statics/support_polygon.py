@@ -16,18 +16,6 @@ Array = NDArray[np.float64]
 Corner = tuple[float, float]
 
 
-def interpolate_drop(place: Array, feet: Array, drops: Array) -> float:
-    """Returns how much a plane through the feet has sunk at a place.
-
-    Args:
-        place: (2,) where (m).
-        feet: (n, 3) the feet (m); their heights do not matter.
-        drops: (n,) how much each has sunk (m).
-    """
-    plane = np.linalg.lstsq(np.column_stack([np.ones(len(feet)), feet[:, :2]]), drops)[0]
-    return float(plane @ (1.0, place[0], place[1]))
-
-
 def com_margin(com: Array, points: Mapping[str, Array]) -> float:
     """Returns the distance (m) from a com's projection to the edge of the support polygon.
 

@@ -61,6 +61,26 @@ def test_mujoco_holds_a_stand_on_a_roof() -> None:
     assert found.force_error < 1e-6
 
 
+def test_what_presses_a_foot_is_measured_along_the_normal_of_its_plane() -> None:
+    """Without feed-forward, where forces are others than predicted."""
+    robot = load("v3")
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=roof(30, 0.9)))
+    found = pa.verify_stand(robot, stand, feedforward=False)
+    forces, predicted = found.foot_forces, found.predicted_forces
+    light = 0.05 * sum(force[2] for force in predicted.values())
+
+    def worst(out: dict[str, np.ndarray]) -> float:
+        return max(
+            abs((forces[foot] - force) @ out[foot]) / max(force @ out[foot], light)
+            for foot, force in predicted.items()
+        )
+
+    assert found.force_error == pytest.approx(worst(stand.normals), rel=1e-12)
+    up = dict.fromkeys(predicted, np.array([0.0, 0.0, 1.0]))
+    assert found.force_error != pytest.approx(worst(up), rel=1e-2)
+    assert stand.ways_out(robot)["FL"] @ stand.normals["FL"] == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("com", [None, (0.05, 0.02)])
 def test_mujoco_holds_a_stand_with_a_hand_on_a_table(
     armed: pa.Robot, com: tuple[float, float] | None
