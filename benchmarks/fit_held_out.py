@@ -27,7 +27,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servo_gains
 from pupper_analysis.tools.fit.stands.fit import StandFit, fit_stands
-from pupper_analysis.tools.fit.stands.plan import PlannedStand, plan_stands
+from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, plan_stands
 from pupper_analysis.tools.fit.write import write_fit
 
 EVERY = 4
@@ -86,9 +86,10 @@ def off(found: list[Taken | None], truth: list[Taken | None]) -> tuple[float, fl
     return round(1e3 * rms[0], 2), round(1e3 * rms[1], 2), feet
 
 
-def row(name: str, seed: int, robot: Robot, kp: float | None, keep: Path | None) -> Row | None:
+def row(
+    name: str, seed: int, robot: Robot, kp: float | None, plan: StandPlan, keep: Path | None
+) -> Row | None:
     """Returns what is found with one robot; None if it does not stand."""
-    plan = plan_stands(robot, 16, kp=kp, added=0.0)
     planted = plant(robot, np.random.default_rng([seed, zlib.crc32(name.encode())]))
     stated = servo_gains(robot, kp, None if kp is None else 0.0).kp
     if kp is not None:
@@ -131,13 +132,15 @@ def main() -> None:
     parser.add_argument("--robot", default="v3", help="a variant, or a file")
     parser.add_argument("--kp", type=float, help="of the servos, where the file states none")
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0, help="seed")
     parser.add_argument("--keep", type=Path, help="a folder of measurements: what it has is used")
     parser.add_argument("--csv", type=Path, help="a file to add rows to")
     given = parser.parse_args()
     known = given.robot in pa.VARIANTS
     robot = pa.load_variant(given.robot) if known else pa.load_robot(given.robot)
-    for seed in range(given.seeds):
-        found = row(Path(given.robot).stem, seed, robot, given.kp, given.keep)
+    plan = plan_stands(robot, 16, kp=given.kp, added=0.0)
+    for seed in range(given.first, given.first + given.seeds):
+        found = row(Path(given.robot).stem, seed, robot, given.kp, plan, given.keep)
         if found is None:
             continue
         print(*vars(found).values(), sep=" | ", flush=True)

@@ -594,7 +594,7 @@ class StandEquations:
             numbers = self._numbers(x)
             for stand in range(len(self._readings)):
                 total += self.stand(stand, numbers, evaluations)
-        except np.linalg.LinAlgError:  # far from anything that stands
+        except (np.linalg.LinAlgError, ArithmeticError):  # far from anything that stands
             total = replace(total, chi2=math.inf)
         if x is not about:
             self._own = had
