@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from pupper_analysis.present.formats import write_junit
+from pupper_analysis.present.formats import write_github, write_junit
 from pupper_analysis.robot.compare import mjcf_only as extras
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
@@ -72,6 +72,7 @@ def test_a_remark_for_each_difference(files: Files) -> None:
     assert first.message.startswith(comparison.differences[0].message)
     assert "robot.xml:7" in first.message
     assert str(first.place).endswith("robot.urdf:5")
+    assert write_github(found).splitlines()[0].endswith(" [mass-differs]")
 
 
 def test_remarks_on_joints_left_over_and_guessed(tmp_path: Path) -> None:
