@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Final
 
 import mujoco
@@ -317,25 +317,6 @@ _WORDS_OF: Final = {
     "touches": ("contype", "conaffinity"),
     "": (),
 }
-
-
-def stated_numbers(model: mujoco.MjModel, tag: str, rows: Iterable[int]) -> dict[str, list[Value]]:
-    """Returns {word: the values that elements have of it} where they are not MuJoCo's defaults.
-
-    Args:
-        model: What MuJoCo compiles.
-        tag: ``geom`` or ``option``.
-        rows: Which geoms; of options, ``[0]``.
-    """
-    default = mujoco.MjModel.from_xml_string(
-        "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"
-    )
-    usual, found = element_values(default, tag, 0), dict[str, list[Value]]()
-    for row in rows:
-        for word, value in element_values(model, tag, row).items():
-            if value != usual[word]:
-                found.setdefault(word, []).append(value)
-    return found
 
 
 def touching_geoms(model: mujoco.MjModel) -> set[int]:

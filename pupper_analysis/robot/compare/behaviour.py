@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import MujocoTree, joint_damping
 from pupper_analysis.models.mjcf import JointKind
@@ -251,24 +250,6 @@ class States:
     torques: Array
 
 
-MOST = 100_000
-"""Configurations that are compared: more find nothing, and fill the memory."""
-
-
-def check_states(count: int, seed: int) -> None:
-    """Checks what random states are asked for.
-
-    Raises:
-        ConfigurationError: If there are none or too many, or the seed is not a whole number from 0.
-    """
-    if count < 1:
-        raise ConfigurationError("configurations", diagnose("less-than", value=count, least=1))
-    if count > MOST:
-        raise ConfigurationError("configurations", diagnose("more-than", value=count, most=MOST))
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ConfigurationError("seed", diagnose("no-whole-number", value=repr(seed)))
-
-
 _LARGEST_ANGLE = 1e3
 """rad or m. Files state limits like 1e16 for none; such an angle has no digit after the point."""
 
@@ -326,14 +307,3 @@ def affordable_states(robot: Robot, count: int) -> int:
     if not is_large(robot):
         return count
     return min(count, max(_LEAST_STATES, int(_STATES / (8 * robot.nv**2))))
-
-
-def size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
-    """Yields what is left out of the comparison of a large robot at so many states."""
-    if not is_large(robot):
-        return
-    gigabytes, most = 32e-9 * robot.nv**3, MOST_IN_PINOCCHIO
-    yield diagnose("large-without-pinocchio", count=robot.nv, gigabytes=gigabytes, most=most)
-    states = affordable_states(robot, count)
-    if states < count:
-        yield diagnose("large-at-fewer-states", states=states, count=count)

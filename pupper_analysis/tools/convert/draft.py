@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from pupper_analysis.models.attributes import FLOOR, HOME, IMU_SENSORS, Number
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.mjcf_xml import COLLISION, MjcfXml, text_of
-from pupper_analysis.models.stated.mjcf import stated_numbers, touching_geoms
+from pupper_analysis.models.stated.mjcf import Value, element_values, touching_geoms
 from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import add_element, free_name, new_file_text, write_numbers
@@ -726,7 +726,7 @@ def _lost_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnost
     touching = [g for g in sorted(touching_geoms(model)) if int(model.geom_bodyid[g]) in robot]
     some = []
     for tag, rows in (("geom", touching), ("option", [0])):
-        for word, values in stated_numbers(model, tag, rows).items():
+        for word, values in _stated_numbers(model, tag, rows).items():
             distinct = dict.fromkeys(" ".join(f"{n:.6g}" for n in value) for value in values)
             if tag == "geom":
                 given: dict[str, Any] = {"values": tuple(distinct), "count": len(values)}
@@ -763,3 +763,22 @@ def _surroundings(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnost
     if model.opt.density or model.opt.viscosity:
         some.append(diagnose("fluid-not-in-urdf"))
     return some
+
+
+def _stated_numbers(model: mujoco.MjModel, tag: str, rows: Iterable[int]) -> dict[str, list[Value]]:
+    """Returns {word: the values that elements have of it} where they are not MuJoCo's defaults.
+
+    Args:
+        model: What MuJoCo compiles.
+        tag: ``geom`` or ``option``.
+        rows: Which geoms; of options, ``[0]``.
+    """
+    default = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"
+    )
+    usual, found = element_values(default, tag, 0), dict[str, list[Value]]()
+    for row in rows:
+        for word, value in element_values(model, tag, row).items():
+            if value != usual[word]:
+                found.setdefault(word, []).append(value)
+    return found

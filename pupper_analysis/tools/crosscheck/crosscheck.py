@@ -9,7 +9,6 @@ from pathlib import Path
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.robot.compare.behaviour import check_states
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import Explanation
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -17,6 +16,7 @@ from pupper_analysis.tools.crosscheck.engines import (
     OF_ONE_MODEL,
     OF_THE_MJCF,
     CrossCheck,
+    check_states,
     cross_check,
 )
 

@@ -18,7 +18,7 @@ A backend evaluation is one quantity of a robot's model by Pinocchio, by MuJoCo 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -44,13 +44,12 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.multibody import from_pinocchio, joint_placements
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.compare.behaviour import (
+    MOST_IN_PINOCCHIO,
     States,
     affordable_states,
-    check_states,
     is_large,
     offsets_in_world,
     random_states,
-    size_notes,
 )
 from pupper_analysis.robot.compare.mjcf_only import (
     as_it_is,
@@ -458,6 +457,35 @@ class CrossCheck(Result):
     quantities: tuple[QuantityCheck, ...]
     worst: str
     notes: tuple[Diagnostic, ...]
+
+
+MOST = 100_000
+"""Configurations that are compared: more find nothing, and fill the memory."""
+
+
+def check_states(count: int, seed: int) -> None:
+    """Checks what random states are asked for.
+
+    Raises:
+        ConfigurationError: If there are none or too many, or the seed is not a whole number from 0.
+    """
+    if count < 1:
+        raise ConfigurationError("configurations", diagnose("less-than", value=count, least=1))
+    if count > MOST:
+        raise ConfigurationError("configurations", diagnose("more-than", value=count, most=MOST))
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ConfigurationError("seed", diagnose("no-whole-number", value=repr(seed)))
+
+
+def size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
+    """Yields what is left out of the comparison of a large robot at so many states."""
+    if not is_large(robot):
+        return
+    gigabytes, most = 32e-9 * robot.nv**3, MOST_IN_PINOCCHIO
+    yield diagnose("large-without-pinocchio", count=robot.nv, gigabytes=gigabytes, most=most)
+    states = affordable_states(robot, count)
+    if states < count:
+        yield diagnose("large-at-fewer-states", states=states, count=count)
 
 
 @check_arguments
