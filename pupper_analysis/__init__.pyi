@@ -50,7 +50,7 @@ from .tools.audit.audit import audit_model as audit_model
 from .tools.best.best import best_stance as best_stance
 from .tools.convert.model import convert_model as convert_model
 from .tools.crosscheck.crosscheck import compare_models as compare_models
-from .tools.crosscheck.engines import cross_check as cross_check
+from .tools.crosscheck.crosscheck import cross_check as cross_check
 from .tools.diff.compare import diff_models as diff_models
 from .tools.fit.fit import fit as fit
 from .tools.fit.measurements.log import read_log as read_log

@@ -10,8 +10,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import MAX_DEPTH, read_urdf
 from pupper_analysis.tools.audit.audit import audit_model
-from pupper_analysis.tools.crosscheck.crosscheck import compare_models
-from pupper_analysis.tools.crosscheck.engines import URDF_MUJOCO
+from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO, compare_models
 from tests.support.robots import (
     Files,
     all_changed,

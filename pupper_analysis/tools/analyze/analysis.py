@@ -32,7 +32,7 @@ from pupper_analysis.statics.equilibrium import (
     gravity_compensation,
 )
 from pupper_analysis.tools.analyze.gain_sweep import GainSweep, sweep_gains
-from pupper_analysis.tools.crosscheck.engines import CrossCheck, cross_check
+from pupper_analysis.tools.crosscheck.crosscheck import CrossCheck, cross_check
 
 Array = NDArray[np.float64]
 

@@ -1,24 +1,71 @@
-"""Compares two files of a robot, and evaluates both in both engines."""
+"""Compares two files of a robot, and evaluates both in both engines.
+
+The four evaluations form a square: along two sides the engine is the same and the models differ,
+along the other two the model is the same and the engines differ. So a deviation tells whose it is.
+
+    URDF in Pinocchio --- models --- MJCF in Pinocchio
+           |                                |
+        engines                          engines
+           |                                |
+    URDF in MuJoCo ------ models --- MJCF in MuJoCo --- extras --- MJCF as it is
+
+What a URDF cannot state (springs, tendons, fluid ...; see `passive`) is taken out of the MJCF for
+the square, so that both engines are given the same model; the last side tells what it does.
+
+A backend evaluation is one quantity of a robot's model by Pinocchio, by MuJoCo or by yourdfpy.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import EARTH
+from pupper_analysis.models.conversion import (
+    MujocoTree,
+    joint_armature,
+    joint_damping,
+    mujoco_from_urdf,
+    pinocchio_from_mujoco,
+)
+from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.multibody import from_pinocchio, joint_placements
+from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.robot.compare.behaviour import (
+    MOST_IN_PINOCCHIO,
+    States,
+    affordable_states,
+    is_large,
+    offsets_in_world,
+    random_states,
+)
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import Explanation
-from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.tools.crosscheck.engines import (
-    OF_ONE_MODEL,
-    OF_THE_MJCF,
-    CrossCheck,
-    check_states,
-    cross_check,
+from pupper_analysis.robot.compare.mjcf_only import (
+    as_it_is,
+    mjcf_only_effects,
+    split_mimics,
+    without_effects,
 )
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.contact import foot_site
+from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.matching.trees import Mimics, Reference, urdf_mimics
+from pupper_analysis.robot.robot import Robot
 
 ENGINES_AGREE = 1e-8
 """How far the two engines may deviate on one model, relative to a quantity's scale."""
@@ -126,3 +173,634 @@ def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, .
         # With forces of MuJoCo's that a tree of joints has not, the two got different models.
         and not (explanation.remains and whose in OF_THE_MJCF)
     )
+
+
+Array = NDArray[np.float64]
+
+
+Evaluation = dict[str, Array]
+"""{quantity: (n, ...) of the model, or (configurations, n, ...) of states}."""
+
+BODIES, JOINTS, DOFS, FEET = "bodies", "joints", "dofs", "feet"
+
+QUANTITIES = {
+    "body masses": (BODIES, "kg"),
+    "body coms": (BODIES, "m"),
+    "body inertias": (BODIES, "kg m^2"),
+    "joint positions": (JOINTS, "m"),
+    "joint axes": (JOINTS, ""),
+    "lower joint limits": (JOINTS, "rad"),
+    "upper joint limits": (JOINTS, "rad"),
+    "effort limits": (JOINTS, "N m"),
+    "armature": (JOINTS, "kg m^2"),
+    "joint damping": (JOINTS, "N m s/rad"),
+    "joint friction": (JOINTS, "N m"),
+    "com": ("com", "m"),
+    "com Jacobian": ("com", "m, m/rad"),
+    "mass matrix": (DOFS, "kg, kg m, kg m^2"),
+    "bias forces": (DOFS, "N, N m"),
+    "gravity": (DOFS, "N, N m"),
+    "forward dynamics": (DOFS, "m/s^2, rad/s^2"),
+    "foot positions": (FEET, "m"),
+    "foot Jacobians": (FEET, "m, m/rad"),
+    "gyro": ("IMU", "rad/s"),
+    "accelerometer": ("IMU", "m/s^2"),
+}
+"""{quantity: what its rows belong to, its unit}. What does not depend on the configuration is in
+the base's axes at zero angles."""
+
+PER_ROW = ("body masses", "body inertias")
+"""What is judged on each row's own scale, instead of on the greatest of all."""
+
+
+def labels_of(robot: Robot, quantity: str) -> tuple[str, ...]:
+    """Returns what each row of a quantity belongs to."""
+    base = tuple(f"base {axis}" for axis in "xyz") + tuple(f"about {axis}" for axis in "xyz")
+    rows = {
+        BODIES: (robot.base, *robot.joint_names),
+        JOINTS: robot.joint_names,
+        DOFS: (*(base if robot.floating else ()), *robot.joint_names),
+        FEET: robot.contact_points,
+    }
+    of = QUANTITIES[quantity][0]
+    return rows.get(of, (of,))
+
+
+def collect(
+    robot: Robot, at_rest: Mapping[str, ArrayLike], of_states: Sequence[Mapping[str, ArrayLike]]
+) -> Evaluation:
+    """Collects what does not depend on the configuration, and what was computed at each."""
+    found: Evaluation = {
+        name: np.array(values, dtype=float).reshape(len(labels_of(robot, name)), -1)
+        for name, values in at_rest.items()
+    }
+    for name in of_states[0]:
+        rows = np.array([values[name] for values in of_states])
+        found[name] = rows.reshape(len(rows), len(labels_of(robot, name)), -1)
+    return found
+
+
+def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array]) -> Evaluation:
+    """Evaluates the robot's Pinocchio model.
+
+    Args:
+        robot: The robot.
+        states: Where to evaluate what depends on the configuration.
+        moved: {joint: (3,) where its position is taken, from its origin, in its body's axes}.
+    """
+    model, convention = robot.pin_model, robot.pin_convention
+    rest = Configuration(robot, robot.neutral())
+    placements = joint_placements(model, convention.q(rest.qpos))
+    ids = [int(model.getJointId(name)) for name in robot.joint_names]
+    base = 1 if robot.floating else 0
+    bodies = [placements[joint].act(model.inertias[joint]) for joint in (base, *ids)]
+    v = convention.v_index
+    at_rest = {
+        **_of_bodies(bodies),
+        "joint positions": [
+            rest.joint_position(name) + placements[joint].rotation @ moved.get(name, np.zeros(3))
+            for name, joint in zip(robot.joint_names, ids, strict=True)
+        ],
+        "joint axes": [rest.joint_axis(name) for name in robot.joint_names],
+        "lower joint limits": robot.lower_limits,
+        "upper joint limits": robot.upper_limits,
+        # Of 0, a habit of exporters, it is none: MuJoCo's reader of URDFs says so, and `effort_of`.
+        "effort limits": np.where(model.effortLimit[v] == 0, np.inf, model.effortLimit[v]),
+        "armature": model.armature[v],
+        "joint damping": model.damping[v],
+        "joint friction": model.friction[v],
+    }
+    base_rows = robot.nv - robot.nu
+    damping = np.concatenate([model.damping[:base_rows], model.damping[v]])
+    of_states = []
+    del rest  # Pinocchio's data of hundreds of joints take a second to make: its serve all states
+    for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
+        config = Configuration(robot, qpos, qvel)
+        force = -damping * qvel
+        force[robot.nv - robot.nu :] += torques
+        qacc = config.forward_dynamics(force)
+        values = {
+            "com": config.center_of_mass(),
+            "com Jacobian": config.com_jacobian(),
+            "mass matrix": config.mass_matrix(),
+            "bias forces": config.bias_forces(),
+            "gravity": config.gravity(),
+            "forward dynamics": qacc,
+        }
+        if robot.contact_points:
+            values["foot positions"] = np.array(list(config.foot_positions().values()))
+            values["foot Jacobians"] = np.array(list(config.foot_jacobians().values()))
+        if robot.imu is not None:
+            values["gyro"], values["accelerometer"] = config.imu(qacc)
+        of_states.append(values)
+        del config
+    return collect(robot, at_rest, of_states)
+
+
+def _of_bodies(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
+    return {
+        "body masses": [body.mass for body in bodies],
+        "body coms": [np.array(body.lever) for body in bodies],
+        "body inertias": [np.array(body.inertia) for body in bodies],
+    }
+
+
+def mujoco_evaluation(
+    robot: Robot,
+    model: mujoco.MjModel,
+    base: str,
+    frames: Mapping[str, str],
+    states: States,
+    moved: Mapping[str, Array],
+) -> Evaluation:
+    """Evaluates a model of the robot in MuJoCo.
+
+    Args:
+        robot: The robot; its joints and feet are evaluated.
+        model: Its URDF or MJCF, compiled.
+        base: The body that is the base there.
+        frames: {foot or frame: its name there}.
+        states: Where to evaluate what depends on the configuration.
+        moved: {joint: (3,) where its position is taken, from its anchor, in its body's axes}.
+    """
+    data = mujoco.MjData(model)
+    convention = MujocoConvention.of(model, robot.joint_names)
+    convention.set_state(data, robot.neutral())
+    mujoco.mj_forward(model, data)
+    dofs = convention.qvel_index[robot.nv - robot.nu :]
+    at_rest = _at_rest(robot, model, data, base, dofs, moved)
+    sensors = _imu_sensors(model, robot.imu)
+    places = [foot_site(model, frame, robot.name) for frame in frames.values()]
+    root = model.body(base).id
+    public = convention.qvel_index
+    full, jacobian = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
+    of_states = []
+    for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
+        convention.set_state(data, qpos)
+        data.qfrc_applied[dofs] = 0.0
+        mujoco.mj_forward(model, data)
+        gravity = data.qfrc_bias[public].copy()
+        convention.set_state(data, qpos, qvel)
+        data.qfrc_applied[dofs] = torques
+        mujoco.mj_forward(model, data)
+        positions, jacobians = [], []
+        for body, local in places:
+            point = data.xpos[body] + data.xmat[body].reshape(3, 3) @ local
+            mujoco.mj_jac(model, data, jacobian, None, point, body)
+            positions.append(point)
+            jacobians.append(jacobian[:, public].copy())
+        mujoco.mj_fullM(model, data, full)
+        mujoco.mj_jacSubtreeCom(model, data, jacobian, root)
+        values = {
+            "com": data.subtree_com[root].copy(),
+            "com Jacobian": jacobian[:, public],
+            "mass matrix": full[np.ix_(public, public)],
+            "bias forces": data.qfrc_bias[public],
+            "gravity": gravity,
+            "forward dynamics": data.qacc[public],
+        }
+        if robot.contact_points:
+            values["foot positions"] = np.array(positions)
+            values["foot Jacobians"] = np.array(jacobians)
+        if sensors is not None:
+            for name, address in zip(("gyro", "accelerometer"), sensors, strict=True):
+                values[name] = data.sensordata[address : address + 3].copy()
+        of_states.append(values)
+    return collect(robot, at_rest, of_states)
+
+
+def _at_rest(
+    robot: Robot,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    base: str,
+    dofs: NDArray[np.int64],
+    moved: Mapping[str, Array],
+) -> dict[str, ArrayLike]:
+    """Evaluates what does not depend on the state; the data are those of zero angles."""
+    joints = [model.joint(name).id for name in robot.joint_names]
+    carriers = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
+    bodies = _lumped(model, data, carriers)
+    local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
+    anchors = data.xanchor[joints] + offsets_in_world(model, data, joints, local)
+    limited = model.jnt_limited[joints].astype(bool)
+    return {
+        **_of_bodies(bodies),
+        "joint positions": anchors,
+        "joint axes": data.xaxis[joints],
+        "lower joint limits": np.where(limited, model.jnt_range[joints, 0], -np.inf),
+        "upper joint limits": np.where(limited, model.jnt_range[joints, 1], np.inf),
+        "effort limits": [effort_limit(model, joint) for joint in joints],
+        "armature": joint_armature(model)[dofs],
+        "joint damping": joint_damping(model)[dofs],
+        "joint friction": model.dof_frictionloss[dofs],
+    }
+
+
+def _lumped(
+    model: mujoco.MjModel, data: mujoco.MjData, carriers: Sequence[int]
+) -> list[pin.Inertia]:
+    """Returns the inertia, in the world's axes, of each body with the static ones fixed to it.
+
+    All that stands in the world is a fixed base's, the first of the carriers, as in Pinocchio.
+    """
+    total = {carrier: pin.Inertia.Zero() for carrier in carriers}
+    fixed = model.body_weldid[carriers[0]] == 0
+    for body in range(1, model.nbody):
+        carrier = body
+        while carrier not in total and carrier != 0:
+            carrier = int(model.body_parentid[carrier])
+        if carrier == 0:
+            if not fixed:
+                continue
+            carrier = carriers[0]
+        axes = data.ximat[body].reshape(3, 3)
+        total[carrier] += pin.Inertia(
+            float(model.body_mass[body]),
+            np.array(data.xipos[body]),
+            axes @ np.diag(model.body_inertia[body]) @ axes.T,
+        )
+    return [total[carrier] for carrier in carriers]
+
+
+def _imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | None:
+    """Returns the addresses of the gyro and the accelerometer at a site, in sensordata."""
+    addresses = []
+    for kind in (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER):
+        found = [
+            int(model.sensor_adr[sensor])
+            for sensor in np.flatnonzero(model.sensor_type == kind.value)
+            if model.site(int(model.sensor_objid[sensor])).name == site
+        ]
+        if not found:
+            return None
+        addresses.append(found[0])
+    return addresses[0], addresses[1]
+
+
+def yourdfpy_evaluation(robot: Robot, states: States) -> Evaluation:
+    """Returns the feet's positions by yourdfpy's forward kinematics of the URDF."""
+    import yourdfpy  # slow to import
+
+    file = io.BytesIO(_with_unit_axes(robot.description.urdf))
+    urdf = yourdfpy.URDF.load(file, build_scene_graph=True, load_meshes=False)
+    order = [robot.joint_names.index(name) for name in urdf.actuated_joint_names]
+    rows = []
+    for qpos in states.qpos:
+        urdf.update_cfg(qpos[robot.nq - robot.nu :][order])
+        base = _base(robot, qpos)
+        origin, rotation = base.translation, base.rotation
+        frames = robot.contact_frames.values()
+        places = [urdf.get_transform(frame, robot.base)[:3, 3] for frame in frames]
+        rows.append({"foot positions": [origin + rotation @ place for place in places]})
+    return collect(robot, {}, rows)
+
+
+def _with_unit_axes(text: str) -> bytes:
+    """Returns a URDF whose axes are of length 1.
+
+    The engines take an axis for a direction; yourdfpy moves a slide by its length times q.
+    """
+    root = parse_text(text)
+    for axis in root.iter("axis"):
+        direction = np.array([float(word) for word in str(axis.get("xyz", "1 0 0")).split()])
+        unit = direction / np.linalg.norm(direction)
+        axis.set("xyz", " ".join(map(repr, unit.tolist())))
+    return to_text(root).encode()
+
+
+def _base(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
+    """Returns where the base's frame is in the world, which takes no kinematics."""
+    model = robot.pin_model
+    frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
+    if not robot.floating:
+        return frame.placement
+    return pin.SE3(rotation_from_quaternion(qpos[3:7]), qpos[:3]) * frame.placement
+
+
+TOLERANCE = 1e-9
+"""Deviation, relative to a quantity's scale, up to which two evaluations agree."""
+
+URDF_PINOCCHIO = "URDF in Pinocchio"
+
+MJCF_PINOCCHIO = "MJCF in Pinocchio"
+
+URDF_MUJOCO = "URDF in MuJoCo"
+
+MJCF_MUJOCO = "MJCF in MuJoCo"
+
+MJCF_AS_IT_IS = "MJCF as it is"
+
+URDF_YOURDFPY = "URDF in yourdfpy"
+
+URDF_READ = "URDF, read by Pinocchio, in MuJoCo"
+"""Takes the place of both evaluations in Pinocchio if the robot is large: see `size`."""
+
+EXTRAS = "extras (MJCF)"
+"""The side of springs, tendons, fluid and others that a URDF has no words for."""
+
+EDGES = {
+    (URDF_PINOCCHIO, MJCF_PINOCCHIO): "models (Pinocchio)",
+    (URDF_MUJOCO, MJCF_MUJOCO): "models (MuJoCo)",
+    (URDF_PINOCCHIO, URDF_MUJOCO): "engines (URDF)",
+    (MJCF_PINOCCHIO, MJCF_MUJOCO): "engines (MJCF)",
+    (URDF_PINOCCHIO, URDF_YOURDFPY): "yourdfpy (URDF)",
+    (URDF_READ, MJCF_MUJOCO): "models (reader)",
+    (URDF_READ, URDF_MUJOCO): "readers (URDF)",
+    (URDF_READ, URDF_YOURDFPY): "yourdfpy (URDF)",
+    (MJCF_MUJOCO, MJCF_AS_IT_IS): EXTRAS,
+}
+"""What a deviation between two evaluations is a deviation of."""
+
+OF_ONE_MODEL = ("engines (URDF)", "engines (MJCF)", "readers (URDF)", "yourdfpy (URDF)")
+"""Deviations of engines, which read one and the same model."""
+
+OF_THE_MJCF = ("engines (MJCF)",)
+"""Those of them in which MuJoCo's model is the MJCF's."""
+
+
+@dataclass(frozen=True, eq=False)
+class QuantityCheck(Result):
+    """How far the evaluations on one quantity deviate.
+
+    Attributes:
+        name: The quantity.
+        unit: Its unit.
+        scale: What the deviation is relative to: the greatest absolute value.
+        deviation: The worst absolute deviation.
+        relative: The worst relative deviation.
+        between: The two evaluations that deviate most.
+        whose: What it is a deviation of: the models, or the engines.
+        where: The body, joint or foot where it occurs, and the configuration's number.
+        edges: {whose: worst relative deviation}.
+        passed: Whether ``relative`` is within the tolerance.
+    """
+
+    name: str
+    unit: str
+    scale: float
+    deviation: float
+    relative: float
+    between: tuple[str, str]
+    whose: str
+    where: str
+    edges: dict[str, float]
+    passed: bool
+
+
+@dataclass(frozen=True, eq=False)
+class CrossCheck(Result):
+    """The comparison of a robot's two models in two engines, and of yourdfpy's kinematics.
+
+    Attributes:
+        passed: Whether all quantities agree.
+        tolerance: Relative.
+        configurations: Number of random configurations.
+        seed: Of the random numbers.
+        quantities: Per quantity.
+        worst: The name of the quantity with the greatest relative deviation.
+        notes: Where values come from that one of the files cannot state.
+    """
+
+    passed: bool
+    tolerance: float
+    configurations: int
+    seed: int
+    quantities: tuple[QuantityCheck, ...]
+    worst: str
+    notes: tuple[Diagnostic, ...]
+
+
+MOST = 100_000
+"""Configurations that are compared: more find nothing, and fill the memory."""
+
+
+def check_states(count: int, seed: int) -> None:
+    """Checks what random states are asked for.
+
+    Raises:
+        ConfigurationError: If there are none or too many, or the seed is not a whole number from 0.
+    """
+    if count < 1:
+        raise ConfigurationError("configurations", diagnose("less-than", value=count, least=1))
+    if count > MOST:
+        raise ConfigurationError("configurations", diagnose("more-than", value=count, most=MOST))
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ConfigurationError("seed", diagnose("no-whole-number", value=repr(seed)))
+
+
+def size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
+    """Yields what is left out of the comparison of a large robot at so many states."""
+    if not is_large(robot):
+        return
+    gigabytes, most = 32e-9 * robot.nv**3, MOST_IN_PINOCCHIO
+    yield diagnose("large-without-pinocchio", count=robot.nv, gigabytes=gigabytes, most=most)
+    states = affordable_states(robot, count)
+    if states < count:
+        yield diagnose("large-at-fewer-states", states=states, count=count)
+
+
+@check_arguments
+@silence_mujoco()
+def cross_check(
+    robot: Robot,
+    *,
+    configurations: int = 20,
+    tolerance: float = TOLERANCE,
+    seed: int = 0,
+    mimics: Mimics | None = None,
+    moved: Mapping[str, Array] | None = None,
+) -> CrossCheck:
+    """Compares the URDF and the MJCF, in Pinocchio and in MuJoCo.
+
+    Configurations are random: joints inside their limits, the base anywhere (if it is free), with
+    velocities and joint torques.
+
+    Args:
+        robot: The robot.
+        configurations: How many.
+        tolerance: Relative deviation that is let pass.
+        seed: For the random numbers, 0 or more.
+        mimics: The joints that follow others in the URDF; those of its text by default. A joint
+            equality of the MJCF that says the same does not act here.
+        moved: {joint: (3,) where its position is taken in the MJCF, from where the file puts it, in
+            its body's axes}: on its own axis, where the URDF puts it.
+
+    Returns:
+        The worst deviation of each quantity, where it occurs, and the verdict.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range.
+    """
+    check_states(configurations, seed)
+    if not tolerance > 0:
+        raise ConfigurationError("tolerance", diagnose("not-positive", value=tolerance))
+    configurations, asked = affordable_states(robot, configurations), configurations
+    states = random_states(robot, configurations, seed)
+    reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
+    found = mjcf_only_effects(reference)
+    if mimics is None:
+        mimics = urdf_mimics(parse_text(robot.description.urdf))
+    coupled, _ = split_mimics(found, reference, mimics, tolerance)
+    evaluations, left_out, robot = _evaluations(
+        robot,
+        states,
+        without_effects(robot.mj_model, found),
+        without_effects(robot.mj_model, coupled),
+        moved or {},
+    )
+    first = URDF_READ if is_large(robot) else URDF_PINOCCHIO
+    checks = tuple(
+        _compare(name, evaluations, evaluations[first], labels_of(robot, name), tolerance)
+        for name in evaluations[first]
+    )
+    return CrossCheck(
+        passed=all(check.passed for check in checks),
+        tolerance=tolerance,
+        configurations=configurations,
+        seed=seed,
+        quantities=checks,
+        worst=max(checks, key=lambda check: check.relative).name,
+        notes=(
+            *left_out,
+            *size_notes(robot, asked),
+            diagnose("armature-is-the-mjcfs"),
+            diagnose("gravity-is-the-mjcfs"),
+            diagnose("forces-in-forward-dynamics"),
+        ),
+    )
+
+
+def _evaluations(
+    robot: Robot,
+    states: States,
+    square: mujoco.MjModel,
+    whole: mujoco.MjModel,
+    moved: Mapping[str, Array],
+) -> tuple[dict[str, Evaluation], list[Diagnostic], Robot]:
+    """Evaluates both models in all backends.
+
+    Args:
+        robot: The robot.
+        states: Where.
+        square: MuJoCo's model of the MJCF, without what a URDF cannot state.
+        whole: The same as it is, but for couplings that the URDF has, too.
+        moved: Where joints of the MJCF are taken to be, from where it puts them.
+
+    Returns:
+        {backend: its evaluation}, what was left out and why, and the robot with the frames that
+        both files have in the place of its feet.
+    """
+    description = robot.description
+    left_out = []
+    in_mujoco: mujoco.MjModel | None = None
+    try:
+        in_mujoco = mujoco_from_urdf(
+            description.urdf, description.urdf_source, robot.mj_model, robot.mj_base, robot.imu
+        )
+    except ModelError as error:
+        message = error.diagnostic.values["problem"]
+        left_out.append(diagnose("urdf-not-in-mujoco", problem=message))
+    pairs = {**description.contact_points, **description.frames}  # of both files
+    urdf_frames = {name: pair[0] for name, pair in pairs.items()}
+    mjcf_frames = {name: pair[1] for name, pair in pairs.items()}
+    robot = replace(robot, contact_points=tuple(pairs), contact_frames=urdf_frames)
+    base = robot.mj_base
+    if is_large(robot):
+        evaluations = {URDF_READ: _rebuilt_evaluation(robot, states)}
+    else:
+        in_pinocchio = pinocchio_from_mujoco(robot.mj_model)
+        mjcf_robot = replace(
+            robot,
+            pin_model=in_pinocchio,
+            pin_convention=PinocchioConvention.of(in_pinocchio, robot.joint_names),
+            base=base,
+            contact_frames=mjcf_frames,
+        )
+        evaluations = {
+            URDF_PINOCCHIO: pinocchio_evaluation(robot, states, {}),
+            MJCF_PINOCCHIO: pinocchio_evaluation(mjcf_robot, states, moved),
+        }
+    evaluations |= {
+        MJCF_MUJOCO: mujoco_evaluation(robot, square, base, mjcf_frames, states, moved),
+        MJCF_AS_IT_IS: mujoco_evaluation(robot, whole, base, mjcf_frames, states, moved),
+    }
+    if in_mujoco is not None:
+        in_mujoco = as_it_is(in_mujoco)
+        # MuJoCo's importer makes equalities of mimic joints, which Pinocchio leaves independent.
+        in_mujoco.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
+        evaluations[URDF_MUJOCO] = mujoco_evaluation(
+            robot, in_mujoco, robot.base, urdf_frames, states, {}
+        )
+    if pairs:
+        evaluations[URDF_YOURDFPY] = yourdfpy_evaluation(robot, states)
+    return evaluations, left_out, robot
+
+
+def _rebuilt_evaluation(robot: Robot, states: States) -> Evaluation:
+    """Evaluates the URDF as Pinocchio reads it, in a MuJoCo model made of its numbers."""
+    values = from_pinocchio(robot.pin_model, robot.base, robot.joint_names, robot.contact_frames)
+    model = MujocoTree(values).model
+    frames = {name: name for name in values.frames}
+    return mujoco_evaluation(robot, model, values.base, frames, states, {})
+
+
+def _compare(
+    name: str,
+    evaluations: Mapping[str, Evaluation],
+    first: Evaluation,
+    labels: Sequence[str],
+    tolerance: float,
+) -> QuantityCheck:
+    """Compares one quantity along every edge; the first evaluation gives the scale."""
+    edges: dict[str, float] = {}
+    least = _least_scale(name, first)
+    worst: tuple[float, float, float, tuple[str, str], str] | None = None
+    for pair, whose in EDGES.items():
+        if any(name not in evaluations.get(evaluation, {}) for evaluation in pair):
+            continue
+        one, two = (evaluations[evaluation][name] for evaluation in pair)
+        relative, deviation, scale, place = _deviation(one, two, least, per_row=name in PER_ROW)
+        edges[whose] = relative
+        if worst is None or relative > worst[0]:
+            where = labels[place[-2]] + (f", #{place[0]}" if len(place) == 3 else "")
+            worst = relative, deviation, scale, pair, where
+    assert worst is not None
+    relative, deviation, scale, between, where = worst
+    return QuantityCheck(
+        name=name,
+        unit=QUANTITIES[name][1],
+        scale=scale,
+        deviation=deviation,
+        relative=relative,
+        between=between,
+        whose=EDGES[between],
+        where=where,
+        edges=edges,
+        passed=bool(relative <= tolerance),
+    )
+
+
+def _least_scale(name: str, evaluation: Evaluation) -> float:
+    """Returns below what a quantity is rounding alone: a ratio of that is no deviation."""
+    if name in ("gravity", "bias forces"):  # a millionth of what the robot weighs
+        return 1e-6 * EARTH * float(np.abs(evaluation["mass matrix"]).max())
+    return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)
+
+
+def _deviation(
+    one: Array, two: Array, least: float, *, per_row: bool
+) -> tuple[float, float, float, tuple[int, ...]]:
+    """Returns the worst relative and absolute deviation, the scale, and the place."""
+    with np.errstate(invalid="ignore"):
+        difference = np.abs(one - two)
+    difference[one == two] = 0.0  # infinite limits, too
+    difference[~np.isfinite(difference)] = np.inf
+    greatest = np.maximum(np.abs(one), np.abs(two))
+    greatest[~np.isfinite(greatest)] = 0.0
+    scale = greatest.max(axis=-1, keepdims=True) if per_row else greatest.max()
+    scale = np.maximum(scale + np.zeros_like(difference), least)
+    with np.errstate(over="ignore", invalid="ignore"):
+        relative = difference / scale
+    place = tuple(map(int, np.unravel_index(int(np.argmax(relative)), relative.shape)))
+    return float(relative[place]), float(difference[place]), float(scale[place]), place

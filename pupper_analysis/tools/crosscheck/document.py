@@ -25,8 +25,7 @@ from pupper_analysis.present.documents.sources import page_of, quote_line
 from pupper_analysis.present.formats import Annotation, CheckedItem
 from pupper_analysis.robot.compare.differences import MANIFOLD, Difference, about_kind
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.crosscheck.crosscheck import Comparison
-from pupper_analysis.tools.crosscheck.engines import (
+from pupper_analysis.tools.crosscheck.crosscheck import (
     EDGES,
     EXTRAS,
     MJCF_MUJOCO,
@@ -35,6 +34,7 @@ from pupper_analysis.tools.crosscheck.engines import (
     URDF_PINOCCHIO,
     URDF_READ,
     URDF_YOURDFPY,
+    Comparison,
 )
 
 

@@ -23,7 +23,7 @@ from pupper_analysis.robot.compare.behaviour import (
 )
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.structure import Structure
-from pupper_analysis.tools.crosscheck.engines import URDF_MUJOCO, URDF_READ, size_notes
+from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO, URDF_READ, size_notes
 from tests.support.cases import some
 from tests.support.repository import benchmark
 from tests.support.variants import load

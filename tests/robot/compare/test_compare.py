@@ -12,7 +12,7 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.robot.compare.differences import Difference
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.tools.crosscheck import engines as crosscheck
+from pupper_analysis.tools.crosscheck import crosscheck
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
 from tests.support.robots import (
     FEET,

@@ -25,8 +25,7 @@ from pupper_analysis.robot.compare.mjcf_only import (
 )
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Reference
-from pupper_analysis.tools.crosscheck.crosscheck import Comparison
-from pupper_analysis.tools.crosscheck.engines import EXTRAS, cross_check
+from pupper_analysis.tools.crosscheck.crosscheck import EXTRAS, Comparison, cross_check
 from tests.support.robots import (
     Files,
     all_changed,

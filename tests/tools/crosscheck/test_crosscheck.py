@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.crosscheck.engines import EDGES, cross_check
+from pupper_analysis.tools.crosscheck.crosscheck import EDGES, cross_check
 from tests.support.robots import Frame, arm, compared, mjcf_text, numbers, urdf_text, write
 
 
