@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 LOWEST := .venv-lowest
 # Quick ones, which between them use every package that is required.
 LOWEST_TESTS := $(addprefix tests/,$(addsuffix .py,base/test_results cli/test_shared \
-  models/test_loading present/test_figures present/test_printed robot/compare/test_engines robot/test_robot \
+  models/test_loading present/test_figures present/test_printed tools/crosscheck/test_crosscheck robot/test_robot \
   simulation/test_verify statics/test_equilibrium tools/audit/test_document tools/study/test_document \
   tools/study/test_outcome tools/study/test_running tools/study/test_study))
 # Inputs of the fuzzer, and more options of tests/fuzz.py.
