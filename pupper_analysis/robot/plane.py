@@ -139,25 +139,27 @@ class Contact:
 
     def __str__(self) -> str:
         """Returns it as it is typed: ``wall:0.4m,mu=0.6``."""
-        return self._typed(repr)
+        return self._typed(lambda length: f"{length!r}m", repr)
 
     def __format__(self, spec: str) -> str:
-        """Returns the same with numbers in a format, such as ``.4g``; exactly with none."""
-        return self._typed(lambda number: format(number, spec)) if spec else str(self)
+        """Returns the same in mm, with numbers in a format, such as ``.4g``; exactly with none."""
+        if not spec:
+            return str(self)
+        return self._typed(lambda m: f"{1e3 * m:{spec}}mm", lambda number: format(number, spec))
 
-    def _typed(self, number: Callable[[float], str]) -> str:
+    def _typed(self, length: Callable[[float], str], number: Callable[[float], str]) -> str:
         plane, (kind, _) = self.plane, self.plane.kind
-        parts = [f"{kind}:{number(plane.number)}m"]
+        parts = [f"{kind}:{length(plane.number)}"]
         if not kind:
-            parts = ["plane:" + ",".join(map(number, (*plane.point, *plane.normal)))]
+            parts = [f"plane:{','.join([*map(length, plane.point), *map(number, plane.normal)])}"]
         if self.plane.friction is not None:
             parts.append(f"mu={number(self.plane.friction)}")
         if self.place is not None:
-            parts.append("place=" + "/".join(map(number, self.place)))
+            parts.append("place=" + "/".join(map(length, self.place)))
         if any(self.offset):
-            parts.append("offset=" + "/".join(map(number, self.offset)))
+            parts.append("offset=" + "/".join(map(length, self.offset)))
         if self.radius is not None:
-            parts.append(f"radius={number(self.radius)}")
+            parts.append(f"radius={length(self.radius)}")
         return ",".join(parts)
 
 

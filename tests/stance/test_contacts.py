@@ -331,8 +331,8 @@ def test_a_task_comes_back_from_json_and_from_what_is_typed() -> None:
     for contact in contacts.values():
         assert parse_contact("contact", str(contact), "") == contact
     assert str(contacts["FL"]).startswith("wall:0.4m,mu=0.6")
-    assert "FL on wall:0.4m" in str(task)
-    assert "FL 接触 wall:0.4m" in task.said("zh")
+    assert "FL on wall:400mm" in str(task)
+    assert "FL 接触 wall:400mm" in task.said("zh")
 
 
 def test_a_study_varies_where_a_plane_is() -> None:
