@@ -149,6 +149,10 @@ class ConfigurationError(PupperAnalysisError):
         super().__init__(diagnose("argument-not-valid", field=field, problem=problem))
 
 
+_SEEN = 1e-3
+"""Of the farthest foot's miss: less is how closely the search ends, and is in no message."""
+
+
 class StanceUnreachableError(PupperAnalysisError):
     """No configuration inside the joint limits, and clear of obstacles, satisfies a stand task.
 
@@ -191,9 +195,11 @@ class StanceUnreachableError(PupperAnalysisError):
             foot = name if name and number.isdigit() else point
             if gap > 0:
                 missing[foot] = max(gap, missing.get(foot, 0.0))
+        least = _SEEN * max(missing.values(), default=0.0)
         missed = [
             diagnose("foot-misses-target", subject=("foot", foot), gap=Quantity(gap, "m"))
             for foot, gap in missing.items()
+            if gap >= least
         ]
         joints = [
             diagnose("joint-at-limit", subject=("joint", name), limit=Quantity(limit, "rad"))

@@ -192,6 +192,7 @@ def doubtful_number(
     """Returns kind and value of what is so much more than is possible that its unit is in doubt."""
     asked, found = Numbers(robot, task, demands), Numbers(robot, possible, demands)
     more = np.abs(asked.values - asked.nominal) > _DOUBTFUL * np.abs(found.values - found.nominal)
+    more &= [FIELDS[key.field].kind != "contact" for key in asked.keys]  # a hand is there at home
     if not more.any():
         return None
     most = int(more.argmax())
@@ -287,7 +288,9 @@ def _describe_demand(task: StandTask, demand: str, asked: StandTask) -> Diagnost
     (field,) = _FIELDS[demand]
     if field.kind == "contact":
         given = {of: one for of, one in task.contacts.items() if one != asked.contacts[of]}
-        feet = [diagnose("demanded-contact", link=of, value=str(one)) for of, one in given.items()]
+        feet = [
+            diagnose("demanded-contact", link=of, value=f"{one:.7g}") for of, one in given.items()
+        ]
         return diagnose("demanded-of-feet", field=name, feet=feet)
     if field.per:
         return diagnose("demanded-of-feet", field=name, feet=list(_of_feet(task, field)))

@@ -427,8 +427,9 @@ def test_which_contact_would_have_to_give_and_how_far(armed: pa.Robot, asked: pa
     limit = caught.value.limits["contacts"]["contacts"]
     assert limit["RL_calf"] == foot  # it need not give, and is not named
     said = str(caught.value).partition("Possible")[2]
-    assert f"contacts {HAND}={limit[HAND]}." in said
-    typed = parse_contact("contact", str(limit[HAND]), "")
+    shown = said.partition(f"contacts {HAND}=")[2].removesuffix(".")
+    assert shown == f"{limit[HAND]:.7g}"
+    typed = parse_contact("contact", shown, "")
     assert typed.plane.normal == asked.normal
     assert pa.solve_stand(armed, pa.StandTask(contacts={HAND: typed, "RL_calf": foot})).solved
     beyond = typed.at(typed.plane.number + math.copysign(5e-4, asked.number - typed.plane.number))
