@@ -50,13 +50,6 @@ def test_straight_measurements_and_a_prior_give_the_normal_equations_answer() ->
     assert found.shares == pytest.approx(np.diag(covariance) / given.width**2)
 
 
-def test_without_measurements_all_stays_as_it_was_said() -> None:
-    given = table("kp", "mass")
-    found = estimate_parameters(given, lambda _, __: Linearised.nothing(2))
-    assert found.mean == pytest.approx(given.stated)
-    assert found.shares == pytest.approx([1, 1])
-
-
 def test_what_means_nothing_below_zero_ends_there_and_the_others_are_best_then() -> None:
     """Friction would be -3; an offset that goes with it is the best one for friction of zero."""
     given = table("friction", "offset")

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.tools.fit.parameters import (
-    ParameterTable,
     Prior,
     give_widths,
     parse_prior,
@@ -55,12 +53,3 @@ def test_the_last_prior_that_means_a_parameter_counts_and_one_that_means_none_is
     ]
     with pytest.raises(ConfigurationError, match="tail"):
         give_widths(stated, [parse_prior("mass:tail=1g")])
-
-
-def test_gains_of_servos_are_known_in_common() -> None:
-    """Of n gains, half of whose variance is common, the mean is known to sqrt((1 + 1 / n) / 2)."""
-    kinds = [("kp", f"j{number}", "", 5.0) for number in range(12)]
-    table = ParameterTable(give_widths(kinds))
-    mean = np.full(12, 1 / 12)
-    variance = mean @ np.linalg.inv(table.precision) @ mean  # in widths
-    assert variance == pytest.approx((1 + 1 / 12) / 2)

@@ -30,17 +30,6 @@ def fitted(
     return estimate_parameters(table, linearise)
 
 
-def test_a_prior_and_a_measurement_are_weighed_by_their_variances() -> None:
-    """Prior 2 +- 1, measured 3 +- 0.5: (2 / 1 + 3 / 0.25) / (1 + 4) = 2.8 +- 1 / sqrt(5)."""
-    found = fitted((MASS,), np.array([[1.0]]), np.array([3.0]), 0.5)
-    assert found.mean[0] == pytest.approx(2.8)
-    assert found.std[0] == pytest.approx(1 / math.sqrt(5))
-    assert found.shares[0] == pytest.approx(0.2)
-    assert found.freedom == pytest.approx(1 - 0.8)  # of one row, 0.8 told the parameter
-    assert (found.chi2, found.moved[0]) == pytest.approx((0.4**2, 0.8))
-    assert determined_by(0.2) is Determined.PARTLY
-
-
 def test_a_ratio_is_known_where_neither_of_the_two_is() -> None:
     """In the priors' widths z, the row 2 m - kp is 2 (z_m - z_k).
 
@@ -57,22 +46,12 @@ def test_a_ratio_is_known_where_neither_of_the_two_is() -> None:
     assert (ratio.mean, ratio.stated) == pytest.approx((1.0, 1.0))
     assert ratio.std == pytest.approx(math.sqrt(left / 2))
     assert ratio.determined is Determined.DATA
+    assert [determined_by(share) for share in (0.09, 0.11, 0.89, 0.91)] == [
+        *(Determined.DATA, Determined.PARTLY),
+        *(Determined.PARTLY, Determined.PRIOR),
+    ]
     assert alone.std == pytest.approx(0.5 * math.sqrt((1 + left) / 2))
     # Of a servo that is half as stiff on a robot of the same mass.
     soft = fitted((MASS, KP), np.eye(2), np.array([2.0, 2.0]), 1e-6)
     assert kp_over_mass(soft).mean == pytest.approx(0.5, rel=1e-3)
     assert kp_over_mass(fitted((MASS,), np.eye(1), np.array([2.0]), 1.0)) is None
-
-
-def test_what_means_nothing_below_zero_stays_there() -> None:
-    """Measured -3 +- 0.5: 2 / 1 - 12 < 0, so the mass is 0, and not -2."""
-    found = fitted((MASS,), np.array([[1.0]]), np.array([-3.0]), 0.5)
-    assert found.mean[0] == 0.0
-
-
-def test_stiffnesses_are_half_common() -> None:
-    """One of two is measured exactly: the other follows by half, with 1 - 1/4 of its variance."""
-    other = Parameter("kp", "hip", "", 4.0, 2.0)
-    found = fitted((KP, other), np.array([[1.0, 0.0]]), np.array([5.0]), 1e-6)
-    np.testing.assert_allclose(found.mean, [5.0, 4.5], rtol=1e-6)
-    assert found.shares[1] == pytest.approx(0.75, rel=1e-6)

@@ -36,6 +36,7 @@ from pupper_analysis.tools.fit.stands.fit import (
     StandFit,
     fit_stands,
     parameters_of,
+    suspect_scale,
     suspect_surroundings,
     whole_com,
 )
@@ -709,6 +710,15 @@ def test_legs_that_are_all_a_little_longer_are_longer() -> None:
     assert said.code == "known-mass-contradicts-the-scale"
     assert said.values["load"] == pytest.approx(40)
     assert not list(suspect_surroundings(measured((load,), np.array([0.4]), 0.5)))
+
+
+def test_a_load_that_no_known_mass_tells_of_is_asked_about_with_the_scale(robot: Robot) -> None:
+    """It takes a part of a wrong weight: of kp and masses alone less is left to surprise."""
+    load, mass = Parameter("load", "scale", "", 0.0, 0.08), Parameter("added", "a", "", 1.0, 0.005)
+    (said,) = suspect_scale(robot, measured((load,), np.array([-0.4]), 0.5))
+    assert said.code == "scale-far-from-the-file"
+    assert not list(suspect_scale(robot, measured((load,), np.array([-0.2]), 0.5)))
+    assert not list(suspect_scale(robot, measured((load, mass), np.array([-0.4, 1.0]), 0.5)))
 
 
 def test_false_alarms_are_as_rare_as_is_said() -> None:
