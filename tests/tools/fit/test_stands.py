@@ -718,6 +718,7 @@ def test_a_load_that_no_known_mass_tells_of_is_asked_about_with_the_scale(robot:
     (said,) = suspect_scale(robot, measured((load,), np.array([-0.4]), 0.5))
     assert said.code == "scale-far-from-the-file"
     assert not list(suspect_scale(robot, measured((load,), np.array([-0.2]), 0.5)))
+    assert not list(suspect_scale(robot, measured((load,), np.array([-0.4]), 0.5), level=False))
     assert not list(suspect_scale(robot, measured((load, mass), np.array([-0.4, 1.0]), 0.5)))
 
 

@@ -144,7 +144,7 @@ def whole_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
 
 
 def suspect_scale(
-    robot: Robot, posterior: Posterior, weight: float | None = None
+    robot: Robot, posterior: Posterior, weight: float | None = None, *, level: bool = True
 ) -> Iterator[Diagnostic]:
     """Yields that all kp, and the whole mass, are further from the file than files are.
 
@@ -157,13 +157,15 @@ def suspect_scale(
         robot: The robot.
         posterior: What is known of the parameters.
         weight: Of the whole robot by a scale (kg), if it was weighed.
+        level: Whether the ground is as it was said to be: on a slope the load is no sign.
     """
     from scipy import stats  # slow to import
 
     parameters = posterior.parameters
     kp = np.array([float(one.kind == "kp") for one in parameters])
     loaded = any(one.kind == "added" for one in parameters)  # then the load has its own test
-    load = np.array([float(one.kind == "load" and not loaded) for one in parameters])
+    asked = level and not loaded
+    load = np.array([float(one.kind == "load" and asked) for one in parameters])
     mass = np.array(
         [
             # The width is that of the stated mass again: ``moved`` is of logarithms.
@@ -557,6 +559,8 @@ class _Problem:
         known = _estimate(robot, stands, equations, weighed, known.mean)
         equations.table = ParameterTable(known.parameters)
         x, weight = known.mean, self.weight
+        doubts = tuple(suspect_stands(known, equations.noise, self.noise))
+        level = all(one.code != "ground-slopes" for one in doubts)
         return StandFit(
             name=robot.name,
             source=stands.source,
@@ -570,10 +574,7 @@ class _Problem:
             residuals=dict(zip(stands.names, equations.residuals(x), strict=True)),
             joint_residuals=_joint_residuals(stands, equations, x),
             noise=dict(vars(equations.noise)),
-            failures=(
-                *suspect_scale(robot, known, weight),
-                *suspect_stands(known, equations.noise, self.noise),
-            ),
+            failures=(*suspect_scale(robot, known, weight, level=level), *doubts),
             diagnostics=(*notes, *_findings(known, self.stuck)),
             posterior=known,
         )
