@@ -17,7 +17,7 @@ from tests.base.diagnostics.test_diagnostic import HAN, MEANINGS
 from tests.support.names import public, public_modules
 
 OWN_PAGES = {
-    *("Analysis", "Stance", "Hold", "PushedStance", "PathThere", "Comparison", "Audit"),
+    *("Analysis", "Stance", "Hold", "PushedStance", "PathThere", "FilesCompared", "Audit"),
     "StudyOutcome",
 }
 """Results that have pages of their own: their fields are not listed with what they mean."""
