@@ -210,11 +210,14 @@ def _api(module: ModuleType, names: Sequence[str]) -> str:
 
 def _directive(module: str, name: str, value: object) -> list[str]:
     full = f"{module}.{name}"
+    # What is the package's own, too, is referred to there: of two places none is the one meant.
+    twice = module != pa.__name__ and getattr(pa, name, None) is value
+    index = ["   :no-index:"] if twice else []
     if isinstance(value, type):
-        return [f".. autoclass:: {full}", "   :members:", ""]
+        return [f".. autoclass:: {full}", "   :members:", *index, ""]
     if callable(value):
-        return [f".. autofunction:: {full}", ""]
-    return [f".. autodata:: {full}", "   :no-value:", ""]
+        return [f".. autofunction:: {full}", *index, ""]
+    return [f".. autodata:: {full}", "   :no-value:", *index, ""]
 
 
 def plain_text(*event: Any) -> None:
