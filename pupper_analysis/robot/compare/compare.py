@@ -517,24 +517,7 @@ def compare_files(
 ) -> Compared:
     """Compares a URDF with an MJCF of the same robot, and explains how they differ.
 
-    A file of another format (`base.tools.formats`) may stand in the place of either.
-
-    Args:
-        urdf: Path of the URDF, or what stands for it.
-        mjcf: Path of the MJCF, or what stands for it.
-        names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
-        packages: {ROS package: its folder}, for ``package://`` paths.
-        feet: Frames, by their names in the MJCF, that count as feet; by default all frames that
-            both files have are compared.
-        tolerances: What counts as a difference; by default for files of 5 to 6 digits.
-        strict_names: Joints that are matched by structure, not by their name or by ``names``, are
-            a difference; otherwise `guessed` alone tells of them. So are damping and dry friction
-            that the URDF does not state; otherwise a note tells of them.
-        any_coordinates: Joints' zeros, moved with their limits, and a free base's frame may be
-            elsewhere: notes tell of them. By default they are differences, because qpos means
-            another pose.
-        same_mount: A fixed base that is tilted against the URDF's is an objection; otherwise
-            `mount` alone tells of it.
+    The arguments are those of ``compare_models``, which cross-checks both engines, too.
 
     Raises:
         ModelError: If a file cannot be read, or the two cannot be matched.
