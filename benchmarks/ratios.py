@@ -2,14 +2,22 @@
 
 What ours and the bare engine take of the processor, by turns, on a machine that may do other things
 meanwhile. What is recorded is the least of three medians. What is too much is looked at again after
-a while: a guest on the same core slows Python by a third and an engine by a fifth, for minutes.
+a while. If it still is, the state of the record is measured, too, by turns with this one: other
+guests slow Python more than an engine (of one and the same code J, com, M, g took 1.67 times the
+engine's time at one hour and 2.1 at the next), and both states alike.
 """
 
 from __future__ import annotations
 
 import csv
+import json
+import os
 import re
 import statistics
+import subprocess
+import sys
+import tarfile
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -24,7 +32,7 @@ FILE = "benchmarks-ratios.csv"
 
 TRIES = 3
 
-ROUNDS, PAUSE = 10, 10.0
+ROUNDS, PAUSE = 3, 10.0
 """How often what is too much is measured, at most, and s of rest before each but the first."""
 
 CALLS, SECONDS = 3, 0.7
@@ -36,7 +44,8 @@ class Compared(NamedTuple):
 
     Attributes:
         job: The job's name.
-        recorded: Its ratio in ``docs/data``.
+        recorded: Its ratio in ``docs/data``; if that was too little, of the state that wrote that,
+            measured here, if that is more.
         now: As measured here, the best of all tries.
         most: What it may be.
     """
@@ -112,10 +121,65 @@ def best(jobs: Sequence[Job], measure: Callable[[Job], float]) -> dict[str, floa
     return {job.name: min(measure(job) for _ in range(TRIES)) for job in jobs}
 
 
+_MEASURE = """
+import json, sys
+sys.path[:0] = [sys.argv[1], sys.argv[1] + "/benchmarks"]
+import bare, ratios
+jobs = [job for job in bare.jobs(sys.argv[2]) if job.name in sys.argv[3:]]
+print(json.dumps({job.name: ratios.measure_ratio(job) for job in jobs}))
+"""
+
+
+def measure_state(root: Path, variant: str, names: Sequence[str]) -> dict[str, float]:
+    """Returns {job: ratio} of a checkout, in a process of its own."""
+    command = [sys.executable, "-c", _MEASURE, str(root), variant, *names]
+    free = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(command, cwd=root, env=free, check=True, capture_output=True, text=True)
+    found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def measure_both(
+    root: Path, record: Path, variant: str, names: Sequence[str]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Measures this state and the one that wrote a record, by turns: the least ratios of both.
+
+    Args:
+        root: The checkout.
+        record: The record's file.
+        variant: The robot.
+        names: Of jobs.
+
+    Returns:
+        {job: ratio} of this state and of that; empty without the repository's history.
+    """
+    now, then = dict[str, float](), dict[str, float]()
+
+    def ask(*words: str) -> str:
+        command = ["git", "-C", str(root), *words]
+        return subprocess.run(command, check=False, capture_output=True, text=True).stdout.strip()
+
+    commit = ask("log", "-1", "--format=%H", "--", str(record))
+    if not commit or ask("rev-parse", "--is-shallow-repository") == "true":
+        return now, then
+    with tempfile.TemporaryDirectory() as folder:
+        packed = Path(folder) / "state.tar"
+        make = ["git", "-C", str(root), "archive", "-o", str(packed), commit]
+        subprocess.run(make, check=True)
+        with tarfile.open(packed) as archive:
+            archive.extractall(Path(folder) / "state", filter="data")
+        for _ in range(TRIES):
+            for state, found in ((root, now), (Path(folder) / "state", then)):
+                for name, ratio in measure_state(state, variant, names).items():
+                    found[name] = min(ratio, found.get(name, ratio))
+    return now, then
+
+
 def compare(
     jobs: Sequence[Job],
     recorded: Mapping[str, float],
     measure: Callable[[Job], float],
+    both: Callable[[Sequence[str]], tuple[Mapping[str, float], Mapping[str, float]]],
     rest: Callable[[float], object] = time.sleep,
 ) -> list[Compared]:
     """Compares the jobs' ratios with the recorded ones.
@@ -124,16 +188,25 @@ def compare(
         jobs: Those with a bare engine.
         recorded: {job: ratio}; what has none is not measured.
         measure: Measures a job's ratio once.
+        both: See ``measure_both``, of jobs that take too much.
         rest: Waits for some seconds.
     """
-    now = {job: float("inf") for job in jobs if job.name in recorded}
+    now = {job.name: float("inf") for job in jobs if job.name in recorded}
+    known = {job.name: job for job in jobs}
+
+    def too_much(most: Mapping[str, float]) -> list[str]:
+        return [name for name, ratio in now.items() if ratio > SLOWER * most[name]]
+
     for number in range(ROUNDS):
-        left = [job for job in now if now[job] > SLOWER * recorded[job.name]]
-        if number and left:
+        if number and too_much(recorded):
             rest(PAUSE)
-        for job in left:
-            now[job] = min(now[job], measure(job))
+        for name in too_much(recorded):
+            now[name] = min(now[name], measure(known[name]))
+    before = dict(recorded)
+    if left := too_much(recorded):
+        here, then = both(left)
+        for name in here.keys() & then.keys():
+            now[name], before[name] = here[name], max(then[name], recorded[name])
     return [
-        Compared(job.name, was := recorded[job.name], least, SLOWER * was)
-        for job, least in now.items()
+        Compared(name, before[name], least, SLOWER * before[name]) for name, least in now.items()
     ]
