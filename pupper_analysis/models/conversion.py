@@ -9,7 +9,6 @@ changed in place.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,14 +28,11 @@ from pupper_analysis.base.arrays import (
 )
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models import mjcf
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.efforts import effort_limit
-from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint
+from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
-from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
-from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
 
 Array = NDArray[np.float64]
@@ -153,9 +149,6 @@ def _take_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[Tre
     for one in JOINT_ATTRIBUTES:
         if one.mujoco:
             getattr(model, one.mujoco)[dofs] = [getattr(joint, one.field) for joint in joints]
-
-
-_ROOT = "__root__"
 
 
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
@@ -281,10 +274,6 @@ def _add_frame(result: pin.Model, name: str, joint: int, placement: pin.SE3) -> 
         result.addFrame(pin.Frame(name, joint, 0, placement, pin.FrameType.BODY), False)
 
 
-def _free_joint(model: mujoco.MjModel) -> int:
-    return free_joints(model)[0]
-
-
 @dataclass(frozen=True)
 class UrdfImport:
     """A URDF for MuJoCo's own importer, each link with the mass that it states.
@@ -315,51 +304,3 @@ class UrdfImport:
         except (ValueError, RuntimeError) as error:
             message = " ".join(str(error).split())
             raise ModelError(self.path, diagnose("urdf-not-imported", message=message)) from error
-
-
-def mujoco_from_urdf(
-    text: str,
-    source: Path,
-    like: mujoco.MjModel,
-    base: str,
-    imu: str | None,
-) -> mujoco.MjModel:
-    """Imports a URDF into MuJoCo, with the base's mass and the inertias of fixed children kept.
-
-    Shapes are left out. Gravity is taken from ``like``, and so is the armature of the joints, which
-    URDF cannot state; a gyro and an accelerometer are put on the link ``imu``.
-
-    Args:
-        text: The URDF.
-        source: Where it came from, for messages.
-        like: MuJoCo's model of the MJCF of the same robot.
-        base: The base's body in ``like``: if it is fixed there, it is fixed in the same pose.
-        imu: The link with the IMU, if any.
-
-    Raises:
-        ModelError: If MuJoCo refuses it.
-    """
-    tree = UrdfTree.of(text)
-    tree.remove_shapes()
-    root_link = tree.base.name
-    spec = UrdfImport(source, to_text(tree.root)).spec()
-    spec.option.gravity = acting_gravity(like)
-    if has_free_joint(like):
-        spec.body(root_link).add_freejoint(name=_ROOT)
-    else:
-        data = mujoco.MjData(like)
-        mujoco.mj_kinematics(like, data)
-        spec.body(root_link).pos = data.body(base).xpos
-        spec.body(root_link).quat = data.body(base).xquat
-    if imu is not None:
-        SpecTree(spec).add_imu(imu, imu)
-    model = copy.copy(mjcf.compile_spec(spec, source))
-    armature = joint_armature(like)
-    for index in range(model.njnt):
-        name = model.joint(index).name
-        twin = _free_joint(like) if name == _ROOT else like.joint(name).id
-        start, first = int(model.jnt_dofadr[index]), int(like.jnt_dofadr[twin])
-        count = 6 if name == _ROOT else 1
-        model.dof_armature[start : start + count] = armature[first : first + count]
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model

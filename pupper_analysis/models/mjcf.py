@@ -1,12 +1,11 @@
 """Reads MJCFs as ``mujoco.MjSpec``, and writes specs without loss, as XML or as plain data.
 
 With what an MJCF may need on the way: a plane to stand on, names of the kinds of joints, and what
-is made up for where MuJoCo of today, or without its scene, would refuse it.
+is made up for where MuJoCo, without its scene, would refuse it.
 """
 
 from __future__ import annotations
 
-import math
 import re
 import warnings
 from collections.abc import Iterator
@@ -15,7 +14,6 @@ from enum import IntEnum
 from pathlib import Path
 from threading import Lock
 from typing import Any, Final
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -64,48 +62,7 @@ def has_free_joint(model: mujoco.MjModel | mujoco.MjSpec) -> bool:
     return bool((model.jnt_type == FREE).any())
 
 
-_RETIRED: Final = (
-    ("flag", "sensornoise"),  # noise on sensors' readings
-    ("option", "apirate"),  # of remote calls
-    ("option", "mpr_iterations"),  # of the search for contacts of meshes
-    ("option", "mpr_tolerance"),
-    ("compiler", "convexhull"),  # hulls are made where they are needed
-)
-"""Attributes that MuJoCo once had, and refuses now: nothing that moves depends on them."""
-
 _GROUND = re.compile("floor|ground|plane|terrain", re.IGNORECASE)
-
-
-def is_retired(message: str) -> bool:
-    """Tells whether MuJoCo's message is about one of the attributes that it once had."""
-    return any(
-        f"unrecognized attribute: '{attribute}'" in message and f"Element '{tag}'" in message
-        for tag, attribute in _RETIRED
-    )
-
-
-def without_retired(text: bytes) -> tuple[bytes, list[Diagnostic]]:
-    """Blanks the attributes that MuJoCo once had, in an MJCF's text or a part's.
-
-    Lines stay where they are.
-
-    Returns:
-        The text, and what was passed over.
-    """
-    found = []
-    for tag, attribute in _RETIRED:
-        pattern = re.compile(
-            rb"(<%s\b[^<>]*?\s)(%s\s*=\s*(?:\"[^\"]*\"|'[^']*'))"
-            % (tag.encode(), attribute.encode())
-        )
-        changed = pattern.sub(lambda part: part[1] + re.sub(rb"[^\n]", b" ", part[2]), text)
-        if changed != text:
-            version = mujoco.__version__
-            found.append(
-                diagnose("attribute-retired", tag=tag, attribute=attribute, version=version)
-            )
-        text = changed
-    return text, found
 
 
 def put_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
@@ -160,35 +117,22 @@ TIMESTEPS = 1e-5, 0.1
 10 ms, and in one step of the second a base falls 5 cm."""
 
 
-def spec_of(path: Path, *, lenient: bool = False) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]:
-    """Parses an MJCF, whatever its name ends with: MuJoCo reads files ``*.xml`` alone.
-
-    Args:
-        path: The file.
-        lenient: Pass over what MuJoCo once knew.
-
-    Returns:
-        What MuJoCo read, and what was passed over.
-    """
+def spec_of(path: Path) -> mujoco.MjSpec:
+    """Parses an MJCF, whatever its name ends with: MuJoCo reads files ``*.xml`` alone."""
     if path.suffix.lower() == ".xml":
-        try:
-            return mujoco.MjSpec.from_file(str(path)), ()
-        except ValueError as error:
-            if not (lenient and is_retired(str(error))):
-                raise
+        return mujoco.MjSpec.from_file(str(path))
     included: dict[str, bytes] = {}
-    text, passed_over = without_retired(read_content(path, MAX_BYTES))
+    text = read_content(path, MAX_BYTES)
     waiting = [text]
     while waiting:
         for name in _INCLUDED.findall(waiting.pop()):
             file = path.parent / name.decode()
             if name.decode() not in included and file.is_file():
-                included[name.decode()], more = without_retired(read_input(file, MAX_BYTES))
+                included[name.decode()] = read_input(file, MAX_BYTES)
                 waiting.append(included[name.decode()])
-                passed_over += more
     spec = mujoco.MjSpec.from_string(text.decode("utf-8-sig"), include=included)
     spec.modelfiledir = str(path.parent)
-    return spec, tuple(dict.fromkeys(passed_over))
+    return spec
 
 
 _INCLUDED = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
@@ -366,172 +310,26 @@ def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
 
 
 def to_xml(spec: mujoco.MjSpec) -> str:
-    """Writes a spec with all its digits.
+    """Writes a spec as it is written, with all its digits and classes: it is read back the same.
 
-    MuJoCo's own writer rounds to 6 significant digits, which would make the file differ from the
-    URDF by 1e-6; each number it rounded is replaced by the spec's.
+    What compilation makes of it, which MuJoCo writes otherwise, has six digits.
     """
     spec = spec.copy()
-    spec.compile()
-    root = ElementTree.fromstring(spec.to_xml())
-    worldbody = root.find("worldbody")
-    assert worldbody is not None
-    _restore_tree(worldbody, spec.worldbody)
-    for tag, elements in (("mesh", spec.meshes), ("key", spec.keys)):
-        named = {element.name: element for element in elements}
-        for node in root.iter(tag):
-            if node.get("name") in named:
-                _restore(node, named[node.get("name")])
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def _own(node: ElementTree.Element) -> Iterator[ElementTree.Element]:
-    """Yields the elements of a body, those in its frames too, in the file's order."""
-    for child in node:
-        yield child
-        if child.tag == "frame":
-            yield from _own(child)
-
-
-def _restore_tree(node: ElementTree.Element, body: mujoco.MjsBody) -> None:
-    for tag, elements in (
-        ("geom", body.geoms),
-        ("site", body.sites),
-        ("joint", body.joints),
-        ("body", body.bodies),
-        ("frame", [frame for frame in body.frames if not _is_nothing(frame)]),
-    ):
-        tags = ("joint", "freejoint") if tag == "joint" else (tag,)
-        children = [child for child in _own(node) if child.tag in tags]
-        for child, element in zip(children, elements, strict=True):
-            _restore(child, element)
-            if tag == "geom":
-                _restore_mass(child, element)
-            if tag == "body":
-                inertial = child.find("inertial")
-                if inertial is not None:
-                    _restore_inertial(inertial, element)
-                _restore_tree(child, element)
-
-
-LOST_OF_CLASSES: Final = {"mass": math.nan, "density": 1000.0}
-"""{attribute of a geom: its default}: what MuJoCo's writer leaves out of default classes, and so of
-the geoms that have it from there. A foot of mass 0 (B2's) would weigh what water does."""
-
-
-def _restore_mass(node: ElementTree.Element, geom: mujoco.MjsGeom) -> None:
-    """Writes a geom's mass or density where MuJoCo leaves them to a class that has none."""
-    for name, usual in LOST_OF_CLASSES.items():
-        value = float(getattr(geom, name))
-        if name not in node.attrib and not np.array_equal(value, usual, equal_nan=True):
-            node.set(name, repr(value))
-
-
-def _is_nothing(frame: mujoco.MjsFrame) -> bool:
-    """Says whether a frame is where its parent is: MuJoCo does not write it."""
-    turned = frame.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT
-    return not (turned or np.any(frame.pos) or np.any(frame.quat[1:]))
-
-
-def _restore_inertial(node: ElementTree.Element, body: mujoco.MjsBody) -> None:
-    """Writes a body's inertial as the spec has it; MuJoCo writes its principal axes instead."""
-    node.attrib.clear()
-    values = {"pos": body.ipos, "mass": body.mass}
-    if math.isnan(body.fullinertia[0]):
-        values |= {"quat": body.iquat, "diaginertia": body.inertia}
-    else:
-        values |= {"fullinertia": body.fullinertia}
-    for name, value in values.items():
-        node.set(name, _digits(np.atleast_1d(np.array(value, dtype=float))))
-
-
-def _digits(values: Array) -> str:
-    return " ".join(repr(float(value)) for value in values)
-
-
-def _restore(node: ElementTree.Element, element: object) -> None:
-    """Replaces numbers in an element's attributes by the spec's, where these round to the same."""
-    for name, text in node.attrib.items():
-        value = getattr(element, name, None)
-        if value is None or isinstance(value, (str, bool)):
-            continue
-        try:
-            rounded = np.array(text.split(), dtype=float)
-            exact = np.atleast_1d(np.array(value, dtype=float))[: len(rounded)]
-        except (TypeError, ValueError):
-            continue
-        if exact.shape != rounded.shape or np.array_equal(exact, rounded):
-            continue
-        if np.allclose(exact, rounded, rtol=1e-5, atol=1e-12):
-            node.set(name, _digits(exact))
+    spec.compiler.savecompiled = False
+    return str(spec.to_xml())
 
 
 # Specs as data: MuJoCo's cannot be pickled.
 
 
-_LISTS = (
-    *(
-        "frames",
-        "bodies",
-        "geoms",
-        "sites",
-        "joints",
-        "cameras",
-        "lights",
-        "meshes",
-        "materials",
-        "pairs",
-    ),
-    *("equalities", "tendons", "actuators", "sensors", "keys", "numerics", "hfields", "textures"),
-)
-_QUATERNION = mujoco.mjtOrientation.mjORIENTATION_QUAT
-_PARTS = (
-    *("option", "stat"),
-    *("visual.headlight", "visual.map", "visual.quality", "visual.rgba", "visual.scale"),
-)
-_RESOLVED = {
-    "bodies": ("body", ("pos", "quat", "ipos", "iquat", "inertia", "mass")),
-    "geoms": ("geom", ("pos", "quat", "size")),
-    "sites": ("site", ("pos", "quat", "size")),
-    "joints": ("jnt", ("pos", "axis", "range")),
-    "cameras": ("cam", ("pos", "quat")),
-    "lights": ("light", ("pos", "dir")),
-}
-"""{list: (prefix of its arrays in the model, attributes that they hold)}."""
-
-_ROUNDING = {"rtol": 2e-5, "atol": 1e-12}
-"""What MuJoCo's writer does to numbers: it leaves them six digits."""
-
-
 def state_of(spec: mujoco.MjSpec) -> dict[str, Any]:
-    """Returns a spec as plain data: its XML, the files it needs, and the digits that XML lacks.
-
-    Frames and angles other than quaternions are written as MuJoCo resolves them.
-
-    Args:
-        spec: One that compiles.
-    """
+    """Returns a spec as plain data: its XML, and the files it needs."""
     assets = {**_files(spec), **spec.assets}
-    spec = spec.copy()
-    with silence_mujoco():
-        model = spec.compile()
-        state = {"xml": spec.to_xml(), "folder": spec.modelfiledir, "assets": assets}
-    return {**state, "exact": _corrections(spec, model, _read(state))}
+    return {"xml": to_xml(spec), "folder": spec.modelfiledir, "assets": assets}
 
 
 def spec_from(state: dict[str, Any]) -> mujoco.MjSpec:
     """Returns the spec of such data; it needs no files."""
-    spec = _read(state)
-    parts = dict(_parts(spec))
-    for part, name, value in state["exact"]:
-        setattr(parts[part], name, value)
-        if name == "fullinertia":  # instead of principal axes, which are others' last digits
-            parts[part].inertia, parts[part].iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-    return spec
-
-
-def _read(state: dict[str, Any]) -> mujoco.MjSpec:
     with silence_mujoco():
         spec = mujoco.MjSpec.from_string(state["xml"], assets=state["assets"])
     spec.modelfiledir = state["folder"]
@@ -551,81 +349,3 @@ def _files(spec: mujoco.MjSpec) -> dict[str, bytes]:
         if file and place.is_file():
             contents[name] = read_input(place, MOST_FILE)
     return contents
-
-
-def _parts(spec: mujoco.MjSpec) -> Iterator[tuple[tuple[str, int], Any]]:
-    """Yields all that has numbers in a spec, each under a key."""
-    for name in _LISTS:
-        for index, element in enumerate(getattr(spec, name)):
-            yield (name, index), element
-    for name in _PARTS:
-        part = spec
-        for step in name.split("."):
-            part = getattr(part, step)
-        yield (name, 0), part
-
-
-def _numbers(part: Any) -> Iterator[tuple[str, Any]]:
-    """Yields the attributes of a part that are numbers with fractions."""
-    for name in dir(part):
-        if not name.startswith("_"):
-            value: Any = getattr(part, name, None)
-            if type(value).__name__ in ("MjDoubleVec", "MjFloatVec"):
-                value = np.array(list(value))
-            elif name == "quat" and part.alt.type != _QUATERNION:
-                value = np.array(
-                    mujoco.MjSpec.resolve_orientation(
-                        degree=bool(part.compiler.degree),
-                        sequence=part.compiler.eulerseq,
-                        orientation=part.alt,
-                    )
-                )
-            if isinstance(value, float) or (
-                isinstance(value, np.ndarray) and value.dtype.kind == "f"
-            ):
-                yield name, value
-
-
-def _resolved(model: mujoco.MjModel, key: tuple[str, int], name: str) -> Any:
-    """Returns what MuJoCo made of an element's attribute; None where that is nothing of its own."""
-    prefix, names = _RESOLVED.get(key[0], ("", ()))
-    return getattr(model, f"{prefix}_{name}")[key[1]] if name in names else None
-
-
-def _number(key: tuple[str, int], part: Any) -> tuple[str, int]:
-    """Returns a part's key with its number in the model it is compiled to; frames have none."""
-    number = getattr(part, "id", -1)
-    return key if number < 0 else (key[0], number)
-
-
-def _corrections(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, rounded: mujoco.MjSpec
-) -> list[tuple[tuple[str, int], str, Any]]:
-    """Returns (part, attribute, value) where a number of a spec is another's before rounding.
-
-    Elements are matched by their number in the model, as frames change their order in the spec.
-    """
-    compiled = rounded.copy()
-    with silence_mujoco():
-        compiled.compile()
-    wanted = {_number(key, part): dict(_numbers(part)) for key, part in _parts(spec)}
-    numbers = {key: _number(key, part) for key, part in _parts(compiled)}
-    result = []
-    for key, other in _parts(rounded):
-        number = numbers[key]
-        # Last what takes the place of others.
-        for name, value in sorted(_numbers(other), key=lambda item: item[0] == "fullinertia"):
-            stated = wanted.get(number, {}).get(name)
-            if stated is None:
-                continue
-            for exact in (stated, _resolved(model, number, name), np.deg2rad(stated)):
-                if exact is None or np.shape(exact) != np.shape(value):
-                    continue
-                full = name == "fullinertia" and not np.isnan(exact).any()
-                lost = key[0] == "geoms" and name in LOST_OF_CLASSES
-                if full or lost or np.allclose(exact, value, equal_nan=True, **_ROUNDING):
-                    if not np.array_equal(exact, value, equal_nan=True):
-                        kept = float(exact) if isinstance(value, float) else np.array(exact)
-                        result.append((key, name, kept))
-                    break
-    return result

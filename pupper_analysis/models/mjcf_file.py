@@ -772,11 +772,11 @@ def _spec(
     """Returns what MuJoCo reads, without what needs files that are missing, and what that is."""
     try:
         with silence_mujoco():
-            spec, passed_over = spec_of(tree.path, lenient=True)
+            spec = spec_of(tree.path)
     except _MUJOCO_ERRORS as error:
         message, place = _mujoco_message(tree, index, error)
         raise refuse_file(place, diagnose("mjcf-not-valid", message=message)) from error
-    return spec, [*passed_over, *leave_out_missing(spec, tree, index), *put_ground(spec)]
+    return spec, [*leave_out_missing(spec, tree, index), *put_ground(spec)]
 
 
 def _not_compiled(

@@ -1,4 +1,4 @@
-"""Findings for machines: GitHub's annotations, JUnit's XML, and SARIF, which code scanning reads.
+"""Findings for machines: GitHub's annotations, and SARIF, which code scanning reads.
 
 Sources: OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0"; what GitHub asks
 for beyond it: GitHub documentation, "SARIF support for code scanning".
@@ -18,7 +18,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
-from xml.etree import ElementTree
 
 from pupper_analysis.base.diagnostics import Diagnostic, fill_template, phrase
 from pupper_analysis.base.results import to_json
@@ -235,65 +234,11 @@ def _property(text: str) -> str:
     return _data(text).replace(":", "%3A").replace(",", "%2C")
 
 
-@dataclass(frozen=True)
-class CheckedItem:
-    """One thing that was checked.
-
-    Attributes:
-        name: What.
-        failure: Why it failed; None if it did not.
-        diagnostics: The same as codes and values.
-    """
-
-    name: str
-    failure: str | None = None
-    diagnostics: tuple[Diagnostic, ...] = ()
-
-
-def write_junit(suite: str, cases: Iterable[CheckedItem]) -> str:
-    """Returns the XML that test reports are made of.
-
-    Args:
-        suite: The name of the suite.
-        cases: What was checked.
-    """
-    cases = list(cases)
-    failures = sum(case.failure is not None for case in cases)
-    counts = {"tests": str(len(cases)), "failures": str(failures), "errors": "0", "skipped": "0"}
-    root = ElementTree.Element("testsuites", counts)
-    element = ElementTree.SubElement(root, "testsuite", {"name": suite, **counts})
-    for case in cases:
-        node = ElementTree.SubElement(element, "testcase", name=case.name, classname=suite)
-        if case.failure is not None:
-            if case.diagnostics:  # codes with their values, as JSON
-                listed = ElementTree.SubElement(node, "properties")
-            for one in case.diagnostics:
-                values = json.dumps(code_and_values(one)["values"], ensure_ascii=False)
-                ElementTree.SubElement(listed, "property", name=one.code, value=values)
-            failure = ElementTree.SubElement(node, "failure", message=case.failure)
-            failure.text = case.failure
-            if case.diagnostics:
-                failure.set("type", ", ".join(dict.fromkeys(one.code for one in case.diagnostics)))
-    ElementTree.indent(root)
-    declaration = '<?xml version="1.0" encoding="utf-8"?>\n'
-    return declaration + ElementTree.tostring(root, encoding="unicode")
-
-
-def for_machines(
-    style: str, suite: str, annotations: Iterable[Annotation], cases: Iterable[CheckedItem]
-) -> str:
+def for_machines(style: str, annotations: Iterable[Annotation]) -> str:
     """Returns what is said to machines.
 
     Args:
-        style: ``github`` (annotations), ``sarif`` (a log for code scanning), ``junit`` (a report).
-        suite: The name of the report's suite.
-        annotations: What is said in the first two.
-        cases: What is said in the report.
+        style: ``github`` (annotations) or ``sarif`` (a log for code scanning).
+        annotations: What is said.
     """
-    if style == "github":
-        return write_github(annotations)
-    if style == "sarif":
-        return write_sarif(annotations)
-    report = "\n".join(escape_control(line) for line in write_junit(suite, cases).split("\n"))
-    # A name's own line must not become a workflow command of GitHub's ("::error::", "##[error]").
-    return re.sub(r"(?m)^(\s*)([:#])(?=[:#])", lambda at: f"{at[1]}&#{ord(at[2])};", report)
+    return write_github(annotations) if style == "github" else write_sarif(annotations)

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
+from pupper_analysis.models.conversion import pinocchio_from_mujoco
 
 # Every feature that Pupper has not: joints off the frame's origin, two joints in a body, a slide
 # joint, a reference angle, a static child, a rotated inertia.
@@ -84,20 +84,6 @@ def test_pinocchios_own_parser_agrees_where_it_can(tmp_path: Path) -> None:
         assert one.mass == pytest.approx(two.mass, rel=1e-12)
         np.testing.assert_allclose(one.lever, two.lever, atol=1e-12)
         np.testing.assert_allclose(one.inertia, two.inertia, atol=1e-12)
-
-
-def test_urdf_keeps_the_mass_of_the_base_and_of_fixed_children() -> None:
-    for name, mass in (("v3", 3.170), ("original", 2.710)):
-        robot = pa.load_variant(name)
-        model = mujoco_from_urdf(
-            robot.description.urdf,
-            robot.description.urdf_source,
-            robot.mj_model,
-            robot.mj_base,
-            robot.imu,
-        )
-        assert model.nv == 18
-        assert model.body_mass.sum() == pytest.approx(mass, rel=1e-12)
 
 
 def test_ball_joints_are_refused() -> None:

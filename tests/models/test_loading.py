@@ -525,27 +525,6 @@ def test_what_refers_to_nothing_is_found_in_the_included_file(tmp_path: Path) ->
     assert refused(lambda: read_mjcf(path)).startswith(f"{tmp_path / 'a.xml'}:4: MuJoCo cannot ")
 
 
-def test_attributes_that_mujoco_once_had_are_passed_over(tmp_path: Path) -> None:
-    """Those on which nothing depends that moves; of others MuJoCo's refusal stays, at its line."""
-    body = f'<worldbody><body name="b">{EXPLICIT}</body></worldbody>'
-    path = write(
-        tmp_path,
-        robot=f"<mujoco>\n<option apirate='9'>\n<flag sensornoise = \"enable\"\n"
-        f' energy="enable"/></option><include file="part.xml"/>{body}</mujoco>',
-        part='<mujocoinclude><option mpr_iterations="50"/></mujocoinclude>',
-    )
-    file = read_mjcf(path)
-    passed_over = [note for note in file.notes if note.code == "attribute-retired"]
-    attributes = [note.values["attribute"] for note in passed_over]
-    assert attributes == ["sensornoise", "apirate", "mpr_iterations"]
-    model = file.model
-    assert model.opt.enableflags == mujoco.mjtEnableBit.mjENBL_ENERGY
-    assert file.place("body", "b").line == 4
-    for other in ('<option collision="predefined"/>', '<option><flag passive="disable"/></option>'):
-        path = write(tmp_path, robot=f"<mujoco>\n{other}{body}</mujoco>")
-        assert ".xml:2: not a valid MJCF" in refused(partial(read_mjcf, path))
-
-
 def test_the_ground_of_a_scene_that_pairs_name_is_put_there(tmp_path: Path) -> None:
     """As K-Bot's and T1's, whose ground is in the file that includes theirs."""
     ball = f'<body name="b"><freejoint/>{EXPLICIT}<geom name="foot" size="0.1"/></body>'

@@ -1,19 +1,16 @@
-"""GitHub's workflow commands and JUnit's XML, as their readers take them apart."""
+"""GitHub's workflow commands, as their reader takes them apart."""
 
 from __future__ import annotations
 
 import io
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import (
     Column,
     Document,
@@ -27,10 +24,8 @@ from pupper_analysis.present.document import (
 )
 from pupper_analysis.present.formats import (
     Annotation,
-    CheckedItem,
     escape_control,
     write_github,
-    write_junit,
 )
 from pupper_analysis.present.terminal import SafeConsole, print_document
 from tests.support.commands import run_command
@@ -89,55 +84,10 @@ def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
         assert read == shown(message)
 
 
-def test_junit_counts_failures() -> None:
-    cases = [
-        CheckedItem("masses"),
-        CheckedItem("limits", "0.9 rad\nand 1.1 rad"),
-        CheckedItem("a < b & c", "5 % > 4 %"),
-    ]
-    root = ElementTree.fromstring(write_junit("go1.urdf against go1.xml", cases))
-    assert root.tag == "testsuites"
-    (suite,) = root
-    for element in (root, suite):
-        assert element.get("tests") == "3"
-        assert element.get("failures") == "2"
-        assert element.get("errors") == element.get("skipped") == "0"
-    assert suite.get("name") == "go1.urdf against go1.xml"
-    assert [case.get("name") for case in suite] == ["masses", "limits", "a < b & c"]
-    assert [len(case) for case in suite] == [0, 1, 1]
-    assert suite[1][0].text == "0.9 rad\nand 1.1 rad"
-    assert suite[2][0].get("message") == "5 % > 4 %"
-
-
-def test_junit_has_codes_and_values() -> None:
-    differs = diagnose("foot-misses-target", subject=("foot", "FL"), gap=Quantity(0.002, "m"))
-    root = ElementTree.fromstring(
-        write_junit("s", [CheckedItem("feet", "off", (differs, problem("<a>")))])
-    )
-    (case,) = root.iter("testcase")
-    assert [(one.tag, one.get("type")) for one in case][1] == (
-        "failure",
-        "foot-misses-target, problem",
-    )
-    found = {one.get("name"): json.loads(one.get("value", "")) for one in case.iter("property")}
-    assert found["foot-misses-target"] == {"gap": {"value": 0.002, "unit": "m"}}
-    assert found["problem"] == {"problem": "<a>"}
-
-
 CHARACTERS = st.characters(
     codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff"
 )
 PRINTABLE = st.text(CHARACTERS, max_size=30)
-
-
-@given(names=st.lists(PRINTABLE, max_size=4), failure=st.none() | PRINTABLE)
-def test_junit_is_xml_whatever_the_names(names: list[str], failure: str | None) -> None:
-    text = write_junit("suite", (CheckedItem(name, failure) for name in names))
-    root = ElementTree.fromstring(text.encode())
-    assert [case.get("name") for case in root.iter("testcase")] == names
-    assert int(root.get("failures", "-1")) == (0 if failure is None else len(names))
-    for element in root.iter("failure"):
-        assert element.get("message") == failure
 
 
 HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] :smile:"
@@ -173,7 +123,7 @@ def test_names_in_a_model_are_shown(tmp_path: Path, capfd: pytest.CaptureFixture
         f'<robot name="r"><link name="{name}"><inertial><mass value="-1"/>'
         '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
     )
-    for style in ("text", "github", "junit"):
+    for style in ("text", "github"):
         status, out, err = run_command(capfd, "audit", str(file), "--format", style)
         assert status in (1, 2)
         text = out + err

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -30,7 +29,6 @@ from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, ha
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.models.spec_tree import join_free_base
-from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_file import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree, set_origin
 from pupper_analysis.models.xml import (
@@ -225,18 +223,20 @@ class UrdfLinks:
 
 @dataclass(frozen=True)
 class BareUrdf:
-    """An MJCF's links, shapes, couplings and motors as a URDF.
+    """An MJCF's links, shapes and couplings as a URDF.
 
     Attributes:
+        source: The MJCF's name.
         model: What MuJoCo compiles the MJCF to.
-        text: The URDF.
+        tree: The URDF.
         bodies: The bodies that are links.
         notes: What was assumed.
         left: What a URDF cannot say of them.
     """
 
+    source: str
     model: mujoco.MjModel
-    text: str
+    tree: UrdfTree
     bodies: frozenset[int]
     notes: tuple[Diagnostic, ...]
     left: tuple[Diagnostic, ...]
@@ -265,11 +265,15 @@ class BareUrdf:
         left = [*links.left, *shapes.left, *_couplings(tree, model)]
         if links.unlimited:
             left.append(diagnose("joints-without-effort-limit", count=links.unlimited))
-        _add_transmissions(tree, model)
         if has_free_joint(model):
             notes.append(diagnose("free-base-not-in-urdf"))
-        text = new_file_text(tree.root, f"Converted from {file.path.name} by pupper-analysis.")
-        return BareUrdf(model, text, frozenset(links.links), tuple(notes), tuple(left))
+        bodies = frozenset(links.links)
+        return BareUrdf(file.path.name, model, tree, bodies, tuple(notes), tuple(left))
+
+    @property
+    def text(self) -> str:
+        """The URDF, as it is written."""
+        return new_file_text(self.tree.root, f"Converted from {self.source} by pupper-analysis.")
 
 
 def _weigh_nothing(link: UrdfLink) -> None:
@@ -302,27 +306,6 @@ def _couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
                 continue
         left.append(diagnose("equality-not-in-urdf", number=index + 1, kind=Term(name)))
     return left
-
-
-def _add_transmissions(tree: UrdfTree, model: mujoco.MjModel) -> None:
-    """Adds a <transmission> for each actuator at a joint, as ros_control reads it."""
-    known = tree.joints
-    for actuator in range(model.nactuator):
-        if not is_at_one_joint(model, actuator):
-            continue
-        joint = str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
-        if joint not in known:
-            continue
-        name = str(model.actuator(actuator).name) or f"{joint}_motor"
-        node = add_element(tree.root, "transmission", name=f"{name}_transmission")
-        add_element(node, "type").text = "transmission_interface/SimpleTransmission"
-        add_element(
-            add_element(node, "joint", name=joint), "hardwareInterface"
-        ).text = "hardware_interface/EffortJointInterface"
-        gear = float(actuator_gear(model, actuator)[0])
-        add_element(
-            add_element(node, "actuator", name=name), "mechanicalReduction"
-        ).text = write_numbers(gear)
 
 
 Geometry = tuple[str, dict[str, str], pin.SE3]
@@ -491,7 +474,7 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
     """Returns an MJCF in which nothing moves but one robot.
 
     What is left out goes with its joints, actuators, sensors and couplings, and out of the
-    keyframes; what stands fast in the world stays.
+    keyframes, as MuJoCo sees to it; what stands fast in the world stays.
 
     Args:
         file: The MJCF, not changed.
@@ -517,50 +500,20 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
     if not others:
         return file
     spec = file.spec.copy()
-    for number, actuator in enumerate(spec.actuators):
-        actuator.name = actuator.name or f"actuator {number}"
     tops = {index: top for index, top in _tops(spec, model).items() if index in others}
-    gone = {body.name for body in _below(tops.values())}
+    kind = mujoco.mjtObj.mjOBJ_BODY
+    gone = {body.name for top in tops.values() for body in (top, *top.find_all(kind))}
     for seeing in (*spec.cameras, *spec.lights):
         if seeing.targetbody in gone:  # MuJoCo takes away what else refers to a body
             spec.delete(seeing)
     for top in tops.values():
         spec.delete(top)
-    kept = {actuator.name for actuator in spec.actuators}
-    actuators = [index for index in range(model.nu) if _name(model, index) in kept]
-    places = _places(model, root)
-    keys = [model.key(index) for index in range(model.nkey)]
-    for key in list(spec.keys):
-        spec.delete(key)
-    for key in keys:
-        spec.add_key(name=key.name, qpos=key.qpos[places], ctrl=key.ctrl[actuators])
     message = diagnose("others-left-out", bodies=[model.body(index).name for index in others])
     notes: tuple[Diagnostic, ...] = (*file.notes, message)
     return replace(file, spec=spec, notes=notes, _model=compile_spec(spec.copy(), file.path))
-
-
-def _name(model: mujoco.MjModel, actuator: int) -> str:
-    return model.actuator(actuator).name or f"actuator {actuator}"
-
-
-def _below(bodies: Iterable[mujoco.MjsBody]) -> Iterator[mujoco.MjsBody]:
-    for body in bodies:
-        yield body
-        yield from _below(body.bodies)
 
 
 def _tops(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[int, mujoco.MjsBody]:
     """Returns {id: body} of those that stand in the world, in the order in which both have them."""
     ids = np.flatnonzero(model.body_parentid[1:] == 0) + 1
     return dict(zip(map(int, ids), spec.worldbody.bodies, strict=True))
-
-
-def _places(model: mujoco.MjModel, root: int) -> list[int]:
-    """Returns the places in qpos of the joints of what a body carries."""
-    sizes = {JointKind.FREE: 7, JointKind.BALL: 4}
-    return [
-        int(model.jnt_qposadr[joint]) + offset
-        for joint in range(model.njnt)
-        if model.body_rootid[model.jnt_bodyid[joint]] == root
-        for offset in range(sizes.get(JointKind(int(model.jnt_type[joint])), 1))
-    ]

@@ -72,7 +72,6 @@ def write_plots(
     *,
     title: Words | None = None,
     names: Sequence[str] = (),
-    notes: Sequence[Artist] = (),
 ) -> None:
     """Writes plots as panels of one figure, two in a row.
 
@@ -81,7 +80,6 @@ def write_plots(
         path: The PNG to write.
         title: Over all; the first plot's by default.
         names: Over each; by default the plots' own titles, where there are several.
-        notes: What the legend has besides.
 
     Raises:
         ConfigurationError: If there is nothing to draw.
@@ -96,7 +94,7 @@ def write_plots(
     legends = [_legend(drawing) for drawing in drawings]
     shared = {name: kind for name, kind in legends[0].items()
               if all(one.get(name) == kind for one in legends)}  # fmt: skip
-    legend = [*(_handle(name, kind) for name, kind in shared.items()), *notes]
+    legend = [_handle(name, kind) for name, kind in shared.items()]
     across = WIDTH / columns
     # A legend has a line for every two of its entries, which may be long.
     room = 0.45 + 0.45 * len(rows) * bool(names or len(plots) > 1) + 0.09 * len(legend)

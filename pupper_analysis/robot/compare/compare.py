@@ -513,7 +513,6 @@ def compare_files(
     tolerances: Tolerances | None = None,
     strict_names: bool = False,
     any_coordinates: bool = False,
-    same_mount: bool = False,
 ) -> Compared:
     """Compares a URDF with an MJCF of the same robot, and explains how they differ.
 
@@ -553,7 +552,7 @@ def compare_files(
     differences = tuple(sorted((*placed, *touching), key=lambda difference: difference.rank))
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = (*_legs_without_base(matched), *_objections(explanation, tolerances))
-    if mount is not None and same_mount:
+    if mount is not None and strict_names:
         objections = (*objections, mount.diagnostic)
     result = FilesCompared(
         urdf=str(urdf_file.path),

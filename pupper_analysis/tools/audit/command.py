@@ -77,9 +77,7 @@ def command(
     if style in ("text", "markdown"):
         shared.show_results([("", result)], style, everything=everything)
     else:
-        suite = f"audit of {file.name}"
-        remarks, cases = audit_report.audit_remarks, audit_report.audit_cases
-        click.echo(formats.for_machines(style, suite, remarks(result), cases(result)))
+        click.echo(formats.for_machines(style, audit_report.audit_remarks(result)))
     passed = all(one.severity.rank > Severity(fail_on).rank for one in result.findings)
     shared.write_page(report_path, result)
     shared.finish_command(json_path, result, passed=passed)

@@ -11,7 +11,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of, quote_line
-from pupper_analysis.present.formats import Annotation, CheckedItem
+from pupper_analysis.present.formats import Annotation
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import (
     RULES,
@@ -190,17 +190,3 @@ def audit_remarks(audit: Audit) -> list[Annotation]:
         )
         for finding in audit.findings
     ]
-
-
-def audit_cases(audit: Audit) -> list[CheckedItem]:
-    """Returns one case per rule; errors and warnings are its failures."""
-    failures: dict[str, list[Finding]] = {}
-    for finding in audit.findings:
-        if finding.severity is not Severity.NOTE:
-            failures.setdefault(finding.rule, []).append(finding)
-    return [_case(rule, failures.get(rule, [])) for rule in audit.rules_run]
-
-
-def _case(rule: str, found: list[Finding]) -> CheckedItem:
-    lines = [f"{one.place.path}: {one.element}: {one.message}" for one in found]
-    return CheckedItem(rule, "\n".join(lines) or None, tuple(one.diagnostic for one in found))

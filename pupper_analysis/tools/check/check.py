@@ -270,7 +270,6 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
                 feet=pair.feet,
                 tolerances=pair.tolerances,
                 strict_names=pair.strict,
-                same_mount=pair.strict,
             ).result
         except PupperAnalysisError as error:
             remarks.append(of_error(error, "crosscheck", pair, pair.urdf, folder))

@@ -91,8 +91,7 @@ def command(
         found = report.check_remarks(result, in_a_change=style == "github")
         if style == "github":
             found = [one for one in found if not one.known]  # nobody is reminded of it
-        suite = f"check of {Path(result.config).name}"
-        text = formats.for_machines(style, suite, found, report.check_cases(result))
+        text = formats.for_machines(style, found)
         click.echo(text, nl=bool(text))
         if style == "github":
             click.echo(

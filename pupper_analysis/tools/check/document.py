@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import Name, Text, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
-from pupper_analysis.present.formats import Annotation, CheckedItem, from_root
+from pupper_analysis.present.formats import Annotation, from_root
 from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES
@@ -286,26 +286,3 @@ def _annotation(group: list[Remark], place: str | None) -> Annotation:
         known=known,
         diagnostic=remark.diagnostic,
     )
-
-
-def check_cases(check: RepositoryCheck) -> Iterator[CheckedItem]:
-    """Yields a case per pair that was compared, and per file that was audited."""
-    for pair in check.pairs:
-        if len(pair.files) > 1:
-            own = [r for r in check.remarks if r.check == "crosscheck" and r.pair == pair.name]
-            yield _case(f"{pair.name}: crosscheck", own)
-    guarded = dict.fromkeys((one.pair, one.check) for one in check.remarks if _guarded(one))
-    for name, tool in guarded:
-        own = [r for r in check.remarks if (r.pair, r.check) == (name, tool)]
-        yield _case(f"{name}: {tool}", own)
-    files = [file for pair in check.pairs for file in pair.files]
-    files += [remark.file for remark in check.remarks if remark.check == "audit"]
-    for file in dict.fromkeys(files):
-        own = [r for r in check.remarks if r.check == "audit" and r.file == file]
-        yield _case(f"{file}: audit", own)
-
-
-def _case(name: str, remarks: list[Remark]) -> CheckedItem:
-    failing = [remark for remark in remarks if remark.fails]
-    lines = [f"{from_the_root(one.place)}: {one.message}" for one in failing]
-    return CheckedItem(name, "\n".join(lines) or None, tuple(one.diagnostic for one in failing))

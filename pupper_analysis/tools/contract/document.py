@@ -13,7 +13,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of, quote_line
-from pupper_analysis.present.formats import Annotation, CheckedItem
+from pupper_analysis.present.formats import Annotation
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.contract import Contract
 from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, kind_of
@@ -170,15 +170,3 @@ def contract_remarks(contract: Contract) -> list[Annotation]:
         for one in contract.findings
         for place, number in {place: n for n, place in enumerate(one.places)}.items()
     ]  # fmt: skip
-
-
-def contract_cases(contract: Contract) -> list[CheckedItem]:
-    """Returns one case per quantity that is stated; errors and warnings are its failures."""
-    kinds = [*(one.quantity for one in contract.facts), *(one.kind for one in contract.findings)]
-    failed: dict[str, list[Disagreement]] = {kind: [] for kind in kinds}
-    for one in contract.findings:
-        failed[one.kind] += [one] * (one.severity is not Severity.NOTE)
-    lines = {kind: "\n".join(f"{', '.join(one.places)}: {one.message}" for one in found)
-             for kind, found in failed.items()}  # fmt: skip
-    return [CheckedItem(kind, lines[kind] or None, tuple(one.diagnostic for one in found))
-            for kind, found in failed.items()]  # fmt: skip

@@ -28,8 +28,9 @@ from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.mjcf_xml import COLLISION, MjcfXml, text_of
 from pupper_analysis.models.stated.mjcf import Value, element_values, touching_geoms
-from pupper_analysis.models.transmission import is_at_one_joint
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import add_element, free_name, new_file_text, write_numbers
 from pupper_analysis.prepare.bare import Bare, place_as
 from pupper_analysis.prepare.contact_points import lowest_point
@@ -668,11 +669,33 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
         ModelError: If a URDF cannot have the robot.
     """
     bare = BareUrdf.of(file, output)
+    _add_transmissions(bare.tree, bare.model)
     left = [*bare.left, *_other_elements(bare.model), *_surroundings(bare.model, bare.bodies)]
     left += _lost_numbers(bare.model, bare.bodies)
     gone, why = file.lacking, diagnose("no-such-mesh-file")
     lost = [diagnose("collision-meshes-lost", files=gone, why=why)] if gone else []
     return ConversionDraft(bare.text, {}, bare.notes, tuple(left), lost=tuple(lost))
+
+
+def _add_transmissions(tree: UrdfTree, model: mujoco.MjModel) -> None:
+    """Adds a <transmission> for each actuator at a joint, as ros_control reads it."""
+    known = tree.joints
+    for actuator in range(model.nactuator):
+        if not is_at_one_joint(model, actuator):
+            continue
+        joint = str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
+        if joint not in known:
+            continue
+        name = str(model.actuator(actuator).name) or f"{joint}_motor"
+        node = add_element(tree.root, "transmission", name=f"{name}_transmission")
+        add_element(node, "type").text = "transmission_interface/SimpleTransmission"
+        add_element(
+            add_element(node, "joint", name=joint), "hardwareInterface"
+        ).text = "hardware_interface/EffortJointInterface"
+        gear = float(actuator_gear(model, actuator)[0])
+        add_element(
+            add_element(node, "actuator", name=name), "mechanicalReduction"
+        ).text = write_numbers(gear)
 
 
 def _other_elements(model: mujoco.MjModel) -> list[Diagnostic]:

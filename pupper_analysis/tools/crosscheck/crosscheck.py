@@ -17,6 +17,7 @@ A backend evaluation is one quantity of a robot's model by Pinocchio, by MuJoCo 
 
 from __future__ import annotations
 
+import copy
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -35,14 +36,22 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import EARTH
 from pupper_analysis.models.conversion import (
     MujocoTree,
+    UrdfImport,
+    acting_gravity,
     joint_armature,
     joint_damping,
-    mujoco_from_urdf,
     pinocchio_from_mujoco,
 )
 from pupper_analysis.models.efforts import effort_limit
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import (
+    compile_spec,
+    free_joints,
+    has_free_joint,
+    silence_mujoco,
+)
 from pupper_analysis.models.multibody import from_pinocchio, joint_placements
+from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.compare.behaviour import (
     MOST_IN_PINOCCHIO,
@@ -96,7 +105,6 @@ def compare_models(
     tolerances: Tolerances | None = None,
     strict_names: bool = False,
     any_coordinates: bool = False,
-    same_mount: bool = False,
     configurations: int = 20,
     seed: int = 0,
 ) -> Comparison:
@@ -114,12 +122,11 @@ def compare_models(
         tolerances: What counts as a difference; by default for files of 5 to 6 digits.
         strict_names: Joints that are matched by structure, not by their name or by ``names``, are
             a difference; otherwise `guessed` alone tells of them. So are damping and dry friction
-            that the URDF does not state; otherwise a note tells of them.
+            that the URDF does not state; otherwise a note tells of them. And a fixed base that is
+            tilted against the URDF's; otherwise `mount` alone tells of it.
         any_coordinates: Joints' zeros, moved with their limits, and a free base's frame may be
             elsewhere: notes tell of them. By default they are differences, because qpos means
             another pose.
-        same_mount: A fixed base that is tilted against the URDF's is an objection; otherwise
-            `mount` alone tells of it.
         configurations: Number of random configurations of the cross-check.
         seed: Of the random numbers, 0 or more.
 
@@ -143,7 +150,6 @@ def compare_models(
         tolerances=tolerances,
         strict_names=strict_names,
         any_coordinates=any_coordinates,
-        same_mount=same_mount,
     )
     check = cross_check(
         compared.matched.robot,
@@ -735,6 +741,57 @@ def _evaluations(
     if pairs:
         evaluations[URDF_YOURDFPY] = yourdfpy_evaluation(robot, states)
     return evaluations, left_out, robot
+
+
+_ROOT = "__root__"
+
+
+def mujoco_from_urdf(
+    text: str,
+    source: Path,
+    like: mujoco.MjModel,
+    base: str,
+    imu: str | None,
+) -> mujoco.MjModel:
+    """Imports a URDF into MuJoCo, with the base's mass and the inertias of fixed children kept.
+
+    Shapes are left out. Gravity is taken from ``like``, and so is the armature of the joints, which
+    URDF cannot state; a gyro and an accelerometer are put on the link ``imu``.
+
+    Args:
+        text: The URDF.
+        source: Where it came from, for messages.
+        like: MuJoCo's model of the MJCF of the same robot.
+        base: The base's body in ``like``: if it is fixed there, it is fixed in the same pose.
+        imu: The link with the IMU, if any.
+
+    Raises:
+        ModelError: If MuJoCo refuses it.
+    """
+    tree = UrdfTree.of(text)
+    tree.remove_shapes()
+    root_link = tree.base.name
+    spec = UrdfImport(source, to_text(tree.root)).spec()
+    spec.option.gravity = acting_gravity(like)
+    if has_free_joint(like):
+        spec.body(root_link).add_freejoint(name=_ROOT)
+    else:
+        data = mujoco.MjData(like)
+        mujoco.mj_kinematics(like, data)
+        spec.body(root_link).pos = data.body(base).xpos
+        spec.body(root_link).quat = data.body(base).xquat
+    if imu is not None:
+        SpecTree(spec).add_imu(imu, imu)
+    model = copy.copy(compile_spec(spec, source))
+    armature = joint_armature(like)
+    for index in range(model.njnt):
+        name = model.joint(index).name
+        twin = free_joints(like)[0] if name == _ROOT else like.joint(name).id
+        start, first = int(model.jnt_dofadr[index]), int(like.jnt_dofadr[twin])
+        count = 6 if name == _ROOT else 1
+        model.dof_armature[start : start + count] = armature[first : first + count]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
 
 
 def _rebuilt_evaluation(robot: Robot, states: States) -> Evaluation:

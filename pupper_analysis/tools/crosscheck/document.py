@@ -5,7 +5,7 @@ As a document, and as remarks for machines, in the same order.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
@@ -22,7 +22,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of, quote_line
-from pupper_analysis.present.formats import Annotation, CheckedItem
+from pupper_analysis.present.formats import Annotation
 from pupper_analysis.robot.compare.differences import MANIFOLD, Difference, about_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.crosscheck.crosscheck import (
@@ -140,37 +140,6 @@ def _remark(
     rule = f"crosscheck/{kind}"
     about = about_kind(kind)
     return Annotation("error", title, message, place, rule=rule, about=about, diagnostic=finding)
-
-
-def comparison_cases(comparison: Comparison) -> list[CheckedItem]:
-    """Returns one case per kind of number of each joint and body, and one per quantity."""
-    missing = [messages for _, messages, _ in _left_over(comparison)]
-    result = [_case("the same joints", missing)]
-    by_element: dict[str, list[Difference]] = {}
-    for difference in comparison.differences:
-        by_element.setdefault(difference.element, []).append(difference)
-    for element in dict.fromkeys([comparison.base, *comparison.joints, *by_element]):
-        own = by_element.get(element, [])
-        places = [f" [{one.urdf_place}, {one.mjcf_place}]" for one in own]
-        messages = [one.diagnostic for one in own]
-        result.append(_case(f"parameters of {element}", messages, places))
-    for quantity in comparison.check.quantities:
-        deviation = diagnose(
-            "quantity-deviates",
-            relative=quantity.relative,
-            whose=Term(quantity.whose),
-            where=quantity.where,
-        )
-        fails = not (quantity.passed or comparison.agree)
-        result.append(_case(f"{quantity.name} agree", [deviation] * fails))
-    result.append(_case("the differences explain the deviations", comparison.objections))
-    return result
-
-
-def _case(name: str, messages: Sequence[Diagnostic], places: Sequence[str] = ()) -> CheckedItem:
-    """Returns a case with a line per diagnostic, each with its places."""
-    lines = map("".join, zip(map(str, messages), places or [""] * len(messages), strict=True))
-    return CheckedItem(name, "\n".join(lines) or None, tuple(messages))
 
 
 _OVERLAY = "overlay-note"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,17 +19,16 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.git import (
     ENVIRONMENT,
+    SAFE,
     GitEntry,
-    git_answer,
-    git_command,
     git_entries,
-    git_text,
     pointed_file,
+    run_git,
 )
 from pupper_analysis.models.mjcf import JointKind, compile_spec, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.models.places import Place
+from pupper_analysis.models.places import Place, one_line
 from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import actuator_gear
@@ -304,7 +304,7 @@ def top_of(folder: Path) -> Path:
     Raises:
         ModelError: If it is in none; the message is git's.
     """
-    return Path(git_text(str(folder), "rev-parse", "--show-toplevel", folder=folder).rstrip("\n"))
+    return Path(_git_text(str(folder), "rev-parse", "--show-toplevel", folder=folder).rstrip("\n"))
 
 
 def path_in(given: str, revision: str, inside: str) -> str:
@@ -319,9 +319,9 @@ def path_in(given: str, revision: str, inside: str) -> str:
     Raises:
         ModelError: If git does not have it; the message is git's.
     """
-    prefix = git_text(given, "rev-parse", "--show-prefix").strip()
+    prefix = _git_text(given, "rev-parse", "--show-prefix").strip()
     relative = _normal(prefix + inside if inside.startswith(("./", "../")) else inside)
-    git_text(given, "cat-file", "-e", f"{revision}:{relative}")
+    _git_text(given, "cat-file", "-e", f"{revision}:{relative}")
     return relative
 
 
@@ -343,8 +343,8 @@ def write_revision(
     Raises:
         ModelError: If git does not have it; the message is git's.
     """
-    listed = git_answer(given, "ls-tree", "-r", "-z", "--full-tree", revision, folder=folder)
-    kept = git_text(
+    listed = _git_answer(given, "ls-tree", "-r", "-z", "--full-tree", revision, folder=folder)
+    kept = _git_text(
         given, "rev-parse", "--path-format=absolute", "--git-common-dir", folder=folder
     ).rstrip("\n")
     wanted = [
@@ -390,10 +390,41 @@ def _brought(content: bytes, kept: Path) -> bytes:
         return content
 
 
+def _git_text(given: str, *arguments: str, folder: Path | None = None) -> str:
+    """Returns git's answer as text; see ``_git_answer``."""
+    return _git_answer(given, *arguments, folder=folder).decode(errors="surrogateescape")
+
+
+def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> bytes:
+    """Returns git's answer.
+
+    Args:
+        given: What the user asked for, for the message.
+        *arguments: Of git.
+        folder: A folder of the repository; by default the current one.
+
+    Raises:
+        ModelError: If it gives none; the message is git's.
+    """
+    result = run_git(_git_command(given, *arguments), folder)
+    if result.returncode:
+        reason = one_line(result.stderr.decode(errors="replace")).removeprefix("fatal: ")
+        raise ModelError(given, diagnose("not-in-git", reason=reason))
+    return result.stdout
+
+
+def _git_command(given: str, *arguments: str) -> list[str]:
+    """Returns a command line of git that starts no program of the repository's."""
+    git = shutil.which("git")
+    if git is None:
+        raise ModelError(given, diagnose("no-file-and-no-git"))
+    return [git, *SAFE, *arguments]
+
+
 def _contents(
     given: str, entries: Sequence[GitEntry], folder: Path | None
 ) -> Iterator[tuple[GitEntry, bytes]]:
-    command = git_command(given, "cat-file", "--batch")
+    command = _git_command(given, "cat-file", "--batch")
     with subprocess.Popen(
         command,
         cwd=folder,

@@ -43,7 +43,6 @@ def _list_metrics(context: click.Context, _: click.Parameter, asked: bool) -> No
 @click.option(
     "--workers", type=click.IntRange(min=1), help="Number of processes. By default one per core."
 )
-@click.option("--figures", is_flag=True, help="Draw figures of the results into the output folder.")
 @click.option(
     "--minimise",
     multiple=True,
@@ -82,7 +81,6 @@ def command(
     folder: Path,
     dry_run: bool,
     workers: int | None,
-    figures: bool,
     minimise: tuple[str, ...],
     maximise: tuple[str, ...],
     numbers: tuple[int, ...],
@@ -124,7 +122,7 @@ def command(
     from pupper_analysis.tools.study.study import Study, estimate_study
 
     if dry_run:
-        refuse_idle("--dry-run", "figures", "report_path", "minimise", "maximise", "numbers")
+        refuse_idle("--dry-run", "report_path", "minimise", "maximise", "numbers")
     study = Study.read(file, own_metrics=not dry_run)
     objectives = check_objectives(study, minimise, maximise)
     if dry_run:
@@ -140,13 +138,8 @@ def command(
             file.stem, study.variables, table, rests_on(study.base), objectives
         )
         _show(finding, style, everything)
-    if figures or report_path or style == "markdown":
+    if report_path or style == "markdown":
         outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
-        if figures:
-            from pupper_analysis.tools.study.plots import draw_study
-
-            for path in draw_study(table, tuple(study.variables), folder, outcome.objectives):
-                shared.confirm_written(path)
         if style == "markdown":
             shared.show_results([("", outcome)], style)
         shared.write_page(report_path, outcome)

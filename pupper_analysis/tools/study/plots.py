@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,10 +33,7 @@ from pupper_analysis.tools.study.outcome import (
     column_label,
     mean_map,
     metrics_in,
-    pareto_front,
     split_panels,
-    spread_in,
-    standing_designs,
     value_span,
 )
 
@@ -85,7 +81,7 @@ class FrontPlot(Plot):
     objectives: Sequence[str]
 
 
-# What is drawn of a study, on its page and as figures: maps, designs as lines, fronts.
+# What is drawn of a study on its page: maps, designs as lines, fronts.
 
 MAPS = 3
 """Measures that have a map each."""
@@ -370,40 +366,3 @@ def _evenly(table: pd.DataFrame, most: int) -> pd.DataFrame:
 def _plain(label: str) -> str:
     """Returns a label without what parts labels from each other in the page."""
     return label.replace("|", "¦")
-
-
-# The figures of a study: what its page draws, as PNGs.
-
-
-def draw_study(
-    table: pd.DataFrame,
-    variables: Sequence[str],
-    folder: Path,
-    objectives: Mapping[str, str] | None = None,
-) -> list[Path]:
-    """Draws what a study can show without being asked, as its page does: returns the files.
-
-    Two variables of most values span the maps; the first metrics fill them. Two objectives, if
-    there are two, have their front.
-
-    Raises:
-        OutputError: If a file cannot be written.
-    """
-    from matplotlib.patches import Patch
-
-    from pupper_analysis.present.figures.drawing import write_plots
-
-    crossed = "crossed: some do not stand; the mean is of the others"
-    note = Patch(facecolor="none", edgecolor="black", hatch="///", label=crossed)
-    spread = spread_in(table, variables)
-    shown = study_plots(table, variables, spread[:2] if len(spread) > 1 else ())
-    if objectives is not None and len(objectives) == 2:
-        up = standing_designs(table)
-        if not up.dropna(subset=list(objectives)).empty:
-            shown["front"] = [front_plot(up, pareto_front(up, objectives), objectives)]
-    paths = []
-    for name, plots in shown.items():
-        paths.append(folder / f"{name}.png")
-        partial = any(isinstance(one, MeansPlot) and one.found.partial.any() for one in plots)
-        write_plots(plots, paths[-1], notes=[note] if partial else [])
-    return paths

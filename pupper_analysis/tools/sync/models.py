@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 import re
+import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,11 +16,11 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, OutputError
 from pupper_analysis.base.files import Writing, clear_left, hidden_token, write_all, write_new
-from pupper_analysis.base.inputs import read_text
+from pupper_analysis.base.inputs import MOST_TEXT, read_input, read_text
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.git import refuse_uncommitted
+from pupper_analysis.models.git import SAFE, git_entries, pointed_file, run_git
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
@@ -248,6 +250,53 @@ def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...],
     writings = [Writing(d.path, d.rendered(), EDITED, before=d.data) for d in changed]
     kept = write_all(writings, backup=backup)
     return tuple(str(d.path) for d in changed), tuple(map(str, kept))
+
+
+def refuse_uncommitted(path: Path) -> None:
+    """Refuses a file of a git repository that has changes which are not committed.
+
+    A file that git does not track has none, nor has one that differs in its ends of lines alone, or
+    whose pointer of Git LFS is committed.
+
+    Raises:
+        OutputError: If it has.
+    """
+    path = path.resolve()
+    git = shutil.which("git")
+    if git is None or not any((folder / ".git").exists() for folder in path.parents):
+        return
+    here, name = path.parent, _literal(path.name)
+    staged = git_entries(_asked(here, "ls-files", "--stage", "-z", "--", name))
+    if not staged:
+        return
+    committed = git_entries(_asked(here, "ls-tree", "-z", "HEAD", "--", path.name))
+    if (
+        committed is None
+        or [entry.object for entry in staged] != [entry.object for entry in committed]
+        or not _is_same(path, _asked(here, "cat-file", "blob", committed[0].object))
+    ):
+        raise OutputError(path, diagnose("uncommitted-changes"))
+
+
+def _literal(name: str) -> str:
+    """Returns a file's name as a pathspec in which no letter is special."""
+    return f":(literal){name}"
+
+
+def _is_same(path: Path, blob: bytes | None) -> bool:
+    """Tells whether a file is what git has of it, but for ends of lines and Git LFS."""
+    content = read_input(path, MOST_TEXT)
+    if blob is None or content == blob:
+        return blob is not None
+    if content.replace(b"\r\n", b"\n") == blob.replace(b"\r\n", b"\n"):
+        return True
+    return pointed_file(blob) == hashlib.sha256(content).hexdigest()
+
+
+def _asked(folder: Path, *arguments: str) -> bytes | None:
+    """Returns git's answer; None if it gives none."""
+    found = run_git(["git", *SAFE, *arguments], folder)
+    return found.stdout if found.returncode == 0 else None
 
 
 def _unmended(

@@ -57,9 +57,9 @@ def test_a_pendulum_on_its_side(tmp_path: Path) -> None:
         "AGREE: no difference within the tolerances; but the base is tilted by 90 deg"
         in headline(comparison)
     )
-    assert not compared(write(tmp_path, urdf, mounted(mjcf, lying)), same_mount=True).agree
+    assert not compared(write(tmp_path, urdf, mounted(mjcf, lying)), strict_names=True).agree
     about = Rotation.from_euler("z", 40, degrees=True)
-    assert compared(write(tmp_path, urdf, mounted(mjcf, about)), same_mount=True).mount is None
+    assert compared(write(tmp_path, urdf, mounted(mjcf, about)), strict_names=True).mount is None
 
 
 def as_they_are(files: Files) -> dict[str, tuple[float, float]]:
@@ -97,6 +97,6 @@ def test_a_root_that_is_turned_alike_is_no_tilt(tmp_path: Path) -> None:
     turn = Rotation.from_euler("xyz", [0.4, -0.3, 1.0])
     urdf = on_a_root(urdf_text(arm(), ()), turn)
     files = write(tmp_path, urdf, mounted(mjcf_text(arm(), (), free=False), turn))
-    comparison = compared(files, same_mount=True)
+    comparison = compared(files, strict_names=True)
     assert comparison.mount is None
     assert comparison.agree

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 
@@ -84,12 +83,6 @@ def test_audit_writes_every_format(broken: Path) -> None:
     github = run(str(broken), "--format", "github").stdout
     assert github.startswith(f"::error file={broken},line=")
     assert len(github.splitlines()) == len(audit.findings)
-    root = ElementTree.fromstring(run(str(broken), "--format", "junit").stdout.encode())
-    assert int(root.get("tests", "0")) == len(audit.rules_run)
-    failed = {
-        case.get("name") for case in root.iter("testcase") if case.find("failure") is not None
-    }
-    assert {"mass-not-positive", "mirror-limits"} <= failed
 
 
 def test_what_to_do_is_said_once_for_the_findings_of_a_rule(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given
@@ -320,13 +319,6 @@ def test_check_writes_formats_for_machines(folder: Path) -> None:
     log = json.loads(run(folder, "--format", "sarif").stdout)
     states = {r["ruleId"]: r["baselineState"] for r in log["runs"][0]["results"]}
     assert states == {"crosscheck/upper limit": "new", "crosscheck/mass": "unchanged"}
-    root = ElementTree.fromstring(run(folder, "--format", "junit").stdout.encode())
-    cases = {case.get("name"): case.find("failure") is None for case in root.iter("testcase")}
-    assert cases == {
-        "hopper: crosscheck": False,
-        "hopper.urdf: audit": True,
-        "hopper.xml: audit": True,
-    }
     result = run(folder, "--json", "-")
     content = json.loads(result.stdout)
     assert content["passed"] is False

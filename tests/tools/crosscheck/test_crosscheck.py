@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.crosscheck.crosscheck import EDGES, cross_check
+from pupper_analysis.tools.crosscheck.crosscheck import EDGES, cross_check, mujoco_from_urdf
 from tests.support.robots import Frame, arm, compared, mjcf_text, numbers, urdf_text, write
 
 
@@ -151,3 +151,17 @@ def test_an_axis_of_another_length_is_a_direction(tmp_path: Path) -> None:
     comparison = compared(files)
     assert comparison.agree
     assert comparison.engines == ()
+
+
+def test_urdf_keeps_the_mass_of_the_base_and_of_fixed_children() -> None:
+    for name, mass in (("v3", 3.170), ("original", 2.710)):
+        robot = pa.load_variant(name)
+        model = mujoco_from_urdf(
+            robot.description.urdf,
+            robot.description.urdf_source,
+            robot.mj_model,
+            robot.mj_base,
+            robot.imu,
+        )
+        assert model.nv == 18
+        assert model.body_mass.sum() == pytest.approx(mass, rel=1e-12)

@@ -16,7 +16,6 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.multibody import (
     from_pinocchio,
     to_pinocchio,
@@ -544,28 +543,7 @@ def test_nothing_of_a_repository_is_run(repository: Path, tmp_path: Path) -> Non
     proof.unlink()
     os.utime(repository / "robot.urdf")  # so that git looks at it again
     assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
-    refuse_uncommitted(repository / "robot.urdf")
-    text = (repository / "robot.urdf").read_text()
-    (repository / "robot.urdf").write_text(text + "\n")
-    with pytest.raises(pa.OutputError, match="not committed"):
-        refuse_uncommitted(repository / "robot.urdf")
     assert not proof.exists()
-
-
-def test_a_file_with_uncommitted_changes_is_refused(repository: Path) -> None:
-    urdf = repository / "robot.urdf"
-    text = urdf.read_bytes()
-    urdf.write_bytes(text.replace(b"\n", b"\r\n"))  # as a checkout on Windows has it
-    refuse_uncommitted(urdf)
-    urdf.write_bytes(text + b"\n")
-    git(repository, "add", "robot.urdf")  # staged is not committed
-    with pytest.raises(pa.OutputError):
-        refuse_uncommitted(urdf)
-    (repository / "new.urdf").write_bytes(text)  # nobody's, as far as git knows
-    refuse_uncommitted(repository / "new.urdf")
-    git(repository, "add", "new.urdf")
-    with pytest.raises(pa.OutputError):
-        refuse_uncommitted(repository / "new.urdf")
 
 
 def test_a_file_of_git_lfs(repository: Path) -> None:
@@ -577,7 +555,6 @@ def test_a_file_of_git_lfs(repository: Path) -> None:
     urdf.write_text(pointer)
     _commit(repository)
     urdf.write_bytes(text)
-    refuse_uncommitted(urdf)
     assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == cli.BAD_INPUT
     store = repository.parent / ".git" / "lfs" / "objects" / name[:2] / name[2:4]
     store.mkdir(parents=True)

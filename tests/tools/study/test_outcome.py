@@ -23,7 +23,7 @@ from pupper_analysis.tools.study.outcome import (
     pareto_front,
     split_panels,
 )
-from pupper_analysis.tools.study.plots import draw_study, mean_plots
+from pupper_analysis.tools.study.plots import front_plot, mean_plots, study_plots
 from pupper_analysis.tools.study.write import write_randomisation
 
 # ----------------------------------------------------------------------------- fronts
@@ -91,11 +91,13 @@ def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
 
 def test_maps_have_their_cells_where_they_are(table: pd.DataFrame, tmp_path: Path) -> None:
     """Viridis: dark blue is little, yellow is much; grey is not known."""
-    drawn = draw_study(table, ("x", "y"), tmp_path, {"x": "max", "m": "min"})
-    names = ["map_m.png", "front.png"]
-    assert [path.name for path in drawn] == names
-    for path in drawn:
-        assert np.ptp(imread(path)[..., :3], axis=(0, 1)).min() > 0.5
+    shown = study_plots(table, ("x", "y"), ("x", "y"))
+    assert list(shown) == ["map_m"]
+    up, senses = table.dropna(subset="m"), {"x": "max", "m": "min"}
+    shown["front"] = [front_plot(up, pareto_front(up, senses), senses)]
+    for name, plots in shown.items():
+        write_plots(plots, tmp_path / f"{name}.png")
+        assert np.ptp(imread(tmp_path / f"{name}.png")[..., :3], axis=(0, 1)).min() > 0.5
     little, much = (colours(tmp_path / "map_m.png", (at, 0.35)) for at in (0.2, 0.75))
     assert little[2] > little[0] + 0.05
     assert much[0] > much[2] + 0.3

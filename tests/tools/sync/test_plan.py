@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import random
 import re
@@ -17,6 +18,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.tools.sync.digits import Digits
+from pupper_analysis.tools.sync.models import refuse_uncommitted
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 from pupper_analysis.tools.sync.xml_bytes import read_document
 from tests.support.robots import (
@@ -478,6 +480,48 @@ def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> 
     git(tmp_path, "checkout", "robot.urdf")
     assert sync(files, "urdf", force=True).agree
     assert agree(files)
+
+
+@pytest.fixture
+def urdf(tmp_path: Path) -> Path:
+    """A file of a repository, as it is committed, and with what a repository may have git run."""
+    git(tmp_path, "init")
+    file = tmp_path / "robot.urdf"
+    file.write_text(urdf_text(ROBOT))
+    git(tmp_path, "add", "robot.urdf")
+    git(tmp_path, "commit", "-m", "robot")
+    for key in ("filter.x.clean", "core.fsmonitor"):
+        git(tmp_path, "config", key, f"sh -c 'touch {tmp_path / 'run'}; cat'")
+    (tmp_path / ".git" / "info" / "attributes").write_text("* filter=x\n")
+    return file
+
+
+def test_a_file_with_uncommitted_changes_is_refused(urdf: Path) -> None:
+    text = urdf.read_bytes()
+    urdf.write_bytes(text.replace(b"\n", b"\r\n"))  # as a checkout on Windows has it
+    refuse_uncommitted(urdf)
+    urdf.write_bytes(text + b"\n")
+    with pytest.raises(pa.OutputError, match="not committed"):
+        refuse_uncommitted(urdf)
+    new = urdf.with_name("new.urdf")
+    new.write_bytes(text)  # nobody's, as far as git knows
+    refuse_uncommitted(new)
+    assert not urdf.with_name("run").exists()
+    git(urdf.parent, "add", "robot.urdf", "new.urdf")  # staged is not committed
+    assert urdf.with_name("run").exists(), "git itself runs none of them"
+    for file in (urdf, new):
+        with pytest.raises(pa.OutputError):
+            refuse_uncommitted(file)
+
+
+def test_a_file_whose_pointer_of_git_lfs_is_committed(urdf: Path) -> None:
+    text = urdf.read_bytes()
+    name = hashlib.sha256(text).hexdigest()
+    pointer = f"version https://git-lfs.github.com/spec/v1\noid sha256:{name}\nsize {len(text)}\n"
+    urdf.write_text(pointer)
+    git(urdf.parent, "commit", "-am", "pointer")
+    urdf.write_bytes(text)
+    refuse_uncommitted(urdf)
 
 
 LOOP = """
