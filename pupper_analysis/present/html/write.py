@@ -358,9 +358,6 @@ def _licences(folder: Path) -> str:
 LANGUAGES = {"en": "en", "zh": "zh-Hans"}
 """The page's languages, and their names in HTML."""
 
-_HINT = "view-hint"
-_NO_LIBRARY = "view-without-three-js"
-
 Reportable = Result | Table
 Reported = Reportable | Mapping[str, Reportable] | Iterable[Reportable]
 """What may be reported."""
@@ -443,8 +440,8 @@ def render_page(shown: Report, language: str = "en") -> str:
             sections=sections,
             overview=[_block(block, scenes) for block in shown.overview],
             counted=_counted(judged),
-            ui=_interface(),
             words=_spoken(),
+            text=text,
             library=library if scenes else None,
             three=_as_it_is(library.script if library else ""),
             meshes=meshes,
@@ -485,43 +482,10 @@ def _counted(judged: list[Document]) -> Text | None:
     return text("count-passed", good=good, count=len(judged))
 
 
-def _interface() -> dict[str, Any]:
-    layers = {
-        "shapes": text("shapes"),
-        "axes": text("joint axes"),
-        "forces": text("contact-forces"),
-        "support": text("support-polygon-and-com"),
-        "other": text("joints-of-the-urdf"),
-        "masses": text("masses-of-the-links"),
-    }
-    said = {
-        "best": "the-best",
-        "source": "numbers-source",
-        "save_svg": "save-as-svg",
-        "save_png": "save-as-png",
-        "view_label": "view-label",
-        "view_hint": _HINT,
-        "reset": "reset-the-view",
-        "time": "time",
-        "motion": "motion-shown",
-        "joint_axes": "joint axes",
-        "no_library": _NO_LIBRARY,
-        "skip": "skip-to-the-summary",
-        "theme": "light-or-dark",
-        "sections": "sections",
-        "summary": "summary",
-        "made_by": "made-by",
-        "failed": "what-failed",
-        "notes": "notes-title",
-        "licences": "licences-of-scripts",
-    }
-    return {"layers": layers, **{name: text(english) for name, english in said.items()}}
-
-
 def _spoken() -> dict[str, dict[str, str]]:
     """Returns the words that the page's scripts say, by language."""
     said = {
-        "no_library": _NO_LIBRARY,
+        "no_library": "view-without-three-js",
         "no_webgl": "view-without-webgl",
         "position": "position",
         "torque": "torque",
