@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -35,14 +33,6 @@ def inertia_tensor(entries: Iterable[float]) -> Array:
     for value, (row, column) in zip(entries, INERTIA_ENTRIES.values(), strict=True):
         tensor[row, column] = tensor[column, row] = value
     return tensor
-
-
-def plain_state(instance: object) -> dict[str, Any]:
-    """Returns an object's attributes for pickling, in which mappings are dictionaries."""
-    return {
-        name: dict(value) if isinstance(value, MappingProxyType) else value
-        for name, value in vars(instance).items()
-    }
 
 
 def rotation_from_quaternion(quaternion: Array) -> Array:

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 
-from pupper_analysis.base.arrays import plain_state
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.additions import Addition, Ball, put_all
 from pupper_analysis.models.efforts import EffortLimit
-from pupper_analysis.models.mjcf import spec_from, state_of
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -67,12 +64,6 @@ class Description:
     made_servos: tuple[MadeServo, ...] = ()
     efforts: Mapping[str, EffortLimit] = field(default_factory=dict)
     converted: str = ""
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**plain_state(self), "mjcf": state_of(self.mjcf)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update({**state, "mjcf": spec_from(state["mjcf"])})
 
     def given(self, *added: Addition) -> Description:
         """Returns a description whose MJCF is given something for its simulation."""

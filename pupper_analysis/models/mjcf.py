@@ -6,6 +6,7 @@ is made up for where MuJoCo, without its scene, would refuse it.
 
 from __future__ import annotations
 
+import copyreg
 import re
 import warnings
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from contextlib import ExitStack, contextmanager
 from enum import IntEnum
 from pathlib import Path
 from threading import Lock
+from types import MappingProxyType
 from typing import Any, Final
 
 import mujoco
@@ -319,7 +321,7 @@ def to_xml(spec: mujoco.MjSpec) -> str:
     return str(spec.to_xml())
 
 
-# Specs as data: MuJoCo's cannot be pickled.
+# Specs as data: MuJoCo's cannot be pickled of themselves, nor can mappings that nobody may change.
 
 
 def state_of(spec: mujoco.MjSpec) -> dict[str, Any]:
@@ -349,3 +351,12 @@ def _files(spec: mujoco.MjSpec) -> dict[str, bytes]:
         if file and place.is_file():
             contents[name] = read_input(place, MOST_FILE)
     return contents
+
+
+def fixed_mapping(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    """Returns a mapping that cannot be changed."""
+    return MappingProxyType(content)
+
+
+copyreg.pickle(mujoco.MjSpec, lambda spec: (spec_from, (state_of(spec),)))
+copyreg.pickle(MappingProxyType, lambda fixed: (fixed_mapping, (dict(fixed),)))

@@ -12,22 +12,19 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import mujoco
 from lxml import etree
 
 from pupper_analysis.base.arguments import check_type
-from pupper_analysis.base.arrays import plain_state
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf import (
     compile_spec,
     no_number,
     put_ground,
     silence_mujoco,
-    spec_from,
     spec_of,
-    state_of,
 )
 from pupper_analysis.models.places import (
     Place,
@@ -553,12 +550,6 @@ class MjcfFile:
     of_urdf: bool = False
     stands_for: str = ""
     gains: Mapping[str, tuple[float, float]] | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**plain_state(self), "spec": state_of(self.spec)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update({**state, "spec": spec_from(state["spec"])})
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
         """Finds an element, in the file where it really stands.

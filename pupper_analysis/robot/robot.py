@@ -19,7 +19,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import plain_state
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.frozen import FrozenDict
@@ -261,7 +260,7 @@ class Robot:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        state = plain_state(self)
+        state = dict(vars(self))
         for made in _MADE:
             state.pop(made, None)
         limits = {name: np.array(getattr(self.pin_model, name)) for name in _LIMITS}
@@ -275,8 +274,7 @@ class Robot:
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, values in state.pop("limits", {}).items():
             setattr(state["pin_model"], name, values)
-        for name, value in state.items():
-            vars(self)[name] = MappingProxyType(value) if isinstance(value, dict) else value
+        vars(self).update(state)
 
     @property
     def hands(self) -> tuple[str, ...]:

@@ -56,7 +56,6 @@ if TYPE_CHECKING:
 @map_file_option
 @shared.package_option
 @frame_option
-@click.option("--fine", is_flag=True, help="Also sync rounding differences, down to 1e-9.")
 @fine_tolerance_option
 @shared.json_option
 @shared.look_option
@@ -74,7 +73,6 @@ def command(
     map_file: Path | None,
     packages: tuple[str, ...],
     feet: tuple[str, ...],
-    fine: bool,
     changes: tuple[str, ...],
     json_path: Path | None,
     style: str,
@@ -107,7 +105,7 @@ def command(
     if not take and not _is_terminal():
         refuse_alone(("--take",), "take_absent", "partial", "backup")
     names, folders = mapped_names(pairs, map_file), shared.package_folders(packages)
-    tolerances = with_changes(Tolerances.fine() if fine else Tolerances(), changes)
+    tolerances = with_changes(Tolerances(), changes)
 
     def run(chosen: tuple[str, ...], dry: bool) -> Sync:
         return sync_models(
