@@ -174,10 +174,7 @@ class SpecTree:
         """Moves the com of one body; what its geoms make of it is written out."""
         body = self.spec.body(link)
         if not body.explicitinertial:
-            made = self._compiled.body(link)
-            body.mass, body.ipos = float(made.mass[0]), np.array(made.ipos)
-            body.iquat, body.inertia = np.array(made.iquat), np.array(made.inertia)
-            body.explicitinertial = True
+            self.spec.adopt_inertial(body)
         body.ipos = np.array(body.ipos) + offset
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:

@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from string import Formatter
 
@@ -72,8 +73,9 @@ def made_calls() -> tuple[tuple[str, ast.Call], ...]:
 
 @cache
 def written() -> frozenset[str]:
-    """All texts that stand in the package's code."""
-    return frozenset(
+    """All texts that stand in the package's code and in its page template."""
+    page = files("pupper_analysis.present.html").joinpath("templates/page.html").read_text("utf-8")
+    return frozenset(page.split('"')) | frozenset(
         node.value
         for tree in trees().values()
         for node in ast.walk(tree)
