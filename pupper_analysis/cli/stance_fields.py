@@ -19,7 +19,7 @@ from pupper_analysis.cli import shared
 from pupper_analysis.stance.fields import FIELDS, Field
 
 if TYPE_CHECKING:
-    from pupper_analysis.robot.plane import Contact
+    from pupper_analysis.robot.plane import Contact, Weld
     from pupper_analysis.stance.task import StandTask
 
 Command = Callable[..., None]
@@ -90,35 +90,41 @@ def _one(field: Field, text: str, given: str) -> Any:
     return shared.parse_measure(field.option, field.kind, text, given)
 
 
-def parse_contact(option: str, text: str, given: str) -> Contact:
-    """Returns what is touched, of ``wall:0.4m,mu=0.6``; see the option's help.
+def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
+    """Returns what is touched, of ``wall:0.4m,mu=0.6`` or ``weld``; see the option's help.
 
     Raises:
         ConfigurationError: For the option, if it is none.
     """
-    from pupper_analysis.robot.plane import KINDS, Contact, Plane, plane_of
+    from pupper_analysis.robot.plane import KINDS, Contact, Plane, Weld, plane_of
 
     what, *parts = (part.strip() for part in text.split(","))
     kind, _, first = what.partition(":")
     numbers = [first, *(part for part in parts if "=" not in part)]
-    if kind not in (*KINDS, "plane") or len(numbers) != (6 if kind == "plane" else 1):
-        form = "[wall|table|ceiling]:LENGTH, plane:X,Y,Z,NX,NY,NZ"
+    if what == "weld" and numbers == [""]:
+        numbers, known = [], ("place", "offset")
+    elif kind not in (*KINDS, "plane") or len(numbers) != (6 if kind == "plane" else 1):
+        form = "[wall|table|ceiling]:LENGTH, plane:X,Y,Z,NX,NY,NZ, weld"
         raise ConfigurationError(option, diagnose("not-of-the-form", given=given, form=form))
+    else:
+        known = ("mu", "place", "offset", "radius", "force")
     lengths = [shared.parse_measure(option, "length", one, given) for one in numbers]
     asked: dict[str, Any] = {}
     for part in (part for part in parts if "=" in part):
         word, _, value = part.partition("=")
+        if word not in known:
+            raise ConfigurationError(option, diagnose("not-one-of", given=word, known=known))
         if word in ("place", "offset"):
             asked[word] = shared.parse_point(option, value.replace("/", ","), 3)
         elif word == "mu":
             _, asked[word] = shared.parse_number_assignment(option, part)
-        elif word == "radius":
-            asked[word] = shared.parse_measure(option, "length", value, given)
         else:
-            known = ("mu", "place", "offset", "radius")
-            raise ConfigurationError(option, diagnose("not-one-of", given=word, known=known))
+            quantity = "length" if word == "radius" else word
+            asked[word] = shared.parse_measure(option, quantity, value, given)
     friction = asked.pop("mu", None)
     try:
+        if not lengths:
+            return Weld(**asked)
         x, y, z, *normal = lengths if kind == "plane" else (0.0, 0.0, 0.0)
         plane = (
             Plane((x, y, z), (normal[0], normal[1], normal[2]), friction)

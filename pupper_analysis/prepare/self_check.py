@@ -99,7 +99,7 @@ def as_published_in(robot: Robot, stand: Stand, servos: ServosUsed) -> Published
         return None
     if robot.published.as_prepared:
         return None  # it is what is simulated
-    if robot.published.loaded is not None or not stand.task.ground.level:
+    if robot.published.loaded is not None or robot.welds or not stand.task.ground.level:
         return as_loaded(robot).once(published_nominal)
     return _published_in(robot, stand)
 

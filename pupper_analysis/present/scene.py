@@ -171,16 +171,19 @@ def describe_scene(
         stand: How it stands.
         statics: What holds it; without it, neither forces nor torques are shown.
     """
+    robot = stand.check(robot)
     config = Configuration(robot, stand.qpos)
     com = config.center_of_mass() if statics is None else statics.center_of_mass
     ground = stand.task.ground
-    robot = stand.check(robot)
-    points = np.array(list(stand.contact_points.values()))
+    points = np.array([*stand.contact_points.values()] or [(*stand.qpos[:2], 0.0)])
+    over = points[:1] if robot.welds else points  # welds hold a com over any place
     steps = ground.steps(stand.rigid_targets, robot.contact_radius)
     return StandingScene(
         ground=ground,
         points=points,
-        polygon=polygon_corners(points) if not ground.apart else _balanced(robot, stand, points),
+        polygon=_balanced(robot, stand, points)
+        if ground.apart and not robot.welds
+        else polygon_corners(over),
         steps=tuple(
             Step(foot, ground.heights.get(foot, 0.0), *step) for foot, step in steps.items()
         ),

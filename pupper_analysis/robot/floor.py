@@ -63,7 +63,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     solid = [
         geom
         for geom in spec.geoms
-        if (geom.contype or geom.conaffinity or geom.name in paired) and _is_fixed(geom.parent)
+        if (geom.contype or geom.conaffinity or geom.name in paired) and is_fixed(geom.parent)
     ]
     floors = [geom for geom in solid if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
     others = [geom for geom in solid if geom not in floors]
@@ -79,7 +79,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     return done + _leave_out(scenery)
 
 
-def _is_fixed(body: mujoco.MjsBody | None) -> bool:
+def is_fixed(body: mujoco.MjsBody | None) -> bool:
     """Tells whether a body stands in the world: no joint is between."""
     while body is not None and body.name != "world":
         if body.joints or body.mocap:

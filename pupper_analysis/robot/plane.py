@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +91,8 @@ class Contact:
 
     Attributes:
         plane: What it touches.
+        force: With which it presses (N), if that is stated; by default what balance makes it, and
+            beside a ``Weld``, which takes whatever is left, what costs the least motor torque.
         place: (x, y, z) where, or next to it: the nearest point of the plane (m). By default where
             the foot stands by default, or where a hand is with the joints at home.
         offset: Of a hand, (x, y, z) of its ball's centre in the frame of its link (m).
@@ -102,9 +104,15 @@ class Contact:
     place: Point | None = None
     offset: Point = (0.0, 0.0, 0.0)
     radius: float | None = None
+    force: float | None = None
 
     def __post_init__(self) -> None:
         check_type("plane", self.plane, Plane)
+        if self.force is not None:
+            force = check_finite("force", self.force)
+            if not force >= 0:
+                raise ConfigurationError("force", diagnose("below-the-least", value=force, bound=0))
+            object.__setattr__(self, "force", force)
         if self.place is not None:
             object.__setattr__(self, "place", _point("place", self.place))
         object.__setattr__(self, "offset", _point("offset", self.offset))
@@ -114,53 +122,98 @@ class Contact:
                 raise ConfigurationError("radius", diagnose("not-above", value=radius, bound=0))
             object.__setattr__(self, "radius", radius)
 
-    @staticmethod
-    def of(given: Any) -> Contact:
-        """Returns a contact of plain data, as JSON has it, or the contact given.
-
-        Raises:
-            ConfigurationError: If it is none.
-        """
-        if not isinstance(given, Mapping):
-            check_type("contact", given, Contact)
-            contact: Contact = given
-            return contact
-        plane = given.get("plane")
-        try:
-            plane = Plane(**plane) if isinstance(plane, Mapping) else plane
-            return Contact(**{**given, "plane": plane})
-        except TypeError as error:
-            problem = diagnose("no-contact", given=repr(given))
-            raise ConfigurationError("contact", problem) from error
-
     def at(self, number: float) -> Contact:
         """Returns a contact with the parallel plane at another ``number`` (m)."""
         return replace(self, plane=self.plane.moved(number))
 
     def __str__(self) -> str:
         """Returns it as it is typed: ``wall:0.4m,mu=0.6``."""
-        return self._typed(lambda length: f"{length!r}m", repr)
+        return format(self, "")
 
     def __format__(self, spec: str) -> str:
         """Returns the same in mm, with numbers in a format, such as ``.4g``; exactly with none."""
-        if not spec:
-            return str(self)
-        return self._typed(lambda m: f"{1e3 * m:{spec}}mm", lambda number: format(number, spec))
-
-    def _typed(self, length: Callable[[float], str], number: Callable[[float], str]) -> str:
+        number, length = _written(spec)
         plane, (kind, _) = self.plane, self.plane.kind
         parts = [f"{kind}:{length(plane.number)}"]
         if not kind:
             parts = [f"plane:{','.join([*map(length, plane.point), *map(number, plane.normal)])}"]
         if self.plane.friction is not None:
             parts.append(f"mu={number(self.plane.friction)}")
-        if self.place is not None:
-            parts.append("place=" + "/".join(map(length, self.place)))
-        if any(self.offset):
-            parts.append("offset=" + "/".join(map(length, self.offset)))
+        parts += _placed(self, length)
         if self.radius is not None:
             parts.append(f"radius={length(self.radius)}")
+        if self.force is not None:
+            parts.append(f"force={number(self.force)}N")
         return ",".join(parts)
+
+
+@dataclass(frozen=True)
+class Weld:
+    """A part of the robot that is fixed in the world, as if bolted: held any way, by any force.
+
+    The base stands where the task has it, a foot where it stands, and another part with a point of
+    its link where it is said to be; each as it is turned there.
+
+    Attributes:
+        place: Of another part than base and feet, (x, y, z) where the point is (m); by default
+            where it is with the joints at home.
+        offset: Of such a part, (x, y, z) of that point in the frame of its link (m).
+    """
+
+    plane: ClassVar[None] = None
+    place: Point | None = None
+    offset: Point = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.place is not None:
+            object.__setattr__(self, "place", _point("place", self.place))
+        object.__setattr__(self, "offset", _point("offset", self.offset))
+
+    def __str__(self) -> str:
+        """Returns it as it is typed: ``weld,offset=0.0m/0.0m/0.1m``."""
+        return format(self, "")
+
+    def __format__(self, spec: str) -> str:
+        """Returns the same in mm, with numbers in a format, such as ``.4g``; exactly with none."""
+        return ",".join(["weld", *_placed(self, _written(spec)[1])])
+
+
+def _written(spec: str) -> tuple[Callable[[float], str], Callable[[float], str]]:
+    """Returns what writes numbers, and what lengths (m): in mm in a format, or exactly."""
+    if not spec:
+        return repr, lambda length: f"{length!r}m"
+    return lambda number: format(number, spec), lambda length: f"{1e3 * length:{spec}}mm"
+
+
+def _placed(one: Contact | Weld, length: Callable[[float], str]) -> Iterator[str]:
+    """Yields where it is, as it is typed, as far as it is said."""
+    if one.place is not None:
+        yield "place=" + "/".join(map(length, one.place))
+    if any(one.offset):
+        yield "offset=" + "/".join(map(length, one.offset))
+
+
+def contact_of(given: Any) -> Contact | Weld:
+    """Returns a contact or a weld of plain data, as JSON has it, or the one given.
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
+    if isinstance(given, Weld):
+        return given
+    if not isinstance(given, Mapping):
+        check_type("contact", given, Contact)
+        contact: Contact = given
+        return contact
+    try:
+        if "plane" not in given:
+            return Weld(**given)
+        plane = given["plane"]
+        plane = Plane(**plane) if isinstance(plane, Mapping) else plane
+        return Contact(**{**given, "plane": plane})
+    except TypeError as error:
+        problem = diagnose("no-contact", given=repr(given))
+        raise ConfigurationError("contact", problem) from error
 
 
 KINDS: dict[str, tuple[Point, float]] = {

@@ -168,11 +168,15 @@ class Touching:
         offset: Of a part that is no foot, (x, y, z) of its ball's centre in its frame (m); None of
             a foot.
         radius: Of that ball (m); None: what its shapes hold.
+        force: With which it presses (N), if that is stated.
+        welded: Whether it touches nothing, and is fixed in the world.
     """
 
     friction: float | None = None
     offset: tuple[float, float, float] | None = None
     radius: float | None = None
+    force: float | None = None
+    welded: bool = False
 
 
 def with_friction(
@@ -279,7 +283,30 @@ class Robot:
     @property
     def hands(self) -> tuple[str, ...]:
         """Those of ``feet`` that are none of its own: parts with which a task has it touch."""
-        return tuple(name for name, one in self.touching.items() if one.offset is not None)
+        touching = self.touching.items()
+        return tuple(name for name, one in touching if one.offset is not None and name in self.feet)
+
+    @property
+    def welds(self) -> dict[str, str | None]:
+        """{what a task fixes in the world: a contact point on it; None of the base}."""
+        return {
+            name: next(iter(self.feet.get(name, ())), None)
+            for name, one in self.touching.items()
+            if one.welded
+        }
+
+    @property
+    def bearing(self) -> tuple[str, ...]:
+        """The contact points by which something may touch: all but those of what is welded."""
+        if not self.touching:
+            return self.contact_points
+        held = {point for name in self.welds for point in self.feet.get(name, ())}
+        return tuple(point for point in self.contact_points if point not in held)
+
+    @property
+    def base_height(self) -> float:
+        """Of the base by default (m): in the nominal stand, or where the file of an arm has it."""
+        return self.stand_height if len(self.feet) > len(self.hands) else float(self.home[2])
 
     @property
     def nq(self) -> int:
@@ -408,8 +435,14 @@ class Robot:
         limits[self.pin_convention.unbounded] = unbounded
         return limits
 
+    def check_not_welded(self, what: str) -> None:
+        """Checks that nothing is fixed in the world; see ``check_tree``."""
+        if self.welds:
+            problem = diagnose("robot-is-welded", robot=self.name, what=Term(what))
+            raise ConfigurationError("contacts", problem)
+
     def check_tree(self, what: str) -> None:
-        """Checks that no loops or couplings bind the robot's joints.
+        """Checks that no loops or couplings bind the robot's joints, and no welds its parts.
 
         Args:
             what: What is asked for, and is not computed for such a robot.
@@ -417,6 +450,7 @@ class Robot:
         Raises:
             ConfigurationError: If there are.
         """
+        self.check_not_welded(what)
         if self.closure is not None:
             bonds = self.closure.bonds
             problem = diagnose("robot-has-loops", robot=self.name, bonds=bonds, what=Term(what))

@@ -16,7 +16,7 @@ from pupper_analysis.models.mjcf import CONTACT_OF_GEOM
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.contact import ContactParameters
-from pupper_analysis.robot.floor import floor_of, turn_floor
+from pupper_analysis.robot.floor import floor_of, is_fixed, turn_floor
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot, Touching
 
@@ -40,12 +40,94 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
         than those with a box, and its contact points are those with a plane. What a hand touches
         only its ball does: its own shapes are around it.
 
+        What is welded touches neither, and has a weld to the world, which ``close_welds`` closes.
+
     Raises:
         ModelError: If the MJCF leaves no bits of ``contype`` for that.
     """
-    if ground.level:
+    if ground.level and not robot.welds:
         return robot
     spec = robot.description.mjcf.copy()
+    if not ground.level:
+        _put_ground(robot, spec, ground, places)
+    _put_welds(robot, spec)
+    return replace(rebuild_robot(robot, mjcf=spec), fingerprint=robot.fingerprint)
+
+
+def _put_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
+    """Adds welds to the world, which are open, of what touches nothing else of it."""
+    model, tree = robot.mj_model, SpecTree(spec)
+    for name, point in robot.welds.items():
+        body = model.body(robot.mj_base if point is None else robot.contact_places[point][0]).name
+        weld = spec.add_equality(name=weld_name(name), type=mujoco.mjtEq.mjEQ_WELD, name1=body)
+        weld.objtype, weld.active = mujoco.mjtObj.mjOBJ_BODY, False
+        weld.solref, weld.solimp[:2] = (2 * float(spec.option.timestep), 1.0), mujoco.mjMAXIMP
+        still = {geom.parent.name for geom in spec.geoms if is_fixed(geom.parent)} | {"world"}
+        for one in tree.fixed_group(body):
+            for other in still:
+                tree.exclude_contact(one, other)
+
+
+def weld_name(name: str) -> str:
+    """Returns what the weld of a part is called in MuJoCo."""
+    return f"weld_{name}"
+
+
+def close_welds(
+    robot: Robot, model: mujoco.MjModel, qpos: Array, pushes: Mapping[str, Array]
+) -> None:
+    """Closes the welds of a model, in place, where a configuration has them.
+
+    MuJoCo's constraints are soft: each is put as far off as it gives way, nanometres, so that what
+    it holds is exactly there.
+
+    Args:
+        robot: The robot, put ``on_ground``.
+        model: Its model, or a copy with servos.
+        qpos: (nq,) the configuration.
+        pushes: {what is welded: (nv,) the generalised force of its weld}.
+    """
+    welds = {name: model.equality(weld_name(name)).id for name in robot.welds}
+    if not welds:
+        return
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_kinematics(model, data)
+    for number in welds.values():
+        _place_weld(model, data, number, np.zeros(6))
+        model.eq_active0[number] = 1
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_forward(model, data)
+    for name, number in welds.items():
+        rows = np.flatnonzero(
+            (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value) & (data.efc_id == number)
+        )
+        moved, chosen = np.zeros((6, model.nv)), np.zeros((6, data.nefc))
+        chosen[np.arange(6), rows] = 1.0
+        for row, one in zip(moved, chosen, strict=True):
+            mujoco.mj_mulJacTVec(model, data, row, one)
+        push = pushes[name]
+        forces = np.linalg.lstsq(moved[:, robot.mj_convention.qvel_index].T, push)[0]
+        stiff, impedance = data.efc_KBIP[rows, 0], data.efc_KBIP[rows, 2]
+        _place_weld(model, data, number, -forces / (data.efc_D[rows] * stiff * impedance))
+
+
+def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened: Array) -> None:
+    """Puts a weld where its body is, but for what it is open by (6,), way and half of the turn."""
+    body, turn, own = int(model.eq_obj1id[number]), np.zeros(4), np.zeros(4)
+    mujoco.mju_negQuat(own, data.xquat[body])
+    mujoco.mju_mulQuat(turn, own, np.array([1.0, *opened[3:]]))
+    mujoco.mju_normalize4(turn)
+    model.eq_data[number, :3] = data.xpos[body] - opened[:3]
+    model.eq_data[number, 3:6], model.eq_data[number, 6:10] = 0.0, turn
+    model.eq_data[number, 10] = 1.0
+
+
+def _put_ground(
+    robot: Robot, spec: mujoco.MjSpec, ground: Ground, places: Mapping[str, Array]
+) -> None:
+    """Turns the floor, and puts steps and planes into a model; see ``on_ground``."""
     floor = floor_of(spec) or SpecTree(spec).add_floor()
     turn_floor(floor, quaternion_from_rotation(ground.rotation()))
     steps = ground.steps(places, robot.contact_radius)
@@ -85,7 +167,6 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
             box = top
         if robot.touching.get(foot, Touching()).friction is not None:
             _state_contact(box, robot.contacts[robot.feet[foot][0]], highest + 1)
-    return replace(rebuild_robot(robot, mjcf=spec), fingerprint=robot.fingerprint)
 
 
 def _state_contact(geom: mujoco.MjsGeom, parameters: ContactParameters, priority: int) -> None:

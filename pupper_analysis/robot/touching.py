@@ -7,16 +7,23 @@ from dataclasses import replace
 from functools import lru_cache
 
 import coal  # comes with pin
+import mujoco
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.additions import Addition, Ball, Untouching
+from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.models.xml import to_text
-from pupper_analysis.robot.build import rebuild_robot, with_touching
-from pupper_analysis.robot.plane import Contact
+from pupper_analysis.robot.build import (
+    build_robot,
+    rebuild_robot,
+    with_knowledge_of,
+    with_touching,
+)
+from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot, Touching
 from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.robot.tool import Tool, find_tool
@@ -25,11 +32,12 @@ _VIEWS = 8
 """Robots with contacts that are kept for later: as many as things that are lent."""
 
 
-def touching(robot: Robot, contacts: Mapping[str, Contact]) -> Robot:
+def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
     """Returns a robot that can make a task's contacts; most often itself.
 
     A part that is no foot gets a contact point: a ball that weighs nothing, and touches nothing but
-    its plane. A plane's friction is that of the contact with it.
+    its plane. A plane's friction is that of the contact with it. What is welded touches nothing; of
+    a robot whose base its file fixes in the world it is free, and held by its weld.
 
     Args:
         robot: The robot, or what this has returned of it.
@@ -37,35 +45,93 @@ def touching(robot: Robot, contacts: Mapping[str, Contact]) -> Robot:
 
     Raises:
         UnknownNameError: If there is no such foot or frame.
-        ConfigurationError: If a part is a foot, by another name, or a foot is given a ball; or if
-            the robot has other contacts, and was changed since.
+        ConfigurationError: If a part is a foot, by another name, or a foot is given a ball; if two
+            are welded that move as one; or if the robot has other contacts, and was changed since.
     """
     if not contacts and not robot.touching:
         return robot
     own = {foot for foot in robot.feet if foot not in robot.hands}
-    for name, one in contacts.items():
-        if name in own and (any(one.offset) or one.radius is not None):
-            raise ConfigurationError("contacts", diagnose("foot-is-no-hand", foot=name))
-    wanted = {
-        name: Touching(one.plane.friction)
-        if name in own
-        else Touching(one.plane.friction, one.offset, one.radius)
-        for name, one in contacts.items()
-    }
+    wanted = {name: _touching(name, one, name in own) for name, one in contacts.items()}
     asked = FrozenDict({name: one for name, one in wanted.items() if one != Touching()})
     if asked == robot.touching:
         return robot
     bare = robot if not robot.touching else robot.bare
     if bare is None:
         raise ConfigurationError("contacts", diagnose("made-for-other-contacts", robot=robot.name))
+    for name, one in contacts.items():
+        if isinstance(one, Weld) and one.place is not None:
+            _check_hand(name, name not in own and bool(_tool(bare, name).chain), "place")
     return _with_contacts(bare, asked) if asked else bare
+
+
+def _touching(name: str, one: Contact | Weld, foot: bool) -> Touching:
+    if isinstance(one, Weld):
+        _check_hand(name, not foot or not any(one.offset), "offset")
+        return Touching(offset=None if foot else one.offset, welded=True)
+    _check_hand(name, not foot or not (any(one.offset) or one.radius is not None), "offset, radius")
+    return Touching(one.plane.friction, None if foot else one.offset, one.radius, one.force)
+
+
+def _check_hand(name: str, is_one: bool, given: str) -> None:
+    if not is_one:
+        raise ConfigurationError("contacts", diagnose("foot-is-no-hand", foot=name, given=given))
 
 
 @lru_cache(maxsize=_VIEWS)
 def _with_contacts(robot: Robot, asked: FrozenDict[str, Touching]) -> Robot:
-    hands = {name: one for name, one in asked.items() if one.offset is not None}
-    made = _with_hands(robot, hands) if hands else robot
+    tools = {name: _tool(robot, name) for name, one in asked.items() if one.offset is not None}
+    fixed = [name for name, tool in tools.items() if asked[name].welded and not tool.chain]
+    hands = {name: one for name, one in asked.items() if name in tools and name not in fixed}
+    ends = {name: tools[name].chain[-1:] for name in tools}
+    for name, end in ends.items():
+        twins = (one for one in ends if ends[one] == end and one != name and asked[one].welded)
+        for other in twins:
+            raise ConfigurationError("contacts", diagnose("welded-twice", name=name, other=other))
+    if any(any(asked[name].offset or ()) for name in fixed):
+        _check_hand(fixed[0], False, "offset")
+    made = _freed(robot) if fixed and not robot.floating else robot
+    made = _with_hands(made, hands) if hands else made
     return replace(with_touching(made, robot, asked), bare=robot)
+
+
+def _tool(robot: Robot, name: str) -> Tool:
+    """Returns the frame of a name; ``base`` is that of the base, if no other is called so."""
+    try:
+        return find_tool(robot, name)
+    except UnknownNameError:
+        if name != "base":
+            raise
+        return find_tool(robot, robot.base)
+
+
+def _freed(robot: Robot) -> Robot:
+    """Returns a robot with a free base where its file, or whoever loaded it, has it fixed."""
+    described, model = robot.description, robot.mj_model
+    spec, base = described.mjcf.copy(), model.body(robot.mj_base).id
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    if not has_free_joint(spec):
+        chain = [base]
+        while model.body_parentid[chain[-1]]:
+            chain.append(int(model.body_parentid[chain[-1]]))
+        if not base or model.body_geomnum[chain[1:]].any():
+            problem = diagnose("no-base-to-weld", robot=robot.name, base=robot.mj_base)
+            raise ConfigurationError("contacts", problem)
+        pose = (*data.xpos[base], *data.xquat[base])
+        for one in chain:  # but for these the base may be in bodies that are empty
+            body = spec.body(model.body(one).name)
+            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+            body.pos, body.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+        body.pos, body.quat = pose[:3], pose[3:]
+        body.add_freejoint()
+        for key in spec.keys:
+            key.qpos = np.insert(key.qpos, robot.mj_convention.qpos_index.min(), pose)
+    built = with_knowledge_of(build_robot(replace(described, mjcf=spec)), robot)
+    for name in ("lowerPositionLimit", "upperPositionLimit", "effortLimit", "velocityLimit"):
+        own = getattr(robot.pin_model, name)  # what was changed since it was read stays
+        getattr(built.pin_model, name)[-len(own) :] = own
+    size = float(np.linalg.norm(data.xpos - data.xpos[base], axis=1).max()) / 2  # a scale
+    return built if robot.stand_height else replace(built, stand_height=size)
 
 
 def _with_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
@@ -73,11 +139,11 @@ def _with_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
     (urdf, mjcf), described = robot.description.trees(), robot.description
     model, frames = robot.pin_model.copy(), dict[str, tuple[str, str]]()
     taken = {site.name for site in mjcf.spec.sites} | {geom.name for geom in mjcf.spec.geoms}
-    geoms, added = dict(described.foot_geoms), list[Addition]()
+    geoms, added, said = dict(described.foot_geoms), list[Addition](), list[Diagnostic]()
     feet = (str(robot.mj_model.geom(geom).name) for geom in robot.foot_geoms)
     like = next(filter(None, feet), None)
     for name, one in hands.items():
-        tool = find_tool(robot, name).moved(one.offset or (0.0, 0.0, 0.0))
+        tool = _tool(robot, name).moved(one.offset or (0.0, 0.0, 0.0))
         _check_no_foot(robot, name, tool)
         frame = f"{name} (contact)"
         while frame in taken or frame in urdf.links:
@@ -92,6 +158,7 @@ def _with_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
         radius = one.radius or _room(robot, tool)
         size = Quantity(radius, "m")
         reason = diagnose("hand-touches-by-ball", name=name, radius=size)
+        said += [] if one.welded else [reason]
         added.append(Ball(reason, frame, body, radius, tuple(place.tolist()), like))
         added.append(Untouching(reason, (frame,)))  # but for its plane; see ``terrain``
         frames[name], geoms[name] = (frame, frame), (frame, radius)
@@ -105,7 +172,6 @@ def _with_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
         foot_geoms=geoms,
         made_frames=described.made_frames | {frame for frame, _ in frames.values()},
     )
-    said = (one.reason for one in added if isinstance(one, Ball))
     # What was changed in Pinocchio's model since it was read, such as a limit, stays.
     return replace(built, pin_model=model, notes=(*built.notes, *said))
 

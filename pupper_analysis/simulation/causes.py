@@ -148,8 +148,8 @@ def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) ->
 def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
     """Says so if feet creep; see ``creep_speeds``."""
     speeds = creep_speeds(robot, stand, prediction)
-    foot = max(speeds, key=speeds.__getitem__)
-    if not speeds[foot] > CREEPING:
+    foot = max(speeds, key=speeds.__getitem__, default="")
+    if not speeds.get(foot, 0.0) > CREEPING:
         return []
     option = robot.mj_model.opt
     elliptic = option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC.value

@@ -67,6 +67,8 @@ class Upright:
         low = min((feet[foot][2] - robot.contact_radius[foot] for foot in feet), default=0.0)
         lever = turned.T @ (com - qpos[:3])
         size = float(com[2] - low)
+        if robot.welds:  # it stands on what is bolted, which may be above it
+            size = float(np.linalg.norm(com - qpos[:3])) + robot.stand_height
         return cls(robot, turned if rotation is None else rotation, com, lever, size)
 
     def lean(self, state: Array) -> float:

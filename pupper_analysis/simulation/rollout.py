@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.robot.configuration import UP
+from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
-from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.robot.terrain import close_welds, on_ground
+from pupper_analysis.stance.stand import Stand, stand_contacts, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
@@ -88,9 +88,17 @@ def begin_stand(
     prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
     drive, torques = model_with_servos(robot, kp, kd, integrator), prediction.joint_torques
+    if robot.welds:
+        close_welds(robot, drive.model, stand.qpos, weld_pushes(robot, stand, prediction))
     start = place_on_ground(robot, drive, stand, torques)
     ctrl = drive.command(robot, stand.joint_positions(robot), torques if feedforward else None)
     return Standing(robot, stand, prediction, drive, start, ctrl)
+
+
+def weld_pushes(robot: Robot, stand: Stand, prediction: GravityCompensation) -> dict[str, Array]:
+    """Returns {what is welded: (nv,) the generalised force of its weld} in a stand."""
+    columns = stand_contacts(robot, stand).weld_columns(Configuration(robot, stand.qpos))
+    return {name: own @ prediction.weld_wrenches[name] for name, own in columns.items()}
 
 
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
@@ -98,7 +106,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
 
     The ground is soft: feet that just touch it carry nothing. The base is lowered into it, with the
     joints as they are, to where the contacts push against the ground's normal with the weight; so
-    the simulation starts at rest instead of with a fall of some millimetres.
+    the simulation starts at rest instead of with a fall of some millimetres. (But for one that is
+    welded.)
 
     Args:
         robot: The robot.
@@ -114,7 +123,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot), torques)
     data.act[:] = settled_activations(model, data.ctrl)
     apart = stand.task.ground.apart
-    normal = UP if apart else next(iter(stand.normals.values()))
+    normal = UP if apart else next(iter(stand.normals.values()), UP)
 
     def surplus(drop: float) -> float:
         """Returns by how much the contacts carry more than the weight (N)."""
@@ -126,7 +135,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         pushing = data.qfrc_constraint + data.qfrc_passive - data.qfrc_bias
         return float(normal @ pushing[robot.mj_convention.qvel_index[:3]])
 
-    if apart and any(stand.depths.values()):  # deep enough; walls hold by friction alone
+    # Deep enough, walls hold by friction alone; and what is welded cannot be let down.
+    if robot.welds or (apart and any(stand.depths.values())):
         surplus(0.0)
         return full_state(model, data)
     low, high = 0.0, _SHALLOW
@@ -286,5 +296,8 @@ def check_standing(robot: Robot, stand: Stand) -> Robot:
     Raises:
         ConfigurationError: If not.
     """
+    if not stand.task.contacts:  # a weld frees a base
+        robot.check_floating()
+    robot = stand.check(robot)
     robot.check_floating()
-    return stand.check(robot)
+    return robot

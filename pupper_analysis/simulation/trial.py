@@ -178,7 +178,7 @@ def simulate_nudges(
 
 def _nearest_edge(robot: Robot, stand: Stand) -> float:
     """Returns where the nearest edge of the support polygon is, from x towards y (rad)."""
-    if len(stand.contact_points) < 2:
+    if len(stand.contact_points) < 2 or robot.welds:
         return 0.0
     x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
     sides = polygon_sides(stand.corners(robot))
@@ -199,7 +199,7 @@ def may_be_upset(robot: Robot, stand: Stand, statics: GravityCompensation) -> bo
         stand: How it stands on the ground that is simulated.
         statics: What its motors hold there.
     """
-    if statics.com_margin is None:
+    if statics.com_margin is None or None in robot.welds.values():  # a base that no nudge moves
         return False
     fall = NUDGE * math.sqrt(height_of_com(robot, stand) / float(np.linalg.norm(robot.gravity)))
     (lower, upper), angles = _limits(robot, stand), stand.qpos[7:]
@@ -210,7 +210,7 @@ def may_be_upset(robot: Robot, stand: Stand, statics: GravityCompensation) -> bo
     ]
     return bool(
         statics.com_margin < _FALLS * fall
-        or min(loads) < _LIGHT * sum(loads) / len(loads)
+        or (not robot.welds and min(loads) < _LIGHT * sum(loads) / len(loads))
         or max(statics.motor_utilisation, default=0.0) > _NEARLY
         or max(statics.friction_utilisation.values(), default=0.0) > _NEARLY
         or min(room, default=math.inf) < _NEAR
@@ -229,7 +229,9 @@ def _limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
 
 
 def height_of_com(robot: Robot, stand: Stand) -> float:
-    """Returns the height of the com above the contacts (m)."""
+    """Returns the height of the com above the contacts (m); of what is welded a scale of it."""
+    if robot.welds:
+        return robot.stand_height
     com = Configuration(robot, stand.qpos).center_of_mass()
     return float(com[2] - np.mean(list(stand.contact_points.values()), axis=0)[2])
 
@@ -292,7 +294,7 @@ def _first_event(
             Failure.JOINT: names[(angles < lower) | (angles > upper)].tolist(),
             Failure.TIPPING: [
                 foot
-                for foot in stand.stance_feet
+                for foot in (() if robot.welds else stand.stance_feet)
                 if robot.foot_of(foot) not in seen.forces
                 and (feet[foot] - places[foot]) @ out[foot] > LIFTED
             ],

@@ -31,7 +31,12 @@ from pupper_analysis.simulation.causes import (
     too_stiff,
 )
 from pupper_analysis.simulation.monitor import LAST, SimulationSettings, Watch, watch_contacts
-from pupper_analysis.simulation.rollout import begin_stand, check_stand, simulate
+from pupper_analysis.simulation.rollout import (
+    begin_stand,
+    check_stand,
+    simulate,
+    weld_pushes,
+)
 from pupper_analysis.simulation.stability import (
     Nudge,
     measure_response,
@@ -79,6 +84,8 @@ def balance_by_mujoco(
             point = centre + contact_offset(radius, stand.normals[foot], depth)
             mujoco.mj_jac(model, data, jacobian, None, point, robot.contact_places[foot][0])
             remainder -= jacobian.T @ prediction.contact_forces[foot]
+    for push in weld_pushes(robot, stand, prediction).values() if robot.welds else ():
+        remainder[robot.mj_convention.qvel_index] -= push
     joints = robot.mj_convention.qvel_index[6:]
     if robot.closure is not None:
         remainder[joints] -= robot.closure.push(stand.qpos) @ remainder[joints]
@@ -93,7 +100,7 @@ def give_way(robot: Robot, stand: Stand, prediction: GravityCompensation) -> Dia
     """Says by how much loops and couplings open under a load, if a stand has them closed."""
     if robot.closure is None:
         return None
-    most = float(np.abs(open_loops(robot, stand, prediction.contact_forces)).max(initial=0.0))
+    most = float(np.abs(open_loops(robot, stand, prediction)).max(initial=0.0))
     if robot.closure.open_by(stand.qpos) > most / 2 or most < _OPEN:
         return None
     return diagnose("loops-are-soft", bonds=robot.closure.bonds, most=Quantity(most, "rad or m"))
@@ -317,7 +324,10 @@ def verify_stand(
     run = settle_and_nudge(drive, start, ctrl, duration - after, after, upright.has_collapsed)
     predicted = robot.per_foot(prediction.contact_forces)
     out = stand.ways_out(robot)
-    light = LIGHT * sum(force[2] for force in predicted.values())
+    borne = sum(force[2] for force in predicted.values())
+    if robot.welds:  # which may bear more than all, and hands hold down
+        borne = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    light = LIGHT * borne
     least = FORCE_TOLERANCE * light
     loaded = {foot for foot, force in predicted.items() if force @ out[foot] >= least}
     watch = watch_contacts(robot, drive.model, stand, run.states, ctrl, run.settling, loaded)
@@ -432,8 +442,12 @@ def _measured(
     predicted = robot.per_foot(prediction.contact_forces)
     out = stand.ways_out(robot)
     force_error = max(
-        abs(float((watch.forces[foot] - force) @ out[foot])) / max(float(force @ out[foot]), light)
-        for foot, force in predicted.items()
+        (
+            abs(float((watch.forces[foot] - force) @ out[foot]))
+            / max(float(force @ out[foot]), light)
+            for foot, force in predicted.items()
+        ),
+        default=0.0,
     )
     step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE_TIME, _FRAME))
     foot_error, residual = balance_by_mujoco(robot, stand, prediction)
@@ -546,7 +560,8 @@ def _deviations(
         return [*off, opens]
     if off and (edges := several_contacts(robot, stand)):
         return [*off, edges]
-    deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
+    sunk = (float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
+    deepest = max(sunk, default=0.0)
     if off and alone and deepest > SOFT and not any(stand.depths.values()):
         off.append(diagnose("feet-sink", depth=Quantity(deepest, "m")))
     return off

@@ -119,6 +119,8 @@ def find_branches(
     Raises:
         ModelError: If a joint's lower limit is above its upper one.
     """
+    if not robot.feet:
+        return {}
     for name, least, most in zip(robot.joint_names, lower, upper, strict=True):
         if least > most:
             crossed = diagnose(

@@ -258,16 +258,17 @@ class ClearanceShapes:
     def _not_feet(self) -> Iterator[OffGround]:
         """Yields each shape that is no foot.
 
-        A flat foot and the shapes on its link move as one body, so that it is stated once for all.
+        A flat foot and the shapes on its link move as one body, so that it is stated once for all;
+        and what is welded is where it is.
         """
         robot, model = self.robot, self.robot.pin_model
         feet: dict[str, str] = {}  # by their joint
-        flat: set[str] = set()
+        flat = {"" for point in robot.welds.values() if point is None}  # bolted to what it touches
         for foot, frame in robot.contact_frames.items():
             number = model.getFrameId(frame, pin.FrameType.BODY)
             name = model.names[model.frames[number].parentJoint]
             joint = name if name in robot.joint_names else ""
-            if foot in robot.feet:
+            if foot in robot.feet and foot in robot.bearing:
                 feet[joint] = foot
             else:
                 flat.add(joint)

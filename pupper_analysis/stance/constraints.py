@@ -132,17 +132,21 @@ class Footholds(Constraint):
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``: of a sole, its points' follow from each other."""
         feet = at.feet
-        return np.concatenate([feet[foot] - there for foot, there in goal.targets.items()])
+        apart = [feet[foot] - there for foot, there in goal.targets.items()]
+        return np.concatenate([*apart, np.zeros(0)])
 
     def rates(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
         jacobians = at.foot_jacobians()
-        return np.concatenate([jacobians[foot] for foot in goal.targets])
+        return np.concatenate(
+            [*map(jacobians.__getitem__, goal.targets), np.zeros((0, at.robot.nv))]
+        )
 
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``: the greatest distance of all contact points, pinned or not."""
         feet = at.feet
-        return max([math.dist(feet[foot], there.tolist()) for foot, there in goal.targets.items()])
+        apart = [math.dist(feet[foot], there.tolist()) for foot, there in goal.targets.items()]
+        return max(apart, default=0.0)
 
 
 class Loops(Constraint):
@@ -370,7 +374,8 @@ def judge_constraints(shapes: ClearanceShapes, goal: Goal, at: Kinematics) -> Ju
         elif not isinstance(one, SupportMargin):  # the com's margin is a result
             missed[one.name] = one.missed(goal, at)
     x, y, _ = at.com
-    return Judgement(missed, margin_of_place((x, y), goal.corners), near)
+    margin = math.inf if shapes.robot.welds else margin_of_place((x, y), goal.corners)
+    return Judgement(missed, margin, near)
 
 
 def constraints_of(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
@@ -385,7 +390,8 @@ def constraints_of(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
         yield BasePlace(shapes, goal)
     elif goal.task.com != "inside":
         yield PlaceConstraint(shapes, goal)
-    if goal.task.com_margin > 0.0 or not (goal.by_base or _is_in_place(goal)):
+    asked = goal.task.com_margin > 0.0 or not (goal.by_base or _is_in_place(goal))
+    if asked and not shapes.robot.welds:
         yield SupportMargin(shapes, goal)
     yield JointLimits(shapes, goal)
     ranges = tendon_ranges(shapes.robot)

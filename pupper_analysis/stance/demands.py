@@ -17,7 +17,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.robot.plane import Contact
+from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.stance.problem import feet_places, nominal_feet, usual_place
@@ -107,7 +107,10 @@ class Numbers:
             changed.setdefault(field, {}).setdefault(foot, []).append(value)
         return self._task.having(
             {
-                name: {foot: self._one(name, foot, parts) for foot, parts in of.items()}
+                name: {
+                    **(self._task.contacts if FIELDS[name].kind == "contact" else {}),
+                    **{foot: self._one(name, foot, parts) for foot, parts in of.items()},
+                }
                 if FIELDS[name].per
                 else self._one(name, "", of[""])
                 for name, of in changed.items()
@@ -115,8 +118,9 @@ class Numbers:
         )
 
     def _one(self, field: str, foot: str, parts: list[float]) -> Any:
-        if FIELDS[field].kind == "contact":
-            return self._task.contacts[foot].at(parts[0])
+        contact = self._task.contacts.get(foot)
+        if FIELDS[field].kind == "contact" and isinstance(contact, Contact):
+            return contact.at(parts[0])
         return parts[0] if len(parts) == 1 else tuple(parts)
 
     def inside(self, values: Array) -> Array:
@@ -139,7 +143,7 @@ def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
     """Yields what a field has that is in numbers, with its foot; empty if it is of none."""
     value = getattr(task if field.part == "task" else task.ground, field.name)
     if field.per:
-        yield from value.items()
+        yield from ((foot, one) for foot, one in value.items() if not isinstance(one, Weld))
     elif value is not None and not isinstance(value, str):
         yield "", value
 
@@ -147,6 +151,7 @@ def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
 def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
     if field.kind == "contact":
         contact, place = task.contacts[foot], usual_place(robot, foot)
+        assert isinstance(contact, Contact)
         if foot in robot.hands:  # it is its ball's
             place -= robot.contact_radius[robot.feet[foot][0]] * np.array(contact.plane.normal)
         return replace(contact, plane=replace(contact.plane, point=tuple(place.tolist())))
@@ -165,7 +170,7 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
         if foot not in task.swing and foot not in robot.hands
         for _ in robot.feet[foot]
     ]
-    x, y = np.mean(stance_feet, axis=0)
+    x, y = np.mean(stance_feet, axis=0) if stance_feet else robot.home[:2]
     return float(x), float(y)
 
 

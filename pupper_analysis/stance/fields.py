@@ -176,10 +176,10 @@ class Field:
                 raise ConfigurationError(name, message)
             return value
         if self.kind == "contact":
-            from pupper_analysis.robot.plane import Contact  # no engine, but NumPy
+            from pupper_analysis.robot.plane import contact_of  # no engine, but NumPy
 
             try:
-                return Contact.of(value)
+                return contact_of(value)
             except ConfigurationError as error:
                 where = f"{name}.{error.field}".removesuffix(".contact")
                 raise ConfigurationError(where, error.problem) from None

@@ -131,8 +131,7 @@ class Stand(Tabular):
 
     def centre(self, robot: Robot) -> Array:
         """Returns the centre (3,) of the feet that carry, without hands (m)."""
-        points = np.array([*self.contact_points.values()])
-        return feet_centre(robot, self.task.ground, self.stance_feet, points)
+        return feet_centre(robot, self.task.ground, self.contact_points, self.foot_targets)
 
     def sunk(self, robot: Robot, drops: Mapping[str, Array]) -> float:
         """Returns by how much feet that are (3,) lower than they should be lower the base (m).
@@ -142,6 +141,8 @@ class Stand(Tabular):
         apart = self.task.ground.apart
         own = [foot for foot in drops if not apart or robot.foot_of(foot) not in apart] or [*drops]
         places = np.array([(1.0, *self.foot_targets[foot][:2]) for foot in own])
+        if not own:
+            return 0.0
         plane = np.linalg.lstsq(places, np.array([drops[foot][2] for foot in own]))[0]
         return float(plane @ (1.0, self.qpos[0], self.qpos[1]))
 
@@ -289,7 +290,7 @@ def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
     Its turn and height are given; and above ground without slope that is all that counts, as steps
     are put on a plane that stays.
     """
-    if goal.task.ground.slope:
+    if goal.task.ground.slope or shapes.robot.welds:
         return False
     qpos = shapes.robot.home.copy()
     qpos[:7] = 0.0, 0.0, goal.height, *goal.turn

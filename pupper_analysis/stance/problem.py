@@ -245,16 +245,16 @@ def _goal_of(
         places = place_feet(robot, task)
         contacts = np.array(
             [places[foot] - robot.contact_radius[foot] * out[foot] for foot in stance_feet]
-        )
+        ).reshape(-1, 3)
         deep = FrozenDict({foot: float(depths.get(foot, 0.0)) for foot in stance_feet})
         targets = freeze_arrays(sink_feet(robot, places, deep, out))
         touches = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
         normals = freeze_arrays({foot: out[foot] for foot in stance_feet})
         grip = [robot.contacts[foot].sliding_friction for foot in stance_feet if robot.contacts]
         support = Support(contacts, np.array([*normals.values()]), grip)
-        if checked:
+        if checked and not robot.welds:  # which hold any com
             _check_area(robot, np.array(support.corners), stance_feet)
-        centre = feet_centre(robot, task.ground, stance_feet, contacts)
+        centre = feet_centre(robot, task.ground, touches, targets)
     task = _filled(robot, task, com)
     assert task.height is not None
     assert task.com is not None
@@ -262,7 +262,8 @@ def _goal_of(
         lower, upper = like.lower, like.upper
     else:
         lower, upper = _joint_limits(robot, task, checked=checked)
-    place, by_base = centre[:2], False
+    armed = len(robot.hands) == len(robot.feet)  # an arm's base is where it is bolted
+    place, by_base = centre[:2], armed and isinstance(task.com, str)
     if task.offset is not None:
         place, by_base = place + task.offset, True
     elif not isinstance(task.com, str):
@@ -270,7 +271,8 @@ def _goal_of(
     elif like is not None and centre is like.centre and _centred(like.task):
         place = like.place
     # The centre, of which no margin is asked, always is inside.
-    if checked and not by_base and not (isinstance(task.com, str) and task.com_margin == 0.0):
+    at_centre = by_base or (isinstance(task.com, str) and task.com_margin == 0.0)
+    if checked and not at_centre and not robot.welds:
         _check_inside(task, place, support.corners)
     turn = like.turn if like is not None and _turned_alike(like.task, task) else task.turn()
     return Goal(
@@ -292,8 +294,20 @@ def _goal_of(
     )
 
 
-def feet_centre(robot: Robot, ground: Ground, stance_feet: Sequence[str], contacts: Array) -> Array:
-    """Returns the centre (3,) of the feet that carry, without hands or walls; see ``Goal`` (m)."""
+def feet_centre(
+    robot: Robot, ground: Ground, touches: Mapping[str, Array], targets: Mapping[str, Array]
+) -> Array:
+    """Returns the centre (3,) of the feet that carry, without hands or walls; see ``Goal`` (m).
+
+    Of an arm, below where its file has its base.
+    """
+    if robot.welds:
+        if len(robot.hands) == len(robot.feet):
+            return np.array([*robot.home[:2], 0.0])
+        held = (point for foot in robot.welds for point in robot.feet.get(foot, ()))
+        radius = robot.contact_radius
+        touches = {**touches, **{one: targets[one] - radius[one] * UP for one in held}}
+    stance_feet, contacts = [*touches], np.array([*touches.values()])
     centre: Array = contacts.mean(axis=0)
     steep = [foot for foot in ground.apart if ground.normal(foot)[2] < _STEEP]
     for left_out, parts in (((*robot.hands, *steep), slice(None)), (ground.apart, slice(2, 3))):
@@ -339,7 +353,7 @@ def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
     if task.posture:
         task = replace(task, posture=with_units(robot, task.posture))
     if task.height is None:
-        task = replace(task, height=robot.stand_height)
+        task = replace(task, height=robot.base_height)
     return task if task.com else task.with_com(com if task.offset is None else "centre")
 
 
@@ -382,7 +396,7 @@ def _check_area(robot: Robot, corners: Array, stance_feet: Sequence[str]) -> Non
 def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> tuple[str, ...]:
     """Returns the contact points that carry, if a task is one for this robot; see ``make_goal``."""
     robot.check_floating()
-    if not robot.contact_points:
+    if not (robot.contact_points or robot.welds):
         raise ConfigurationError("robot", diagnose("no-feet", robot=robot.name))
     if not robot.gravity[2] < 0:
         gravity = Vector(tuple(robot.gravity), "m/s^2")
@@ -404,7 +418,9 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
             problem = diagnose("depth-not-valid", subject=("foot", foot), depth=given, least=least)
             raise ConfigurationError("depths", problem)
     swinging = {point for foot in task.swing for point in robot.feet[foot]}
-    stance_feet = tuple(foot for foot in robot.contact_points if foot not in swinging)
+    stance_feet = tuple(foot for foot in robot.bearing if foot not in swinging)
+    if robot.welds:
+        return stance_feet
     if len(robot.contact_points) < 3:
         raise ConfigurationError(
             "robot",
@@ -526,7 +542,7 @@ def usual_place(robot: Robot, foot: str) -> Array:
 def _home_places(robot: Robot) -> dict[str, Array]:
     """Returns the contact points' centres, {point: (3,)}, of a robot that stands at home (m)."""
     qpos = robot.posed(robot.home[robot.nq - robot.nu :])
-    qpos[2] = robot.stand_height
+    qpos[2] = robot.base_height
     return Configuration(robot, qpos).foot_positions()
 
 

@@ -27,7 +27,7 @@ from pupper_analysis.stance.stand import (
 )
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import make_contacts
-from pupper_analysis.statics.equilibrium import ForceDistribution
+from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
 
@@ -86,17 +86,15 @@ def solve_stand_on_soft_ground(
     give = np.zeros(0 if robot.closure is None else 1)
     least, stalled = math.inf, 0
     for _ in range(_MAX_ITERATIONS):
-        forces = stand_statics(
-            robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
-        ).contact_forces
+        held = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
         depths = {
-            foot: law.depth(max(0.0, float(forces[foot] @ stand.normals[foot])))
+            foot: law.depth(max(0.0, float(held.contact_forces[foot] @ stand.normals[foot])))
             for foot, law in laws.items()
         }
         depths |= _as_soles(robot, stand, depths)
-        change = max(abs(depths[foot] - stand.depths[foot]) for foot in depths)
+        change = max([abs(depths[foot] - stand.depths[foot]) for foot in depths], default=0.0)
         if robot.closure is not None:
-            before, give = give, open_loops(robot, stand, forces)
+            before, give = give, open_loops(robot, stand, held)
             change = max(change, float(np.abs(give - before).max(initial=0.0)))
             # They are the softer the less they are open: by turns too much and too little.
             give = (give + before) / 2 if any(stand.depths.values()) else give
@@ -173,13 +171,13 @@ def solve_loaded_stand(
     return loaded, solve_stand_as_simulated(loaded, task)
 
 
-def open_loops(robot: Robot, stand: Stand, forces: Mapping[str, Array]) -> Array:
+def open_loops(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
     """Returns by how much MuJoCo's loops and couplings of joints open in a stand.
 
     Args:
         robot: A robot with a ``closure``.
         stand: The stand.
-        forces: {foot that carries: (3,)} of the ground on it (N).
+        held: What holds it.
 
     Returns:
         (m,) for each equation of its constraints (m, rad).
@@ -187,7 +185,8 @@ def open_loops(robot: Robot, stand: Stand, forces: Mapping[str, Array]) -> Array
     assert robot.closure is not None
     config = Configuration(robot, stand.qpos)
     carrying = make_contacts(robot, stand.stance_feet, None, stand.normals, stand.depths)
-    pushed = np.concatenate([forces[foot] for foot in stand.stance_feet])
+    forces = (held.contact_forces[foot] for foot in stand.stance_feet)
+    pushed = np.concatenate([*forces, *held.weld_wrenches.values()])
     left = config.load() - carrying.jacobian(config) @ pushed
     return robot.closure.give(stand.qpos, left[robot.nv - robot.nu :])
 

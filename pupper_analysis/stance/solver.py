@@ -188,7 +188,7 @@ class _Tasks:
 
     def miss(self) -> float:
         """Returns how far the feet are from where they shall be, at most (m), by the last look."""
-        worst: float = max([foot.error_norm() for _, foot in self.feet])
+        worst: float = max([foot.error_norm() for _, foot in self.feet], default=0.0)
         return worst
 
     def error(self) -> float:

@@ -12,13 +12,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arguments import check_finite, check_type
+from pupper_analysis.base.arguments import check_finite, check_length, check_type
 from pupper_analysis.base.diagnostics import Diagnostic, Phrase, diagnose
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.robot.ground import Ground
-from pupper_analysis.robot.plane import Contact
+from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.stance.fields import FIELDS, Field
 
 Array = NDArray[np.float64]
@@ -48,7 +48,8 @@ class StandTask:
         swing: {foot that does not carry: height of its sphere above the ground (m)}.
         ground: Plane and steps.
         contacts: {foot: what it touches instead of the ground (``Contact``)}; or another link,
-            site, body or geom, a hand: what that touches. No hand moves the centre of the feet, nor
+            site, body or geom, a hand: what that touches. Each of them, and the ``base``, may be
+            fixed in the world instead (``Weld``). No hand moves the centre of the feet, nor
             does a foot on what is steeper than 60 deg; no foot on such a plane moves the height.
         com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: anywhere in the support
             polygon with at least ``com_margin``, over the centre if that is in reach. By default
@@ -74,7 +75,7 @@ class StandTask:
     foot_offsets: Mapping[str, Point] = field(default_factory=FrozenDict)
     swing: Mapping[str, float] = field(default_factory=FrozenDict)
     ground: Ground = field(default_factory=Ground)
-    contacts: Mapping[str, Contact] = field(default_factory=FrozenDict)
+    contacts: Mapping[str, Contact | Weld] = field(default_factory=FrozenDict)
     com: str | Point | None = None
     com_margin: float = 0.0
     joint_margin: float = 0.0
@@ -88,13 +89,17 @@ class StandTask:
             value = getattr(self, entry.name)
             if value is _DEFAULTS[entry.name] or (type(value) is FrozenDict and not value):
                 continue  # what the class says itself needs no check
+            if entry.name == "height" and self.contacts:  # on a table it may be below what carries
+                object.__setattr__(self, "height", check_length("height", value))
+                continue
             if entry.per:
                 check_type(entry.name, value, Mapping[str, Any])
             object.__setattr__(self, entry.name, entry.checked(value))
         if type(self.ground) is not Ground:
             check_type("ground", self.ground, Ground)
         if self.contacts or self.ground.planes:
-            planes = {name: contact.plane for name, contact in self.contacts.items()}
+            touched = self.contacts.items()
+            planes = {name: plane for name, one in touched if (plane := one.plane) is not None}
             object.__setattr__(self, "ground", self.ground.with_planes(planes))
         if self.ik_seed is not None:
             check_type("ik_seed", self.ik_seed, Sequence[float])

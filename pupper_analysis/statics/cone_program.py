@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import clarabel
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
+from scipy import linalg, sparse
 from scipy.linalg import lapack
 
 Array = NDArray[np.float64]
@@ -39,7 +39,10 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,)."""
+    """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,).
+
+    Wrenches of welds come after these, (6 w,), and are in no cone.
+    """
 
     base: Array
     weight: Array
@@ -60,6 +63,32 @@ class Balance:
             if held and self._balances(forces):
                 return forces
         return self.solve(friction, metric, np.zeros(self.base.shape[1]))
+
+    def pressing(self) -> Array | None:
+        """Returns the f (3 n + 6 w,) of least |tau| that only presses; None if there is none.
+
+        Beside a weld, which takes what is left, that is what lasts: no force along a plane, so that
+        nothing creeps, and along normals those that spare the motors.
+        """
+        count, size = len(self.normals), self.base.shape[1]
+        along = np.zeros((size, size - 2 * count))
+        along[: 3 * count, :count] = linalg.block_diag(*self.normals[:, :, None])
+        along[3 * count :, count:] = np.eye(size - 3 * count)
+        own = replace(
+            self,
+            base=self.base @ along,
+            joints=self.joints @ along,
+            normals=np.zeros((0, 3)),
+        )
+        found = own._without_cones(own.joints, self.torques)
+        if found is not None and (found[:count] < 0).any():
+            particular, free = own._by_singular_values
+            bounds = -free[:count], particular[:count]
+            cost, target = own.joints @ free, self.torques - own.joints @ particular
+            nothing = np.zeros(0)
+            least = own._solve_cones(particular, free, cost, target, nothing, bounds)
+            found = None if least is None else particular + free @ least
+        return None if found is None else along @ found
 
     def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
         """Returns the f (3 n,) of least peak |tau| / limit, or None if there is none.
@@ -154,8 +183,12 @@ class Balance:
 
     def normal_forces(self, forces: Array) -> Array:
         """Returns the normal parts (n,) of forces (3 n,)."""
-        parts: Array = (forces.reshape(-1, 3) * self.normals).sum(axis=1)
+        parts: Array = (self._of_contacts(forces) * self.normals).sum(axis=1)
         return parts
+
+    def _of_contacts(self, forces: Array) -> Array:
+        """Returns the contacts' part (n, 3) of forces (3 n + 6 w,)."""
+        return forces[: self.normals.size].reshape(-1, 3)
 
     def _balances(self, forces: Array) -> bool:
         error = math.hypot(*(self.base @ forces - self.weight).tolist())
@@ -165,7 +198,10 @@ class Balance:
         """Returns the largest tangential force beyond its cone (N); negative inside all."""
         excess = []
         for (x, y, z), (a, b, c), coefficient in zip(
-            forces.reshape(-1, 3).tolist(), self.normals.tolist(), friction.tolist(), strict=True
+            self._of_contacts(forces).tolist(),
+            self.normals.tolist(),
+            friction.tolist(),
+            strict=True,
         ):
             pressing = x * a + y * b + z * c
             sliding = math.hypot(x - pressing * a, y - pressing * b, z - pressing * c)
@@ -173,12 +209,13 @@ class Balance:
         return _nan_or_max(excess)
 
     def _cones(self, friction: Array) -> Array:
-        """Returns rows (4 n, 3 n) that take f to (mu f_n, f_t) per foot, to be in the cone."""
+        """Returns rows (4 n, 3 n + 6 w) that take f to (mu f_n, f_t) per foot, in the cone."""
         normals, count = self.normals, len(self.normals)
         rows, each = np.zeros((count, 4, count, 3)), np.arange(count)
         rows[each, 0, each] = (friction * (1 - _INSIDE))[:, None] * normals
         rows[each, 1:, each] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-        return rows.reshape(4 * count, 3 * count)
+        free = np.zeros((4 * count, self.base.shape[1] - 3 * count))
+        return np.hstack([rows.reshape(4 * count, 3 * count), free])
 
     def _solve_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
@@ -321,4 +358,4 @@ def _sparse(matrix: Array) -> sparse.csc_matrix:
 
 
 def _nan_or_max(values: list[float]) -> float:
-    return math.nan if math.isnan(sum(values)) else max(values)
+    return math.nan if math.isnan(sum(values)) else max(values, default=-math.inf)

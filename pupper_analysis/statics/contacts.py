@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Real
 
 import numpy as np
@@ -36,6 +37,9 @@ class Contacts:
         friction: (n,) coefficients.
         offsets: (n, 3) from each foot's centre to its contact, in the world (m).
         soles: {foot of the robot: which of ``feet``, its contact points, carry}.
+        welds: {what is fixed in the world: a contact point on it; None of the base}.
+        stated: (k, n) of each stated force, the contacts that press with it together.
+        pressed: (k,) these forces (N).
     """
 
     nv: int
@@ -45,6 +49,9 @@ class Contacts:
     friction: Array
     offsets: Array
     soles: Mapping[str, tuple[str, ...]]
+    welds: Mapping[str, str | None] = field(default_factory=dict)
+    stated: Array | None = None
+    pressed: Array | None = None
 
     @functools.cached_property
     def level(self) -> bool:
@@ -59,8 +66,11 @@ class Contacts:
             points: (n, 3) where the contacts are (m).
 
         Returns:
-            The distance; positive inside; minus infinity if the place is not a number.
+            The distance; positive inside; minus infinity if the place is not a number; infinite
+            with a weld, which holds any.
         """
+        if self.welds:
+            return math.inf
         x, y, *_ = place.tolist()
         if self.level:  # as a rule: nothing else is asked
             corners = tuple([(a, b) for a, b, _ in points.tolist()])
@@ -88,8 +98,21 @@ class Contacts:
         return config.foot_places(self.feet) + self.offsets
 
     def jacobian(self, config: Configuration) -> Array:
-        """Returns J^T (nv, 3 n): what generalised force their forces make."""
-        return (self._moved @ config.foot_twists(self.feet).reshape(-1, self.nv)).T
+        """Returns J^T (nv, 3 n + 6 w): what generalised force their forces make.
+
+        And the wrenches of welds, force and moment in world axes.
+        """
+        pushed = (self._moved @ config.foot_twists(self.feet).reshape(-1, self.nv)).T
+        return np.hstack([pushed, *self.weld_columns(config).values()]) if self.welds else pushed
+
+    def weld_columns(self, config: Configuration) -> dict[str, Array]:
+        """Returns {what is welded: (nv, 6) the generalised force of its wrench}."""
+        base = np.eye(6, self.nv)
+        base[3:, 3:6] = config.base_rotation()
+        return {
+            name: (base if point is None else config.foot_twists((point,))[0]).T
+            for name, point in self.welds.items()
+        }
 
     @functools.cached_property
     def _moved(self) -> Array:
@@ -108,9 +131,15 @@ class Contacts:
             transposed: (nv, 3 n) see ``jacobian``.
             load: (nv,) what motors and contacts must add up to (N, N m).
         """
+        base, weight = transposed[: self.free], load[: self.free]
+        if self.stated is not None:
+            rows = np.zeros((len(self.stated), transposed.shape[1]))
+            along = self.stated[:, :, None] * self.normals
+            rows[:, : self.normals.size] = along.reshape(len(rows), -1)
+            base, weight = np.vstack([base, rows]), np.concatenate([weight, self.pressed])
         return Balance(
-            base=transposed[: self.free],
-            weight=load[: self.free],
+            base=base,
+            weight=weight,
             joints=transposed[self.free :],
             torques=load[self.free :],
             normals=self.normals,
@@ -131,7 +160,7 @@ def make_contacts(
         ConfigurationError: If a friction coefficient or a normal is no such thing, a foot is named
             twice, or a robot with a fixed base is given contacts.
     """
-    feet = tuple(robot.contact_points if contacts is None and robot.floating else contacts or ())
+    feet = tuple(robot.bearing if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
         return robot.once(_usual, feet)
     return _contacts(robot, feet, friction, normals, depths)
@@ -161,7 +190,8 @@ def _contacts(
         raise ConfigurationError("contacts", problem)
     if not feet:
         nothing = np.zeros((0, 3))
-        return Contacts(robot.nv, robot.nv - robot.nu, feet, nothing, np.zeros(0), nothing, {})
+        free, none = robot.nv - robot.nu, np.zeros(0)
+        return Contacts(robot.nv, free, feet, nothing, none, nothing, {}, robot.welds)
     for given in (normals, depths, friction):
         for foot in given if isinstance(given, Mapping) else ():
             robot.check_foot(foot)
@@ -183,7 +213,18 @@ def _contacts(
         friction=np.array([_friction(robot, foot, friction) for foot in feet]),
         offsets=contact_offset(radii, out, [(depths or {}).get(foot, 0.0) for foot in feet]),
         soles={foot: own for foot, own in soles.items() if own},
+        welds=robot.welds,
+        **_stated(robot, feet),
     )
+
+
+def _stated(robot: Robot, feet: tuple[str, ...]) -> dict[str, Array]:
+    """Returns the forces that contacts are to press with, if some are stated; see ``Contacts``."""
+    forces = {name: one.force for name, one in robot.touching.items() if one.force is not None}
+    rows = [[point in robot.feet[name] for point in feet] for name in forces]
+    if not np.any(rows):
+        return {}
+    return {"stated": np.array(rows, dtype=float), "pressed": np.array([*forces.values()])}
 
 
 def _normal(foot: str, normal: ArrayLike) -> Array:

@@ -168,6 +168,8 @@ class GravityCompensation(Equilibrium):
         foot_loads: {foot: its load}; of a flat foot, the sum over its contact points.
         base_wrench: (6,) what holds the base from outside: force in world axes (N), torque in base
             axes (N m). Zero for a standing robot.
+        weld_wrenches: {what is welded to the world: (6,)} force (N), and moment (N m) about the
+            base's frame, a foot's centre or the welded point, both in world axes.
         center_of_mass: (3,) in the world (m).
         com_margin: Distance from the com's vertical projection to the edge of the support polygon
             (m), positive inside; None without contacts.
@@ -175,6 +177,7 @@ class GravityCompensation(Equilibrium):
 
     foot_loads: FootLoads
     base_wrench: Array
+    weld_wrenches: dict[str, Array]
     center_of_mass: Array
     com_margin: float | None
 
@@ -253,10 +256,10 @@ def balance_load(
         StaticsInfeasibleError: Likewise.
     """
     robot, wanted = config.robot, to_distribution(distribution)
-    if not carrying.feet:
+    if not (carrying.feet or carrying.welds):
         check_loops(config, load)
         borne = config.by_motors(load)
-        return _result(config, borne, borne, carrying, np.zeros((0, 3)))
+        return _result(config, borne, borne, carrying, np.zeros(0))
     given, contacts = load, carrying.jacobian(config)
     load, transposed = config.by_motors(load), config.by_motors(contacts)
     problem = carrying.balance(transposed, load)
@@ -273,7 +276,7 @@ def balance_load(
     if robot.closure is not None:
         check_loops(config, given - contacts @ forces)
     left = load - transposed @ forces
-    return _result(config, left, load, carrying, forces.reshape(-1, 3), point)
+    return _result(config, left, load, carrying, forces, point)
 
 
 def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple[Array, Array]:
@@ -298,7 +301,7 @@ def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple
         if found is None:
             com, tipping = config.center_of_mass(), Infeasibility.COM_OUTSIDE
             raise explain_infeasibility(config, com, problem, carrying, tipping)
-        forces.append(found.reshape(-1, 3))
+        forces.append(found[: carrying.normals.size].reshape(-1, 3))
         torques.append(problem.torques - problem.joints @ found)
     return np.array(forces), np.array(torques)
 
@@ -339,6 +342,8 @@ def _lasting(
     friction: Array | None,
 ) -> Array | None:
     """Finds the minimum-tangential forces (3 n,): those that last; see ``_creeping``."""
+    if carrying.welds:
+        return problem.pressing()
     forces = problem.minimum_tangential(friction, carrying.metric)
     if forces is None or friction is None or not robot.contacts:
         return forces
@@ -392,21 +397,25 @@ def _result(
     forces: Array,
     point: Array | None = None,
 ) -> GravityCompensation:
-    """Combines what the contacts' forces (n, 3) leave of a load to the motors.
+    """Combines what the contacts' forces (3 n + 6 w,) leave of a load to the motors.
 
     Without contacts, what is left on the base is what holds it from outside.
     """
     robot, free = config.robot, carrying.free
     torques = left[free:].copy()
-    base_wrench = np.zeros(free) if carrying.feet else load[:free]
-    unbalanced = left[:free].tolist() if carrying.feet else [0.0] * free
+    held = not (carrying.feet or carrying.welds)
+    base_wrench = load[:free] if held else np.zeros(free)
+    unbalanced = [0.0] * free if held else left[:free].tolist()
+    wrenches = forces[carrying.normals.size :].reshape(-1, 6)
+    forces = forces[: carrying.normals.size].reshape(-1, 3)
     utilisation = utilise(robot, torques)
     if robot.closure is not None:
         utilisation[robot.closure.following] = 0.0  # whatever the URDF says of their motors
     tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
     places = carrying.points(config)
     com = config.center_of_mass()
-    for own in (torques, base_wrench, utilisation, com, forces, places):  # rows are shared
+    made = torques, base_wrench, wrenches, utilisation, com, forces, places
+    for own in made:  # rows are shared
         own.setflags(write=False)
     per_foot = FrozenDict(zip(carrying.feet, forces, strict=True))
     points = FrozenDict(zip(carrying.feet, places, strict=True))
@@ -434,8 +443,9 @@ def _result(
             tiny,
         ),
         base_wrench=base_wrench,
+        weld_wrenches=FrozenDict(zip(carrying.welds, wrenches, strict=True)),
         center_of_mass=com,
-        com_margin=carrying.com_margin(over, places) if carrying.feet else None,
+        com_margin=None if held else carrying.com_margin(over, places),
         residual_force=math.hypot(*unbalanced[:3]),
         residual_torque=math.hypot(*unbalanced[3:]),
     )

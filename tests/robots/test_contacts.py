@@ -15,10 +15,11 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.problem import usual_place
-from tests.robots.test_real_robots import LAB, MJCF, file
+from tests.robots.test_real_robots import LAB, MJCF, URDF, file
+from tests.stance.test_welds import least
 from tests.support.variants import load
 
-Contacts = Mapping[str, pa.Contact]
+Contacts = Mapping[str, pa.Contact | pa.Weld]
 UP, WALL = (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)
 EXACT, CREEPING = 1e-6, 1e-2
 """Of torques and forces: one steep foot beside level ones creeps in MuJoCo."""
@@ -28,7 +29,12 @@ EXACT, CREEPING = 1e-6, 1e-2
 def robot(name: str) -> pa.Robot:
     if name == "v3":
         return load("v3")
-    places = {"g1": (LAB, "unitree_g1/xmls/g1.xml"), "go2": (MJCF, "go2/go2.xml")}
+    places = {
+        "g1": (LAB, "unitree_g1/xmls/g1.xml"),
+        "go2": (MJCF, "go2/go2.xml"),
+        "ur5": (URDF, "ur_description/urdf/ur5_robot.urdf"),
+        "panda": (URDF, "panda_description/urdf/panda.urdf"),
+    }
     return pa.load_robot(file(*places[name]))
 
 
@@ -77,6 +83,18 @@ def ramp(degrees: float) -> Callable[..., Contacts]:
     return make
 
 
+def bolted(hand: str, *place: float, force: float | None = None) -> Callable[..., Contacts]:
+    """An arm that is bolted down, its hand on a table at a place."""
+    x, y, height = place
+    table = pa.Plane((0, 0, height), UP, 0.6)
+    arm = {"base": pa.Weld(), hand: pa.Contact(table, (x, y, height), force=force)}
+    return lambda _: arm
+
+
+def fixed(*parts: str) -> Callable[..., Contacts]:
+    return lambda _: dict.fromkeys(parts, pa.Weld())
+
+
 STANCES = {
     "g1, table": ("g1", hand("left_palm", UP), EXACT),
     "g1, table higher": ("g1", hand("left_palm", UP, 0.03), EXACT),
@@ -91,6 +109,12 @@ STANCES = {
     **{f"{name}, ramp": (name, ramp(10), CREEPING) for name in ("v3", "go2")},
     **{f"{name}, wall": (name, ramp(90), EXACT) for name in ("v3", "go2")},
     "go2, steep ramp": ("go2", ramp(45), CREEPING),
+    "ur5, table": ("ur5", bolted("tool0", 0.4, 0.2, 0.3), EXACT),
+    "ur5, pressing": ("ur5", bolted("tool0", 0.4, -0.2, 0.2, force=30.0), EXACT),
+    "panda, pressing": ("panda", bolted("panda_leftfinger", 0.4, 0.1, 0.3, force=20.0), EXACT),
+    "go2, bolted": ("go2", fixed("base"), EXACT),
+    "go2, by a foot": ("go2", fixed("FL"), EXACT),
+    "g1, by a foot": ("g1", fixed("right_foot"), EXACT),
 }
 
 
@@ -102,9 +126,29 @@ def test_mujoco_holds_stances_on_what_they_state(stance: str) -> None:
     contacts = make(of)
     stand = pa.solve_stand_as_simulated(of, pa.StandTask(contacts=contacts))
     for link, contact in contacts.items():
+        if isinstance(contact, pa.Weld):
+            continue
         for point in stand.check(of).feet[link]:
             assert contact.plane.height(stand.contact_points[point]) == pytest.approx(0, abs=1e-9)
     found = pa.verify_stand(of, stand)
     assert found.passed, [str(one) for one in found.failures]
     assert found.torque_error < within
     assert found.force_error < within
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("pressing", [True, False])
+@pytest.mark.parametrize("stance", ["ur5, table", "go2, bolted", "go2, by a foot"])
+def test_what_is_bolted_down_bears_what_an_independent_programme_finds(
+    stance: str, *, pressing: bool
+) -> None:
+    """Least torque, of forces that only press or in the cones: Clarabel, MuJoCo's Jacobians."""
+    name, make, _ = STANCES[stance]
+    of = robot(name)
+    stand = pa.solve_stand_as_simulated(of, pa.StandTask(contacts=make(of)))
+    touched = stand.check(of)
+    which = "minimum tangential" if pressing else "minimum torque"
+    ours = pa.stance.stand_statics(touched, stand, distribution=which)
+    _, torques = least(touched, stand, pressing=pressing)
+    most = np.abs(torques).max()
+    np.testing.assert_allclose(ours.joint_torques, torques, atol=1e-5 * most)

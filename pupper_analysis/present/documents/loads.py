@@ -180,6 +180,14 @@ def contact_table(
         )
         for foot, load in statics.foot_loads.items()
     ]
+    rows += [
+        (
+            doc.Name(name),
+            *(doc.number_cell(value, "+.3f") for value in wrench[:3]),
+            *(doc.number_cell(None, ".1f"),) * (1 + len(more)),
+        )
+        for name, wrench in statics.weld_wrenches.items()
+    ]
     columns = (
         doc.Column(text("foot"), left=True),
         *(doc.Column(text("force-axis", axis=axis), "N") for axis in "xyz"),
@@ -216,7 +224,12 @@ def _contacts(
         for foot, load in statics.foot_loads.items()
         if flat
     ]
-    margin = "-" if statics.com_margin is None else f"{1e3 * statics.com_margin:.1f} mm"
+    notes += [
+        text("weld-bears", name=doc.Name(name), moment=doc.vector_cell(wrench[3:], "+.4g"))
+        for name, wrench in statics.weld_wrenches.items()
+    ]
+    inside = math.inf if statics.com_margin is None else statics.com_margin
+    margin = f"{1e3 * inside:.1f} mm" if math.isfinite(inside) else "-"
     notes.append(
         text(
             "balance-residual",

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
 from scipy.linalg import lapack
 
 from pupper_analysis.base.arrays import cross_matrices
@@ -19,7 +20,7 @@ from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, servo_gains
 from pupper_analysis.stance.problem import can_move_com, ground_normals
-from pupper_analysis.stance.stand import Stand
+from pupper_analysis.stance.stand import Stand, stand_contacts
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,21 +135,28 @@ class ContactKinematics:
 
     def push(self, forces: Array) -> Array:
         """Returns the generalised force (nv,) of forces (n, 3), in the ground's frame."""
-        pushed: Array = forces.ravel() @ self.jacobians.reshape(forces.size, -1)
+        pushed: Array = forces.ravel() @ self.jacobians.reshape(forces.size, self.config.robot.nv)
         return pushed
 
-    def balance_rates(self, forces: Array) -> Array:
+    def balance_rates(self, forces: Array, held: tuple[Array, Array] | None = None) -> Array:
         """Returns the derivative (nv, nv) of gravity less ``push`` by a step.
 
         Args:
             forces: (n, 3) in the ground's frame (N), which keep their direction.
+            held: Jacobians (w, 6, nv) and wrenches (w, 6) of welds, which do so too.
         """
         pushing = (forces[:, None] @ self._frames)[:, 0]
         wrenches = np.empty((len(forces), 6))
         wrenches[:, :3] = pushing
         across = (pushing[:, None] @ self._crosses)[:, 0]  # pushing x normal
         wrenches[:, 3:] = self._reach * across
-        rates = self.config.pushed_rates(self._twists, wrenches)
+        twists = self._twists
+        if held is not None:
+            twists, wrenches = (
+                np.concatenate([twists, held[0]]),
+                np.concatenate([wrenches, held[1]]),
+            )
+        rates = self.config.pushed_rates(twists, wrenches)
         # As a foot goes deeper its contact comes nearer to the centre.
         moved = (across[:, None] @ self.turning)[:, 0]
         change: Array = rates + moved.T @ (self._deeper / 2)
@@ -177,9 +185,11 @@ class Units:
     @staticmethod
     def of(robot: Robot, stand: Stand) -> Units:
         """Returns those of a robot in a stand."""
+        weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+        if robot.welds:
+            return Units(weight, robot.stand_height)
         lowest = min(float(stand.foot_targets[foot][2]) for foot in stand.stance_feet)
         com = Configuration(robot, stand.qpos).center_of_mass()
-        weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
         return Units(weight, float(com[2]) - lowest)
 
     @property
@@ -244,7 +254,8 @@ class SagEquilibrium:
     that point has not slipped, but for what it crept,
     as long as |f_t| <= mu f_n; else it has slipped by s, and f_t = -mu f_n s / |s|. Both in one:
     f_t is f_t - rho s, for any rho > 0, cut to the length mu f_n (Alart and Curnier 1991).
-    Sliding, f_t = 0.
+    Sliding, f_t = 0. What is welded stays, and its wrenches are whatever that takes: of the balance
+    only the part along motions that leave it is asked; see ``held``.
     """
 
     def __init__(
@@ -293,6 +304,7 @@ class SagEquilibrium:
             foot: contact.sliding_friction for foot, contact in robot.contacts.items()
         }
         self._joints = np.arange(6, robot.nv)
+        self._welds = Welds(robot, stand) if robot.welds else None
 
     def depths(self, places: Array) -> dict[str, float]:
         """Returns how deep every foot is in the ground or its step; negative: above it (m).
@@ -409,7 +421,10 @@ class SagEquilibrium:
         whole = np.zeros((n + 3 * size, n + 3 * size))
         by_qpos, by_force = whole[:, :n], whole[n:, n:]
         whole[:n, n:] = -touch.jacobians.reshape(-1, n).T
-        by_qpos[:n] = touch.balance_rates(forces)
+        held = None
+        if self._welds is not None:
+            held = self._welds.wrenches(touch.config, self.residual(qpos, forces)[:n])
+        by_qpos[:n] = touch.balance_rates(forces, held)
         servos = self.kp * (self.target - qpos[7:])
         moving = (servos > self.lower) & (servos < self.upper)
         by_qpos[self._joints, self._joints] += np.where(moving, self.kp, 0.0)
@@ -509,14 +524,14 @@ class SagEquilibrium:
         residuals: list[float] = []
         left_over: list[float] = []  # the same in the robot's units
         for _ in range(_MAX_ITERATIONS):
-            residual = self.residual(qpos, forces)
+            residual = self.held(qpos, self.residual(qpos, forces))
             residuals.append(float(np.abs(residual).max()))
             left_over.append(self.units.left(residual, n, self._in_newtons))
             if left_over[-1] < RESIDUAL_TOLERANCE:
                 named = dict(zip(self.anchors, forces, strict=True))
                 return Solution(qpos, named, tuple(residuals))
             if derivative is None or left_over[-1] ** 2 > left * left_over[-2]:
-                derivative = self.derivative(qpos, forces)
+                derivative = self.held(qpos, self.derivative(qpos, forces))
             # Otherwise the last one leaves no more: it errs by twice the share that its step left.
             *_, step, singular = lapack.dgesv(derivative, -residual)
             if singular or self.units.is_too_far(step[:n]):
@@ -524,12 +539,26 @@ class SagEquilibrium:
             qpos, forces = integrate_step(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
         return None
 
+    def held(self, qpos: Array, equations: Array) -> Array:
+        """Returns equations (nv + 3 n,), or their derivative, with those of welds among balance."""
+        return (
+            equations
+            if self._welds is None
+            else self._welds.among(self.touch(qpos).config, equations, self.units.weight)
+        )
+
+    def weld_rows(self, qpos: Array) -> Array:
+        """Returns the Jacobian (6 w, nv) of what is welded."""
+        if self._welds is None:
+            return np.zeros((0, self.robot.nv))
+        return self._welds.jacobian(self.touch(qpos).config)
+
     def against(self, solution: Solution) -> dict[str, float]:
         """Returns the feet that a solution has wrong, and by how much.
 
         They pull (N), or are in the ground without touching it (m).
         """
-        feet = self.robot.contact_points
+        feet = self.robot.bearing
         return {foot: amount for foot in feet if (amount := self.wrong(foot, solution)) > 0}
 
     def wrong(self, foot: str, solution: Solution) -> float:
@@ -577,6 +606,59 @@ class SagEquilibrium:
         """Returns tangential force per velocity (N s/m); infinite where a foot pulls or stays."""
         law = self.laws[foot]
         return law.viscosity(depth) if self._creeps and depth > -law.margin else math.inf
+
+
+class Welds:
+    """What is fixed in the world, where a stand has it.
+
+    Args:
+        robot: The robot.
+        stand: The stand.
+    """
+
+    def __init__(self, robot: Robot, stand: Stand) -> None:
+        self._contacts, at = stand_contacts(robot, stand), Configuration(robot, stand.qpos)
+        frames = (
+            robot.contact_frames.get(str(point), robot.base) for point in robot.welds.values()
+        )
+        self._there = [(one, at.frame_position(one), at.frame_rotation(one)) for one in frames]
+
+    def jacobian(self, config: Configuration) -> Array:
+        """Returns the Jacobian (6 w, nv), of places and turns, in world axes."""
+        return np.hstack([*self._contacts.weld_columns(config).values()]).T
+
+    def wrenches(self, config: Configuration, balance: Array) -> tuple[Array, Array]:
+        """Returns Jacobians (w, 6, nv), and the wrenches (w, 6) that hold a balance (nv,)."""
+        rows = self.jacobian(config)
+        found = np.linalg.lstsq(rows.T, balance)[0]
+        return rows.reshape(-1, 6, len(balance)), found.reshape(-1, 6)
+
+    def among(self, config: Configuration, equations: Array, scale: float) -> Array:
+        """Returns equations, or their derivative, with those of welds in the place of some.
+
+        Of the balance (nv,) with which they begin the part along motions that leave welds where
+        they are is kept.
+
+        Args:
+            config: Where the robot is.
+            equations: (m,), or (m, m).
+            scale: What they are multiplied by (N/m).
+        """
+        rows, changed = self.jacobian(config), equations.copy()
+        count, n = rows.shape
+        if equations.ndim == 1:
+            off = [
+                (
+                    config.frame_position(one) - place,
+                    pin.log3(config.frame_rotation(one) @ turned.T),
+                )
+                for one, place, turned in self._there
+            ]
+            changed[:count] = scale * np.ravel(off)
+        else:
+            changed[:count], changed[:count, :n] = 0.0, scale * rows
+        changed[count:n] = linalg.null_space(rows).T @ equations[:n]
+        return changed
 
 
 _PLIANT = 2.5e-6

@@ -135,6 +135,8 @@ class Compliance:
 
     def stiffness(self, without: Array | None = None) -> float:
         """Returns the least eigenvalue of the Hessian relative to the mass matrix (1/s^2)."""
+        if not self.free.shape[1]:
+            return math.inf
         real, _, scale, *_ = lapack.dggev(*self.reduced(without), compute_vl=0, compute_vr=0)
         values = np.divide(real, scale, out=np.full(len(real), np.inf), where=scale != 0)
         return float(values.min())
@@ -181,6 +183,7 @@ def compliance_at(system: SagEquilibrium, solution: Solution, derivative: Array)
     if system.feet == "sliding":  # as a whole it may be anywhere, turned anyhow about z
         held = np.eye(3, n)
         held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
+    held = np.vstack([held, system.weld_rows(solution.qpos)])
     _, lengths, rows = np.linalg.svd(held)
     least = max(held.shape) * np.finfo(float).eps * lengths.max(initial=0.0)
     free = rows[np.count_nonzero(lengths > least) :].T  # what nothing of it is held of
@@ -234,9 +237,10 @@ class HomotopyPath:
         self.share, self.iterations, self._events, self.crept = 0.0, 0, 0, 0.0
         self._euler = math.inf
         forces = {f: system.frames[f] @ force for f, force in self.balance.contact_forces.items()}
-        sunk = system.sunk(np.array(list(forces.values())))
+        sunk = system.sunk(np.array(list(forces.values())).reshape(-1, 3))
         qpos = stand.qpos.copy()
-        qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
+        if not system.robot.welds:
+            qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
         self._command(0.0)
         self.solution = self._settled(Solution(qpos, forces), diagnose("as-it-stands-fed"), exact)
 
@@ -594,7 +598,7 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
         ConfigurationError: If an argument is out of its range, or the robot cannot stand.
         UnknownNameError: If the stand is another robot's, with other feet.
     """
-    if not robot.floating or not robot.contacts or stand.qpos.shape != (robot.nq,):
+    if not robot.floating or not (robot.contacts or robot.welds) or stand.qpos.shape != (robot.nq,):
         raise ConfigurationError("robot", diagnose("robot-cannot-stand", robot=robot.name))
     for foot in stand.foot_targets:
         robot.check_foot(foot)
@@ -638,7 +642,7 @@ def release_margin(way: HomotopyPath) -> float:
         robot.contacts[foot].sliding_friction * z - math.hypot(x, y)
         for foot, (x, y, z) in zip(feet, overshot.tolist(), strict=True)
     ]
-    return float(min(left) / (robot.total_mass * np.linalg.norm(robot.gravity)))
+    return float(min(left, default=math.inf) / (robot.total_mass * np.linalg.norm(robot.gravity)))
 
 
 @check_arguments
@@ -678,7 +682,7 @@ def minimum_stiffness(
             pose = steady_state(robot, stand, kp=kp, feet=feet)
         except NoEquilibriumError as error:
             return error.diagnostic
-        if pose.base_height <= 0.5 * float(stand.qpos[2]):
+        if pose.base_height <= 0.5 * float(stand.qpos[2]) and not robot.welds:
             return diagnose("base-sags", height=Quantity(pose.base_height, "m"))
         if len(pose.failures) > 1:
             return diagnose("failures-together", failures=pose.failures)
@@ -728,7 +732,7 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
             foot: system.frames[foot].T @ solution.force(foot) for foot in robot.contact_points
         },
         foot_creep=dict(zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
-        height_drift=float(np.linalg.solve(derivative, flow)[2]),
+        height_drift=float(np.linalg.solve(system.held(qpos, derivative), flow)[2]),
         iterations=way.iterations,
         residual=solution.residuals[-1],
         residuals=solution.residuals,

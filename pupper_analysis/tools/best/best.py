@@ -122,8 +122,8 @@ def best_stance(
         StaticsInfeasibleError: If the task itself cannot be held.
         NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
     """
-    robot.check_tree("the best stance")
     robot = touching(robot, task.contacts) if task is not None else robot
+    robot.check_tree("the best stance")
     search = StanceSearch(
         robot, _objective(objective), task, point, to_distribution(distribution), kp
     )

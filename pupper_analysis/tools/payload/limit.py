@@ -457,7 +457,9 @@ class _Search:
         if lowest is None:
             return None
         whole = 0.0
-        if not any(stand.depths.values()):  # legs that do not follow: it sinks as a whole
+        if stand.depths and not any(
+            stand.depths.values()
+        ):  # legs that do not follow: it sinks as a whole
             whole = max(
                 GroundLaw.of(held.robot, foot).depth(max(0.0, float(forces[foot] @ normal)))
                 for foot, normal in stand.normals.items()

@@ -365,6 +365,7 @@ def simulate_push(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = check_stand(robot, stand, duration)
+    robot.check_not_welded("how hard it can be pushed")
     impulse, direction = check_finite("impulse", impulse), check_finite("direction", direction)
     if not 0 <= impulse <= HARDEST:
         problem = diagnose("impulse-not-valid", given=Quantity(impulse, "N s"), most=HARDEST)

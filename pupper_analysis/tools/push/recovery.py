@@ -214,6 +214,7 @@ def push_recovery(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = check_stand(robot, stand, duration)
+    robot.check_not_welded("how hard it can be pushed")
     if not 3 <= directions <= 360:
         problem = diagnose("not-between", given=directions, low=3, high=360)
         raise ConfigurationError("directions", problem)

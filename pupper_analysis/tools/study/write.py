@@ -27,7 +27,7 @@ from pupper_analysis.models.urdf_file import urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.convert.load import load_robot
-from pupper_analysis.robot.plane import Contact
+from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.stand import solve_stand
@@ -189,7 +189,7 @@ def stance_text(task: StandTask) -> str:
 def _typed(value: Any, unit: str = "") -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(_typed, value))}]"
-    if isinstance(value, str | Contact):
+    if isinstance(value, str | Contact | Weld):
         return json.dumps(str(value))
     return json.dumps(f"{value!r}{unit}" if unit in ("m", "rad") else value)
 

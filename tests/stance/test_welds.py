@@ -1,0 +1,296 @@
+"""What is welded to the world: a base, a foot, a hand; and forces that contacts are to have."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import clarabel
+import mujoco
+import numpy as np
+import pytest
+from scipy import sparse
+
+import pupper_analysis as pa
+from pupper_analysis.base.results import to_json
+from pupper_analysis.cli.stance_fields import parse_contact
+from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.simulation.rollout import begin_stand, simulate
+from pupper_analysis.tools.payload.limit import payload_limit
+from tests.support.legged import quadruped, with_arm
+from tests.support.variants import load
+
+BOLTED = {"base": pa.Weld()}
+HAND = {"hand": pa.Contact(pa.Plane((0, 0, 0.5), (0, 0, 1), 0.6))}
+ARM = """<robot name="arm"><link name="plinth">{box}</link>
+  <link name="upper">{rod}</link><link name="lower">{rod}</link><link name="wrist">{ball}</link>
+  <joint name="turn" type="revolute"><parent link="plinth"/><child link="upper"/>
+    <origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>{limit}</joint>
+  <joint name="bend" type="revolute"><parent link="upper"/><child link="lower"/>
+    <origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>{limit}</joint>
+  <joint name="nod" type="revolute"><parent link="lower"/><child link="wrist"/>
+    <origin xyz="0 0 0.3"/><axis xyz="1 0 0"/>{limit}</joint></robot>"""
+
+
+def inertial(mass: float, at: str, shape: str) -> str:
+    return (
+        f'<inertial><origin xyz="{at}"/><mass value="{mass}"/><inertia ixx="0.01" ixy="0" ixz="0" '
+        f'iyy="0.01" iyz="0" izz="0.01"/></inertial><collision><origin xyz="{at}"/>'
+        f"<geometry>{shape}</geometry></collision>"
+    )
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
+    """An arm of three joints, whose file has its base in the world."""
+    file = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    text = ARM.format(
+        box=inertial(2.0, "0 0 0.05", '<box size="0.2 0.2 0.1"/>'),
+        rod=inertial(1.0, "0 0 0.15", '<cylinder radius="0.03" length="0.2"/>'),
+        ball=inertial(0.5, "0 0 0.05", '<sphere radius="0.04"/>'),
+        limit='<limit lower="-2.5" upper="2.5" effort="40" velocity="5"/>',
+    )
+    file.write_text(text, encoding="utf-8")
+    return pa.load_robot(file)
+
+
+@pytest.fixture(scope="module")
+def armed(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
+    """A quadruped with an arm of three joints, whose hand is a sphere of 25 mm."""
+    pair = with_arm(quadruped(tmp_path_factory.mktemp("armed"), floor=True, actuators="position"))
+    return pa.load_robot(*pair)
+
+
+def on_table(of: pa.Robot, height: float = 0.25, **more: float) -> pa.StandTask:
+    """The arm, its wrist on a table where it comes with its joints turned so."""
+    table = pa.Plane((0, 0, height), (0, 0, 1), 0.5)
+    place = (0.45, 0.0, height)
+    wrist = pa.Contact(table, place, (0.0, 0.0, 0.05), **more)
+    return pa.StandTask(contacts={**BOLTED, "wrist": wrist}, ik_seed=(0.8, 1.4, 0.0))
+
+
+def proven(robot: pa.Robot, stand: pa.Stand) -> pa.StandVerification:
+    found = pa.verify_stand(robot, stand, integrator="implicitfast")
+    assert found.passed, [str(one) for one in found.failures]
+    assert found.torque_error < 1e-6
+    assert found.force_error < 1e-6
+    assert found.mujoco_residual < 1e-9
+    return found
+
+
+def least(robot: pa.Robot, stand: pa.Stand, *, pressing: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (n, 3) and torques of least squared torque, by Clarabel on MuJoCo's Jacobians.
+
+    Of forces in the friction cones, or of those that only press; a weld bears what is left.
+    """
+    model, points = robot.mj_model, list(stand.stance_feet)
+    data, order = mujoco.MjData(model), robot.mj_convention.qvel_index
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(model, data)
+    rows = []
+    for point in points:
+        body, place = robot.contact_places[point]
+        centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+        deep = robot.contact_radius[point] - stand.depths[point] / 2
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, jacobian, None, centre - deep * stand.normals[point], body)
+        rows.append(jacobian)
+    for point in robot.welds.values():
+        body = model.body(robot.mj_base).id if point is None else robot.contact_places[point][0]
+        both = np.zeros((2, 3, model.nv))
+        mujoco.mj_jacBody(model, data, both[0], both[1], body)
+        rows.extend(both)
+    pushed = np.vstack(rows)[:, order].T
+    load, size, count = data.qfrc_bias[order], len(rows) * 3, len(points)
+    cones = np.zeros((4 * count, size))
+    for number, point in enumerate(points):
+        out, own = stand.normals[point], slice(3 * number, 3 * number + 3)
+        friction = 0.0 if pressing else robot.contacts[point].sliding_friction
+        cones[4 * number, own] = friction * out
+        cones[4 * number + 1 : 4 * number + 4, own] = np.eye(3) - np.outer(out, out)
+    normals = np.zeros((count, size))
+    for number, point in enumerate(points):
+        normals[number, 3 * number : 3 * number + 3] = stand.normals[point]
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.tol_gap_abs, settings.tol_gap_rel = False, 1e-13, 1e-13
+    solved = clarabel.DefaultSolver(
+        sparse.csc_matrix(np.triu(pushed[6:].T @ pushed[6:] + 1e-12 * np.eye(size))),
+        -pushed[6:].T @ load[6:],
+        sparse.csc_matrix(np.vstack([pushed[:6], -normals, -cones])),
+        np.concatenate([load[:6], np.zeros(5 * count)]),
+        [
+            clarabel.ZeroConeT(6),
+            clarabel.NonnegativeConeT(count),
+            *[clarabel.SecondOrderConeT(4)] * count,
+        ],
+        settings,
+    ).solve()
+    forces = np.array(solved.x)
+    return forces[: 3 * count].reshape(-1, 3), load[6:] - pushed[6:] @ forces
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        pa.StandTask(contacts=BOLTED),
+        pa.StandTask(contacts=BOLTED, offset=(0.03, 0.0)),  # with the com outside of the feet
+        pa.StandTask(contacts={"FL": pa.Weld()}),
+        pa.StandTask(contacts={"FL": pa.Weld()}, swing={"RR": 0.02}, com="inside"),
+    ],
+)
+def test_mujoco_holds_what_is_welded_beside_feet_that_press(task: pa.StandTask) -> None:
+    robot = load("v3")
+    stand = pa.solve_stand_as_simulated(robot, task)
+    found = proven(robot, stand)
+    assert found.base_height == pytest.approx(stand.qpos[2], abs=1e-8)  # rigid
+    assert stand.com_margin == np.inf
+    statics = pa.stance.stand_statics(robot, stand)
+    assert statics.com_margin == np.inf
+    assert statics.residual_force < 1e-9
+    borne = (
+        sum(statics.contact_forces.values()) + statics.weld_wrenches[next(iter(task.contacts))][:3]
+    )
+    np.testing.assert_allclose(borne, (0, 0, robot.total_mass * 9.81), atol=1e-9)
+    for foot, force in statics.contact_forces.items():  # nothing creeps
+        np.testing.assert_allclose(force, force[2] * stand.normals[foot], atol=1e-12)
+
+
+def test_it_is_the_weld_that_holds_in_mujoco() -> None:
+    robot = load("v3")
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=BOLTED))
+    held = begin_stand(robot, stand)
+    model = held.drive.model
+    assert model.eq_active0.tolist() == [1]
+    assert held.robot.mj_model.eq_active0.tolist() == [0]  # the robot itself has none
+    ctrl = np.tile(held.ctrl, (500, 1))
+    height = 1 + robot.mj_convention.qpos_index[2]
+    kept = simulate(model, held.start, ctrl)[-1, height]
+    model.eq_active0[:] = 0
+    assert kept == pytest.approx(stand.qpos[2], abs=1e-9)
+    assert simulate(model, held.start, ctrl)[-1, height] < stand.qpos[2] - 1e-3
+
+
+@pytest.mark.parametrize("pressing", [True, False])
+def test_forces_are_those_of_a_cone_programme_on_mujocos_numbers(
+    arm: pa.Robot, armed: pa.Robot, *, pressing: bool
+) -> None:
+    for robot, task in (
+        (load("v3"), pa.StandTask(contacts=BOLTED)),
+        (load("v3"), pa.StandTask(contacts={"FL": pa.Weld()}, roll=0.1)),
+        (arm, on_table(arm)),
+        (armed, pa.StandTask(contacts={**BOLTED, **HAND})),
+    ):
+        stand = pa.solve_stand_as_simulated(robot, task)
+        robot = stand.check(robot)
+        which = "minimum tangential" if pressing else "minimum torque"
+        ours = pa.stance.stand_statics(robot, stand, distribution=which)
+        forces, torques = least(robot, stand, pressing=pressing)
+        np.testing.assert_allclose(ours.joint_torques, torques, atol=2e-5)
+        if pressing:
+            for point, force in zip(stand.stance_feet, forces, strict=True):
+                np.testing.assert_allclose(ours.contact_forces[point], force, atol=2e-3)
+
+
+def test_an_arm_that_its_file_bolts_down_leans_on_a_table(arm: pa.Robot) -> None:
+    stand = pa.solve_stand_as_simulated(arm, on_table(arm))
+    assert not arm.floating
+    np.testing.assert_allclose(stand.qpos[:7], (0, 0, 0, 1, 0, 0, 0), atol=1e-9)
+    proven(arm, stand)
+    statics = pa.stance.stand_statics(arm, stand)
+    assert statics.contact_forces["wrist"][2] > 1.0
+    bare = pa.StandTask(contacts=BOLTED, ik_seed=tuple(stand.qpos[7:]))
+    held = pa.load_robot(arm.description.urdf_source, fixed_base=True)
+    lone = pa.gravity_compensation(pa.Configuration(held, stand.qpos[7:]), contacts=[])
+    assert np.linalg.norm(statics.joint_torques) < np.linalg.norm(lone.joint_torques)
+    free = pa.solve_stand(arm, bare)
+    found = pa.stance.stand_statics(arm, free)
+    same = pa.gravity_compensation(pa.Configuration(held, free.qpos[7:]), contacts=[])
+    np.testing.assert_allclose(found.joint_torques, same.joint_torques, atol=1e-12)
+    np.testing.assert_allclose(found.weld_wrenches["base"][2], arm.total_mass * 9.81, rtol=1e-12)
+
+
+def test_a_stated_force_is_that_of_the_contact(arm: pa.Robot, armed: pa.Robot) -> None:
+    """Beside a weld, and among feet, which bear the less for it."""
+    pressed = {"hand": pa.Contact(HAND["hand"].plane, force=4.0)}
+    for robot, task, name in (
+        (arm, on_table(arm, force=12.0), "wrist"),
+        (armed, pa.StandTask(contacts=pressed), "hand"),
+    ):
+        stand = pa.solve_stand_as_simulated(robot, task)
+        found = proven(robot, stand)
+        wanted = task.contacts[name].force  # type: ignore[union-attr]
+        assert wanted == pytest.approx(found.foot_forces[name][2], rel=1e-6)
+
+
+def test_where_servos_let_a_welded_robot_sag(arm: pa.Robot) -> None:
+    for robot, task in (
+        (arm, on_table(arm)),
+        (load("v3"), pa.StandTask(contacts={"FL": pa.Weld()})),
+    ):
+        stand = pa.solve_stand_as_simulated(robot, task)
+        alone = pa.verify_stand(robot, stand, integrator="implicitfast", feedforward=False)
+        sag = pa.steady_state(robot, stand, seconds=4.5)  # in the middle of what is measured
+        way = np.abs(sag.qpos[7:] - stand.qpos[7:]).max()
+        assert way > 1e-3
+        np.testing.assert_allclose(
+            sag.joint_torques, alone.joint_torques, atol=0.02 * np.abs(sag.joint_torques).max()
+        )
+        assert sag.height_loss == pytest.approx(alone.height_loss, rel=1e-2, abs=1e-7)
+        assert not sag.failures
+
+
+def test_a_bolted_arm_carries_what_its_motors_hold(arm: pa.Robot) -> None:
+    task = pa.StandTask(contacts=BOLTED, posture={"turn": 0.7, "bend": 0.5, "nod": 0.0})
+    most = payload_limit(arm, task, ("wrist", 0.0, 0.0, 0.05), kp=2000.0, kd=20.0)
+    held = pa.load_robot(arm.description.urdf_source, fixed_base=True)
+    config = pa.Configuration(held, most.stand.qpos[7:])
+    empty = pa.gravity_compensation(config, contacts=[]).joint_torques
+    lever = np.abs(find_tool(held, "wrist").moved((0, 0, 0.05)).load_per_mass(config))
+    own = min((40.0 - abs(empty[one])) / lever[one] for one in range(2))
+    assert most.motors.mass == pytest.approx(own, rel=1e-5)
+    assert most.passed
+
+
+def test_welds_are_typed_and_kept() -> None:
+    for text in ("weld", "weld,place=0.1m/0.0m/0.3m,offset=0.0m/0.0m/0.05m"):
+        assert str(parse_contact("contact", text, text)) == text
+    pressed = "table:0.4m,mu=0.6,force=20.0N"
+    assert str(parse_contact("contact", pressed, pressed)) == pressed
+    task = pa.StandTask(contacts={"base": pa.Weld(), "hand": parse_contact("contact", pressed, "")})
+    assert pa.StandTask.of(json.loads(to_json(task))) == task
+
+
+@pytest.mark.parametrize(
+    ("contacts", "said"),
+    [
+        ({"base": pa.Weld(), "trunk": pa.Weld()}, "move as one body"),
+        ({"base": pa.Weld(offset=(0, 0, 0.1))}, "leave out offset"),
+        ({"base": pa.Weld(place=(0, 0, 0.1))}, "leave out place"),
+        ({"FL_calf": pa.Weld(place=(0, 0, 0.1))}, "leave out place"),
+        (
+            {"hand": pa.Weld(), "arm_elbow_link": pa.Contact(pa.Plane((0, 0, 0.5), (0, 0, 1)))},
+            "move as one",
+        ),
+        ({"nothing": pa.Weld()}, "nothing"),
+        ({"base": pa.Contact(pa.Plane((0, 0, 0.5), (0, 0, 1)))}, "fixed to the base"),
+    ],
+)
+def test_welds_that_make_no_sense_are_refused(
+    armed: pa.Robot, contacts: dict[str, pa.Contact | pa.Weld], said: str
+) -> None:
+    with pytest.raises(pa.PupperAnalysisError, match=said) as refused:
+        pa.solve_stand(armed, pa.StandTask(contacts=contacts))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_file_without_a_body_for_its_base_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "bar.xml"
+    file.write_text(
+        '<mujoco><worldbody><body name="bar"><joint name="j" axis="0 1 0"/>'
+        '<geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/></body></worldbody>'
+        '<actuator><position joint="j" kp="50" kv="2"/></actuator></mujoco>',
+        encoding="utf-8",
+    )
+    robot = pa.load_robot(file)
+    with pytest.raises(pa.ConfigurationError, match="no body of its own"):
+        pa.solve_stand(robot, pa.StandTask(contacts=BOLTED))
