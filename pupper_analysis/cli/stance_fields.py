@@ -101,13 +101,12 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     what, *parts = (part.strip() for part in text.split(","))
     kind, _, first = what.partition(":")
     numbers = [first, *(part for part in parts if "=" not in part)]
+    known: tuple[str, ...] = ("mu", "place", "offset", "radius", "force")
     if what == "weld" and numbers == [""]:
         numbers, known = [], ("place", "offset")
     elif kind not in (*KINDS, "plane") or len(numbers) != (6 if kind == "plane" else 1):
         form = "[wall|table|ceiling]:LENGTH, plane:X,Y,Z,NX,NY,NZ, weld"
         raise ConfigurationError(option, diagnose("not-of-the-form", given=given, form=form))
-    else:
-        known = ("mu", "place", "offset", "radius", "force")
     lengths = [shared.parse_measure(option, "length", one, given) for one in numbers]
     asked: dict[str, Any] = {}
     for part in (part for part in parts if "=" in part):

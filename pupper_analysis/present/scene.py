@@ -175,7 +175,7 @@ def describe_scene(
     config = Configuration(robot, stand.qpos)
     com = config.center_of_mass() if statics is None else statics.center_of_mass
     ground = stand.task.ground
-    points = np.array([*stand.contact_points.values()] or [(*stand.qpos[:2], 0.0)])
+    points = np.array([*stand.contact_points.values()] or [stand.qpos[:3] * (1.0, 1.0, 0.0)])
     over = points[:1] if robot.welds else points  # welds hold a com over any place
     steps = ground.steps(stand.rigid_targets, robot.contact_radius)
     return StandingScene(

@@ -21,7 +21,7 @@ from pupper_analysis.base.results import Tabular
 from pupper_analysis.models.mjcf import equality_name
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos
+from pupper_analysis.robot.servos import Servos, command_lead, command_ranges
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import (
@@ -527,6 +527,36 @@ def deviations(
     return off
 
 
+_SATURATED = 1e-6
+"""A motor that is so near to its limit, in parts of it, gives all it can."""
+
+
+def drive_limits(
+    robot: Robot, run: SimulationSettings, given: Array, predicted: Array, positions: Array
+) -> list[Diagnostic]:
+    """Says which motors give all they can, and which servos cannot be commanded so far.
+
+    Args:
+        robot: The robot.
+        run: A simulation that is not as predicted.
+        given: (nu,) torques in it (N m).
+        predicted: (nu,) as predicted (N m).
+        positions: (nu,) where its joints were predicted to be (rad).
+    """
+    weakest, strongest = robot.effort_ranges.T * (1 - _SATURATED)
+    full = (given <= weakest) | (given >= strongest)
+    low, high = command_ranges(robot).T
+    command = positions + command_lead(predicted, run.kp)
+    cut = ((command < low) | (command > high)) & run.feedforward
+    names, told = np.array(robot.joint_names), []
+    if full.any():
+        joints = names[full].tolist()
+        told.append(diagnose("motors-give-all", joints=joints, released=not run.feedforward))
+    if cut.any():
+        told.append(diagnose("commands-cut-off", joints=names[cut].tolist()))
+    return told
+
+
 def two_robots(robot: Robot, residual: float, weight: float) -> list[Diagnostic]:
     """Says so if MuJoCo's balance is off (N, N m) by more of a weight (N) than one robot's is."""
     if not residual > ANOTHER_ROBOT * weight:
@@ -550,6 +580,9 @@ def _deviations(
     if not found.force_error < FORCE_TOLERANCE:
         off.append(diagnose("foot-force-off", error=found.force_error))
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    if off:
+        torques = found.joint_torques, found.predicted_torques
+        off += drive_limits(robot, found, *torques, stand.joint_positions(robot))
     if off and (two := two_robots(robot, found.mujoco_residual, weight)):
         return [*off, *two]
     if off and watch.touching:

@@ -45,6 +45,7 @@ def loads(shift: float) -> Stub:
             "FR": np.array([1.011, -2.022, 3.033]) + shift,
             "RL": np.array([4.044, -5.055, 6.066]) + shift,
         },
+        weld_wrenches={},
         foot_loads={
             foot: Stub(
                 force=np.array(force) + shift,

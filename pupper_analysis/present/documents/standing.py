@@ -78,7 +78,7 @@ def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
     rows = tuple(
         (text(name), doc.number_cell(value, form, scale=scale), doc.Name(unit))
         for name, value, unit, scale, form in known
-        if value is not None
+        if value is not None and math.isfinite(value)
     )
     columns = quantity_columns()
     return doc.Table(text("stance"), columns, rows, detail=True)
@@ -194,7 +194,7 @@ _QUANTITIES: tuple[tuple[str, str, Callable[[StandVerification], float], str, fl
     ),
     ("drift-of-height-last-second", "mm/s", lambda run: run.height_drift, "+.4f", 1e3),
     ("tilt-against-the-task", "°", lambda run: math.degrees(run.tilt), ".4f", 1.0),
-    ("foot-slip", "mm", lambda run: max(run.foot_slip.values()), ".4f", 1e3),
+    ("foot-slip", "mm", lambda run: max(run.foot_slip.values(), default=0.0), ".4f", 1e3),
     ("joint-error", "°", lambda run: math.degrees(run.joint_error), ".2g", 1.0),
     ("torque-off-prediction-of-the-largest", "%", lambda run: run.torque_error, ".3f", 100.0),
     ("vertical-foot-force-off-prediction", "%", lambda run: run.force_error, ".3f", 100.0),

@@ -630,7 +630,7 @@ class Welds:
     def wrenches(self, config: Configuration, balance: Array) -> tuple[Array, Array]:
         """Returns Jacobians (w, 6, nv), and the wrenches (w, 6) that hold a balance (nv,)."""
         rows = self.jacobian(config)
-        found = np.linalg.lstsq(rows.T, balance)[0]
+        found = np.asarray(np.linalg.lstsq(rows.T, balance)[0], dtype=np.float64)
         return rows.reshape(-1, 6, len(balance)), found.reshape(-1, 6)
 
     def among(self, config: Configuration, equations: Array, scale: float) -> Array:

@@ -13,7 +13,7 @@ from pupper_analysis.base.results import Tabular
 from pupper_analysis.base.units import EARTH
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.robot.tool import Tool
 from pupper_analysis.simulation import monitor
@@ -23,6 +23,7 @@ from pupper_analysis.simulation.stability import Nudge, rest_state
 from pupper_analysis.simulation.verify import (
     NUDGED,
     deviations,
+    drive_limits,
     load_by_mujoco,
     settle_and_nudge,
     two_robots,
@@ -39,9 +40,6 @@ _LEVER = 1e-3
 """The robot's weight on this lever (m) is what deviations of torques are measured by where less is
 predicted: joints about vertical axes hold nothing."""
 
-
-_SATURATED = 1e-6
-"""A motor that is so near to its limit, in parts of it, gives all it can."""
 
 _SAMPLE_TIME = 0.1  # s between the states that are looked at, and kept
 
@@ -223,16 +221,8 @@ def _deviations(robot: Robot, found: PostureVerification, weight: float) -> list
     way = np.divide(rubbing, found.kp, out=np.zeros(robot.nu), where=found.kp > 0).max(initial=0.0)
     share = rubbing.max(initial=0.0) / found.torque_scale
     off = deviations(found.joint_error, found.torque_error, way, share)
-    weakest, strongest = robot.effort_ranges.T * (1 - _SATURATED)
-    given = found.joint_torques
-    full = np.flatnonzero((given <= weakest) | (given >= strongest))
-    if off and full.size:
-        names = [robot.joint_names[joint] for joint in full]
-        off.append(diagnose("motors-give-all", joints=names, released=not found.feedforward))
-    low, high = command_ranges(robot).T
-    command = found.predicted_positions + command_lead(found.predicted_torques, found.kp)
-    cut = np.flatnonzero((command < low) | (command > high))
-    if off and found.feedforward and cut.size:
-        names = [robot.joint_names[joint] for joint in cut]
-        off.append(diagnose("commands-cut-off", joints=names))
-    return off + two_robots(robot, found.mujoco_residual, weight) if off else off
+    if off:
+        torques = found.joint_torques, found.predicted_torques
+        off += drive_limits(robot, found, *torques, found.predicted_positions)
+        off += two_robots(robot, found.mujoco_residual, weight)
+    return off
