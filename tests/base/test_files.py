@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import io
 import json
 import os
 import stat
@@ -13,7 +12,6 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -52,25 +50,6 @@ def test_a_file_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "file.txt"
-    path.write_text("old")
-
-    class Full(io.BytesIO):
-        def write(self, data: object) -> int:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    def full(handle: int, how: str) -> Full:
-        os.close(handle)
-        return Full()
-
-    monkeypatch.setattr(os, "fdopen", full)
-    with pytest.raises(OutputError, match="No space left"):
-        write(path)
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_links_are_followed(tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
     real, link = tmp_path / "there" / "real", tmp_path / "link"
@@ -104,14 +83,6 @@ def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
     assert read == ["all of it"]
     assert stat.S_ISFIFO(pipe.stat().st_mode)
     assert list(tmp_path.iterdir()) == [pipe]
-
-
-@pytest.mark.parametrize("kind", [stat.S_IFCHR, stat.S_IFBLK, stat.S_IFIFO, stat.S_IFSOCK])
-def test_only_a_regular_file_is_replaced(kind: int) -> None:
-    special = SimpleNamespace(st_mode=kind | 0o666, st_dev=-1, st_ino=-1)
-    regular = SimpleNamespace(st_mode=stat.S_IFREG | 0o666, st_dev=-1, st_ino=-1)
-    assert not files.is_replaceable(special)  # type: ignore[arg-type]
-    assert files.is_replaceable(regular)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("stream", ["stdout", "stderr"])

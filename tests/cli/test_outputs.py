@@ -10,11 +10,8 @@ import errno
 import hashlib
 import json
 import os
-import re
 import shutil
-import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -373,58 +370,3 @@ def test_two_names_of_one_file_are_two_results_to_one_file(folder: Path) -> None
     assert "two results" in given.stderr
     for name in ("one.json", "two.html"):
         (folder / name).unlink()
-
-
-@pytest.fixture
-def full(tmp_path: Path) -> Iterator[Path]:
-    """A file system that is really full."""
-    place = tmp_path / "full"
-    place.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(place)]
-    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip("no file system may be mounted here")
-    try:
-        with suppress(OSError), (place / "filler").open("wb", buffering=0) as file:
-            while file.write(bytes(4096)):
-                pass
-        yield place
-    finally:
-        subprocess.run(["umount", str(place)], check=True)
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("audit", "robot.urdf", "--json", "full/a.json"),
-        ("audit", "robot.urdf", "--report", "full/a.html"),
-        ("convert", "robot.xml", "-o", "full/a.urdf"),
-        ("sync", "full/robot.urdf", "robot.xml", "--take", "mjcf"),
-    ],
-    ids=lambda words: " ".join(words[:1] + words[-2:]),
-)
-def test_a_disk_that_is_full_takes_nothing_half(words: tuple[str, ...], full: Path) -> None:
-    fill(full.parent)
-    if words[0] == "sync":
-        (full / "filler").unlink()
-        urdf = re.sub("<visual>.*?</visual>", "", (full.parent / "robot.urdf").read_text())
-        (full / "robot.urdf").write_text(re.sub(r'(<mass value=")', r"\g<1>1", urdf, count=1))
-        with suppress(OSError), (full / "filler").open("wb", buffering=0) as file:
-            while file.write(bytes(4096)):
-                pass
-    before = sums(full)
-    given = answer(*words, folder=full.parent)
-    assert given.returncode == 2, given
-    errors = [line for line in given.stderr.splitlines() if line.startswith("error")]
-    assert len(errors) == 1, given
-    assert "No space left on device" in errors[0]
-    assert sums(full) == before
-
-
-def test_a_file_system_that_is_read_only_is_found_before_the_work(full: Path) -> None:
-    fill(full.parent)
-    subprocess.run(["mount", "-o", "remount,ro", str(full)], check=True)
-    for words in (("audit", "robot.urdf", "--json"), ("convert", "robot.xml", "-o")):
-        given = answer(*words, "full/a.urdf", folder=full.parent)
-        assert (given.returncode, given.stdout) == (2, ""), given
-        assert one_line(given)
-        assert "no file may be made" in given.stderr

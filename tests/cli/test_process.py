@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -139,23 +138,6 @@ def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> Non
 
 
 # ------------------------------------------------------------------------------------- signals
-
-
-@pytest.mark.longest
-@pytest.mark.parametrize(
-    ("number", "status", "word"),
-    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
-)
-def test_a_signal_is_one_line(
-    number: signal.Signals, status: int, word: str, tmp_path: Path
-) -> None:
-    process = start(*COMMAND, "analyze", "--json", "out.json", cwd=tmp_path)
-    time.sleep(3.0)
-    process.send_signal(number)
-    _, err = process.communicate(timeout=30)
-    assert process.returncode == status
-    assert err.splitlines() == [word]
-    assert not (tmp_path / "out.json").exists()
 
 
 @pytest.mark.parametrize("module", ["click", "rich.console", "pupper_analysis.tools.stand.command"])

@@ -99,15 +99,6 @@ def test_one_file_is_enough_to_stand(capfd: pytest.CaptureFixture[str], file: Pa
     assert f"the {made} was made of {file.name} in memory" in out.replace("\n", " ")
 
 
-def test_robots_of_files_stand_beside_variants(capfd: pytest.CaptureFixture[str]) -> None:
-    status, out, _ = run_command(capfd, "analyze", str(MJCF), "original", "--no-figures")
-    assert status == 0
-    verdicts = [line for line in out.splitlines() if line.startswith("VERIFIED")]
-    assert "(from one file)" in verdicts[0]
-    assert "one file" not in verdicts[1]
-    assert "2 of 2 verified" in out
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

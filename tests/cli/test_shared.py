@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 
 import pytest
 
@@ -39,25 +37,6 @@ def test_what_is_no_quantity_is_refused(kind: str, text: str) -> None:
 
 def test_a_point_has_two_coordinates() -> None:
     assert parse_point("offset", "1cm,-2mm") == pytest.approx((0.01, -0.002))
-
-
-def test_what_is_typed_with_units_is_the_same(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    tasks = []
-    for number, arguments in enumerate(
-        (
-            ("--pitch", "0.1", "--height", "0.14", "--swing", "FL=0.01", "--offset", "0.01,0"),
-            ("--pitch", f"{math.degrees(0.1)}deg", "--height", "14cm", "--swing", "FL=10mm",
-             "--offset", "1cm,0"),
-        )
-    ):  # fmt: skip
-        path = tmp_path / f"{number}.json"
-        run_command(capfd, "stand", "v3", *arguments, "--json", str(path))
-        task = json.loads(path.read_text())["stand"]["task"]
-        tasks.append([task["pitch"], task["height"], task["swing"]["FL"], *task["offset"]])
-    assert tasks[0] == pytest.approx(tasks[1], rel=1e-12)
-    assert tasks[0] == pytest.approx([0.1, 0.14, 0.01, 0.01, 0.0])
 
 
 def test_an_unknown_option_is_led_to_the_one_that_has_its_words(

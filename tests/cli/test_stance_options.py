@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 import click
@@ -39,29 +38,6 @@ def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
     assert len(common) == 13 + len(base)
     for name in common:
         assert analyze[name].to_info_dict() == stand[name].to_info_dict()
-
-
-def examples(command: click.Command) -> list[list[str]]:
-    text = (command.help or "").replace("\\\n", " ")
-    return [
-        shlex.split(line)[1:]
-        for line in text.splitlines()
-        if line.strip().startswith("pupper-analysis ")
-    ]
-
-
-@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
-def test_examples_of_the_help_are_understood(name: str) -> None:
-    command = cli.find_command(name)
-    for arguments in examples(command):
-        assert arguments[0] == name
-        command.make_context(name, arguments[1:])
-
-
-@pytest.mark.parametrize("name", OURS)
-def test_the_help_teaches_with_examples(name: str) -> None:
-    assert len(examples(cli.find_command(name))) >= 3
-    assert "Exit status:" in (cli.find_command(name).help or "")
 
 
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))

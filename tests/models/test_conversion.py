@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -71,19 +69,6 @@ def test_odd_model_has_the_same_dynamics_in_pinocchio() -> None:
         mass = pin.crba(converted, pin_data, q)
         mass = np.triu(mass) + np.triu(mass, 1).T
         np.testing.assert_allclose(mass[6:, 6:], full[6:, 6:], rtol=1e-11, atol=1e-14)
-
-
-def test_pinocchios_own_parser_agrees_where_it_can(tmp_path: Path) -> None:
-    """With explicit inertials, Pinocchio's MJCF parser builds the same bodies as ours."""
-    _, path = pa.pupper.write_variant("v3", tmp_path)  # in one file: it does not know <include>
-    model = mujoco.MjModel.from_xml_path(str(path))
-    ours = pinocchio_from_mujoco(model)
-    theirs = pin.buildModelFromMJCF(str(path))
-    for name in ours.names[2:]:
-        one, two = ours.inertias[ours.getJointId(name)], theirs.inertias[theirs.getJointId(name)]
-        assert one.mass == pytest.approx(two.mass, rel=1e-12)
-        np.testing.assert_allclose(one.lever, two.lever, atol=1e-12)
-        np.testing.assert_allclose(one.inertia, two.inertia, atol=1e-12)
 
 
 def test_ball_joints_are_refused() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -123,20 +122,3 @@ def test_a_slide_without_limits_is_not_locked(tmp_path: Path) -> None:
         index = model.joints[model.getJointId(name)].idx_q
         assert model.lowerPositionLimit[index] == -1e3
         assert model.upperPositionLimit[index] == 1e3
-
-
-def test_links_without_mass_say_so(tmp_path: Path) -> None:
-    """PyBullet gives 1 kg to each link of a URDF that states no mass."""
-    pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
-    text = pair.mjcf.read_text()
-    assert '<joint name="list"' in text
-    pair.mjcf.write_text(
-        text.replace('<joint name="list"', '<site name="imu" pos="0.1 0 0"/><joint name="list"')
-    )
-    _, found = converted(pair.mjcf, "back.urdf")
-    assert found.agree
-    root = ElementTree.parse(tmp_path / "back.urdf").getroot()
-    masses = [link.find("inertial/mass") for link in root.iter("link")]
-    assert None not in masses
-    weight = sum(float(mass.get("value", "nan")) for mass in masses if mass is not None)
-    assert weight == pytest.approx(float(compiled(pair.mjcf).body_mass.sum()), rel=1e-9)

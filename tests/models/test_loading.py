@@ -68,14 +68,6 @@ def test_malformed_is_refused(case: str, tmp_path: Path) -> None:
     assert where[1] == (None if line is None else str(line))
 
 
-def test_files_that_are_none(tmp_path: Path) -> None:
-    assert "no such file" in refused(lambda: read_model(tmp_path / "x.urdf"))
-    assert "it is a folder" in refused(lambda: read_model(tmp_path))
-    assert "no such file" in refused(lambda: read_model("a\0\nb"))
-    os.mkfifo(tmp_path / "pipe")
-    assert "no regular file" in refused(lambda: read_model(tmp_path / "pipe"))
-
-
 def test_wrong_kind_is_named(tmp_path: Path) -> None:
     robot = write(tmp_path, r=urdf(link("a")))
     model = write(tmp_path, m=mjcf())

@@ -18,7 +18,6 @@ from pupper_analysis.robot.compare.differences import changes_between
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
-from pupper_analysis.tools.crosscheck.crosscheck import compare_models
 from tests.support.cases import some
 from tests.support.robots import (
     Parts,
@@ -28,7 +27,6 @@ from tests.support.robots import (
     matched,
     mjcf_text,
     quadruped,
-    turned_about,
     turned_frames,
     urdf_text,
     write,
@@ -98,17 +96,6 @@ def test_joints_are_read_as_they_are_written(tiny: pa.Robot) -> None:
 # ------------------------------------------------------------------------------------- alignment
 
 
-@pytest.mark.parametrize("name", ["original", "v3"])
-def test_turned_frames_of_a_real_robot(tmp_path: Path, name: str) -> None:
-    urdf, _ = pa.pupper.write_variant(name, tmp_path)
-    text = turned_frames(pa.load_variant(name).mj_model, seed=3)
-    (tmp_path / "turned.xml").write_text(text)
-    comparison = compare_models(urdf, tmp_path / "turned.xml", configurations=2)
-    # Its geoms are boxes that stand for those of the robot, and touch elsewhere.
-    assert {kind for kind, _ in found(comparison)} <= {"collision"}
-    assert max(comparison.deviations.values()) < 1e-12
-
-
 CHANGES: dict[str, tuple[str, dict[str, Any], tuple[str, str]]] = {
     "base mass": ("base", {"mass": 7.0}, ("mass", "base")),
     "mass": ("shank1", {"mass": 0.5}, ("mass", "knee1")),
@@ -149,16 +136,6 @@ def test_the_values_are_given_in_the_urdfs_frames(tmp_path: Path) -> None:
     (difference,) = comparison.differences
     np.testing.assert_allclose(difference.urdf, (0.0, 0.0, -0.1), atol=1e-12)
     np.testing.assert_allclose(difference.mjcf, (0.004, 0.001, -0.12), atol=1e-12)
-
-
-def test_zero_angles_that_differ_under_turned_frames_are_explained_in_full(tmp_path: Path) -> None:
-    """The rotation cannot be told from the frames' turn; what is listed must still be complete."""
-    part = quadruped()["shank1"]
-    urdf = changed(quadruped(), "shank1", quaternion=turned_about(part, part.axis, 0.2))
-    comparison = turned_pair(tmp_path, urdf, 0)
-    assert not comparison.agree
-    assert comparison.complete
-    assert {element for _, element in found(comparison)} <= {"knee1", "foot1"}
 
 
 def test_a_product_of_inertia_is_judged_by_the_greatest_moment() -> None:

@@ -376,14 +376,6 @@ def test_fingers_are_one_limb_of_a_base_on_wheels(tmp_path: Path) -> None:
     assert not limbs_aside(pa.load_robot(path, fixed_base=True))
 
 
-def test_preparing_changes_no_file(tmp_path: Path) -> None:
-    pair = biped(tmp_path)
-    before = pair.urdf.read_bytes(), pair.mjcf.read_bytes()
-    load(pair)
-    assert before == (pair.urdf.read_bytes(), pair.mjcf.read_bytes())
-    assert len(list(tmp_path.iterdir())) == 2
-
-
 ICOSPHERE = """<asset><mesh name="ball" vertex="{}"/></asset>"""
 
 
@@ -410,27 +402,6 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
     robot = load(quadruped(tmp_path, foot=foot))
     assert len(robot.contact_points) == 4
     stands(robot)
-
-
-@pytest.mark.longest
-def test_servos_with_which_it_comes_to_rest_otherwise_are_the_last_resort(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As Pi Plus does, whose light feet rest against each other: torques are off by 45 %."""
-    pair = biped(tmp_path)
-    stiffest = float(load(pair).mj_model.actuator_gainprm[:, 0].max())
-
-    def soft_ones_are(_robot: Robot, _stand: pa.Stand, kp: np.ndarray, _kd: np.ndarray) -> bool:
-        return bool(kp.max() < stiffest)
-
-    monkeypatch.setattr(drives, "_as_predicted", soft_ones_are)
-    softer = load(pair)
-    assert 0 < softer.mj_model.actuator_gainprm[:, 0].max() < stiffest
-    assert stands(softer).passed
-    monkeypatch.setattr(drives, "_as_predicted", lambda *_: False)
-    none = load(pair)  # it rests with the first, so that is better than nothing
-    assert none.mj_model.actuator_gainprm[:, 0].max() == stiffest
-    assert not [note for note in none.notes if "come to rest" in str(note)]
 
 
 def advised(robot: Robot) -> tuple[np.ndarray, np.ndarray]:

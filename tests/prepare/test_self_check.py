@@ -19,7 +19,8 @@ from pupper_analysis.robot.robot import PublishedFile
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged
-from tests.support.slips import FALLS, SLIPS, by_itself, standing
+from tests.support.bases import FALLS, by_itself
+from tests.support.slips import SLIPS, standing
 
 
 def verdict_of(pair: legged.Pair) -> Verdict:
@@ -205,37 +206,6 @@ def test_files_of_two_robots_are_told_from_a_file_that_differs(tmp_path: Path) -
     assert published is not None
     assert published.differs
     assert [cause.code for cause in published.causes] == ["pair"]
-
-
-def slip_holds(folder: Path, name: str, seed: int) -> tuple[float, bool, str]:
-    """How far a file with a slip sinks by itself, whether it is said to hold, and what is said."""
-    pair = standing(folder)
-    text = pair.mjcf.read_text()
-    pair.mjcf.write_text(SLIPS[name](text, np.random.default_rng(seed)))
-    try:
-        lost = by_itself(pair.mjcf)
-    except ValueError:
-        lost = float("inf")  # no engine takes it
-    try:
-        verdict = verdict_of(pair)
-    except pa.PupperAnalysisError as error:
-        return lost, False, str(error)
-    return lost, verdict.passed, in_words(verdict)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_no_robot_that_falls_is_said_to_hold(tmp_path: Path, seed: int) -> None:
-    name = str(np.random.default_rng(seed).choice(list(SLIPS)))
-    lost, holds, said = slip_holds(tmp_path, name, seed)
-    assert not (lost > FALLS and holds), (name, lost, said)
-
-
-@pytest.mark.longest
-@pytest.mark.parametrize("name", SLIPS)
-def test_no_slip_that_makes_it_fall_is_said_to_hold(tmp_path: Path, name: str) -> None:
-    for seed in range(3):
-        lost, holds, said = slip_holds(tmp_path, name, seed)
-        assert not (lost > FALLS and holds), (seed, lost, said)
 
 
 def test_a_keyframes_angles_are_no_torques(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -228,9 +227,3 @@ def test_a_name_is_not_taken_for_a_formula(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------- files
-
-
-def test_no_backend_is_touched(tmp_path: Path) -> None:
-    before = dict(matplotlib.rcParams)
-    height_figure([analysis_of("v3")], tmp_path / "heights.png")
-    assert dict(matplotlib.rcParams) == before

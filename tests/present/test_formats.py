@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -28,7 +27,6 @@ from pupper_analysis.present.formats import (
     write_github,
 )
 from pupper_analysis.present.terminal import SafeConsole, print_document
-from tests.support.commands import run_command
 from tests.support.stubs import problem
 
 
@@ -87,7 +85,6 @@ def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
 CHARACTERS = st.characters(
     codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff"
 )
-PRINTABLE = st.text(CHARACTERS, max_size=30)
 
 
 HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] :smile:"
@@ -114,19 +111,3 @@ def test_the_console_shows_what_would_act(terminal: bool) -> None:
     assert "\x1b[31m" not in text
     assert "[bold]e" in plain
     assert ":smile:" in plain
-
-
-def test_names_in_a_model_are_shown(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "robot\n::error::forged.urdf"
-    name = "a&#10;::error::forged&#x9b;31m&#x202e;"
-    file.write_text(
-        f'<robot name="r"><link name="{name}"><inertial><mass value="-1"/>'
-        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
-    )
-    for style in ("text", "github"):
-        status, out, err = run_command(capfd, "audit", str(file), "--format", style)
-        assert status in (1, 2)
-        text = out + err
-        assert not set("\x1b\x9b\u202e") & set(text) or style == "github"
-        assert "::error::forged" in text or style == "github"
-        assert not any(line.lstrip().startswith("::error::forged") for line in text.splitlines())

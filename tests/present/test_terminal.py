@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from pathlib import Path
 
 import pytest
 from rich.cells import cell_len
@@ -20,7 +19,6 @@ from pupper_analysis.present.document import (
     text,
 )
 from pupper_analysis.present.terminal import MOST_NOTES, SafeConsole, print_document
-from tests.support.commands import run_command
 from tests.support.printing import printed
 from tests.support.stubs import problem
 
@@ -119,19 +117,3 @@ def test_verdicts_are_coloured() -> None:
     failed = Document(Name(""), Name("r"), (), passed=False, verdict=text("FAILS"))
     print_document(out, failed)
     assert "\x1b[1;31mFAILS" in file.getvalue()
-
-
-def test_a_stand_fits_80_columns_and_its_files_are_confirmed(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    paths = [str(tmp_path / name) for name in ("a.png", "a.html", "a.json")]
-    options = zip(("--figure", "--report", "--json"), paths, strict=True)
-    status, out, _ = run_command(
-        capfd, "stand", "v3", "-v", *(part for pair in options for part in pair)
-    )
-    assert status == 0
-    lines = out.splitlines()
-    assert lines[-3:] == [f"written: {path}" for path in paths]
-    tables = [line for line in lines if re.search("─|^(leg_|[FR][RL] )", line)]
-    assert len(tables) == 12 + 4 + 4 + 5
-    assert max(map(len, tables)) <= 80

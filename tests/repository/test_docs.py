@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import csv
 import importlib
 import re
@@ -82,14 +81,6 @@ def test_every_command_has_a_guide() -> None:
         assert f"({page.name})" in index, page.name
     for name in cli.COMMANDS:
         assert any(f"\npupper-analysis {name}" in text for text in texts), name
-
-
-def test_python_of_the_docs_is_python_and_names_what_is_public() -> None:
-    for page in PAGES:
-        for code in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL):
-            for node in ast.walk(ast.parse(code)):
-                if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-                    assert node.value.id != "pa" or hasattr(pa, node.attr), f"{page}: {node.attr}"
 
 
 def test_tables_of_data_are_whole_and_described() -> None:

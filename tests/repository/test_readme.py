@@ -15,7 +15,6 @@ from pupper_analysis import cli
 from tests.support.repository import ROOT
 
 README = (ROOT / "README.md").read_text()
-TUTORIAL = ROOT / "docs/tutorials/pupper.md"
 PAGES = [
     page
     for page in [
@@ -59,15 +58,6 @@ def commands(text: str) -> list[str]:
     return sorted(
         {re.split(r"\s+(?:[#>]|\|\s)", command)[0].strip() for command in [*spans, *lines]}
     )
-
-
-def test_both_tutorials_run_the_same_lines() -> None:
-    """`test_pages.py` runs them."""
-    english, chinese = (
-        [line for line in shell(page) if line.startswith("pupper-analysis")]
-        for page in (TUTORIAL, ROOT / "docs/zh/tutorial.md")
-    )
-    assert english == chinese
 
 
 @pytest.mark.parametrize("name", sorted(page.name for page in ROOT.glob("docs/zh/how-to/*.md")))

@@ -105,14 +105,3 @@ def test_joints_of_more_coordinates_are_refused_or_fixed(
     status, _, err = run_command(capfd, *arguments)
     assert status in (0, 1, 2)
     assert "unexpected" not in err
-
-
-def test_a_colour_with_commas_is_one_line(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "colour.xml"
-    file.write_text(TINY_MJCF.replace('type="sphere"', 'type="sphere" rgba="1,0,0,1"'))
-    status, _, err = run_command(capfd, "audit", str(file))
-    assert status == 2
-    assert "rgba" in err
-    assert len(err.splitlines()) == 1

@@ -139,16 +139,6 @@ def test_a_coupling_need_not_be_linear(polynomial: tuple[float, ...], tmp_path: 
     holds(robot)
 
 
-def test_coupled_legs_squat_shift_lift_a_foot_and_lean_on_a_slope(tmp_path: Path) -> None:
-    robot = load(belts(tmp_path))
-    holds(robot, pa.StandTask(height=0.9 * robot.stand_height))
-    holds(robot, pa.StandTask(offset=(0.02, 0.01)))
-    holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
-    stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(ground=pa.Ground(slope=0.02)))
-    found = pa.verify_stand(robot, stand)
-    assert max(found.torque_error, found.force_error) < 1e-3
-
-
 def test_a_parallelograms_crank_holds_what_the_knee_would(tmp_path: Path) -> None:
     """In closed form: knee = motor - pitch and pin = pitch - motor, by virtual work."""
     robot = load(four_bars(tmp_path))
@@ -331,22 +321,6 @@ def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
     for what, ask in asked.items():
         with pytest.raises(pa.ConfigurationError, match=rf"coupled.*{what} is not computed"):
             ask()
-
-
-def test_a_fixed_bases_motors_hold_what_follows(tmp_path: Path) -> None:
-    pair = belts(tmp_path)
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, fixed_base=True)
-    qpos = np.zeros(robot.nq)
-    for leg in LEGS:
-        qpos[robot.joint_names.index(f"{leg}_motor")] = 1.0
-        qpos[robot.joint_names.index(f"{leg}_knee")] = -1.0
-    config = pa.Configuration(robot, qpos)
-    held, tree = pa.gravity_compensation(config).joint_torques, config.gravity()
-    for leg in LEGS:
-        assert at(robot, held, f"{leg}_knee") == 0.0
-        assert at(robot, held, f"{leg}_motor") == pytest.approx(
-            at(robot, tree, f"{leg}_motor") - 0.8 * at(robot, tree, f"{leg}_knee")
-        )
 
 
 def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:

@@ -70,14 +70,3 @@ def test_law_is_mujocos(name: str, change: object) -> None:
             assert law.force(depth) == pytest.approx(aref / r, rel=1e-9)
             sliding = data.efc_KBIP[row + 1, 1] / data.efc_R[row + 1]
             assert law.viscosity(depth) == pytest.approx(sliding, rel=1e-9)
-
-
-@pytest.mark.parametrize("name", ["original", "v3"])
-def test_depth_is_the_inverse_of_force(name: str) -> None:
-    robot = load(name)
-    law = GroundLaw.of(robot, robot.contact_points[0])
-    for depth in (1e-6, 1e-3, 5e-3, 2e-2):
-        assert law.depth(law.force(depth)) == pytest.approx(depth, rel=1e-9)
-        difference = (law.force(depth + 1e-7) - law.force(depth - 1e-7)) / 2e-7
-        assert law.rate(depth) == pytest.approx(difference, rel=1e-3)
-    assert law.depth(-1.0) == pytest.approx(-1 / law.rate(0.0))

@@ -6,12 +6,10 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.base.arrays import rotation_from_quaternion
 from tests.support.engines import addresses, integrate, velocity_map
-from tests.support.states import numbers, positions, quaternion, velocities
+from tests.support.states import positions, velocities
 from tests.support.variants import load
 
 
@@ -34,14 +32,6 @@ def test_qpos_round_trip(any_robot: pa.Robot, data: st.DataObject) -> None:
 
 
 @given(data=st.data())
-def test_pinocchio_round_trip(any_robot: pa.Robot, data: st.DataObject) -> None:
-    model = any_robot.pin_model
-    q = pin.integrate(model, pin.neutral(model), data.draw(numbers(model.nv, 2.0)))
-    again = any_robot.pin_convention.q(any_robot.pin_convention.qpos(q))
-    np.testing.assert_allclose(again, q, atol=1e-12)
-
-
-@given(data=st.data())
 def test_velocity_map_agrees_with_both_engines_integration(
     any_robot: pa.Robot, data: st.DataObject
 ) -> None:
@@ -51,20 +41,6 @@ def test_velocity_map_agrees_with_both_engines_integration(
     behind, ahead = (convention.q(integrate(any_robot, qpos, qvel, sign * dt)) for sign in (-1, 1))
     measured = pin.difference(any_robot.pin_model, behind, ahead) / (2 * dt)
     np.testing.assert_allclose(measured, velocity_map(convention, qpos) @ qvel, atol=1e-8)
-
-
-def test_quaternion_need_not_be_normalised() -> None:
-    convention, qpos = load("v3").pin_convention, load("v3").neutral()
-    qpos[3:7] = quaternion(np.array([0.3, -0.2, 0.5]))
-    scaled = qpos.copy()
-    scaled[3:7] *= 7
-    np.testing.assert_allclose(convention.q(scaled), convention.q(qpos), atol=1e-15)
-
-
-@given(vector=numbers(3, 3.0))
-def test_rotation_from_quaternion(vector: np.ndarray) -> None:
-    expected = Rotation.from_rotvec(vector).as_matrix()
-    np.testing.assert_allclose(rotation_from_quaternion(quaternion(vector)), expected, atol=1e-12)
 
 
 def test_joints_are_in_actuator_order_then_those_without(tiny: pa.Robot) -> None:

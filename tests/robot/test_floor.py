@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 from typing import Any
 
@@ -139,28 +138,3 @@ def test_softness_of_a_pairs_friction_is_not_left_out_in_silence(tmp_path: Path)
         "the contact of 'foot0' with the floor states a softness of its own for friction "
         "(solreffriction): that of the contact was used"
     ]
-
-
-def test_a_robot_moves_on_converted_pairs_as_on_its_files(tmp_path: Path) -> None:
-    """Dropped and thrown about by its joints, as bare MuJoCo makes of the file, step by step."""
-    values = 'friction="0.6 0.6 0.01 0.001 0.001" solref="0.02 1" condim="3"'
-    pairs = "".join(f'<pair geom1="ground" geom2="foot{leg}" {values}/>' for leg in range(4))
-    files = scene(tmp_path, PLANE + "/>", pairs)
-    robot = loaded(files)
-    models = (mujoco.MjModel.from_xml_path(str(files.mjcf)), copy.copy(robot.mj_model))
-    for model in models:  # servos were added to the one, and steps that suit them
-        model.opt.timestep, model.opt.integrator = 0.002, mujoco.mjtIntegrator.mjINT_EULER
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
-    draw, touched = np.random.default_rng(3), 0
-    data = [mujoco.MjData(model) for model in models]
-    for one in data:
-        one.qpos[2], one.qpos[3] = robot.stand_height + 0.02, 1.0
-        one.qpos[7:] = robot.mj_model.key_qpos[0][7:]
-    for _ in range(800):
-        forces = 0.5 * draw.normal(size=robot.nv - 6)
-        for model, one in zip(models, data, strict=True):
-            one.qfrc_applied[6:] = forces
-            mujoco.mj_step(model, one)
-        touched += data[0].ncon
-        np.testing.assert_allclose(data[0].qpos, data[1].qpos, atol=1e-9)
-    assert touched > 400

@@ -85,15 +85,6 @@ def test_gravity_is_the_mjcfs(tmp_path: Path) -> None:
     np.testing.assert_allclose(gravity[:3], -3.2 * np.array([0.1, 0, -1.62]), atol=1e-14)
 
 
-def test_ground_is_added_where_there_is_none(tmp_path: Path) -> None:
-    bare = replaced(TINY_MJCF, '<geom type="plane" size="1 1 1"/>', "")
-    robot = load_files(write(tmp_path, mjcf=bare))
-    assert any("plane" in str(note) for note in robot.notes)
-    assert robot.contacts["foot"].sliding_friction == 1.0
-    fixed = load_files(write(tmp_path, mjcf=bare), fixed_base=True)
-    assert fixed.contacts == {}
-
-
 def test_home_is_the_keyframe_in_the_public_order(tmp_path: Path) -> None:
     keys = (
         '<keyframe><key name="other" qpos="0 0 9 1 0 0 0 9 9 9"/>'
@@ -138,8 +129,6 @@ def test_a_robot_cannot_be_changed() -> None:
 
 # ------------------------------------------------------------------------------------- wrong
 
-JOINT = '<joint name="push" type="slide" axis="0 0 1" range="-0.3 0.4"/>'
-
 
 @pytest.mark.parametrize(
     ("urdf", "mjcf", "message"),
@@ -183,46 +172,6 @@ def test_unusable_files_are_refused(
     assert str(tmp_path) in caught.value.source
 
 
-def test_missing_and_unreadable_files_are_refused(tiny_files: Files, tmp_path: Path) -> None:
-    for files in (
-        Files(tmp_path / "none.urdf", tiny_files.mjcf),
-        Files(tiny_files.urdf, tmp_path / "none.xml"),
-        Files(tmp_path, tiny_files.mjcf),
-        Files(tiny_files.urdf, tmp_path),
-    ):
-        with pytest.raises(pa.ModelError):
-            load_files(files)
-    binary = tmp_path / "binary.urdf"
-    binary.write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(pa.ModelError, match=r"binary\.urdf: "):
-        load_files(Files(binary, tiny_files.mjcf))
-
-
-@pytest.mark.parametrize(
-    ("urdf", "mjcf", "note"),
-    [
-        (
-            TINY_URDF,
-            replaced(TINY_MJCF, JOINT, "").replace('<motor joint="push"/>', ""),
-            "only the URDF has, held at zero: push",
-        ),
-        (
-            TINY_URDF.replace('"push" type="prismatic"', '"push" type="fixed"'),
-            TINY_MJCF,
-            "only the MJCF has, held at zero: push",
-        ),
-        (
-            TINY_URDF.replace('name="push"', 'name="pull"'),
-            TINY_MJCF,
-            "other names in the URDF: pull = push",
-        ),
-    ],
-)
-def test_joints_that_differ_are_said(tmp_path: Path, urdf: str, mjcf: str, note: str) -> None:
-    robot = load_files(write(tmp_path, urdf, mjcf))
-    assert any(note in str(said) for said in robot.notes), robot.notes
-
-
 @pytest.mark.parametrize(("urdf_foot", "mjcf_foot"), [("toe_tip", "foot"), ("foot", "toe_tip")])
 def test_a_foot_in_one_file_is_enough(tmp_path: Path, urdf_foot: str, mjcf_foot: str) -> None:
     whole = load_files(write(tmp_path, TINY_URDF, TINY_MJCF))
@@ -233,16 +182,6 @@ def test_a_foot_in_one_file_is_enough(tmp_path: Path, urdf_foot: str, mjcf_foot:
     qpos = np.concatenate([[0.1, 0.2, 0.3, 1, 0, 0, 0], [0.1, -0.2, 0.3]])
     places = [pa.Configuration(each, qpos).foot_positions()["foot"] for each in (whole, robot)]
     np.testing.assert_allclose(*places, atol=1e-9)
-
-
-def test_unknown_foot_lists_what_there_is(tmp_path: Path) -> None:
-    urdf = TINY_URDF.replace('link name="foot"', 'link name="toe_tip"')
-    urdf = urdf.replace('child link="foot"', 'child link="toe_tip"')
-    mjcf = TINY_MJCF.replace('site name="foot"', 'site name="hoof"')
-    with pytest.raises(pa.UnknownNameError, match=r"toe_tip.*hoof") as caught:
-        load_files(write(tmp_path, urdf, mjcf))
-    assert caught.value.name == "foot"
-    assert isinstance(caught.value, pa.ModelError)
 
 
 # ------------------------------------------------------------------------------------- ground

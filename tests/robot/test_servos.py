@@ -57,15 +57,6 @@ def test_motors_of_several_controls_are_read(element: str, controls: int, tmp_pa
     assert pa.diff_models(pair.mjcf, pair.mjcf).same
 
 
-def test_the_range_of_each_control_is_compared(tmp_path: Path) -> None:
-    old, new = tmp_path / "old.xml", tmp_path / "new.xml"
-    text = with_motors(quadruped(tmp_path), PID, "FL").mjcf.read_text()
-    old.write_text(text)
-    new.write_text(text.replace('ctrlrange="-30 30"', 'ctrlrange="-30 40"', 1))
-    (change,) = (c for c in pa.diff_models(old, new).changes if c.kind == "motor")
-    assert change.message.startswith("motor #3: ctrlrange (-30, 30) in the old file")
-
-
 @pytest.mark.parametrize("element", [PID, DC, IN_PARENT])
 def test_robots_stand_on_them(element: str, tmp_path: Path) -> None:
     pair = with_motors(quadruped(tmp_path), element)
@@ -151,18 +142,6 @@ def test_servos_too_stiff_for_the_integrator_are_told_what_would_hold(tmp_path: 
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     assert not pa.verify_stand(robot, stand).passed
     assert pa.verify_stand(robot, stand, integrator="implicitfast").passed
-
-
-def test_no_robot_stands_in_too_exact_a_balance(tmp_path: Path) -> None:
-    """Alike on all sides, it stood on servos that shake it to pieces: MuJoCo had it at rest."""
-    robot = loaded(quadruped(tmp_path))
-    stand = pa.stance.solve_stand_on_soft_ground(robot)
-    assert pa.verify_stand(robot, stand, kp=100.0, kd=5.0).passed
-    shaking = pa.verify_stand(robot, stand, kp=3000.0, kd=200.0, integrator="Euler")
-    assert not shaking.passed
-    assert any(
-        "beyond the limit of stability (Euler, 2 ms)" in str(why) for why in shaking.failures
-    )
 
 
 @pytest.mark.parametrize(("kind", "pulls"), [("motor", False), ("position", True)])

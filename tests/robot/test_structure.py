@@ -17,7 +17,7 @@ from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.structure import Structure
 from pupper_analysis.stance.sag.equilibrium import integrate_step
 from tests.stance.sag.test_contact_kinematics import differences
-from tests.support.engines import velocity_map, velocity_map_rate
+from tests.support.engines import velocity_map
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
 
@@ -116,28 +116,6 @@ def test_threads_do_not_change_each_others_configurations(any_robot: pa.Robot) -
 
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(work, range(4)))
-
-
-def test_public_coordinates_are_those_of_the_convention(any_robot: pa.Robot) -> None:
-    """Blocks and permutations against the dense map T, with Pinocchio called from here."""
-    model, convention = any_robot.pin_model, any_robot.pin_convention
-    for seed in range(5):
-        qpos, qvel = random_state(any_robot, seed)
-        config, data = pa.Configuration(any_robot, qpos, qvel), model.createData()
-        q, turn = convention.q(qpos), velocity_map(convention, qpos)
-        rate = velocity_map_rate(convention, qpos, qvel)
-        upper = np.triu(np.atleast_2d(pin.crba(model, data, q)))
-        full = upper + np.triu(upper, 1).T
-        numbers_agree(config.mass_matrix(), turn.T @ full @ turn)
-        numbers_agree(config.gravity(), turn.T @ pin.computeGeneralizedGravity(model, data, q))
-        forces = pin.rnea(model, data, q, turn @ qvel, rate) - model.armature * rate
-        numbers_agree(config.bias_forces(), turn.T @ forces)
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        for foot, jacobian in config.foot_jacobians().items():
-            frame = model.getFrameId(any_robot.contact_frames[foot], pin.FrameType.BODY)
-            local = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            numbers_agree(jacobian, (local.reshape(6, -1) @ turn)[:3])
 
 
 def test_joints_may_be_in_any_order(any_robot: pa.Robot) -> None:

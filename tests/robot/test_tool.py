@@ -12,7 +12,6 @@ import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
 from pupper_analysis.simulation.verify import load_by_mujoco
-from pupper_analysis.stance.sag.equilibrium import integrate_step
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.engines import mujoco_at
 from tests.support.states import random_state
@@ -82,26 +81,6 @@ def test_both_models_carry_the_same_payload(name: str) -> None:
     index = loaded.mj_convention.qvel_index
     np.testing.assert_allclose(config.bias_forces(), data.qfrc_bias[index], atol=1e-9)
     assert loaded.total_mass == pytest.approx(load(name).total_mass + 2.5, abs=1e-12)
-
-
-@pytest.mark.parametrize("name", ["original", "v3"])
-def test_a_payloads_weight_is_the_slope_of_its_potential_energy(name: str) -> None:
-    """m g dz/dq, by finite differences of where the point is on a tilted base."""
-    robot, mass = load(name), 3.0
-    qpos, _ = random_state(robot, 2)
-
-    def energy(at: np.ndarray) -> float:
-        config = pa.Configuration(robot, at)
-        place = at[:3] + config.base_rotation() @ POINT
-        return mass * 9.81 * float(place[2])
-
-    steps = 1e-6 * np.eye(robot.nv)
-    slope = [
-        (energy(integrate_step(qpos, s)) - energy(integrate_step(qpos, -s))) / 2e-6 for s in steps
-    ]
-    more = pa.Configuration(with_payload(robot, mass, POINT), qpos).gravity()
-    less = pa.Configuration(robot, qpos).gravity()
-    np.testing.assert_allclose(more - less, slope, atol=1e-7)
 
 
 def test_a_payload_keeps_changed_effort_limits() -> None:

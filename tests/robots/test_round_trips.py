@@ -20,13 +20,13 @@ MJCFS = ("go2", "aliengo", "mini_cheetah", "go1", "b2", "hyqreal1", "spot", "a2"
 
 @pytest.mark.parametrize("name", URDFS)
 def test_a_urdf_there_and_back_loses_nothing_silently(tmp_path: Path, name: str) -> None:
-    lost, count, _ = round_trip(file(URDF, f"{name}.urdf"), tmp_path)
+    lost, count = round_trip(file(URDF, f"{name}.urdf"), tmp_path)
     assert count > 30
     assert not lost
 
 
 @pytest.mark.parametrize("name", MJCFS)
 def test_an_mjcf_there_and_back_loses_nothing_silently(tmp_path: Path, name: str) -> None:
-    lost, count, _ = round_trip(file(MJCF, f"{name}/{name}.xml"), tmp_path)
+    lost, count = round_trip(file(MJCF, f"{name}/{name}.xml"), tmp_path)
     assert count > 100
     assert not lost

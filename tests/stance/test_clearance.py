@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -220,33 +219,6 @@ def test_self_clearance_is_kept(name: str) -> None:
     assert str(caught.value.possible["self_clearance"]) == f"self_clearance {1e3 * least:g} mm"
 
 
-def test_a_posture_with_its_links_apart_is_found() -> None:
-    """v3, turned by 30 degrees, has its links 15.1 mm apart in the branch that reaches that."""
-    robot = load("v3")
-    stand = pa.solve_stand(robot, pa.StandTask(yaw=math.radians(30), self_clearance=0.014))
-    assert stand.self_clearance is not None
-    assert stand.self_clearance.distance >= 0.014 - 1e-6
-    nearer = pa.solve_stand(robot, pa.StandTask(yaw=math.radians(30), self_clearance=0.0))
-    again = pa.solve_stand(
-        robot, replace(nearer.task, ik_seed=tuple(nearer.joint_positions(robot).tolist()))
-    )
-    np.testing.assert_allclose(again.qpos, nearer.qpos, atol=1e-6)
-
-
-def test_links_that_would_touch_are_kept_apart() -> None:
-    """Two feet of one side on one spot."""
-    robot = load("v3")
-    x = 0.075
-    task = pa.StandTask(foot_offsets={"FL": (-x, 0.0), "RL": (x, 0.0)}, com="inside")
-    pa.solve_stand(robot, task)
-    with pytest.raises(pa.StanceUnreachableError, match="mm in leg_") as caught:
-        pa.solve_stand(robot, replace(task, self_clearance=0.004))
-    nearest = caught.value.nearest
-    assert nearest is not None
-    assert nearest.self_clearance.distance > nearest.task.self_clearance - 1e-6
-    assert "foot_offsets" in caught.value.possible
-
-
 @pytest.mark.parametrize("name", ["original", "v3"])
 @pytest.mark.parametrize("ground", [pa.Ground(), pa.Ground(0.3, 0.7, {"FL": 0.05, "RR": 0.03})])
 def test_heights_change_by_their_derivatives(name: str, ground: pa.Ground) -> None:
@@ -270,21 +242,3 @@ def test_heights_change_by_their_derivatives(name: str, ground: pa.Ground) -> No
                 ends.append(np.array(shapes.heights(shapes.at(moved), ground, places, {})))
             rates_found = (ends[0] - ends[1]) / 2e-4
             np.testing.assert_allclose(rates[:, column], rates_found, atol=2e-3)
-
-
-def test_a_stand_that_leaves_the_base_millimetres_is_found() -> None:
-    """On three feet with all else high up: knees are over the hips, and the base has 3 mm."""
-    robot = load("v3")
-    task = pa.StandTask(swing={"FR": 0.003}, ground_clearance=0.066, com="inside")
-    stand = pa.solve_stand(robot, task, explain=False)
-    data = mujoco_at(robot, stand.qpos)
-    mujoco.mj_kinematics(robot.mj_model, data)
-    mujoco.mj_comPos(robot.mj_model, data)
-    for foot, (body, place) in robot.contact_places.items():
-        there = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
-        assert there[2] == pytest.approx(robot.contact_radius[foot] + task.swing.get(foot, 0.0))
-    rear = min(stand.contact_points[foot][0] for foot in ("RR", "RL"))
-    assert data.subtree_com[0][0] > rear - 1e-9
-    lowest = stand.ground_clearance
-    assert lowest is not None
-    assert lowest.distance > 0.066 - 1e-6

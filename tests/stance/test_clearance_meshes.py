@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -165,45 +164,6 @@ def test_a_demanded_clearance_is_kept_and_its_limit_is_mujocos(robot: pa.Robot) 
     assert limit <= above_ground(robot, typed.qpos) + 1e-9 < limit * 1.01
     with pytest.raises(pa.StanceUnreachableError):
         pa.solve_stand(robot, pa.StandTask(ground_clearance=1.01 * limit), explain=False)
-
-
-def test_links_that_are_meshes_are_kept_apart(robot: pa.Robot) -> None:
-    with pytest.raises(pa.StanceUnreachableError) as caught:
-        pa.solve_stand(robot, pa.StandTask(self_clearance=0.5))
-    limit = caught.value.limits["self_clearance"]["self_clearance"]
-    near = pa.solve_stand(robot, pa.StandTask(self_clearance=limit)).self_clearance
-    assert near is not None
-    assert limit - 1e-6 <= near.distance < 0.3
-
-
-def test_no_stand_has_a_mesh_in_the_ground(robot: pa.Robot) -> None:
-    """On slopes and turned: what is solved is clear in MuJoCo, what is refused for it is not."""
-    refused = solved = 0
-    for uphill, pitch in itertools.product((0.0, 1.6, 3.1), (-0.25, 0.0, 0.25)):
-        ground = pa.Ground(0.3, uphill)
-        task = pa.StandTask(height=0.22, pitch=pitch, ground=ground)
-        try:
-            stand = pa.solve_stand(robot, task, explain=False)
-        except pa.StanceUnreachableError as error:
-            refused += any(one.code.endswith("-ground") for one in error.blocked)
-            continue
-        solved += 1
-        there = on_ground(robot, ground, stand.foot_targets)
-        assert above_ground(there, stand.qpos) > -1e-6
-    assert refused
-    assert solved
-
-
-def test_the_workspace_ends_where_a_mesh_meets_the_ground(robot: pa.Robot) -> None:
-    """Typed back it stands, and a hundredth of a radian on the keel is in MuJoCo's ground."""
-    start = pa.StandTask(height=0.22)
-    most = pa.stance.base_workspace(robot, start).intervals["pitch"].high
-    stand = pa.solve_stand(robot, pa.StandTask(height=0.22, pitch=most))
-    assert 0 <= above_ground(robot, stand.qpos) + 1e-6 < 1e-3
-    qpos = stand.qpos.copy()
-    turn = most + 0.01
-    qpos[3:7] = math.cos(turn / 2), 0.0, math.sin(turn / 2), 0.0
-    assert above_ground(robot, qpos) < 0
 
 
 def test_what_touches_nothing_does_not_count(tmp_path: Path) -> None:

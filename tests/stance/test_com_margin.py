@@ -9,10 +9,6 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
-from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.search import find_nearest, search_stand
-from pupper_analysis.stance.soft_ground import solve_loaded_stand
-from pupper_analysis.stance.solver import Context
 from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES, load
 
@@ -81,31 +77,3 @@ def test_another_way_to_bend_the_legs_may_have_the_margin() -> None:
     other = pa.solve_stand(robot, asked)
     assert margin_of(robot, other) >= asked.com_margin - 1e-9
     assert np.abs(other.qpos[7:] - usual.qpos[7:]).max() > 0.5
-
-
-def test_on_soft_ground_and_under_a_load() -> None:
-    """Sunk feet shift the com by a little, and a load by more."""
-    robot = load("original")
-    task = pa.StandTask(offset=(0.03, 0.0), com_margin=0.03)
-    sunk = pa.stance.solve_stand_on_soft_ground(robot, task)
-    assert sunk.task.com_margin == 0.03
-    assert margin_of(robot, sunk) >= 0.03 - 1e-9
-    edge = replace(task, com_margin=pa.solve_stand(robot, task).com_margin)
-    loaded, stand = solve_loaded_stand(robot, task, 0.1, (0.05, 0.0, 0.0))
-    assert 0.03 < margin_of(loaded, stand) < edge.com_margin
-    with pytest.raises(pa.StanceUnreachableError):  # what is asked is asked of the loaded robot
-        solve_loaded_stand(robot, edge, 1.0, (0.05, 0.0, 0.0))
-
-
-def test_the_least_miss_of_the_feet_is_with_the_margin() -> None:
-    """On three legs too high, more of a margin leaves the feet further from where they shall be."""
-    robot, missed = load("v3"), []
-    for margin in (0.0, 0.02, 0.025):
-        task = pa.StandTask(com="inside", com_margin=margin, height=0.22, swing={"FR": 0.02})
-        goal, context = make_goal(robot, task, {}), Context(robot)
-        found = find_nearest(context, goal, search_stand(context, goal).qpos)
-        com = mujoco_at(robot, found.qpos).body(robot.mj_base).subtree_com
-        sides = ConvexHull(goal.contacts[:, :2]).equations
-        assert -float((sides @ [*com[:2], 1.0]).max()) >= margin - 1e-7
-        missed.append(found.foot_error)
-    assert missed[0] <= missed[1] < missed[2]

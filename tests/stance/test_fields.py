@@ -8,7 +8,6 @@ import re
 from dataclasses import fields
 from typing import Any
 
-import click
 import pytest
 
 import pupper_analysis as pa
@@ -135,21 +134,6 @@ def test_each_field_is_an_option_of_the_same_value(field: Field) -> None:
 
 ON_PAGE = {"length": 12.3, "angle": 7.5, "point": (12.3, -34.5), "position": 0.1309}
 SLIDING = {name: field for name, field in FIELDS.items() if field.slider}
-
-
-def test_options_show_a_value_in_mm_or_degrees() -> None:
-    """Of what is typed: no option asks for metres or radians."""
-    shown = {"m": ("mm", "cm"), "rad": ("deg",)}
-    command = cli.find_command("stand")
-    for option in command.params:
-        if option.name in TYPED:
-            assert isinstance(option, click.Option)
-            text, unit = option.help or "", FIELDS[option.name].unit
-            assert "(m)" not in text, option.name
-            assert "(rad" not in text, option.name
-            if unit in shown:
-                example = text.partition("e.g. ")[2]
-                assert any(one in example for one in shown[unit]), option.name
 
 
 def test_a_task_is_said_in_order_and_with_units() -> None:

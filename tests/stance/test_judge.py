@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
@@ -42,31 +41,6 @@ def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
             turn, origin = there.links[link]
             np.testing.assert_array_equal(turn, config.frame_rotation(link))
             np.testing.assert_array_equal(origin, config.frame_position(link))
-
-
-def test_copies_of_pinocchios_memory_are_not_taken_for_it() -> None:
-    """Who has Pinocchio hand out copies gets what is true now, not what was."""
-    robot = load("v3")
-    goals = [make_goal(robot, pa.StandTask(height=z), {}) for z in (0.11, 0.12, 0.13)]
-    expected = [
-        evaluate_stand(ClearanceShapes(robot), goal, stand_of("v3").qpos, 0) for goal in goals
-    ]
-    pin.sharedMemory(False)
-    try:
-        shapes = ClearanceShapes(robot)
-        found = [evaluate_stand(shapes, goal, stand_of("v3").qpos, 0) for goal in goals]
-        moved = stand_of("v3").qpos.copy()
-        moved[2] += 0.01
-        higher = evaluate_stand(shapes, goals[0], moved, 0)
-    finally:
-        pin.sharedMemory(True)
-    for one, other in zip(found, expected, strict=True):
-        assert one.to_dict() == other.to_dict()
-    assert higher.ground_clearance is not None
-    assert expected[0].ground_clearance is not None
-    lifted = higher.ground_clearance.distance - expected[0].ground_clearance.distance
-    assert lifted == pytest.approx(0.01, abs=1e-12)
-    assert higher.foot_error == pytest.approx(expected[0].foot_error + 0.01, abs=1e-12)
 
 
 def test_nothing_that_is_not_finite_is_judged() -> None:
@@ -106,28 +80,6 @@ def test_steps_nobody_looks_at_lead_where_watched_ones_do(name: str) -> None:
             straight += 1
             np.testing.assert_allclose(point.qpos, watched.qpos, atol=1e-13)
     assert 0 < straight < 40, "one of the two ways has not been looked at"
-
-
-def test_a_begin_that_is_remembered_is_the_one_that_is_worked_out() -> None:
-    robot = load("v3")
-    solver, home = Context(robot).solver, robot.home[7:]
-    tasks = [
-        pa.StandTask(),
-        pa.StandTask(height=0.11),
-        pa.StandTask(roll=0.1),
-        pa.StandTask(joint_margin=0.3),
-        pa.StandTask(offset=(0.01, 0.0)),
-        pa.StandTask(com=(0.01, 0.002)),
-    ]
-    for index in np.random.default_rng(0).integers(0, len(tasks), 30):
-        goal = make_goal(robot, tasks[index], {})
-        for joints in (home, home + 0.1):
-            found = solver.begin(goal, joints)
-            expected = Context(robot).solver.begin(goal, joints)
-            np.testing.assert_array_equal(found, expected)
-            if not goal.by_base:
-                com = solver.engine.placo.com_world()[:2]
-                np.testing.assert_allclose(com, goal.place, atol=1e-15)
 
 
 def test_links_that_are_too_near_are_both_named() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -39,19 +38,6 @@ def test_tasks_that_were_aimed_elsewhere_solve_as_new_ones(name: str) -> None:
         assert found.iterations == expected[index].iterations
 
 
-def test_stands_in_threads_are_those_of_one_thread() -> None:
-    robot = load("v3")
-    wanted = tasks(robot)[:3]
-    expected = [pa.solve_stand(robot, task).qpos for task in wanted]
-
-    def work(index: int) -> tuple[int, np.ndarray]:
-        return index, pa.solve_stand(robot, wanted[index]).qpos
-
-    with ThreadPoolExecutor(3) as pool:
-        for index, qpos in pool.map(work, [0, 1, 2] * 6):
-            np.testing.assert_array_equal(qpos, expected[index])
-
-
 def test_a_robots_files_are_its_own() -> None:
     """A variant is derived once; what is done to one robot's spec does not reach the next."""
     first = pa.load_variant("v3-long-leg")
@@ -62,19 +48,6 @@ def test_a_robots_files_are_its_own() -> None:
     assert second.fingerprint == first.fingerprint
     np.testing.assert_array_equal(second.mj_model.body_mass, mass)
     np.testing.assert_array_equal(second.mj_model.body_pos, first.mj_model.body_pos)
-
-
-def test_nobody_changes_what_stands_by_default_share() -> None:
-    robot = load("v3")
-    one, other = pa.solve_stand(robot), pa.solve_stand(robot)
-    for point in one.contact_points.values():
-        with pytest.raises(ValueError, match="read-only"):
-            point[:] = np.nan
-    for mapping in (one.depths, one.task.feet, one.task.foot_offsets, one.task.swing):
-        with pytest.raises(TypeError, match="cannot be changed"):
-            mapping.clear()  # type: ignore[attr-defined]
-    for name, point in pa.solve_stand(robot).contact_points.items():
-        np.testing.assert_array_equal(point, other.contact_points[name])
 
 
 def test_what_the_motors_hold_is_found_once_for_a_stand(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -148,43 +148,9 @@ def test_above_the_legs_length_it_is_out_of_reach_by_the_difference(height: floa
     assert f"height {1000 * height:.1f} mm" in str(caught.value)
 
 
-def test_the_longest_stand_is_found() -> None:
-    """Nearly straight legs, just under their length (the com is off the hips by 5 mm)."""
-    robot = load("original")
-    low, high = 0.158, 0.21
-    while high - low > 1e-6:
-        middle = (low + high) / 2
-        try:
-            stand = pa.solve_stand(robot, pa.StandTask(middle))
-            low = middle
-        except pa.StanceUnreachableError:
-            high = middle
-    stand = pa.solve_stand(robot, pa.StandTask(low))
-    hip_to_foot = math.hypot(low - 0.018, stand.qpos[0])
-    assert hip_to_foot == pytest.approx(0.19, abs=1e-4)
-
-
 def test_fixed_base_cannot_stand() -> None:
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         pa.solve_stand(load("v3", fixed_base=True))
-
-
-def test_what_was_solved_before_does_not_matter() -> None:
-    """The solver's robot is kept; its state must not leak from one stand into the next."""
-    robot = load("v3")
-    tasks = [
-        pa.StandTask(),
-        pa.StandTask(joint_margin=0.1, roll=0.1),
-        pa.StandTask(self_clearance=0.005, swing={"RL": 0.01}, com="inside"),
-        pa.StandTask(height=0.1, ground=pa.Ground(0.1)),
-    ]
-    first = [pa.solve_stand(robot, task).qpos for task in tasks]
-    again = [pa.solve_stand(robot, task).qpos for task in reversed(tasks)]
-    for one, two in zip(first, reversed(again), strict=True):
-        np.testing.assert_array_equal(one, two)
-    fresh = pa.load_variant("v3")
-    for one, task in zip(first, tasks, strict=True):
-        np.testing.assert_array_equal(one, pa.solve_stand(fresh, task).qpos)
 
 
 @pytest.mark.parametrize("other", ["original", "v3-heavy"])

@@ -60,20 +60,6 @@ def test_a_sequence_is_what_single_calls_find(name: str) -> None:
     assert sum(s.iterations for s in found) < 0.8 * sum(s.iterations for s in singles)
 
 
-def test_tasks_in_any_order() -> None:
-    """Far from the stand before it, a stand is still the single call's."""
-    robot = load("v3")
-    tasks = wave(robot, 12, 1.5)
-    tasks += [
-        replace(tasks[2], swing={robot.contact_points[1]: 0.02}, com="inside", com_margin=0.004)
-    ]
-    tasks += [replace(tasks[5], offset=(0.004, -0.006), foot_offsets={})]
-    tasks += [replace(tasks[7], self_clearance=0.001)]
-    shuffled = [tasks[number] for number in np.random.default_rng(0).permutation(len(tasks))]
-    for task, one in zip(shuffled, pa.solve_stands(robot, shuffled), strict=True):
-        assert_same(one, pa.solve_stand(robot, task))
-
-
 @pytest.mark.parametrize(
     "change",
     [

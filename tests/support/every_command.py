@@ -1,21 +1,14 @@
 """Whether a command says more of a file than bare MuJoCo does: features and slips, by commands.
 
-Run as ``python -m tests.support.every_command [--only WORDS] [--csv FILE]`` it prints a row for
-each edit of the file of a quadruped that stands, and of an arm that is held, and ends with status 1
-if a cell is better than the truth. The truth is MuJoCo's alone: the file as it is, as
-``mj_resetDataKeyframe`` leaves it, nudged, for five seconds.
+Files are edits of a quadruped's that stands, and of an arm's that is held. The truth is MuJoCo's
+alone: the file as it is, as ``mj_resetDataKeyframe`` leaves it, nudged, for five seconds.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
 import math
 import re
-import sys
-import tempfile
-import time
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -173,13 +166,6 @@ class Row:
     name: str
     truth: Truth
     cells: dict[str, Cell] = field(default_factory=dict)
-    seconds: float = 0.0
-
-    def show(self) -> None:
-        words = {one: cell.word for one, cell in self.cells.items()}
-        print(f"{self.name}: {self.truth} ({self.seconds:.0f} s) {words}", flush=True)
-        for command, how in self.wrong.items():
-            print(f"    BETTER {command}: {how}", flush=True)
 
     @property
     def wrong(self) -> dict[str, str]:
@@ -379,11 +365,9 @@ def _slipped(folder: Path, slip: slips.Slip) -> legged.Pair:
 
 def row_of_arm(name: str, folder: Path) -> Row:
     """Asks what is asked of arms of a feature's file."""
-    begun = time.monotonic()
     urdf, mjcf = arm_features.files(folder, arm_features.FEATURES[name])
     row = Row(name, truth_of_arm(mjcf))
     row.cells = {command: ask(urdf, mjcf, folder) for command, ask in HELD.items()}
-    row.seconds = time.monotonic() - begun
     return row
 
 
@@ -392,61 +376,14 @@ def row_of(
     write: Callable[[Path], legged.Pair],
     folder: Path,
     commands: Iterable[str] = COMMANDS,
-    truths: Collection[str] | None = None,
 ) -> Row:
-    """Asks commands of an edit's file, each in a folder of its own; of some truths, if given."""
-    begun = time.monotonic()
+    """Asks commands of an edit's file, each in a folder of its own."""
     (folder / "plain").mkdir()
     plain = slips.standing(folder / "plain")
     pair = write(folder)
     row = Row(name, truth_of(pair.mjcf, plain.mjcf))
-    for command in commands if truths is None or row.truth in truths else ():
+    for command in commands:
         place = folder / command
         place.mkdir()
         row.cells[command] = STANDING[command](pair.urdf, pair.mjcf, place)
-    row.seconds = time.monotonic() - begun
     return row
-
-
-def main() -> None:
-    """Prints a row for each edit."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--only", default="", help="part of the names of edits to try")
-    options.add_argument("--truth", nargs="*", choices=[*Truth], help="only what comes to this")
-    options.add_argument(
-        "--commands", nargs="*", choices=[*STANDING, *HELD], default=[*STANDING, *HELD]
-    )
-    options.add_argument("--csv", type=Path, help="Write the table here.")
-    asked = options.parse_args()
-    rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as top:
-        standing = [one for one in asked.commands if one in STANDING]
-        for number, (name, write) in enumerate(edits() if standing else ()):
-            if asked.only not in name:
-                continue
-            folder = Path(top) / str(number)
-            folder.mkdir()
-            row = row_of(name, write, folder, standing, asked.truth)
-            if not row.cells:
-                continue
-            rows.append(row)
-            row.show()
-        for name in arm_features.FEATURES:
-            if asked.only not in name or not {*HELD} & {*asked.commands}:
-                continue
-            folder = Path(top) / f"arm {len(rows)}"
-            folder.mkdir()
-            rows.append(row_of_arm(name, folder))
-            rows[-1].show()
-    if asked.csv is not None:
-        with asked.csv.open("w", encoding="utf-8", newline="") as file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow(("edit", "bare MuJoCo", *asked.commands))
-            for row in rows:
-                cells = (row.cells.get(one) for one in asked.commands)
-                table.writerow((row.name, row.truth, *(c and c.word for c in cells)))
-    sys.exit(any(row.wrong for row in rows))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,23 +1,17 @@
 """Random one-place edits of what touches, options, keyframes and pairs of an MJCF, as a user makes.
 
-`python -m tests.support.random_edits ROBOT.xml --count 100` compares what `diff` says of each with
-bare MuJoCo: both files are simulated from the first keyframe, and every step is looked at; a robot
-without a ground is put on a plane, as its scenes have it. What
-`crosscheck` says of it, beside the URDF that `convert` makes of the file as it was, is compared
-with what bare MuJoCo makes of all that a URDF states too: how low what touches the ground reaches,
-and how the robot accelerates.
+What `diff` says of each is compared with bare MuJoCo: both files are simulated from the first
+keyframe, and every step is looked at; a robot without a ground is put on a plane, as its scenes
+have it. What `crosscheck` says of it, beside a URDF that agrees, is compared with what bare MuJoCo
+makes of all that a URDF states too: how low what touches the ground reaches, and how the robot
+accelerates.
 """
 
 from __future__ import annotations
 
-import argparse
-import contextlib
 import copy
 import shutil
-import sys
-import tempfile
 import warnings
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -584,49 +578,3 @@ def _line(tree: etree._ElementTree, element: Element, written: Path) -> int:
 
 def _linked(source: str, target: str) -> None:
     Path(target).symlink_to(Path(source).resolve())
-
-
-def _beside(source: Path, scratch: Path) -> Path | None:
-    """Returns the URDF that `convert` makes of an MJCF, if the two agree."""
-    with contextlib.suppress(pa.PupperAnalysisError):
-        pa.convert_model(source, scratch / "converted.urdf")
-        if pa.compare_models(scratch / "converted.urdf", source).agree:
-            return scratch / "converted.urdf"
-    return None
-
-
-def main() -> None:
-    """Prints what `diff` misses, and how many it sees."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("files", nargs="+", type=Path)
-    parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--structure", action="store_true")
-    options = parser.parse_args()
-    wrong = 0
-    for file in options.files:
-        with tempfile.TemporaryDirectory() as scratch:
-            beside = _beside(file.resolve(), Path(scratch))
-            found = answers(
-                file.resolve(),
-                options.count,
-                options.first,
-                Path(scratch),
-                beside,
-                structure=options.structure,
-            )
-        counts = Counter(
-            "moves" if one.truth > FELT else "harmless, told" if not one.same else "not told"
-            for one in found
-        )
-        other = Counter(one.agree for one in found)
-        wrongs = [one for one in found if not one.right]
-        print(f"{file.name}: {dict(counts)}, crosscheck agrees {dict(other)}; wrong: {len(wrongs)}")
-        for one in wrongs:
-            wrong += 1
-            print(f"   {one}")
-    sys.exit(bool(wrong))
-
-
-if __name__ == "__main__":
-    main()

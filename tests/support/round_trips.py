@@ -1,16 +1,12 @@
 """Round trips URDF -> MJCF -> URDF, and back: whatever is lost or changed must be told.
 
-`python -m tests.support.round_trips FILE...` converts each file there and back. Both files of the
-start's format are read as XML, apart from the package, into tables of what links and joints state;
-of MJCFs MuJoCo's own numbers are compared. What differs and no line of "Not converted", of the
-notes or of the repairs is about is a silent loss.
+Both files of the start's format are read as XML, apart from the package, into tables of what links
+and joints state; of MJCFs MuJoCo's own numbers are compared. What differs and no line of "Not
+converted", of the notes or of the repairs is about is a silent loss.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import tempfile
 from pathlib import Path
 
 import mujoco
@@ -18,16 +14,11 @@ import numpy as np
 from lxml import etree
 
 import pupper_analysis as pa
-from pupper_analysis.base.errors import PupperAnalysisError
 
 Table = dict[tuple[str, str], object]
 """{(element, word): what is stated of it}."""
 
 NEAR = 1e-6
-
-
-def _floats(text: str | None) -> tuple[float, ...]:
-    return tuple(float(word) for word in (text or "").split())
 
 
 def of_urdf(path: Path) -> Table:
@@ -155,12 +146,8 @@ def silent_losses(before: Table, after: Table, said: str) -> dict[str, list[str]
     return lost
 
 
-def round_trip(source: Path, folder: Path) -> tuple[dict[str, list[str]], int, int]:
-    """Converts a file there and back.
-
-    Returns:
-        What is lost silently, how many numbers there were, and how many are others now.
-    """
+def round_trip(source: Path, folder: Path) -> tuple[dict[str, list[str]], int]:
+    """Converts a file there and back; returns what is lost silently, of how many numbers."""
     endings = (".xml", ".urdf") if source.suffix == ".urdf" else (".urdf", ".xml")
     there, back = (folder / f"{name}{end}" for name, end in zip("ab", endings, strict=True))
     said = []
@@ -170,27 +157,4 @@ def round_trip(source: Path, folder: Path) -> tuple[dict[str, list[str]], int, i
         said += [repair.diagnostic for repair in done.repairs]
     read = of_urdf if source.suffix == ".urdf" else of_mjcf
     before, after = read(source), read(back)
-    changed = sum(not _same(value, after.get(key)) for key, value in before.items())
-    return silent_losses(before, after, " ".join(map(str, said)).lower()), len(before), changed
-
-
-def main() -> None:
-    """Prints what each round trip loses without a word."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("files", nargs="+", type=Path)
-    silent = 0
-    for file in parser.parse_args().files:
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                lost, count, changed = round_trip(file.resolve(), Path(folder))
-            except PupperAnalysisError as error:
-                print(f"{file.name}: refused: {str(error)[:150]}", flush=True)
-                continue
-        silent += bool(lost)
-        values = {word: (len(names), names[:2]) for word, names in lost.items()}
-        print(f"{file.name}: {count} numbers, {changed} are others; silent: {values}", flush=True)
-    sys.exit(bool(silent))
-
-
-if __name__ == "__main__":
-    main()
+    return silent_losses(before, after, " ".join(map(str, said)).lower()), len(before)

@@ -7,18 +7,11 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
-from pupper_analysis.models.mjcf import silence_mujoco
 from tests.support import legged
 
 Slip = Callable[[str, np.random.Generator], str]
-
-FALLS = 0.3
-"""Share of its height that the base of what falls has lost."""
-
-LEANS = 0.5  # rad
 
 
 def standing(folder: Path, **options: object) -> legged.Pair:
@@ -30,25 +23,6 @@ def standing(folder: Path, **options: object) -> legged.Pair:
     text = text.replace("/><position", "/>\n<position").replace("<geom ", "\n<geom ")
     pair.mjcf.write_text(text)
     return pair
-
-
-@silence_mujoco()
-def by_itself(path: Path, seconds: float = 5.0) -> float:
-    """Which share of its height a file's robot has lost, from its own keyframe in bare MuJoCo.
-
-    Infinite if it has fallen over, is farther away than it is high, or the simulation began anew.
-    """
-    model = mujoco.MjModel.from_xml_path(str(path))
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    start, base = float(data.qpos[2]), model.body("trunk").id
-    for _ in range(round(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    upright = data.xmat[base][8] > math.cos(LEANS)
-    here = math.hypot(data.qpos[0], data.qpos[1]) <= start
-    if not (upright and here and data.time > seconds - 2 * model.opt.timestep):
-        return math.inf
-    return (start - float(data.qpos[2])) / start
 
 
 def _number(attribute: str, change: Callable[[float], float], *, one: bool) -> Slip:

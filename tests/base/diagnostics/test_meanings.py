@@ -14,7 +14,6 @@ from pupper_analysis.base.diagnostics import LANGUAGES, meaning
 from pupper_analysis.base.diagnostics.catalogue import list_entries
 from pupper_analysis.base.results import Result
 from tests.base.diagnostics.test_diagnostic import HAN, MEANINGS
-from tests.support.names import public, public_modules
 
 OWN_PAGES = {
     *("Analysis", "Stance", "Hold", "PushedStance", "PathThere", "FilesCompared", "Audit"),
@@ -71,13 +70,3 @@ def test_meanings_are_in_both_languages_with_the_same_units() -> None:
         assert re.findall(units, both["en"]) == re.findall(units, both["zh"]), key
         if re.search("[a-z]{4}", both["en"]):
             assert HAN.search(both["zh"]), key
-
-
-def test_every_field_of_a_public_result_says_what_it_means() -> None:
-    """What it shares with other results, too."""
-    values = [value for module in (pa, *public_modules()) for value in public(module).values()]
-    kinds = [value for value in values if isinstance(value, type) and issubclass(value, Result)]
-    assert len(kinds) > 20
-    for kind in kinds:
-        known = {name for one in kind.__mro__ for name in documented(one)}
-        assert {field.name for field in fields(kind)} - known == set(), kind  # type: ignore[arg-type]

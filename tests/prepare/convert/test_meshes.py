@@ -121,19 +121,6 @@ def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
         )
 
 
-def test_a_missing_shape_that_touches_is_a_failure_too(tmp_path: Path) -> None:
-    for kind, passes in (("visual", True), ("collision", False)):
-        shape = shape_of(kind, '<mesh filename="gone.stl"/>', "0 0 0")
-        (tmp_path / "arm.urdf").write_text(
-            urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1)
-        )
-        found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml", force=True)
-        assert found.passed == passes
-        assert [message.code for message in found.failures] == ["collision-meshes-lost"] * (
-            not passes
-        )
-
-
 def test_a_flat_mesh_to_look_at_is_a_shell(tmp_path: Path) -> None:
     plate = trimesh.Trimesh(
         [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]], [[0, 1, 2], [1, 3, 2]]

@@ -11,7 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert.repair import is_possible, nearest_moments
-from tests.support.conversions import compiled, converted, same_dynamics, standing_urdf
+from tests.support.conversions import compiled, converted, same_dynamics
 from tests.support.robots import Part, Parts, arm, changed, urdf_text
 
 CAMERA = (8.7e-6, 6.7e-4, 1.37e-3, 0.0, 0.0, 0.0)  # of ANYmal C's depth cameras
@@ -162,23 +162,3 @@ def test_a_mass_without_inertia_gets_one() -> None:
     inertia = pin.Inertia.Zero()
     inertia.mass, inertia.inertia = 0.5, np.diag(new)
     assert is_possible(inertia)
-
-
-@pytest.mark.longest
-def test_a_robot_whose_links_were_repaired_stands(tmp_path: Path) -> None:
-    """As NimbRo-OP2X, whose mimic joints move frames without mass: it is proven as repaired."""
-    path = standing_urdf(tmp_path)
-    frame = (
-        '<link name="frame"/><joint name="helper" type="revolute"><parent link="trunk"/>'
-        '<child link="frame"/><axis xyz="0 1 0"/>'
-        '<limit lower="-1" upper="1" effort="9" velocity="5"/></joint></robot>'
-    )
-    path.write_text(path.read_text().replace("</robot>", frame))
-    mjcf, found = converted(path, "quad.xml", repair_inertia=True)
-    assert [repair.link for repair in found.repairs] == ["frame"]
-    assert found.passed, found.failures
-    assert found.verification is not None
-    # With the file as it was published nothing can be said of that joint.
-    with pytest.raises(pa.ModelError, match="'helper' moves nothing that has mass") as raised:
-        pa.load_robot(urdf=path, mjcf=mjcf)
-    assert str(path) in raised.value.source

@@ -172,12 +172,3 @@ def test_twice_the_robot_is_twice_the_work(written: Written, heavier: int) -> No
     pa.compare_models(*written(3, 4, heavier))  # imports
     small, large = (_calls(lambda files=files: pa.compare_models(*files)) for files in (one, two))
     assert large < 2.2 * small
-
-
-def test_twice_the_file_is_twice_the_audit(tmp_path: Path) -> None:
-    counts = []
-    for number in (10, 100, 200):
-        file = tmp_path / f"{number}.xml"
-        file.write_text(size.bodies(number))
-        counts.append(_calls(lambda file=file: pa.audit_model(file)))
-    assert counts[2] < 2.2 * counts[1]

@@ -18,10 +18,8 @@ from pupper_analysis.robot.compare.attribution import explain_differences
 from pupper_analysis.robot.compare.behaviour import random_states
 from pupper_analysis.robot.compare.differences import Effect
 from pupper_analysis.robot.compare.mjcf_only import (
-    as_it_is,
     mjcf_only_effects,
     split_mimics,
-    without_effects,
 )
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Reference
@@ -608,28 +606,6 @@ def test_the_integrator_makes_no_difference(tmp_path: Path) -> None:
     for integrator in ("Euler", "RK4", "implicit", "implicitfast", "discrete"):
         option = f'<option integrator="{integrator}"/><worldbody>'
         assert pair(tmp_path, with_(MJCF, **{"<worldbody>": option})).agree
-
-
-def test_taking_away_all_extras_leaves_a_bare_tree() -> None:
-    """Every passive force of MuJoCo's is then linear damping, and the original is untouched."""
-    text = MJCF
-    for kind in ("spring", "gravity compensation", "spatial spring", "viscosity"):
-        old, new = PASSIVE[kind]
-        text = with_(text, **{old: new.format("2")})
-    model = mujoco.MjModel.from_xml_string(text)
-    names = [f"{part}{leg}" for leg in range(4) for part in ("hip", "knee")]
-    reference = Reference(model, model, names, "base")
-    for bare, zero in (
-        (without_effects(model, mjcf_only_effects(reference)), True),
-        (as_it_is(model), False),
-    ):
-        data = mujoco.MjData(bare)
-        data.qpos[7:], data.qvel[:] = 0.3, 1.0
-        mujoco.mj_forward(bare, data)
-        damping = -bare.dof_damping * data.qvel
-        assert np.allclose(data.qfrc_passive, damping, rtol=0, atol=1e-15) == zero
-    assert model.opt.viscosity == 2.0
-    assert len(mjcf_only_effects(reference)) == 4
 
 
 def test_what_no_body_has_is_compared_without_a_traceback(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -28,7 +27,6 @@ from tests.support.robots import (
     found,
     matched,
     mjcf_text,
-    pendulum,
     quadruped,
     urdf_text,
     write,
@@ -116,22 +114,6 @@ def test_an_mjcf_in_the_frame_of_the_urdfs_root(tmp_path: Path) -> None:
     assert found(compare_texts(tmp_path, text, mjcf)) == []
 
 
-def test_one_joint_is_enough(tmp_path: Path) -> None:
-    tip = [Frame("tip", "bob", (0.0, 0.0, -0.5))]
-    urdf, mjcf = urdf_text(pendulum(), tip), mjcf_text(pendulum(), tip, free=False)
-    comparison = compare_texts(tmp_path, urdf, mjcf)
-    assert comparison.agree
-    assert comparison.check.passed
-    assert comparison.joints == ("swing",)
-
-
-def test_an_mjcf_without_any_body_name(tmp_path: Path) -> None:
-    mjcf = MJCF
-    for name in quadruped():
-        mjcf = mjcf.replace(f'<body name="{name}"', "<body")
-    assert compare_texts(tmp_path, URDF, mjcf).agree
-
-
 # ------------------------------------------------------------------------------------- welds
 
 
@@ -178,23 +160,6 @@ def test_a_ball_joint_in_the_mjcf(tmp_path: Path) -> None:
     assert not comparison.agree
     (note,) = [note for note in comparison.notes if "ball" in str(note)]
     assert str(note).startswith("ball joints, which a URDF cannot state, were fixed at rest: hip1;")
-
-
-def test_what_else_differs_beside_a_ball_joint_is_found(tmp_path: Path) -> None:
-    text = mjcf_text(changed(quadruped(), "shank1", mass=0.4))
-    text = text.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
-    motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
-    comparison = compare_texts(tmp_path, URDF, text.replace(motor, ""))
-    assert found(comparison) == [("mass", "knee1")]
-    assert comparison.complete
-
-
-def test_a_closed_loop_is_compared_as_the_tree_that_it_is(tmp_path: Path) -> None:
-    loop = '<equality><connect body1="shank0" body2="shank1" anchor="0 0 0"/></equality>'
-    mjcf = mjcf_text(changed(quadruped(), "shank1", mass=0.4), extra=loop)
-    comparison = compare_texts(tmp_path, URDF, mjcf)
-    assert sorted(kind for kind, _ in found(comparison)) == ["equality", "mass"]
-    assert comparison.complete
 
 
 def test_an_mjcf_without_joints(tmp_path: Path) -> None:
@@ -246,38 +211,6 @@ def test_scenery_is_no_part_of_a_fixed_base(tmp_path: Path) -> None:
     )
     heavier = mjcf_text(changed(arm(), "base", mass=3.5), free=False, scene=table)
     assert found(compare_texts(tmp_path, urdf_text(arm()), heavier)) == [("mass", "base")]
-
-
-def test_included_parts_and_default_classes(tmp_path: Path) -> None:
-    """Damping, armature and range come from classes in an included file."""
-    lines = MJCF.replace('damping="0.1" frictionloss="0.2"', 'class="joints"')
-    (tmp_path / "defaults.xml").write_text(
-        '<mujocoinclude><default><default class="joints">'
-        '<joint damping="0.1" frictionloss="0.2" limited="true"/></default></default>'
-        "</mujocoinclude>"
-    )
-    text = lines.replace("<worldbody>", '<include file="defaults.xml"/><worldbody>', 1)
-    assert compare_texts(tmp_path, URDF, text).agree
-    (tmp_path / "defaults.xml").write_text(
-        (tmp_path / "defaults.xml").read_text().replace("0.1", "0.3")
-    )
-    comparison = compare_texts(tmp_path, URDF, text)
-    assert {kind for kind, _ in found(comparison)} == {"damping"}
-    assert len(comparison.differences) == 8
-
-
-def test_inertias_from_geoms(tmp_path: Path) -> None:
-    """A box of density 1000 instead of an inertial: the closed form is the URDF's."""
-    a, b, c = 0.1, 0.2, 0.04
-    mass = 1000 * a * b * c
-    moments = [mass / 12 * (x * x + y * y) for x, y in ((b, c), (a, c), (a, b))]
-    parts = changed(quadruped(), "base", mass=mass, com=(0.1, 0, 0), inertia=(*moments, 0, 0, 0))
-    text = mjcf_text(changed(quadruped(), "base", mass=0.0))
-    geom = f'<geom type="box" size="{a / 2} {b / 2} {c / 2}" pos="0.1 0 0"/>'
-    comparison = compare_texts(
-        tmp_path, urdf_text(parts), text.replace("<freejoint/>", f"<freejoint/>{geom}")
-    )
-    assert found(comparison) == []
 
 
 # ------------------------------------------------------------------------------------- couplings
@@ -629,11 +562,6 @@ def test_an_unknown_name_lists_the_valid_ones(
         compare_texts(tmp_path, URDF, MJCF, names={one: other})
 
 
-def test_two_joints_cannot_be_the_same(tmp_path: Path) -> None:
-    with pytest.raises((ModelError, UnknownNameError), match="hip0"):
-        compare_texts(tmp_path, URDF, MJCF, names={"hip1": "hip0", "hip0": "hip0"})
-
-
 def test_a_joint_left_over_may_have_a_mapped_name(tmp_path: Path) -> None:
     """``old`` is the MJCF's hip0, and the URDF has another joint called hip0."""
     urdf = renamed(quadruped(), hip0="old") | {"tail": light("tail", "base")}
@@ -667,20 +595,6 @@ def test_a_bad_mapping_file(tmp_path: Path, text: str, message: str) -> None:
     assert str(error.value).startswith(str(path))
 
 
-@pytest.mark.parametrize(
-    ("content", "text"),
-    [(None, "there is no such file"), (b"a = \xff", "toml:1: byte 0xff is not UTF-8")],
-)
-def test_a_mapping_file_that_cannot_be_read(
-    tmp_path: Path, content: bytes | None, text: str
-) -> None:
-    path = tmp_path / "names.toml"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(ModelError, match=text):
-        read_mapping(path)
-
-
 # ------------------------------------------------------------------------------------- frames
 
 
@@ -705,23 +619,6 @@ def test_feet_choose_the_frames(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------- continuous
-
-
-def test_nothing_is_changed_in_the_files_that_were_read(tmp_path: Path) -> None:
-    """Matching works on copies: the same files can be matched again."""
-    from pupper_analysis.models.mjcf_file import read_mjcf
-    from pupper_analysis.models.urdf_file import read_urdf
-    from pupper_analysis.robot.matching.match import match_models
-
-    files = write_parts(tmp_path, quadruped() | {"tail": light("tail", "base")}, quadruped())
-    urdf, mjcf = read_urdf(files.urdf), read_mjcf(files.mjcf)
-    first, second = match_models(urdf, mjcf), match_models(urdf, mjcf)
-    assert first.only_urdf == second.only_urdf == ("to_tail",)
-    assert [joint.name for joint in mjcf.spec.joints if joint.name] == [
-        part.joint for part in quadruped().values() if part.joint
-    ]
-    assert len(mjcf.spec.bodies) == 10
-    assert isinstance(mjcf.model, mujoco.MjModel)
 
 
 # ------------------------------------------------------------------------------------- fused

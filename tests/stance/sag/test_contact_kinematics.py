@@ -53,25 +53,6 @@ def test_derivative_is_that_of_the_residual(
         np.testing.assert_allclose(block, expected, rtol=0, atol=1e-7 * size)
 
 
-def test_moments_turn_with_nothing() -> None:
-    """Far from the stand, where second-order terms of all rotations count."""
-    robot, rng = load("v3"), np.random.default_rng(6)
-    config = pa.Configuration(
-        robot, integrate_step(stand_of("v3").qpos, 0.3 * rng.normal(size=robot.nv))
-    )
-    wrenches = {foot: rng.normal(size=6) for foot in robot.contact_points}
-
-    def left(step: np.ndarray) -> np.ndarray:
-        at = pa.Configuration(robot, integrate_step(config.qpos, step))
-        return at.gravity() - sum(
-            at.frame_jacobian(robot.contact_frames[foot]).T @ wrench
-            for foot, wrench in wrenches.items()
-        )
-
-    expected = differences(left, robot.nv, 1e-4)
-    np.testing.assert_allclose(config.static_rates(wrenches), expected, rtol=0, atol=1e-9)
-
-
 def test_depth_is_where_the_force_is() -> None:
     """Against scipy's root of the same law, for laws of every form."""
     rng = np.random.default_rng(7)

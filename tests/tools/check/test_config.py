@@ -165,14 +165,6 @@ def test_an_empty_file_says_what_it_lacks(folder: Path) -> None:
         read_config(written(folder, "# nothing\n"))
 
 
-def test_a_file_that_cannot_be_read(folder: Path) -> None:
-    with pytest.raises(ModelError, match="there is no such file"):
-        read_config(folder / "none.toml")
-    (folder / "latin.toml").write_bytes(b'name = "\xe4"\n')
-    with pytest.raises(ModelError, match=r"latin.toml:1: byte 0xe4 is not UTF-8"):
-        read_config(folder / "latin.toml")
-
-
 def test_the_config_is_found_in_a_folder_above(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,7 +21,6 @@ from tests.support.conversions import (
     LEGS,
     compiled,
     converted,
-    from_keyframe,
     same_dynamics,
     shape_of,
     standing_urdf,
@@ -54,15 +53,6 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
         "accelerometer",
         "orientation",
     }
-
-
-def test_the_keyframe_stands_by_itself_in_bare_mujoco(tmp_path: Path) -> None:
-    mjcf, _ = converted(standing_urdf(tmp_path), "quad.xml")
-    data, start = from_keyframe(compiled(mjcf))
-    assert np.abs(data.qvel).max() < 1e-4
-    np.testing.assert_allclose(data.qpos[7:], start[7:], atol=1e-3)  # rad
-    assert data.qpos[2] == pytest.approx(start[2], abs=1e-3)
-    assert np.abs(data.actuator_force).max() > 1.0  # it carries
 
 
 def test_nothing_has_to_be_made_up_for_the_new_file(tmp_path: Path) -> None:
@@ -288,24 +278,6 @@ def test_nothing_is_written_of_what_cannot_be_simulated(feature: str, tmp_path: 
     assert not (tmp_path / "new.urdf").exists()
 
 
-def test_the_new_file_is_tidy(tmp_path: Path) -> None:
-    mjcf, _ = converted(standing_urdf(tmp_path), "quad.xml")
-    text = mjcf.read_text()
-    root = ElementTree.fromstring(text)
-    assert text.startswith("<!-- Converted from quad.urdf by pupper-analysis. -->\n<mujoco")
-    classes = {default.get("class") for default in root.iter("default")}
-    assert classes == {None, "visual", "collision", "roll", "pitch", "knee"}
-    for leg in LEGS:
-        for name in ("roll", "pitch", "knee"):
-            joint = root.find(f".//joint[@name='{leg}_{name}']")
-            assert joint is not None
-            assert joint.attrib == {"name": f"{leg}_{name}", "class": name}
-    assert {tuple(sorted(node.attrib)) for node in root.findall("actuator/position")} == {
-        ("joint", "name")
-    }
-    assert max(map(len, text.splitlines()[:-30])) < 250
-
-
 def test_armature_is_where_it_was_given(tmp_path: Path) -> None:
     urdf = standing_urdf(tmp_path)
     given = {
@@ -514,14 +486,6 @@ def test_bad_input_is_one_line(arguments: tuple[str, ...], problem: str, tmp_pat
     ]  # fmt: skip
 
 
-def test_a_failure_is_exit_status_1_and_said(tmp_path: Path) -> None:
-    (tmp_path / "machine.urdf").write_text(urdf_text(quadruped(), ()))
-    done = run(tmp_path, "machine.urdf", "-o", "machine.xml")
-    assert done.returncode == 1
-    assert done.stdout.startswith("FAILED machine.urdf and machine.xml: it does not stand: ")
-    assert (tmp_path / "machine.xml").is_file()
-
-
 def test_nothing_goes_into_a_pipe(tmp_path: Path) -> None:
     source, pipe = tmp_path / "robot.urdf", tmp_path / "new.xml"
     source.write_text(urdf_text(arm()))
@@ -678,17 +642,6 @@ def test_a_mesh_that_an_mjcf_touches_with_and_lacks_is_no_conversion(tmp_path: P
             assert "gone.stl" in str(found.failures[-1])
 
 
-def test_legs_whose_feet_have_no_shapes_are_no_hand(tmp_path: Path) -> None:
-    text = standing_urdf(tmp_path).read_text()
-    ball = shape_of("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
-    assert text.count(ball) == 4
-    path = tmp_path / "bare.urdf"
-    path.write_text(text.replace(ball, ""))
-    mjcf, found = converted(path, "bare.xml")
-    assert not found.passed
-    assert is_free(compiled(mjcf))
-
-
 def test_what_has_no_joint_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     path = tmp_path / "box.urdf"
     path.write_text(urdf_text({"box": Part("box")}, ()))
@@ -696,20 +649,6 @@ def test_what_has_no_joint_is_refused_before_anything_is_written(tmp_path: Path)
         pa.convert_model(path, tmp_path / "box.xml")
     assert raised.value.source == str(path)
     assert not (tmp_path / "box.xml").exists()
-
-
-def test_two_robots_in_one_mjcf_are_named(tmp_path: Path) -> None:
-    """As ALOHA's arms, each on a body of its own in the world."""
-    inertial = '<inertial mass="1" pos="0 0 0.1" diaginertia="0.1 0.1 0.1"/>'
-    arms = "".join(
-        f'<body name="{side}/base"><body name="{side}/arm"><joint name="{side}/turn"/>{inertial}'
-        "</body></body>"
-        for side in ("left", "right")
-    )
-    path = tmp_path / "two.xml"
-    path.write_text(f"<mujoco><worldbody>{arms}</worldbody></mujoco>")
-    with pytest.raises(pa.ModelError, match=r"'left/base' with 1 .*'right/base' with 1 "):
-        pa.convert_model(path, tmp_path / "two.urdf")
 
 
 @pytest.mark.parametrize("empty", [False, True])

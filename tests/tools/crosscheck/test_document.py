@@ -96,22 +96,3 @@ def test_what_is_not_explained_is_the_verdict(
     (remark,) = (r for r in comparison_remarks(comparison) if r.title == "agreement")
     assert remark.level == "error"
     assert "no difference explains" in remark.message
-
-
-def test_what_the_mjcf_alone_has_is_printed_with_its_effect(tmp_path: Path) -> None:
-    text = mjcf_text(quadruped())
-    for leg in (0, 2):
-        text = text.replace(f'<joint name="hip{leg}"', f'<joint name="hip{leg}" stiffness="20"')
-    out = printed(compared(write(tmp_path, urdf_text(quadruped()), text)))
-    spring = "no spring in the URDF, one of stiffness 20 N m/rad, at rest at 0 deg in the MJCF"
-    assert out.startswith("DISAGREE robot.urdf and robot.xml: joint hip")
-    assert f": {spring}\n" in out
-    assert "   likewise on 1 more: hip" in out
-    # What the other spring undoes is no share of the whole.
-    assert re.search(
-        r"deviation that it makes \(.+\): forward dynamics [\d.]+ %( \(\d\d%\))?[,\n]", out
-    )
-    assert "explained: 100 % of the deviation" in out
-    assert "engines differ" not in out
-    header = next(line for line in out.splitlines() if line.strip().startswith("models"))
-    assert header.split()[-1] == "extras"

@@ -585,21 +585,6 @@ def test_diff_prints_its_changes(tmp_path: Path) -> None:
     assert content["same"] is False
 
 
-def test_options_of_diff_are_heeded_and_checked(tmp_path: Path) -> None:
-    new = changed(ROBOT, "base", mass=6.0006)
-    written(tmp_path, urdf_text(ROBOT), urdf_text(new), "urdf")
-    assert run(tmp_path, "old.urdf", "new.urdf", "--tolerance", "mass=1e-3").returncode == 0
-    for option, said in (
-        (("--tolerance", "mas=1"), "no kind 'mas'"),
-        (("--map", "x"), "NAME=VALUE"),
-        (("--map", "x=y"), "no joint (of a mapping) 'x'"),
-        (("--package", "x=nowhere"), "is not a folder"),
-    ):
-        result = run(tmp_path, "old.urdf", "new.urdf", *option)
-        assert result.returncode == cli.BAD_INPUT
-        assert said in result.stderr
-
-
 def test_a_robot_without_joints(tmp_path: Path) -> None:
     """A quadrotor, say: its body is compared all the same."""
     alone = {"base": ROBOT["base"]}
