@@ -30,6 +30,7 @@ from .robot.configuration import Configuration as Configuration
 from .robot.ground import Ground as Ground
 from .robot.plane import Contact as Contact
 from .robot.plane import Plane as Plane
+from .robot.plane import Slope as Slope
 from .robot.plane import Weld as Weld
 from .robot.robot import Robot as Robot
 from .simulation.verify import verify_stand as verify_stand

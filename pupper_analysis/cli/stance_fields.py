@@ -96,7 +96,7 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     Raises:
         ConfigurationError: For the option, if it is none.
     """
-    from pupper_analysis.robot.plane import KINDS, Contact, Plane, Weld, plane_of
+    from pupper_analysis.robot.plane import KINDS, Contact, Plane, Slope, Weld
 
     what, *parts = (part.strip() for part in text.split(","))
     kind, _, first = what.partition(":")
@@ -104,10 +104,13 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     known: tuple[str, ...] = ("mu", "place", "offset", "radius", "force")
     if what == "weld" and numbers == [""]:
         numbers, known = [], ("place", "offset")
-    elif kind not in (*KINDS, "plane") or len(numbers) != (6 if kind == "plane" else 1):
-        form = "[wall|table|ceiling]:LENGTH, plane:X,Y,Z,NX,NY,NZ, weld"
+    elif kind not in (*KINDS, "slope", "plane") or len(numbers) != (6 if kind == "plane" else 1):
+        form = "[wall|table|ceiling]:LENGTH, slope:ANGLE, plane:X,Y,Z,NX,NY,NZ, weld"
         raise ConfigurationError(option, diagnose("not-of-the-form", given=given, form=form))
-    lengths = [shared.parse_measure(option, "length", one, given) for one in numbers]
+    unit = "length"
+    if kind == "slope":
+        unit, known = "angle", (*known, "uphill")
+    lengths = [shared.parse_measure(option, unit, one, given) for one in numbers]
     asked: dict[str, Any] = {}
     for part in (part for part in parts if "=" in part):
         word, _, value = part.partition("=")
@@ -118,19 +121,17 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
         elif word == "mu":
             _, asked[word] = shared.parse_number_assignment(option, part)
         else:
-            quantity = "length" if word == "radius" else word
+            quantity = {"radius": "length", "uphill": "angle"}.get(word, word)
             asked[word] = shared.parse_measure(option, quantity, value, given)
     friction = asked.pop("mu", None)
     try:
         if not lengths:
             return Weld(**asked)
-        x, y, z, *normal = lengths if kind == "plane" else (0.0, 0.0, 0.0)
-        plane = (
-            Plane((x, y, z), (normal[0], normal[1], normal[2]), friction)
-            if kind == "plane"
-            else plane_of(kind, lengths[0], friction)
-        )
-        return Contact(plane, **asked)
+        if kind == "slope":
+            return Contact(Slope(lengths[0], asked.pop("uphill", 0.0), friction), **asked)
+        x, y, z, *normal = lengths if kind == "plane" else (0.0, 0.0, 0.0, *KINDS[kind])
+        plane = Plane((x, y, z), (normal[0], normal[1], normal[2]), friction)
+        return Contact(plane if kind == "plane" else plane.moved(lengths[0]), **asked)
     except ConfigurationError as error:
         raise ConfigurationError(option, error.diagnostic) from None
 

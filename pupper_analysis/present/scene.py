@@ -177,12 +177,12 @@ def describe_scene(
     ground = stand.task.ground
     points = np.array([*stand.contact_points.values()] or [stand.qpos[:3] * (1.0, 1.0, 0.0)])
     over = points[:1] if robot.welds else points  # welds hold a com over any place
-    steps = ground.steps(stand.rigid_targets, robot.contact_radius)
+    steps = ground.steps(stand.rigid_targets)
     return StandingScene(
         ground=ground,
         points=points,
         polygon=_balanced(robot, stand, points)
-        if ground.apart and not robot.welds
+        if ground.planes and not robot.welds
         else polygon_corners(over),
         steps=tuple(
             Step(foot, ground.heights.get(foot, 0.0), *step) for foot, step in steps.items()

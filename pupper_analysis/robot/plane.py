@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_finite, check_length, check_type, check_vector
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.units import READ_IN
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -43,24 +44,24 @@ class Plane:
             raise ConfigurationError("plane.normal", diagnose("normal-has-no-direction"))
         object.__setattr__(self, "normal", tuple(one / size for one in way))
         if self.friction is not None:
-            friction = check_finite("plane.friction", self.friction)
-            if not 0 <= friction <= MOST_FRICTION:
-                problem = diagnose("not-between", given=friction, low=0, high=MOST_FRICTION)
-                raise ConfigurationError("plane.friction", problem)
+            friction = _between("plane.friction", self.friction, MOST_FRICTION)
             object.__setattr__(self, "friction", friction)
 
     @property
-    def kind(self) -> tuple[str, float]:
-        """Which of ``KINDS`` it is, and the sign of its number; of no name another one."""
-        return next(
-            ((name, sign) for name, (out, sign) in KINDS.items() if out == self.normal), _ANY
-        )
+    def kind(self) -> str:
+        """Which of ``KINDS`` it is; empty if it is none."""
+        return next((name for name, out in KINDS.items() if out == self.normal), "")
+
+    @property
+    def _sign(self) -> float:
+        """Of its number: that of its kind's normal, so that a wall is at x, a table at a height."""
+        return sum(self.normal) if self.kind else 1.0
 
     @property
     def number(self) -> float:
         """Where it is, as one types it: of a wall x, of a table z; else along its normal (m)."""
         offset = math.fsum(a * b for a, b in zip(self.point, self.normal, strict=True))
-        return self.kind[1] * offset
+        return self._sign * offset
 
     def height(self, place: Array) -> float:
         """Returns how far a place (3,) is above it (m); negative behind it."""
@@ -71,15 +72,56 @@ class Plane:
         there: Array = place - self.height(place) * np.array(self.normal)
         return there
 
+    def through(self, _point: Point) -> Plane:
+        """Returns itself, which is where it is; see ``Slope``."""
+        return self
+
     def moved(self, number: float) -> Plane:
         """Returns the parallel plane at another ``number`` (m)."""
-        offset = self.kind[1] * number
-        more = self.kind[1] * (number - self.number)
+        offset, more = self._sign * number, self._sign * (number - self.number)
         x, y, z = (
             offset * b if abs(b) == 1.0 else a + more * b  # exactly, along an axis
             for a, b in zip(self.point, self.normal, strict=True)
         )
         return replace(self, point=(x, y, z))
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A plane under what touches it: through its place, on the ground or the step that is there.
+
+    Attributes:
+        angle: Against the horizontal (rad), from 0, a floor, to pi, a ceiling; its ``number``.
+        uphill: Direction in which it rises, about z from x (rad).
+        friction: Coefficient of what touches it; that of the ground by default.
+    """
+
+    angle: float
+    uphill: float = 0.0
+    friction: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "angle", _between("slope.angle", self.angle, math.pi))
+        object.__setattr__(self, "uphill", check_finite("slope.uphill", self.uphill))
+        object.__setattr__(self, "friction", self.through((0.0, 0.0, 0.0)).friction)
+
+    @property
+    def normal(self) -> Point:
+        """(x, y, z) out of it; a unit vector."""
+        return slope_normal(self.angle, self.uphill)
+
+    @property
+    def number(self) -> float:
+        """Its angle, as a plane's is where it is (rad)."""
+        return self.angle
+
+    def moved(self, number: float) -> Slope:
+        """Returns the one of another angle (rad)."""
+        return replace(self, angle=number)
+
+    def through(self, point: Point) -> Plane:
+        """Returns the plane through a point (x, y, z) (m)."""
+        return Plane(point, self.normal, self.friction)
 
 
 @dataclass(frozen=True)
@@ -100,14 +142,14 @@ class Contact:
             shapes, or 1 cm if it is in none.
     """
 
-    plane: Plane
+    plane: Plane | Slope
     place: Point | None = None
     offset: Point = (0.0, 0.0, 0.0)
     radius: float | None = None
     force: float | None = None
 
     def __post_init__(self) -> None:
-        check_type("plane", self.plane, Plane)
+        check_type("plane", self.plane, Plane | Slope)
         if self.force is not None:
             force = check_finite("force", self.force)
             if not force >= 0:
@@ -122,28 +164,33 @@ class Contact:
                 raise ConfigurationError("radius", diagnose("not-above", value=radius, bound=0))
             object.__setattr__(self, "radius", radius)
 
+    @property
+    def turns(self) -> bool:
+        """Whether its number is an angle, of a slope."""
+        return isinstance(self.plane, Slope)
+
     def at(self, number: float) -> Contact:
-        """Returns a contact with the parallel plane at another ``number`` (m)."""
+        """Returns a contact with the parallel plane at another ``number`` (m, rad)."""
         return replace(self, plane=self.plane.moved(number))
 
     def __str__(self) -> str:
         """Returns it as it is typed: ``wall:0.4m,mu=0.6``."""
-        return format(self, "")
+        return format(self)
 
     def __format__(self, spec: str) -> str:
-        """Returns the same in mm, with numbers in a format, such as ``.4g``; exactly with none."""
-        number, length = _written(spec)
-        plane, (kind, _) = self.plane, self.plane.kind
-        parts = [f"{kind}:{length(plane.number)}"]
-        if not kind:
-            parts = [f"plane:{','.join([*map(length, plane.point), *map(number, plane.normal)])}"]
-        if self.plane.friction is not None:
-            parts.append(f"mu={number(self.plane.friction)}")
-        parts += _placed(self, length)
-        if self.radius is not None:
-            parts.append(f"radius={length(self.radius)}")
-        if self.force is not None:
-            parts.append(f"force={number(self.force)}N")
+        """Returns the same in mm and deg, in a format such as ``.4g``; exactly with none."""
+        say, plane = _writer(spec), self.plane
+        if isinstance(plane, Slope):
+            parts = ["slope:" + say([plane.angle], "rad")]
+            parts += ["uphill=" + say([plane.uphill], "rad")] if plane.uphill else []
+        elif plane.kind:
+            parts = [f"{plane.kind}:{say([plane.number], 'm')}"]
+        else:
+            parts = [f"plane:{say(plane.point, 'm', ',')},{say(plane.normal, '', ',')}"]
+        parts += [] if plane.friction is None else ["mu=" + say([plane.friction], "")]
+        parts += _placed(self, say)
+        parts += [] if self.radius is None else ["radius=" + say([self.radius], "m")]
+        parts += [] if self.force is None else ["force=" + say([self.force], "N")]
         return ",".join(parts)
 
 
@@ -161,6 +208,7 @@ class Weld:
     """
 
     plane: ClassVar[None] = None
+    turns: ClassVar[bool] = False
     place: Point | None = None
     offset: Point = (0.0, 0.0, 0.0)
 
@@ -171,26 +219,30 @@ class Weld:
 
     def __str__(self) -> str:
         """Returns it as it is typed: ``weld,offset=0.0m/0.0m/0.1m``."""
-        return format(self, "")
+        return format(self)
 
     def __format__(self, spec: str) -> str:
         """Returns the same in mm, with numbers in a format, such as ``.4g``; exactly with none."""
-        return ",".join(["weld", *_placed(self, _written(spec)[1])])
+        return ",".join(["weld", *_placed(self, _writer(spec))])
 
 
-def _written(spec: str) -> tuple[Callable[[float], str], Callable[[float], str]]:
-    """Returns what writes numbers, and what lengths (m): in mm in a format, or exactly."""
-    if not spec:
-        return repr, lambda length: f"{length!r}m"
-    return lambda number: format(number, spec), lambda length: f"{1e3 * length:{spec}}mm"
+def _writer(spec: str) -> Callable[..., str]:
+    """Returns what writes numbers of a unit: as they are read, in a format, or exactly."""
+
+    def say(values: Sequence[float], unit: str, by: str = "/") -> str:
+        factor, read = READ_IN.get(unit, (1.0, unit)) if spec else (1.0, unit)
+        numbers = (format(factor * one, spec) if spec else repr(one) for one in values)
+        return by.join(number + read for number in numbers)
+
+    return say
 
 
-def _placed(one: Contact | Weld, length: Callable[[float], str]) -> Iterator[str]:
+def _placed(one: Contact | Weld, say: Callable[..., str]) -> Iterator[str]:
     """Yields where it is, as it is typed, as far as it is said."""
     if one.place is not None:
-        yield "place=" + "/".join(map(length, one.place))
+        yield "place=" + say(one.place, "m")
     if any(one.offset):
-        yield "offset=" + "/".join(map(length, one.offset))
+        yield "offset=" + say(one.offset, "m")
 
 
 def contact_of(given: Any) -> Contact | Weld:
@@ -209,29 +261,38 @@ def contact_of(given: Any) -> Contact | Weld:
         if "plane" not in given:
             return Weld(**given)
         plane = given["plane"]
-        plane = Plane(**plane) if isinstance(plane, Mapping) else plane
+        if isinstance(plane, Mapping):
+            plane = (Slope if "angle" in plane else Plane)(**plane)
         return Contact(**{**given, "plane": plane})
     except TypeError as error:
         problem = diagnose("no-contact", given=repr(given))
         raise ConfigurationError("contact", problem) from error
 
 
-KINDS: dict[str, tuple[Point, float]] = {
-    "wall": ((-1.0, 0.0, 0.0), -1.0),
-    "table": ((0.0, 0.0, 1.0), 1.0),
-    "ceiling": ((0.0, 0.0, -1.0), -1.0),
+KINDS: dict[str, Point] = {
+    "wall": (-1.0, 0.0, 0.0),
+    "table": (0.0, 0.0, 1.0),
+    "ceiling": (0.0, 0.0, -1.0),
 }
-"""{kind of plane: its normal, and the sign of its number, how far it is along that}: a wall at x, a
-table and a ceiling at a height."""
-
-_ANY = "", 1.0
+"""{kind of plane: its normal}."""
 
 
-def plane_of(kind: str, at: float, friction: float | None = None) -> Plane:
-    """Returns a wall, a table or a ceiling at a place (m); see ``KINDS``."""
-    normal, _ = KINDS[kind]
-    x, y, z = (abs(one) * at for one in normal)
-    return Plane((x, y, z), normal, friction)
+def slope_normal(angle: float, uphill: float) -> Point:
+    """Returns the direction out of a plane at an angle, that rises in a direction (rad)."""
+    rise = math.sin(angle)
+    return -rise * math.cos(uphill), -rise * math.sin(uphill), math.cos(angle)
+
+
+def _between(name: str, value: float, high: float) -> float:
+    """Returns a number from 0 to ``high``.
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
+    number = check_finite(name, value)
+    if not 0 <= number <= high:
+        raise ConfigurationError(name, diagnose("not-between", given=number, low=0, high=high))
+    return number
 
 
 def _point(name: str, value: Any) -> Point:

@@ -130,7 +130,7 @@ def _put_ground(
     """Turns the floor, and puts steps and planes into a model; see ``on_ground``."""
     floor = floor_of(spec) or SpecTree(spec).add_floor()
     turn_floor(floor, quaternion_from_rotation(ground.rotation()))
-    steps = ground.steps(places, robot.contact_radius)
+    steps = ground.steps(places)
     soles = [foot for foot in steps if len(robot.feet[foot]) > 1]
     alone = [*soles, *(foot for foot in steps if foot in robot.hands)]
     contype, conaffinity = floor.contype, floor.conaffinity

@@ -122,7 +122,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     data = mujoco.MjData(model)
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot), torques)
     data.act[:] = settled_activations(model, data.ctrl)
-    apart = stand.task.ground.apart
+    apart = stand.task.ground.planes
     normal = UP if apart else next(iter(stand.normals.values()), UP)
 
     def surplus(drop: float) -> float:

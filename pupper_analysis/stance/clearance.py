@@ -246,7 +246,7 @@ class ClearanceShapes:
         obstacles: list[tuple[str, coal.CollisionGeometry, coal.Transform3s]] = [
             ("", coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
         ]
-        for foot, step in ground.steps(places, self.robot.contact_radius).items():
+        for foot, step in ground.steps(places).items():
             box = coal.Box(2 * step.half)
             obstacles.append((foot, box, coal.Transform3s(step.rotation, step.centre)))
         for part in self.parts:
@@ -297,4 +297,4 @@ def _numbers(pairs: Iterable[tuple[int, int]]) -> IntArray:
 
 def _is_plane(ground: Ground) -> bool:
     """Tells whether no step rises above the slope."""
-    return not ground.apart and all(height <= 0 for height in ground.heights.values())
+    return not ground.planes and all(height <= 0 for height in ground.heights.values())

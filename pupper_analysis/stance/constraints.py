@@ -222,7 +222,7 @@ class SupportMargin(Constraint):
 
     def _sides(self, goal: Goal) -> Array:
         corners = np.array(goal.corners)  # on several planes of another number, now and then
-        return polygon_sides(corners, SIDES if self._begun.task.ground.apart else len(corners))
+        return polygon_sides(corners, SIDES if self._begun.task.ground.planes else len(corners))
 
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
@@ -298,7 +298,7 @@ class GroundClearance(Constraint):
     def reads(self) -> frozenset[str]:
         """See ``Constraint``: steps are where feet are."""
         ground = self._begun.task.ground
-        steps = any((*ground.heights.values(), *ground.apart))
+        steps = any((*ground.heights.values(), *ground.planes))
         return self._reads | (_FOOTHOLDS if steps else frozenset())
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
@@ -342,7 +342,7 @@ def _is_in_place(goal: Goal) -> bool:
 
     That the place is inside is then asked when the goal is made.
     """
-    return bool(goal.task.ground.apart) and goal.task.com != "inside"
+    return bool(goal.task.ground.planes) and goal.task.com != "inside"
 
 
 _CLEARANCES = (GroundClearance, SelfClearance)

@@ -17,7 +17,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.robot.plane import Contact, Weld
+from pupper_analysis.robot.plane import Contact, Plane, Slope, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.stance.problem import feet_places, nominal_feet, usual_place
@@ -73,6 +73,7 @@ class Numbers:
         nominal: (n,) what the nominal stand has.
         low: (n,) the least that they may become where their demand gives.
         high: (n,) the most.
+        angles: Whether each is an angle.
         units: (n,) in which it is counted how much they give: a stand height, or a radian.
     """
 
@@ -88,10 +89,12 @@ class Numbers:
                     for axis, one, usual in _parts(value, nominal):
                         self.keys.append(DemandValue(field.name, foot, axis))
                         self.demands.append(demand)
-                        rows.append((one, float(usual), *_range(robot, field, one)))
-        self.values, self.nominal, self.low, self.high = np.array(rows).reshape(-1, 4).T
-        angles = [FIELDS[key.field].kind == "angle" for key in self.keys]
-        self.units = np.where(angles, 1.0, robot.stand_height)
+                        turns = field.kind == "angle" or getattr(value, "turns", False)
+                        ends = _range(robot, field, one, turns=turns)
+                        rows.append((one, float(usual), *ends, turns))
+        table = np.array(rows).reshape(-1, 5).T
+        self.values, self.nominal, self.low, self.high, self.angles = table
+        self.units = np.where(self.angles, 1.0, robot.stand_height)
 
     def of(self, task: StandTask) -> Array:
         """Returns what a task with the same feet has of them (n,)."""
@@ -152,9 +155,13 @@ def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
     if field.kind == "contact":
         contact, place = task.contacts[foot], usual_place(robot, foot)
         assert isinstance(contact, Contact)
+        if isinstance(contact.plane, Slope):
+            return contact.at(0.0)
         if foot in robot.hands:  # it is its ball's
             place -= robot.contact_radius[robot.feet[foot][0]] * np.array(contact.plane.normal)
-        return replace(contact, plane=replace(contact.plane, point=tuple(place.tolist())))
+        x, y, z = place.tolist()
+        plane = Plane((x, y, z), contact.plane.normal, contact.plane.friction)
+        return replace(contact, plane=plane)
     if field.nominal == "zero":
         return (0.0, 0.0) if field.axes else 0.0
     if field.nominal == "foot_places":
@@ -174,13 +181,13 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _range(robot: Robot, field: Field, value: float) -> tuple[float, float]:
+def _range(robot: Robot, field: Field, value: float, *, turns: bool) -> tuple[float, float]:
     """Returns the least and the most that a number may become; see ``Numbers`` (m, rad)."""
     far = _FARTHEST * robot.stand_height
-    if field.gives == "less":
+    if field.gives == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter
         least = _LEAST_HEIGHT * value if field.open else min(0.0, value)
         return least, max(0.0, value)
-    if field.kind == "angle":
+    if turns:
         return min(field.low, value), max(field.high, value)
     return (_LEAST_HEIGHT * value if field.open else value - far), value + far
 
@@ -232,15 +239,12 @@ def round_demands(
     least; ``back`` rounds towards what was asked.
     """
     now, before = Numbers(robot, task, demands), Numbers(robot, asked, demands)
-    numbers = zip(now.keys, now.values, now.nominal, before.values, strict=True)
-    messages = [
-        _rounded(FIELDS[key.field], *map(float, three), back=back) for key, *three in numbers
-    ]
+    numbers = zip(now.angles, now.values, now.nominal, before.values, strict=True)
+    messages = [_rounded(*map(float, three), angle=bool(a), back=back) for a, *three in numbers]
     return now.task(before.inside(np.array(messages)))
 
 
-def _rounded(field: Field, number: float, usual: float, asked: float, *, back: bool) -> float:
-    angle = field.kind == "angle"
+def _rounded(number: float, usual: float, asked: float, *, angle: bool, back: bool) -> float:
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
     if number in (asked, usual):
@@ -286,10 +290,8 @@ def _describe_demand(task: StandTask, demand: str, asked: StandTask) -> Diagnost
     name = Term(demand)
     if demand == "ground":
         slope = Quantity(task.ground.slope, "rad")
-        steps, tilts = (list(_of_feet(task, FIELDS[of])) for of in ("heights", "tilts"))
-        return diagnose(
-            "demanded-ground", field=name, value=slope, cut=_cut(slope), steps=steps, tilts=tilts
-        )
+        steps = list(_of_feet(task, FIELDS["heights"]))
+        return diagnose("demanded-ground", field=name, value=slope, cut=_cut(slope), steps=steps)
     (field,) = _FIELDS[demand]
     if field.kind == "contact":
         given = {of: one for of, one in task.contacts.items() if one != asked.contacts[of]}
@@ -315,11 +317,7 @@ def _of_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
         if isinstance(message, Vector):
             yield diagnose("demanded-place", field=foot, place=message)
         else:
-            yield diagnose(
-                "demanded-angle-of-foot" if field.kind == "angle" else "demanded-of-foot",
-                subject=("foot", foot),
-                value=message,
-            )
+            yield diagnose("demanded-of-foot", subject=("foot", foot), value=message)
 
 
 def _cut(angle: Quantity) -> Quantity:

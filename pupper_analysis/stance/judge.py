@@ -122,7 +122,7 @@ class Stand(Tabular):
 
         Up, but from a plane of its own.
         """
-        apart, found = self.task.ground.apart, dict[str, Array]()
+        apart, found = self.task.ground.planes, dict[str, Array]()
         for foot in robot.feet_with(self.stance_feet):
             points = robot.feet[foot]
             out = self.normals[points[0]] if foot in apart else UP
@@ -138,7 +138,7 @@ class Stand(Tabular):
 
         Those on planes of their own count only if there are no others.
         """
-        apart = self.task.ground.apart
+        apart = self.task.ground.planes
         own = [foot for foot in drops if not apart or robot.foot_of(foot) not in apart] or [*drops]
         places = np.array([(1.0, *self.foot_targets[foot][:2]) for foot in own])
         if not own:
@@ -160,7 +160,7 @@ class Stand(Tabular):
 
     def of_task(self, task: StandTask) -> Stand:
         """Returns the same stand as that of another task, which it satisfies as well."""
-        other = replace(self, task=task)
+        other = replace(self, task=task.filled(ground=self.task.ground))  # with its planes
         other._statics.extend(self._statics)
         return other
 

@@ -235,6 +235,8 @@ def _goal_of(
     *,
     checked: bool = True,
 ) -> Goal:
+    if task.contacts:
+        task = _with_planes(robot, task)
     if like is not None and _same_feet(like.task, task):
         stance_feet, contacts, targets = like.stance_feet, like.contacts, like.targets
         touches, normals, deep = like.touches, like.normals, like.depths
@@ -309,8 +311,8 @@ def feet_centre(
         touches = {**touches, **{one: targets[one] - radius[one] * UP for one in held}}
     stance_feet, contacts = [*touches], np.array([*touches.values()])
     centre: Array = contacts.mean(axis=0)
-    steep = [foot for foot in ground.apart if ground.normal(foot)[2] < _STEEP]
-    for left_out, parts in (((*robot.hands, *steep), slice(None)), (ground.apart, slice(2, 3))):
+    steep = [foot for foot in ground.planes if ground.normal(foot)[2] < _STEEP]
+    for left_out, parts in (((*robot.hands, *steep), slice(None)), (ground.planes, slice(2, 3))):
         kept = [robot.foot_of(foot) not in left_out for foot in stance_feet] if left_out else []
         if any(kept) and not all(kept):  # a foot high on a wall lifts no base
             centre[parts] = contacts[kept, parts].mean(axis=0)
@@ -351,10 +353,10 @@ def _check_inside(task: StandTask, place: Array, corners: tuple[Corner, ...]) ->
 def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
     """Returns a task with the robot's own height and com, where it leaves them open, and units."""
     if task.posture:
-        task = replace(task, posture=with_units(robot, task.posture))
+        task = replace(task, posture=with_units(robot, task.posture)).filled(ground=task.ground)
     if task.height is None:
-        task = replace(task, height=robot.base_height)
-    return task if task.com else task.with_com(com if task.offset is None else "centre")
+        task = replace(task, height=robot.base_height).filled(ground=task.ground)
+    return task if task.com else task.filled(com=com if task.offset is None else "centre")
 
 
 def _centred(task: StandTask) -> bool:
@@ -401,11 +403,9 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
     if not robot.gravity[2] < 0:
         gravity = Vector(tuple(robot.gravity), "m/s^2")
         raise ConfigurationError("robot", diagnose("gravity-not-down", gravity=gravity))
-    ground = task.ground
     if task.contacts and touching(robot, task.contacts) is not robot:
         raise ConfigurationError("contacts", diagnose("made-for-other-contacts", robot=robot.name))
-    on_steps = *ground.heights, *ground.tilts, *ground.tilt_uphill
-    for foot in (*task.feet, *task.foot_offsets, *task.swing, *on_steps):
+    for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights):
         robot.points_of(foot)
     for foot in depths:
         robot.check_foot(foot)
@@ -500,15 +500,10 @@ def place_feet(robot: Robot, task: StandTask) -> dict[str, Array]:
             out = ground.normal(foot)
             laid = _laid(sole, radii, out)
             on = laid.mean(axis=0)
-            floor = ground.height(on)
-            if foot in ground.tilts:  # its place is where it touches
-                on -= radii.mean() * out
-                floor = float(on[2])
-            shift = np.array([*(place - on[:2]), ground.height(place, foot) - floor])
+            shift = np.array([*(place - on[:2]), ground.height(place, foot) - ground.height(on)])
             targets |= dict(zip(points, laid + shift, strict=True))
-        lifted = task.swing.get(foot, 0.0)
         for point in points:
-            targets[point] += lifted * (ground.normal(foot) if foot in ground.tilts else UP)
+            targets[point] += task.swing.get(foot, 0.0) * UP
     return {point: targets[point] for point in robot.contact_points}
 
 
@@ -518,10 +513,8 @@ def _on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[st
     It touches in the plane's point that is nearest to where it is asked to be, or stands by
     default; of a hand nearest to where it is in the home pose.
     """
-    plane, points = task.ground.planes[foot], robot.feet[foot]
-    near = np.array(task.contacts[foot].place or usual_place(robot, foot).tolist())
-    near[:2] += place - nominal_feet(robot)[foot]  # where it is moved by the task
-    on = plane.nearest(near)
+    points = robot.feet[foot]
+    on = task.ground.planes[foot].nearest(_asked_place(robot, task, foot, place))
     out, radii = task.ground.normal(foot), np.array([robot.contact_radius[one] for one in points])
     on += task.swing.get(foot, 0.0) * out
     if len(points) == 1:
@@ -530,6 +523,28 @@ def _on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[st
     laid = _laid(np.array([nominal[point] for point in points]), radii, out)
     middle: Array = (laid - radii[:, None] * out).mean(axis=0)
     return dict(zip(points, laid + on - middle, strict=True))
+
+
+def _asked_place(robot: Robot, task: StandTask, foot: str, place: Array) -> Array:
+    """Returns next to where (3,) a foot, or a hand, shall touch a plane of its own (m).
+
+    A foot that is at a place (2,), or a hand that is moved as far from where it is by default.
+    """
+    if task.contacts[foot].place is not None or foot in robot.hands:
+        near = np.array(task.contacts[foot].place or usual_place(robot, foot).tolist())
+        near[:2] += place - nominal_feet(robot)[foot]
+        return near
+    return np.array((*place, task.ground.height(place, foot)))
+
+
+def _with_planes(robot: Robot, task: StandTask) -> StandTask:
+    """Returns a task whose ground has the planes that feet touch, or that slopes are there."""
+    planes = {}
+    for foot, place in feet_places(robot, task).items():
+        plane = task.contacts[foot].plane if foot in task.contacts else None
+        if plane is not None:
+            planes[foot] = plane.through(_asked_place(robot, task, foot, place).tolist())
+    return task.filled(ground=task.ground.with_planes(planes))
 
 
 def usual_place(robot: Robot, foot: str) -> Array:
@@ -571,7 +586,7 @@ def _upwards(points: Array) -> Array:
 
 def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
     """Returns the direction {contact point: (3,)} out of the ground under each."""
-    if not ground.apart:
+    if not ground.planes:
         return dict.fromkeys(robot.contact_points, ground.normal())
     out = {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}
     return {point: out[point] for point in robot.contact_points}
@@ -606,7 +621,7 @@ def raise_feet(
 
     (Level steps are under them at any depth. Of a sole the middle is where it would be.)
     """
-    if not ground.apart:
+    if not ground.planes:
         return targets
     return {
         point: place + depths[point] * normals[point] if point in normals else place

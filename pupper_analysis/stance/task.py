@@ -97,10 +97,8 @@ class StandTask:
             object.__setattr__(self, entry.name, entry.checked(value))
         if type(self.ground) is not Ground:
             check_type("ground", self.ground, Ground)
-        if self.contacts or self.ground.planes:
-            touched = self.contacts.items()
-            planes = {name: plane for name, one in touched if (plane := one.plane) is not None}
-            object.__setattr__(self, "ground", self.ground.with_planes(planes))
+        if self.ground.planes:  # of a task worked out for a robot
+            object.__setattr__(self, "ground", replace(self.ground))
         if self.ik_seed is not None:
             check_type("ik_seed", self.ik_seed, Sequence[float])
             seed = tuple(check_finite("ik_seed", value) for value in self.ik_seed)
@@ -112,11 +110,12 @@ class StandTask:
                 message = diagnose("foot-placed-twice", foot=foot)
                 raise ConfigurationError("feet", message)
         for name in self.contacts:
-            for other, given in (("heights", self.ground.heights), ("tilts", self.ground.tilts)):
-                if name in given:
-                    problem = diagnose("two-grounds-of-a-foot", name=name, other=other)
-                    raise ConfigurationError("contacts", problem)
-            if self.contacts[name].place is not None and name in {**self.feet, **self.foot_offsets}:
+            contact = self.contacts[name]
+            on_step = contact.turns and contact.place is None
+            if name in self.ground.heights and not on_step:
+                problem = diagnose("two-grounds-of-a-foot", name=name)
+                raise ConfigurationError("contacts", problem)
+            if contact.place is not None and name in {**self.feet, **self.foot_offsets}:
                 raise ConfigurationError("contacts", diagnose("contact-placed-twice", name=name))
 
     @classmethod
@@ -139,13 +138,13 @@ class StandTask:
             raise ConfigurationError("stand", diagnose("stance-field-unknown", known=(*FIELDS,)))
         return cls(ik_seed=seed).having(values)
 
-    def with_com(self, word: str) -> StandTask:
-        """Returns the task, which leaves the com open, with one of the words for where it is.
+    def filled(self, **values: Any) -> StandTask:
+        """Returns the task with what it leaves open: a word for where the com is, the ground.
 
         Nothing is checked again: that took an eighth of a stand's time in a sequence.
         """
         task = object.__new__(StandTask)
-        vars(task).update(vars(self), com=word)
+        vars(task).update(vars(self), **values)
         return task
 
     def values(self) -> dict[str, Any]:

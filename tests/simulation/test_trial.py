@@ -40,7 +40,7 @@ def test_a_foot_that_bears_next_to_nothing_may_lift() -> None:
     """On unlike slopes least tangential forces leave two of four feet with all but no load."""
     robot, upset = load("v3"), {}
     for tilt in (0.0, 0.15):
-        task = pa.StandTask(ground=pa.Ground(tilts={"FL": tilt} if tilt else {}))
+        task = pa.StandTask(contacts={"FL": pa.Contact(pa.Slope(tilt))} if tilt else {})
         stand = pa.solve_stand_as_simulated(robot, task)
         upset[tilt] = may_be_upset(robot, stand, stand_statics(robot, stand))
     assert upset == {0.0: False, 0.15: True}

@@ -151,10 +151,11 @@ def test_least_torque_is_that_of_a_cone_programme_on_mujocos_numbers(armed: pa.R
             np.testing.assert_allclose(ours.contact_forces[point], force, atol=1e-3)
 
 
-def test_a_plane_through_each_foots_place_is_a_tilt() -> None:
+def test_a_plane_through_each_foots_place_is_a_slope() -> None:
     """The same stand, torques and sag, said in another way."""
-    robot, ground = load("v3"), sideways(30, roof=True)
-    one = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=ground))
+    robot, slopes = load("v3"), sideways(30, roof=True)
+    one = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=slopes))
+    assert one.task.contacts == slopes
     planes = {
         foot: pa.Contact(pa.Plane(tuple(one.contact_points[foot]), tuple(one.normals[foot])))
         for foot in robot.feet
@@ -323,15 +324,16 @@ def test_a_task_comes_back_from_json_and_from_what_is_typed() -> None:
         "hand": pa.Contact(pa.Plane((0, 0, 0.7), (0, 0, 1)), offset=(0.1, 0, 0), radius=0.02),
         "head": pa.Contact(pa.Plane((0, 0, 1.2), (0, 0, -1))),
         "RR": pa.Contact(pa.Plane((0.1, 0.2, 0.3), (0.0, 0.6, 0.8), 0.0)),
+        "RL": pa.Contact(pa.Slope(0.3, -1.0, 0.7), place=(0.1, 0.2, 0.3)),
+        "FR": pa.Contact(pa.Slope(math.pi)),
     }
     task = pa.StandTask(contacts=contacts, ground=pa.Ground(slope=0.1))
     assert pa.StandTask.of(json.loads(to_json(task))) == task
-    assert task.ground.planes.keys() == contacts.keys()
-    assert not pa.StandTask(ground=task.ground).ground.planes  # they are the task's alone
     for contact in contacts.values():
         assert parse_contact("contact", str(contact), "") == contact
     assert str(contacts["FL"]).startswith("wall:0.4m,mu=0.6")
     assert "FL on wall:400mm" in str(task)
+    assert "RL on slope:17.19deg,uphill=-57.3deg,mu=0.7" in str(task)
     assert "FL 接触 wall:400mm" in task.said("zh")
 
 
@@ -369,10 +371,9 @@ def plane(**more: object) -> pa.Contact:
             lambda: pa.StandTask(contacts={"FL": plane()}, ground=pa.Ground(heights={"FL": 0.01})),
             "FL has a plane of its own, and is in heights",
         ),
-        (
-            lambda: pa.StandTask(contacts={"FL": plane()}, ground=pa.Ground(tilts={"FL": 0.1})),
-            "FL has a plane of its own, and is in tilts",
-        ),
+        (lambda: pa.Slope(0.1, math.inf), r"slope\.uphill"),
+        (lambda: pa.Slope(0.1, friction=-1), "friction: -1"),
+        (lambda: pa.StandTask.of({"contacts": {"FL": {"plane": {"angle": 4}}}}), r"slope\.angle"),
         (
             lambda: pa.StandTask(
                 contacts={"FL": plane(place=(0, 0, 0))}, foot_offsets={"FL": (0, 0)}
@@ -437,10 +438,29 @@ def test_which_contact_would_have_to_give_and_how_far(armed: pa.Robot, asked: pa
         pa.solve_stand(armed, pa.StandTask(contacts={HAND: beyond, "RL_calf": foot}), explain=False)
 
 
-def test_a_path_with_contacts_is_refused(armed: pa.Robot) -> None:
-    task = pa.StandTask(contacts=table())
-    with pytest.raises(pa.ConfigurationError, match="no path"):
-        stance_path(armed, [task, task], 1.0)
+def test_a_path_keeps_its_contacts(armed: pa.Robot) -> None:
+    """A hand stays on its table, and forces balance the motion; others' tables are refused."""
+    contacts = table(0.6) | {"RL_calf": pa.Contact(pa.Slope(0.2, 0.5))}
+    one = pa.StandTask(contacts=contacts)
+    tasks = [one, pa.StandTask(contacts=contacts, pitch=0.05, height=0.95 * armed.stand_height)]
+    path = stance_path(armed, tasks, 1.0, rate=20.0, rolling=False)
+    robot = touching(armed, contacts)
+    first, last = (pa.Configuration(robot, qpos).foot_positions() for qpos in path.qpos[[0, -1]])
+    for foot, place in path.stances[1].foot_targets.items():
+        np.testing.assert_allclose(first[foot], place, atol=1e-9)
+        np.testing.assert_allclose(last[foot], place, atol=1e-9)
+    assert path.feet == (*robot.contact_points,)
+    middle = len(path.time) // 2
+    config = pa.Configuration(robot, path.qpos[middle])
+    acceleration = np.gradient(
+        [pa.Configuration(robot, qpos).center_of_mass() for qpos in path.qpos], path.time, axis=0
+    )
+    acceleration = np.gradient(acceleration, path.time, axis=0)[middle]
+    pushed = path.forces[middle].sum(axis=0) / robot.total_mass + robot.gravity
+    assert config.robot is robot
+    np.testing.assert_allclose(pushed, acceleration, atol=0.02 * np.abs(acceleration).max() + 1e-3)
+    with pytest.raises(pa.ConfigurationError, match="different grounds"):
+        stance_path(armed, [one, pa.StandTask(contacts=table(0.6))], 1.0)
 
 
 def test_a_contact_is_seen_in_a_picture(armed: pa.Robot, tmp_path: Path) -> None:

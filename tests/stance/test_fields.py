@@ -78,8 +78,6 @@ def test_each_field_is_in_the_task_its_json_and_its_words(field: Field) -> None:
     assert found == json.loads(to_json(asked(field)))
     if field.name == "uphill":  # it is said of a slope
         task = task.having({"slope": 0.1})
-    if field.name == "tilt_uphill":  # and of a foot's own
-        task = task.having({"tilts": {"FL": 0.1}})
     said, plain = task_text(task), task_text(pa.StandTask())
     assert said.en != plain.en
     assert re.search("[\u4e00-\u9fff]", said.zh)

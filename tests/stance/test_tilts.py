@@ -20,21 +20,23 @@ UP = np.array([0.0, 0.0, 1.0])
 LEFT, RIGHT = math.pi / 2, -math.pi / 2
 
 
-def sideways(degrees: float, *, roof: bool) -> pa.Ground:
+Contacts = dict[str, pa.Contact]
+
+
+def slopes(angle: float, uphill: dict[str, float]) -> Contacts:
+    return {foot: pa.Contact(pa.Slope(angle, way)) for foot, way in uphill.items()}
+
+
+def sideways(degrees: float, *, roof: bool) -> Contacts:
     """Left and right feet on two planes that rise towards the middle (a roof), or away from it."""
     inwards = {"FL": RIGHT, "RL": RIGHT, "FR": LEFT, "RR": LEFT}
-    uphill = {foot: turn if roof else -turn for foot, turn in inwards.items()}
-    return pa.Ground(tilts=dict.fromkeys(uphill, math.radians(degrees)), tilt_uphill=uphill)
-
-
-def walls(degrees: float) -> pa.Ground:
-    return pa.Ground(
-        tilts={"FR": math.radians(degrees)}, tilt_uphill={"FR": 0.0}, heights={"FR": 0.05}
+    return slopes(
+        math.radians(degrees), {foot: turn if roof else -turn for foot, turn in inwards.items()}
     )
 
 
 @pytest.mark.parametrize(
-    ("name", "ground"),
+    ("name", "contacts"),
     [
         ("v3", sideways(30, roof=True)),
         ("v3", sideways(50, roof=False)),
@@ -43,10 +45,12 @@ def walls(degrees: float) -> pa.Ground:
     ],
     ids=["roof", "gutter", "capsules", "steep"],
 )
-def test_mujoco_holds_a_stand_between_two_planes(name: str, ground: pa.Ground) -> None:
+def test_mujoco_holds_a_stand_between_two_planes(
+    name: str, contacts: dict[str, pa.Contact]
+) -> None:
     """Torques and forces as usual: legs press sideways, which no plane asks of them."""
     robot = load(name)
-    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=ground))
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=contacts))
     found = pa.verify_stand(robot, stand)
     assert found.passed, [str(one) for one in found.failures]
     assert found.torque_error < 1e-5
@@ -59,14 +63,25 @@ def test_mujoco_holds_a_stand_between_two_planes(name: str, ground: pa.Ground) -
 
 
 def test_a_foot_touches_its_plane_in_its_place() -> None:
-    robot, ground = load("v3"), walls(90)
-    task = pa.StandTask(ground=ground, feet={"FR": (0.14, -0.09)})
+    robot, step = load("v3"), pa.Ground(heights={"FR": 0.05})
+    wall = slopes(math.pi / 2, {"FR": 0.0})
+    task = pa.StandTask(contacts=wall, ground=step, feet={"FR": (0.14, -0.09)})
     stand = pa.solve_stand(robot, task)
     np.testing.assert_allclose(stand.contact_points["FR"], (0.14, -0.09, 0.05), atol=1e-12)
     np.testing.assert_allclose(stand.normals["FR"], (-1, 0, 0), atol=1e-12)
     centre = pa.Configuration(robot, stand.qpos).foot_positions()["FR"]
     radius = robot.contact_radius["FR"]
     np.testing.assert_allclose(centre, (0.14 - radius, -0.09, 0.05), atol=1e-9)
+    assert stand.task.contacts == wall
+    ground = stand.task.ground
+    assert ground == step  # what its planes are, its contacts say
+    assert ground.planes["FR"].point == pytest.approx((0.14, -0.09, 0.05), abs=1e-15)
+    assert not pa.StandTask(ground=ground).ground.planes
+    assert stand.task.contacts == wall
+    ground = stand.task.ground
+    assert ground == step  # what its planes are, its contacts say
+    assert ground.planes["FR"].point == pytest.approx((0.14, -0.09, 0.05), abs=1e-15)
+    assert not pa.StandTask(ground=ground).ground.planes
     # A hand on a wall lifts no base.
     assert stand.qpos[2] == pytest.approx(robot.stand_height, abs=1e-9)
 
@@ -78,12 +93,10 @@ def test_one_plane_said_of_each_foot_is_the_slope() -> None:
     one = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=slope))
     places = {foot: tuple(one.contact_points[foot][:2]) for foot in robot.feet}
     rises = {foot: slope.height(place) for foot, place in places.items()}
-    each = pa.Ground(
-        tilts=dict.fromkeys(rises, angle),
-        tilt_uphill=dict.fromkeys(rises, uphill),
-        heights=rises,
-    )
-    two = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=each, feet=places))
+    each = slopes(angle, dict.fromkeys(rises, uphill))
+    steps = pa.Ground(heights=rises)
+    task = pa.StandTask(contacts=each, ground=steps, feet=places)
+    two = pa.solve_stand_as_simulated(robot, task)
     np.testing.assert_allclose(two.qpos, one.qpos, atol=1e-9)
     assert two.com_margin == pytest.approx(one.com_margin, abs=1e-9)
     sags = [pa.steady_state(robot, stand) for stand in (one, two)]
@@ -97,7 +110,7 @@ def test_one_plane_said_of_each_foot_is_the_slope() -> None:
 def test_sag_between_planes_is_mujocos() -> None:
     """Pinned feet on a gutter, where gravity presses them into their planes."""
     robot = load("v3")
-    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(ground=sideways(20, roof=False)))
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=sideways(20, roof=False)))
     sag = pa.steady_state(robot, stand)
     found = pa.verify_stand(robot, stand, feedforward=False)
     assert sag.height_loss == pytest.approx(found.height_loss, rel=0.02)
@@ -166,32 +179,30 @@ def test_on_one_plane_friction_moves_no_corner() -> None:
 
 def test_what_does_not_hold_says_which_friction_would() -> None:
     robot = load("v3")
-    ground = pa.Ground(
-        tilts=dict.fromkeys(robot.feet, 1.2), tilt_uphill=dict.fromkeys(robot.feet, 0.0)
-    )  # four parallel planes: no leg can press against another
-    stand = pa.solve_stand(robot, pa.StandTask(ground=ground, com=None))
+    # Four parallel planes: no leg can press against another.
+    task = pa.StandTask(contacts=slopes(1.2, dict.fromkeys(robot.feet, 0.0)))
+    stand = pa.solve_stand(robot, task)
     with pytest.raises(pa.StaticsInfeasibleError, match="friction"):
         pa.stance.stand_statics(robot, stand)
 
 
 @pytest.mark.parametrize("tilt", [-0.1, 3.2, math.nan, "steep"])
 def test_a_tilt_is_an_angle_between_floor_and_ceiling(tilt: float) -> None:
-    with pytest.raises(pa.ConfigurationError, match=r"tilts"):
-        pa.Ground(tilts={"FR": tilt})
+    with pytest.raises(pa.ConfigurationError, match=r"slope\.angle"):
+        pa.Slope(tilt)
 
 
 def test_a_foot_that_there_is_not_is_refused() -> None:
-    for ground in (pa.Ground(tilts={"X": 0.1}), pa.Ground(tilt_uphill={"X": 0.1})):
-        with pytest.raises(pa.UnknownNameError, match="FR"):
-            pa.solve_stand(load("v3"), pa.StandTask(ground=ground))
+    with pytest.raises(pa.UnknownNameError, match="leg_front_r_3"):
+        pa.solve_stand(load("v3"), pa.StandTask(contacts=slopes(0.1, {"X": 0.0})))
 
 
 @pytest.mark.longest
 def test_a_limit_typed_back_holds() -> None:
     robot = load("v3")
-    task = pa.StandTask(
-        ground=pa.Ground(tilts={"FR": math.pi}, heights={"FR": 0.05})
-    )  # a ceiling, which a foot above the ground cannot reach from below with its knee
+    # A ceiling, which a foot above the ground cannot reach from below with its knee.
+    ceiling, step = slopes(math.pi, {"FR": 0.0}), pa.Ground(heights={"FR": 0.05})
+    task = pa.StandTask(contacts=ceiling, ground=step)
     with pytest.raises(pa.StanceUnreachableError) as caught:
         pa.solve_stand(robot, task)
     assert caught.value.nearest is not None
@@ -201,8 +212,8 @@ def test_a_limit_typed_back_holds() -> None:
 def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:
     """Capsules beside the wall's box: MuJoCo's distances, where a part is nearer to it."""
     robot = load("original")
-    ground = pa.Ground(tilts={"FR": 0.6}, tilt_uphill={"FR": 0.0})
-    stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
+    stand = pa.solve_stand(robot, pa.StandTask(contacts=slopes(0.6, {"FR": 0.0})))
+    ground = stand.task.ground
     grounded = on_ground(robot, ground, stand.rigid_targets)
     model = grounded.mj_model
     data = mujoco.MjData(model)

@@ -122,8 +122,8 @@ def of_robot(name: str, folder: Path, *files: str, everywhere: bool = False) -> 
     _compare_path(found, run, stood, stance)
     _compare_payload(found, run, stood)
     if stood.returncode == 0 and everywhere:
-        roof = f"{next(iter(stance['statics']['foot_loads']))}=8deg"
-        for ground in (("--slope", SLOPE), ("--tilt", roof)):
+        roof = f"{next(iter(stance['statics']['foot_loads']))}=slope:8deg"
+        for ground in (("--slope", SLOPE), ("--contact", roof)):
             there, _ = run("stand", *ground)
             _compare_payload(found, run, there, *ground)
         _compare_loaded_push(found, run)

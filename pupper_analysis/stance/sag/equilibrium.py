@@ -670,9 +670,9 @@ def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
     """Returns a point {contact point: (3,)} of the ground under each (m)."""
     ground, found = stand.task.ground, dict[str, Array]()
     for foot, points in robot.feet.items():
-        if foot in ground.apart:
-            own = {point: stand.rigid_targets[point] for point in points}
-            on = ground.middle(foot, own, robot.contact_radius)[0]
+        if foot in ground.planes:
+            own = np.array([stand.rigid_targets[point] for point in points])
+            on = ground.middle(foot, own)[0]
         else:  # parallel to the plane through the origin
             on = np.array([0.0, 0.0, ground.heights.get(foot, 0.0)])
         found |= dict.fromkeys(points, on)

@@ -607,7 +607,7 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
     if not 0 <= seconds <= LONGEST or (seconds and feet == "sliding"):
         problem = diagnose("creep-not-valid", given=f"{seconds} s")
         raise ConfigurationError("seconds", problem)
-    if feet == "sliding" and (stand.task.ground.slope or stand.task.ground.apart):
+    if feet == "sliding" and (stand.task.ground.slope or stand.task.ground.planes):
         raise ConfigurationError("feet", diagnose("sliding-on-slope"))
     slippery = [foot for foot in robot.contact_points if robot.contacts[foot].sliding_friction <= 0]
     if feet == "pinned" and slippery:

@@ -23,7 +23,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
-from pupper_analysis.stance.problem import ground_normals
+from pupper_analysis.stance.problem import feet_centre, ground_normals
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
@@ -97,7 +97,8 @@ def segments_of(
         StanceUnreachableError: If one is out of reach; says which.
         UnknownNameError: If a task names a foot that the robot does not have.
     """
-    if any(task.ground != stances[0].ground for task in stances):
+    grounds = [(task.ground, task.contacts) for task in stances]
+    if any(one != grounds[0] for one in grounds):
         raise ConfigurationError("stances", diagnose("grounds-differ"))
     fixed = any(task.offset is not None or not isinstance(task.com, str | None) for task in stances)
     if fixed and any(task.com == "inside" for task in stances):
@@ -154,7 +155,7 @@ def task_between(
         stance_feet: The feet that carry.
         share: Of the segment's way, from 0 to 1.
         ik_seed: (nu,) joint positions to start from (rad).
-        away: {foot: (2,) how far it has rolled from its place (m)}.
+        away: {foot: (3,) how far it has rolled from its place (m)}.
 
     Raises:
         StaticsInfeasibleError: If the com is less inside the feet than the tasks demand.
@@ -167,23 +168,28 @@ def task_between(
     ground, out = one.ground, ground_normals(robot, one.ground)
     places = {foot: segment.start.feet[foot] for foot in robot.contact_points}
     places |= {foot: p + share * (segment.end.feet[foot] - p) for foot, p in places.items()}
-    points = {point: place[:2] + away[point] for point, place in places.items()}
-    feet = {}
+    points = {point: place + away[point] for point, place in places.items()}
+    feet, touching = {}, {}
     for foot, own in robot.feet.items():
-        x, y = np.mean([points[point] for point in own], axis=0)
-        feet[foot] = float(x), float(y)
+        x, y, z = np.mean([points[point] for point in own], axis=0).tolist()
+        if foot in one.contacts:
+            touching[foot] = replace(one.contacts[foot], plane=ground.planes[foot], place=(x, y, z))
+        else:
+            feet[foot] = x, y
     contacts = {
-        point: ground.centre(robot.foot_of(point), points[point], robot.contact_radius[point])
+        point: ground.planes[foot].nearest(points[point])
+        if (foot := robot.foot_of(point)) in touching
+        else ground.centre(foot, points[point], robot.contact_radius[point])
         - robot.contact_radius[point] * out[point]
         for point in stance_feet
     }
-    centre = np.mean(list(contacts.values()), axis=0)
+    centre = feet_centre(robot, ground, contacts, points)
     base = segment.start.base + share * (segment.end.base - segment.start.base)
     com = segment.start.com + share * (segment.end.com - segment.start.com)
     by_base = one.offset is not None or two.offset is not None
     needed = max(1e-6, between(one.com_margin, two.com_margin) - 1e-9)
     margin = com_margin(com, contacts)
-    if not by_base and margin < needed:
+    if not by_base and not touching and margin < needed:  # of planes the task's own check says it
         raise StaticsInfeasibleError(
             Infeasibility.COM_OUTSIDE,
             diagnose(
@@ -212,7 +218,8 @@ def task_between(
         offset=(float(base[0] - centre[0]), float(base[1] - centre[1])) if by_base else None,
         feet=feet,
         swing={f: max(TOUCHING, h) for f, h in heights.items() if f not in carrying},
-        ground=ground,
+        ground=replace(ground, heights={f: h for f, h in ground.heights.items() if f in feet}),
+        contacts=touching,
         com="centre" if by_base else (float(com[0]), float(com[1])),
         com_margin=max(0.0, between(one.com_margin, two.com_margin) - 1e-9) if by_base else 0.0,
         posture=posture,
@@ -366,7 +373,7 @@ class _Roll:
 
     def __init__(self, robot: Robot, start: Stand) -> None:
         self.robot = robot
-        self.away = {foot: np.zeros(2) for foot in robot.contact_points}  # from their places (m)
+        self.away = {foot: np.zeros(3) for foot in robot.contact_points}  # from their places (m)
         self.step = dict(self.away)  # of the last sample
         self.turned = self._rotations(start)
 
@@ -396,7 +403,7 @@ class _Roll:
             for foot in stance_feet:
                 turn = pin.log3(rotations[foot] @ self.turned[foot].T)
                 rolled = pin.skew(turn) @ (robot.contact_radius[foot] * out[foot])
-                away[foot] = away[foot] + rolled[:2]
+                away[foot] = away[foot] + rolled
             if max(np.abs(away[foot] - last[foot]).max() for foot in away) < _ROLLED:
                 self.step = {foot: away[foot] - self.away[foot] for foot in away}
                 self.away, self.turned = away, rotations

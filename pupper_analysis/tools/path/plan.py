@@ -23,6 +23,7 @@ from pupper_analysis.base.kinds import PATH_ARRAYS, PATH_TABLE
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
@@ -303,9 +304,8 @@ def stance_path(
         StaticsInfeasibleError: If a sample cannot be held, or not at this speed; says when.
     """
     robot.check_tree("a path")
-    if any(stance.contacts for stance in stances):
-        raise ConfigurationError("contacts", diagnose("no-path-with-contacts"))
     per_segment = _samples(seconds, rate, stances)
+    robot = touching(robot, stances[0].contacts)
     geometry = path_geometry(robot, stances, per_segment, float(seconds), rolling=rolling)
     duration = float(seconds) / len(geometry.segments)
     efforts = []

@@ -107,7 +107,7 @@ def path_commands(
     if path.joint_names != robot.joint_names or path.qpos.shape[1] != robot.nq:
         raise ConfigurationError("path", diagnose("path-of-another-robot", robot=robot.name))
     first = path.stances[0]
-    robot = on_ground(robot, first.task.ground, first.rigid_targets)
+    robot = on_ground(first.check(robot), first.task.ground, first.rigid_targets)
     drive = drive_of(robot)
     if timestep is None:
         timestep = _fine_timestep(robot, first, drive)
@@ -299,7 +299,11 @@ def way_to(robot: Robot, stand: Stand) -> list[StandTask]:
     x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
     over = replace(task, com=(float(x), float(y)), com_margin=0.0, offset=None)
     nominal = StandTask(
-        feet=task.feet, foot_offsets=task.foot_offsets, ground=task.ground, ik_seed=task.ik_seed
+        feet=task.feet,
+        foot_offsets=task.foot_offsets,
+        ground=task.ground,
+        contacts=task.contacts,
+        ik_seed=task.ik_seed,
     )
     return [nominal, *([replace(over, swing={})] if task.swing else []), over]
 
@@ -486,6 +490,7 @@ def _watch(
     path, robot = plan.path, plan.robot
     watcher = monitor.Watcher(robot, plan.drive.model)
     events: dict[Diagnostic, float] = {}
+    out = ground_normals(robot, path.stances[0].task.ground)
     slip = dict.fromkeys(path.feet, 0.0)
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     tilt = 0.0
@@ -513,8 +518,8 @@ def _watch(
             if path.clearance[sample, column] > LIFT_CLEARANCE and own in sight.forces:
                 seen.append(diagnose("lifted-foot-touches", subject=("foot", foot), time=None))
             if path.stance_feet[sample, column]:
-                away = float(np.linalg.norm((centres[foot] - targets[foot])[:2]))
-                slip[foot] = max(slip[foot], away)
+                away = np.cross(out[foot], centres[foot] - targets[foot])  # along its ground
+                slip[foot] = max(slip[foot], float(np.linalg.norm(away)))
         for event in seen:
             events.setdefault(event, sight.time)
     failures = [

@@ -51,7 +51,7 @@ KINDS = {
     "kp": "stiffness of servos",
     "kd": "damping of servos",
     **dict.fromkeys(OF_JOINTS, "position of joints that carry no foot (rad, m)"),
-    **dict.fromkeys(OF_LINKS, "where the plane of a contact is, as it is typed (m)"),
+    **dict.fromkeys(OF_LINKS, "where a contact's plane is, as typed (m), or a slope's angle (rad)"),
 }
 """What ``KIND:PATTERN`` may say: factors on what the files say, but for the offsets of coms."""
 
