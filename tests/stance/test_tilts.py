@@ -10,6 +10,7 @@ import pytest
 from scipy import optimize
 
 import pupper_analysis as pa
+from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.robot.robot import lend
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.solver import Context
@@ -199,14 +200,21 @@ def test_a_foot_that_there_is_not_is_refused() -> None:
 
 @pytest.mark.longest
 def test_a_limit_typed_back_holds() -> None:
-    robot = load("v3")
-    # A ceiling, which a foot above the ground cannot reach from below with its knee.
-    ceiling, step = slopes(math.pi, {"FR": 0.0}), pa.Ground(heights={"FR": 0.05})
-    task = pa.StandTask(contacts=ceiling, ground=step)
+    """A foot on a slope that hangs over it, which its calf would be in."""
+    robot, step = load("original"), pa.Ground(heights={"FR": 0.05})
+
+    def ask(contact: pa.Contact, *, explain: bool = True) -> pa.Stand:
+        task = pa.StandTask(contacts={"FR": contact}, ground=step)
+        return pa.solve_stand(robot, task, explain=explain)
+
     with pytest.raises(pa.StanceUnreachableError) as caught:
-        pa.solve_stand(robot, task)
-    assert caught.value.nearest is not None
-    assert pa.solve_stand(robot, caught.value.nearest.task).solved
+        ask(pa.Contact(pa.Slope(math.radians(150))))
+    limit = caught.value.limits["contacts"]["contacts"]["FR"]
+    assert f"contacts FR={limit:.7g}" in str(caught.value)
+    typed = parse_contact("contact", f"{limit:.7g}", "")
+    assert ask(typed).solved
+    with pytest.raises(pa.StanceUnreachableError, match="FR_calf"):
+        ask(typed.at(typed.plane.number + math.radians(0.2)), explain=False)
 
 
 def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:
