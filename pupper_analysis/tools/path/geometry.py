@@ -21,6 +21,7 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import placed_joints
+from pupper_analysis.robot.plane import Contact
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.problem import feet_centre, ground_normals
@@ -172,8 +173,8 @@ def task_between(
     feet, touching = {}, {}
     for foot, own in robot.feet.items():
         x, y, z = np.mean([points[point] for point in own], axis=0).tolist()
-        if foot in one.contacts:
-            touching[foot] = replace(one.contacts[foot], plane=ground.planes[foot], place=(x, y, z))
+        if isinstance(contact := one.contacts.get(foot), Contact):
+            touching[foot] = replace(contact, plane=ground.planes[foot], place=(x, y, z))
         else:
             feet[foot] = x, y
     contacts = {

@@ -306,6 +306,8 @@ def stance_path(
     robot.check_tree("a path")
     per_segment = _samples(seconds, rate, stances)
     robot = touching(robot, stances[0].contacts)
+    if robot.welds:
+        raise ConfigurationError("contacts", diagnose("no-path-with-welds"))
     geometry = path_geometry(robot, stances, per_segment, float(seconds), rolling=rolling)
     duration = float(seconds) / len(geometry.segments)
     efforts = []
