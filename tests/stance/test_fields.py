@@ -130,7 +130,10 @@ def test_each_field_is_an_option_of_the_same_value(field: Field) -> None:
     assert task_of({name: unasked.params[name] for name in TYPED}) == pa.StandTask()
 
 
-ON_PAGE = {"length": 12.3, "angle": 7.5, "point": (12.3, -34.5), "position": 0.1309}
+ON_PAGE: dict[str, Any] = {
+    **{"length": 12.3, "angle": 7.5, "point": (12.3, -34.5), "position": 0.1309},
+    "contact": pa.Contact(pa.Plane((0.0123, 0, 0), (-1, 0, 0), 0.5)),
+}
 SLIDING = {name: field for name, field in FIELDS.items() if field.slider}
 
 

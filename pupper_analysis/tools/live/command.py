@@ -169,11 +169,7 @@ def read_stance(text: str) -> State:
 
 
 def _open_page(
-    meant: str | VariantSpec | RobotFiles,
-    stance: str,
-    *,
-    browser: bool,
-    **where: Unpack[Where],
+    meant: str | VariantSpec | RobotFiles, stance: str, *, browser: bool, **where: Unpack[Where]
 ) -> None:
     """Serves the page until Ctrl-C."""
     from pupper_analysis.tools.live.held import HeldPage

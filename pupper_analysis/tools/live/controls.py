@@ -17,23 +17,21 @@ from pupper_analysis.base.diagnostics import Term, term
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.units import READ_IN
+from pupper_analysis.cli.stance_fields import to_task_value
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.robot.joints import free_joints, named_positions
+from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.robot.tool import split_place
 from pupper_analysis.stance.fields import FIELDS, Field, Slider
 from pupper_analysis.stance.posture import joint_ranges, joint_units
 from pupper_analysis.tools.live.render import Language
-from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN, State
+from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN, State, factor_of
 
 Array = NDArray[np.float64]
 
-PLACES = {
-    "centre": "place-centre",
-    "inside": "place-inside",
-    "offset": "place-offset",
-}
+PLACES = {"centre": "place-centre", "inside": "place-inside", "offset": "place-offset"}
 """{what decides where the base is: what it is called}."""
 
 LIFTED = "lift"
@@ -83,9 +81,13 @@ class Controls:
                 if folder == "Feet":
                     self.lifted = gui.add_checkbox(say("lifted"), False, hint=say("hint-lifted"))
                     self._add_one(CONTROLS[LIFTED])
+                    self.contacts = gui.add_text(
+                        say("contacts"), "", multiline=True, hint=say("hint-contacts")
+                    )
         self.place.on_update(self._when(lambda s: s.having(place=self._places[self.place.value])))
         self.lifted.on_update(self._when(self._with_lift))
         self.foot.on_update(self._foot_chosen)
+        self.contacts.on_update(self._when(self._with_contacts))
 
     def joints(self) -> None:
         """Adds what says where joints are that carry no foot: of the posture."""
@@ -144,6 +146,8 @@ class Controls:
                     self._state = change(before)
                 if self._state.place != before.place:
                     self._show_place()
+                if self._state.contacts != before.contacts:
+                    self._show_contacts(typed=event.target is self.contacts)
             self._changed()
 
         return moved
@@ -158,10 +162,14 @@ class Controls:
             self.lifted.value = True
         whole = getattr(state, field.name)
         own = whole.get(self._chosen) if field.per else whole
-        if control.axis is not None:
+        if field.kind == "contact":
+            if not isinstance(own, Contact):  # a foot on the ground
+                return state
+            new: Any = own.at(value / factor_of(own))
+        elif control.axis is not None:
             numbers = list(own or (0.0,) * len(field.axes))
             numbers[control.axis - len(field.axes)] = value  # behind a frame
-            new: Any = tuple(numbers)
+            new = tuple(numbers)
         else:
             new = value
         state = state.having(**{field.name: {**whole, self._chosen: new} if field.per else new})
@@ -177,6 +185,22 @@ class Controls:
         if self.lifted.value:
             others[self._chosen] = float(self.sliders[LIFTED].value)
         return state.having(swing=others)
+
+    def _with_contacts(self, state: State) -> State:
+        """Returns a state with the contacts that are typed."""
+        lines = filter(str.strip, self.contacts.value.splitlines())
+        return state.having(contacts=to_task_value(FIELDS["contacts"], [*lines]))
+
+    def _show_contacts(self, *, typed: bool) -> None:
+        """Shows the state's contacts: as text, unless they are from there, and among the feet."""
+        contacts = self._state.contacts
+        if not typed:
+            self.contacts.value = "\n".join(f"{of}={one}" for of, one in contacts.items())
+        touching = (of for of, one in contacts.items() if one.plane is not None)
+        self._feet = {escape_control(one): one for one in (*self._robot.feet, *touching)}
+        if [*self.foot.options] != [*self._feet]:
+            self.foot.options = [*self._feet]
+        self._show_foot()
 
     @property
     def _chosen(self) -> str:
@@ -209,9 +233,10 @@ class Controls:
             special = {
                 foot
                 for name, field in FIELDS.items()
-                if field.per == "foot" and field.slider
+                if field.per in ("foot", "link") and field.slider
                 for foot in getattr(state, name)
             }
+            self._show_contacts(typed=False)
             first = next((name for name, foot in self._feet.items() if foot in special), None)
             if first is not None and self._chosen not in special:
                 self.foot.value = first
@@ -409,8 +434,10 @@ class Control:
         way = {} if self.axis is None else {"axis": _AXIS_WORDS[self.field.axes[self.axis]]}
         return fill_template(self.field.words(language).hint, way, language)
 
-    def of(self, value: float | tuple[str | float, ...]) -> float:
+    def of(self, value: float | tuple[str | float, ...] | Contact | Weld) -> float:
         """Returns its number of the field's value."""
+        if isinstance(value, Contact | Weld):
+            return 0.0 if value.plane is None else factor_of(value) * value.plane.number
         if self.axis is None:
             return float(value)  # type: ignore[arg-type]
         return float(value[self.axis - len(self.field.axes)])  # type: ignore[index]  # behind a frame

@@ -51,11 +51,6 @@ def stance_document(
         if statics is not None:
             blocks += _sag(sag)
             blocks += [torque_table(statics, robot.effort_limits.tolist()), contact_table(statics)]
-    return _judged(answer, judged, blocks)
-
-
-def _judged(answer: Answer, judged: Verdict | None, blocks: Iterable[doc.Block]) -> doc.Document:
-    """Returns a document with the verdict: whether it stands, and why or why not."""
     messages: tuple[doc.Words, ...] = ()
     if judged is not None:
         messages = tuple(map(clause_text, verdict_clauses(judged)))

@@ -158,11 +158,7 @@ class HeldPage(Served):
         MissingPackageError: If viser is not installed.
     """
 
-    def __init__(
-        self,
-        source: FileSource,
-        **where: Unpack[Where],
-    ) -> None:
+    def __init__(self, source: FileSource, **where: Unpack[Where]) -> None:
         render.import_viser()  # before the work
         robot = source.loaded
         size = robot_size(robot, find_posture(robot))

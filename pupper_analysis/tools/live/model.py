@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import (
-    NoEquilibriumError,
     PupperAnalysisError,
     StanceUnreachableError,
     StaticsInfeasibleError,
@@ -154,8 +153,6 @@ def predict_sag(answer: Answer) -> PredictedSag:
     assert answer.stand is not None
     try:
         return PredictedSag(steady_state(answer.robot, answer.stand, kp=answer.state.kp), None)
-    except NoEquilibriumError as error:
-        return PredictedSag(None, error.diagnostic)
     except StaticsInfeasibleError:
         return PredictedSag(None, diagnose("cannot-be-held"))
     except PupperAnalysisError as error:

@@ -31,18 +31,8 @@ from pupper_analysis.present.document import (
     text,
 )
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.tools.live.access import (
-    HEADERS,
-    MOST_BYTES,
-    Access,
-    without_folders,
-)
-from pupper_analysis.tools.live.scene import (
-    BEYOND,
-    SCALE,
-    colour_of,
-    to_css,
-)
+from pupper_analysis.tools.live.access import HEADERS, MOST_BYTES, Access, without_folders
+from pupper_analysis.tools.live.scene import BEYOND, SCALE, colour_of, to_css
 
 FAREWELL = 0.3
 """s that browsers have to answer when the server ends; one that sleeps or is gone never does."""

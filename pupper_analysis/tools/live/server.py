@@ -11,6 +11,7 @@ from typing import Any, TypedDict, Unpack
 
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.joints import placed_joints
+from pupper_analysis.robot.touching import touching
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.access import Access
 from pupper_analysis.tools.live.model import Model
@@ -124,10 +125,7 @@ class Page(Served):
     """
 
     def __init__(
-        self,
-        source: LiveSource,
-        state: State | None = None,
-        **where: Unpack[Where],
+        self, source: LiveSource, state: State | None = None, **where: Unpack[Where]
     ) -> None:
         render.import_viser()  # before the work
         self._model, self._state = Model(source), state or State()
@@ -153,8 +151,7 @@ def check_state(model: Model, state: State) -> None:
     Raises:
         PupperAnalysisError: If not: it has no such foot, or cannot be scaled so.
     """
-    robot = model.robot(state)
-    state.task()
+    robot = touching(model.robot(state), state.task().contacts)
     for field, value in state.asked():
         for foot in value if field.per == "foot" else ():
             robot.points_of(foot)

@@ -33,19 +33,10 @@ from pupper_analysis.tools.live.documents import (
     stance_document,
     unexpected_document,
 )
-from pupper_analysis.tools.live.model import (
-    Answer,
-    Model,
-    PredictedSag,
-)
+from pupper_analysis.tools.live.model import Answer, Model, PredictedSag
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.scene import Scene
-from pupper_analysis.tools.live.state import (
-    State,
-    write_command,
-    write_link,
-    write_stance_file,
-)
+from pupper_analysis.tools.live.state import State, write_command, write_link, write_stance_file
 
 
 class Panels:
@@ -60,12 +51,7 @@ class Panels:
     """
 
     def __init__(
-        self,
-        client: Any,
-        model: Model,
-        address: str,
-        acts: Session,
-        say: Language | None = None,
+        self, client: Any, model: Model, address: str, acts: Session, say: Language | None = None
     ) -> None:
         self._client, self._model, self._address, self._acts = client, model, address, acts
         self.say = say = say or Language()

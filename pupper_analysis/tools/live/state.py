@@ -15,17 +15,13 @@ from pupper_analysis.base.arguments import check_finite
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.pupper.variants import VARIANTS, Scaled, VariantSpec
+from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.fields import (
-    FIELDS,
-    ROBOT_FIELDS,
-    UNITS,
-    Field,
-    read_table,
-)
+from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS, UNITS, Field, read_table
 from pupper_analysis.stance.task import StandTask
 
 # Which robot a page is about, and how a script or a command line names it.
@@ -66,8 +62,12 @@ PAGE_UNITS = {kind: (unit, 1.0) for kind, unit in UNITS.items()} | {
     **dict.fromkeys(("length", "point", "point3"), ("mm", 1e3)),
     "angle": ("°", math.degrees(1.0)),
     **dict.fromkeys(("ratio", "position"), ("", 1.0)),  # a joint's is in rad, or in m
+    "contact": ("mm, °", 1.0),  # which says its own
 }
 """{kind of a field: unit of a page, and how many are an SI unit}."""
+
+_WORDS = str, Contact, Weld
+"""What is no number, and is written as it is typed."""
 
 _MOST_LETTERS = 4000
 """Letters of a state: 50 feet's worth; a longer one is none of ours."""
@@ -177,6 +177,11 @@ class State:
         return ";".join([*parts, *place, *feet])
 
 
+def factor_of(contact: Contact | Weld) -> float:
+    """Returns how many of a page's mm or degrees are an SI unit of a contact's number."""
+    return PAGE_UNITS["angle" if contact.turns else "length"][1]
+
+
 def usual_of(field: Field) -> Any:
     """Returns a field's value on a page just opened; None if it is the robot's own."""
     if field.per:
@@ -204,14 +209,14 @@ def _finite(field: Field, value: Any) -> Any:
 
 def _zero_counts(field: Field) -> bool:
     """Whether 0, of a foot or joint, is another thing than nothing."""
-    return field.open or field.nominal != "zero"
+    return field.open or field.nominal != "zero" or field.kind == "contact"
 
 
 def _numbers(value: Any) -> Iterator[tuple[str, float]]:
     """Yields the numbers of a value, each with its foot or joint, or an empty name."""
     for of, one in value.items() if isinstance(value, dict) else [("", value)]:
         for number in one if isinstance(one, tuple) else (one,):
-            if not isinstance(number, str):  # a point's frame
+            if not isinstance(number, _WORDS):  # a point's frame
                 yield of, number
 
 
@@ -235,7 +240,7 @@ def _each(value: Any, change: Callable[[float], float]) -> Any:
         return {of: _each(one, change) for of, one in value.items()}
     if isinstance(value, tuple):
         return tuple(_each(number, change) for number in value)
-    return value if isinstance(value, str) else change(value)
+    return value if isinstance(value, _WORDS) else change(value)
 
 
 def parse_length(millimetres: float) -> float:
@@ -278,14 +283,20 @@ def state_of_task(task: StandTask, **more: Any) -> State:
 
 def _plainly(value: Any) -> str:
     parts = value if isinstance(value, tuple) else (value,)
-    return ",".join(quote(p, safe="") if isinstance(p, str) else format_number(p) for p in parts)
+    return ",".join(
+        quote(str(p), safe=":,=/" * (not isinstance(p, str)))
+        if isinstance(p, _WORDS)
+        else format_number(p)
+        for p in parts
+    )
 
 
 def parse_state(text: str) -> State:
     """Returns the state that a text says, as ``str(state)`` writes it.
 
     ``height:120;roll:5;place:offset;offset:10,0;move:FR,10,0;lift:FL,20``: names and numbers, in mm
-    and degrees; ``move``, ``lift`` and ``step`` once per foot, ``joint`` once per joint (rad, m).
+    and degrees; ``move``, ``lift`` and ``step`` once per foot, ``joint`` once per joint (rad, m),
+    ``contact:FL,wall:0.4m,mu=0.6`` once per contact, as it is typed.
 
     Raises:
         ConfigurationError: If it says none.
@@ -298,7 +309,10 @@ def parse_state(text: str) -> State:
     for part in filter(None, (part.strip() for part in text.split(";"))):
         name, _, value = part.partition(":")
         field = _BY_ADDRESS.get(name)
-        if field is not None and field.per:
+        if field is not None and field.kind == "contact":
+            of, _, typed = unquote(value).partition(",")
+            given.setdefault(field.name, {})[of] = parse_contact("stance", typed, part)
+        elif field is not None and field.per:
             of, *said = _split(name, value, 1 + max(1, len(field.axes)))
             given.setdefault(field.name, {})[unquote(of)] = _value(name, said)
         elif (field.name if field else name) in given:
@@ -429,7 +443,7 @@ def _typed(field: Field, value: Any) -> str:
         return f"{format_number(value)}deg"
     if isinstance(value, tuple):
         return ",".join(p if isinstance(p, str) else repr(p) for p in in_si(field, value))
-    return value if isinstance(value, str) else repr(in_si(field, value))
+    return str(value) if isinstance(value, _WORDS) else repr(in_si(field, value))
 
 
 def write_link(address: str, state: State) -> str:

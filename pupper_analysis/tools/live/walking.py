@@ -224,11 +224,7 @@ class WalkPage(Served):
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        policy: Policy,
-        command: Array,
-        **where: Unpack[Where],
+        self, robot: Robot, policy: Policy, command: Array, **where: Unpack[Where]
     ) -> None:
         render.import_viser()  # before the work
         stage = stage_of(robot, policy)

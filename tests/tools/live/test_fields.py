@@ -45,7 +45,7 @@ def test_each_field_has_sliders_with_words_and_a_range(field: Field) -> None:
         assert span.low <= span.value <= span.high
         assert span.low < span.high
         for language in ("en", "zh"):
-            assert control.label(language).endswith(("(mm)", "(°)"))
+            assert control.label(language).endswith(("(mm)", "(°)", "(mm, °)"))
             assert control.hint(language)
         assert re.search("[\u4e00-\u9fff]", control.label("zh") + control.hint("zh"))
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import re
+import shlex
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis import cli
+from pupper_analysis.cli.stance_fields import TYPED, task_of
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.model import Model
 from pupper_analysis.tools.live.render import Language
@@ -19,7 +25,10 @@ from pupper_analysis.tools.live.session import Session, interpolate_motion
 from pupper_analysis.tools.live.state import (
     LiveVariants,
     State,
+    parse_state,
+    write_command,
     write_link,
+    write_stance_file,
 )
 from tests.support.variants import load
 
@@ -256,6 +265,63 @@ def test_what_is_typed_beyond_a_slider_stays_when_another_one_moves(page: Open) 
     assert page.controls.state == asked
     wait_for(lambda: page.shows(asked), "not shown")
     assert "payload=12" in page.session._panels._command.value
+
+
+class Hand:
+    """What viser says of a control that somebody moves."""
+
+    client = object()
+
+    def __init__(self, target: Any) -> None:
+        self.target = target
+
+
+def move(control: Any, value: object) -> None:
+    """Moves a control as a hand does, which calls what listens to it."""
+    control.value = value
+    for call in control._impl.update_cb:
+        call(Hand(control))
+
+
+def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:
+    """A foot on a slope and one on a table, whose planes a slider moves; the link and the command
+    have them."""
+    controls, source = page.controls, LiveVariants(pa.VARIANTS["v3"])
+    move(controls.contacts, "FR=slope:10deg,uphill=90deg\n\nRL=table:2cm,mu=0.7\nRR=tab")
+    assert not controls.state.contacts  # a line is no contact yet
+    move(controls.contacts, "FR=slope:10deg,uphill=90deg\n\nRL=table:2cm,mu=0.7\n")
+    for foot, value in (("RL", 30.0), ("FR", 20.0)):
+        move(controls.foot, foot)
+        move(controls.sliders["contact"], value)
+    slope = pa.Slope(math.radians(20), math.pi / 2)
+    table = pa.Plane((0, 0, 0.03), (0, 0, 1), 0.7)
+    wanted = {"FR": pa.Contact(slope), "RL": pa.Contact(table)}
+    for foot, contact in controls.state.contacts.items():
+        assert contact.plane.number == pytest.approx(wanted[foot].plane.number, rel=1e-12)
+        assert contact == wanted[foot].at(contact.plane.number)
+    assert controls.contacts.value.startswith("FR=slope:0.349")
+    state = controls.state
+    wait_for(lambda: page.shows(state), "not shown")
+    answer, _ = page.session.export()
+    assert answer is not None
+    assert answer.stand is not None
+    seen = [node for name, node in page.session._scene._nodes.items() if name.startswith("steps/")]
+    tops = [n.position[2] + n.dimensions[2] / 2 for n in seen if n.wxyz[0] == pytest.approx(1.0)]
+    assert tops == [pytest.approx(0.03, abs=1e-9)]
+    assert len(seen) == 2
+    assert parse_state(str(state)) == state
+    link = page.session._panels._link.value
+    assert link == write_link("here:1", state)
+    asked = parse_qs(urlsplit(link).query)["websocket"][0]
+    assert parse_state(parse_qs(urlsplit(asked).query)["state"][0]) == state
+    words = shlex.split(write_command(source, state))[2:]
+    typed = cli.find_command("stand").make_context("stand", words).params
+    assert task_of({name: typed[name] for name in TYPED}) == state.task()
+    file = write_stance_file(state)
+    assert tomllib.loads(file)["contact"] == {of: str(one) for of, one in state.contacts.items()}
+    move(controls.foot, "FL")  # on the ground: nothing to move
+    move(controls.sliders["contact"], 50.0)
+    assert controls.state == state
 
 
 def test_a_bug_is_told_and_the_page_lives_on(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
