@@ -94,7 +94,7 @@ def test_contacts_are_typed_and_written_into_files(tmp_path: Path) -> None:
     file = tmp_path / "lean.toml"
     file.write_text(stance_text(task))
     assert asked("--stance", str(file)).task() == task
-    with pytest.raises(ConfigurationError, match="FL touches one plane, and two are stated"):
+    with pytest.raises(ConfigurationError, match="FL has one contact, and two are stated"):
         asked("--contact", typed[0], "--contact", "FL=table:1cm").task()
 
 
