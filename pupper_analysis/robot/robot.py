@@ -125,7 +125,7 @@ _LIMITS = ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortL
 """What may be infinite in Pinocchio's model: it writes infinity, and cannot read it again."""
 
 _MADE = (
-    "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "_kept",
+    "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "welds", "_kept",
 )  # fmt: skip
 """What is worked out again, quicker than it travels."""
 
@@ -286,14 +286,16 @@ class Robot:
         touching = self.touching.items()
         return tuple(name for name, one in touching if one.offset is not None and name in self.feet)
 
-    @property
-    def welds(self) -> dict[str, str | None]:
+    @cached_property
+    def welds(self) -> Mapping[str, str | None]:
         """{what a task fixes in the world: a contact point on it; None of the base}."""
-        return {
-            name: next(iter(self.feet.get(name, ())), None)
-            for name, one in self.touching.items()
-            if one.welded
-        }
+        return FrozenDict(
+            {
+                name: next(iter(self.feet.get(name, ())), None)
+                for name, one in self.touching.items()
+                if one.welded
+            }
+        )
 
     @property
     def bearing(self) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from pupper_analysis.robot.joints import check_in_range, placed_joints, with_uni
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.contacts import stated_forces
 from pupper_analysis.statics.support_polygon import Corner, margin_of_place, support_corners
 
 Array = NDArray[np.float64]
@@ -98,10 +99,17 @@ class Support:
         contacts: (n, 3) points (m).
         normals: (n, 3) out of the ground.
         friction: (n,) coefficients, if they are known.
+        stated: Forces that contacts are to press with; see ``support_corners``.
     """
 
-    def __init__(self, contacts: Array, normals: Array, friction: Sequence[float]) -> None:
-        self._given = contacts, normals, friction
+    def __init__(
+        self,
+        contacts: Array,
+        normals: Array,
+        friction: Sequence[float],
+        stated: tuple[Array, Array] | None = None,
+    ) -> None:
+        self._given = contacts, normals, friction, stated
 
     @cached_property
     def corners(self) -> tuple[Corner, ...]:
@@ -253,7 +261,8 @@ def _goal_of(
         touches = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
         normals = freeze_arrays({foot: out[foot] for foot in stance_feet})
         grip = [robot.contacts[foot].sliding_friction for foot in stance_feet if robot.contacts]
-        support = Support(contacts, np.array([*normals.values()]), grip)
+        stated = stated_forces(robot, stance_feet)
+        support = Support(contacts, np.array([*normals.values()]), grip, stated)
         if checked and not robot.welds:  # which hold any com
             _check_area(robot, np.array(support.corners), stance_feet)
         centre = feet_centre(robot, task.ground, touches, targets)

@@ -214,8 +214,9 @@ class Balance:
         rows, each = np.zeros((count, 4, count, 3)), np.arange(count)
         rows[each, 0, each] = (friction * (1 - _INSIDE))[:, None] * normals
         rows[each, 1:, each] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-        free = np.zeros((4 * count, self.base.shape[1] - 3 * count))
-        return np.hstack([rows.reshape(4 * count, 3 * count), free])
+        others = np.zeros((4 * count, self.base.shape[1] - 3 * count))
+        cones: Array = rows.reshape(4 * count, 3 * count)
+        return np.hstack([cones, others]) if others.size else cones
 
     def _solve_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 
@@ -38,8 +38,9 @@ class Contacts:
         offsets: (n, 3) from each foot's centre to its contact, in the world (m).
         soles: {foot of the robot: which of ``feet``, its contact points, carry}.
         welds: {what is fixed in the world: a contact point on it; None of the base}.
-        stated: (k, n) of each stated force, the contacts that press with it together.
-        pressed: (k,) these forces (N).
+        stated: (k, n) which contacts press together with a force that is stated, and (k,) these
+            forces, in weights; None if none is.
+        weight: The robot's, with which these count (N).
     """
 
     nv: int
@@ -50,8 +51,8 @@ class Contacts:
     offsets: Array
     soles: Mapping[str, tuple[str, ...]]
     welds: Mapping[str, str | None] = field(default_factory=dict)
-    stated: Array | None = None
-    pressed: Array | None = None
+    stated: tuple[Array, Array] | None = None
+    weight: float = 0.0
 
     @functools.cached_property
     def level(self) -> bool:
@@ -72,10 +73,11 @@ class Contacts:
         if self.welds:
             return math.inf
         x, y, *_ = place.tolist()
-        if self.level:  # as a rule: nothing else is asked
+        if self.level and self.stated is None:  # as a rule: nothing else is asked
             corners = tuple([(a, b) for a, b, _ in points.tolist()])
         else:
-            corners = support_corners(points, self.normals, self.friction.tolist())
+            friction = self.friction.tolist()
+            corners = support_corners(points, self.normals, friction, self.stated)
         return margin_of_place((x, y), corners)
 
     @functools.cached_property
@@ -133,10 +135,11 @@ class Contacts:
         """
         base, weight = transposed[: self.free], load[: self.free]
         if self.stated is not None:
-            rows = np.zeros((len(self.stated), transposed.shape[1]))
-            along = self.stated[:, :, None] * self.normals
+            together, shares = self.stated
+            rows = np.zeros((len(shares), transposed.shape[1]))
+            along = together[:, :, None] * self.normals
             rows[:, : self.normals.size] = along.reshape(len(rows), -1)
-            base, weight = np.vstack([base, rows]), np.concatenate([weight, self.pressed])
+            base, weight = np.vstack([base, rows]), np.concatenate([weight, self.weight * shares])
         return Balance(
             base=base,
             weight=weight,
@@ -214,17 +217,24 @@ def _contacts(
         offsets=contact_offset(radii, out, [(depths or {}).get(foot, 0.0) for foot in feet]),
         soles={foot: own for foot, own in soles.items() if own},
         welds=robot.welds,
-        **_stated(robot, feet),
+        stated=stated_forces(robot, feet),
+        weight=_weight(robot) if robot.touching else 0.0,
     )
 
 
-def _stated(robot: Robot, feet: tuple[str, ...]) -> dict[str, Array]:
+def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | None:
     """Returns the forces that contacts are to press with, if some are stated; see ``Contacts``."""
     forces = {name: one.force for name, one in robot.touching.items() if one.force is not None}
-    rows = [[point in robot.feet[name] for point in feet] for name in forces]
-    if not np.any(rows):
-        return {}
-    return {"stated": np.array(rows, dtype=float), "pressed": np.array([*forces.values()])}
+    rows = {name: [float(point in robot.feet[name]) for point in feet] for name in forces}
+    pressing = [name for name in forces if any(rows[name])]
+    if not pressing:
+        return None
+    given = np.array([forces[name] for name in pressing])
+    return np.array([rows[name] for name in pressing]), given / _weight(robot)
+
+
+def _weight(robot: Robot) -> float:
+    return robot.total_mass * float(np.linalg.norm(robot.gravity))
 
 
 def _normal(foot: str, normal: ArrayLike) -> Array:

@@ -177,7 +177,7 @@ class GravityCompensation(Equilibrium):
 
     foot_loads: FootLoads
     base_wrench: Array
-    weld_wrenches: dict[str, Array]
+    weld_wrenches: Mapping[str, Array]
     center_of_mass: Array
     com_margin: float | None
 
@@ -389,6 +389,9 @@ def _all_are_strong(robot: Robot) -> bool:
     return bool(robot.effort_limits.all())
 
 
+_UNWELDED = FrozenDict[str, Array]()
+
+
 def _result(
     config: Configuration,
     left: Array,
@@ -406,16 +409,20 @@ def _result(
     held = not (carrying.feet or carrying.welds)
     base_wrench = load[:free] if held else np.zeros(free)
     unbalanced = [0.0] * free if held else left[:free].tolist()
-    wrenches = forces[carrying.normals.size :].reshape(-1, 6)
-    forces = forces[: carrying.normals.size].reshape(-1, 3)
+    wrenches: Mapping[str, Array] = _UNWELDED
+    if carrying.welds:
+        rows = forces[carrying.normals.size :].reshape(-1, 6)
+        rows.setflags(write=False)
+        wrenches = FrozenDict(zip(carrying.welds, rows, strict=True))
+        forces = forces[: carrying.normals.size]
+    forces = forces.reshape(-1, 3)
     utilisation = utilise(robot, torques)
     if robot.closure is not None:
         utilisation[robot.closure.following] = 0.0  # whatever the URDF says of their motors
     tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
     places = carrying.points(config)
     com = config.center_of_mass()
-    made = torques, base_wrench, wrenches, utilisation, com, forces, places
-    for own in made:  # rows are shared
+    for own in (torques, base_wrench, utilisation, com, forces, places):  # rows are shared
         own.setflags(write=False)
     per_foot = FrozenDict(zip(carrying.feet, forces, strict=True))
     points = FrozenDict(zip(carrying.feet, places, strict=True))
@@ -443,7 +450,7 @@ def _result(
             tiny,
         ),
         base_wrench=base_wrench,
-        weld_wrenches=FrozenDict(zip(carrying.welds, wrenches, strict=True)),
+        weld_wrenches=wrenches,
         center_of_mass=com,
         com_margin=None if held else carrying.com_margin(over, places),
         residual_force=math.hypot(*unbalanced[:3]),

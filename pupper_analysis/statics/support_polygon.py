@@ -104,7 +104,12 @@ _SQUEEZE = 10.0
 anywhere, and no legs press so."""
 
 
-def support_corners(points: Array, normals: Array, friction: Sequence[float]) -> tuple[Corner, ...]:
+def support_corners(
+    points: Array,
+    normals: Array,
+    friction: Sequence[float],
+    stated: tuple[Array, Array] | None = None,
+) -> tuple[Corner, ...]:
     """Returns corners (x, y) of where a com is in balance on contacts, seen from above (m).
 
     On contacts of one plane that is the convex hull of their projection, whatever their friction,
@@ -117,16 +122,17 @@ def support_corners(points: Array, normals: Array, friction: Sequence[float]) ->
         points: (n, 3) contact points (m).
         normals: (n, 3) out of the ground.
         friction: (n,) coefficients; empty if they are not known.
+        stated: (k, n) which contacts press together with a force that is stated, and (k,) these
+            forces, in weights; None if none is.
 
     Returns:
         The corners; those of the contact points' projection if nothing is in balance.
     """
     alike = bool((np.abs(normals - normals[:1]) < _ALIKE).all())
-    found = (
-        None
-        if alike or not len(friction)
-        else _balanced(points.tobytes(), normals.tobytes(), tuple(friction))
-    )
+    found = None
+    if len(friction) and not (alike and stated is None):
+        together = () if stated is None else tuple(one.tobytes() for one in stated)
+        found = _balanced(points.tobytes(), normals.tobytes(), tuple(friction), together)
     return found or tuple([(x, y) for x, y, _ in points.tolist()])
 
 
@@ -135,7 +141,9 @@ _ALIKE = 1e-12
 
 
 @functools.lru_cache(maxsize=64)  # a stand's feet stay in place while its com is looked for
-def _balanced(points: bytes, normals: bytes, friction: tuple[float, ...]) -> tuple[Corner, ...]:
+def _balanced(
+    points: bytes, normals: bytes, friction: tuple[float, ...], stated: tuple[bytes, ...]
+) -> tuple[Corner, ...]:
     """Returns the ends of balance in ``SIDES`` directions; none if there is no balance."""
     places, out = (np.frombuffer(one).reshape(-1, 3) for one in (points, normals))
     count = len(places)
@@ -143,6 +151,11 @@ def _balanced(points: bytes, normals: bytes, friction: tuple[float, ...]) -> tup
     rows = np.vstack([np.tile(np.eye(3), count), moments[2:]])
     nothing = np.zeros((0, 3 * count))
     weight = np.array([0.0, 0.0, 1.0, 0.0])
+    if stated:
+        pressed, shares = (np.frombuffer(one) for one in stated)
+        more = pressed.reshape(-1, count)[:, :, None] * out
+        rows = np.vstack([rows, more.reshape(len(shares), -1)])
+        weight = np.concatenate([weight, shares])
     problem = Balance(rows, weight, nothing, np.zeros(0), out)
     com = np.vstack([-moments[1], moments[0]])  # of which the weight has the moment
     corners = []

@@ -16,6 +16,8 @@ from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.simulation.rollout import begin_stand, simulate
+from pupper_analysis.statics.contacts import stated_forces
+from pupper_analysis.statics.support_polygon import support_corners
 from pupper_analysis.tools.payload.limit import payload_limit
 from tests.support.legged import quadruped, with_arm
 from tests.support.variants import load
@@ -220,6 +222,26 @@ def test_a_stated_force_is_that_of_the_contact(arm: pa.Robot, armed: pa.Robot) -
         found = proven(robot, stand)
         wanted = task.contacts[name].force  # type: ignore[union-attr]
         assert wanted == pytest.approx(found.foot_forces[name][2], rel=1e-6)
+
+
+def test_a_stated_force_moves_where_a_com_is_in_balance(armed: pa.Robot) -> None:
+    """Feet of a mass m bear m g - F: their polygon, drawn to the hand by the share F / m g."""
+    force = 5.0
+    pressed = {"hand": pa.Contact(HAND["hand"].plane, force=force)}
+    stand = pa.solve_stand(armed, pa.StandTask(contacts=pressed))
+    touched = stand.check(armed)
+    share = force / (armed.total_mass * 9.81)
+    feet = [stand.contact_points[foot] for foot in armed.feet]
+    hand = stand.contact_points["hand"]
+    wanted = np.array([(1 - share) * foot[:2] + share * hand[:2] for foot in feet])
+    points = np.array([*stand.contact_points.values()])
+    stated = stated_forces(touched, stand.stance_feet)
+    found = np.array(support_corners(points, np.tile([0, 0, 1.0], (5, 1)), [1e-3] * 5, stated))
+    for corner in wanted:
+        assert np.linalg.norm(found - corner, axis=1).min() < 1e-3
+    assert found[:, 0].max() == pytest.approx(wanted[:, 0].max(), abs=1e-3)
+    least = pa.stance.stand_statics(armed, stand).com_margin
+    assert least == pytest.approx(stand.com_margin, abs=1e-9)
 
 
 def test_where_servos_let_a_welded_robot_sag(arm: pa.Robot) -> None:

@@ -549,8 +549,7 @@ class SagEquilibrium:
 
     def weld_rows(self, qpos: Array) -> Array:
         """Returns the Jacobian (6 w, nv) of what is welded."""
-        if self._welds is None:
-            return np.zeros((0, self.robot.nv))
+        assert self._welds is not None
         return self._welds.jacobian(self.touch(qpos).config)
 
     def against(self, solution: Solution) -> dict[str, float]:

@@ -183,7 +183,8 @@ def compliance_at(system: SagEquilibrium, solution: Solution, derivative: Array)
     if system.feet == "sliding":  # as a whole it may be anywhere, turned anyhow about z
         held = np.eye(3, n)
         held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
-    held = np.vstack([held, system.weld_rows(solution.qpos)])
+    if system.robot.welds:
+        held = np.vstack([held, system.weld_rows(solution.qpos)])
     _, lengths, rows = np.linalg.svd(held)
     least = max(held.shape) * np.finfo(float).eps * lengths.max(initial=0.0)
     free = rows[np.count_nonzero(lengths > least) :].T  # what nothing of it is held of

@@ -182,8 +182,8 @@ class Study:
             check_range(name, *one.range)
             named = Named.of(name)
             if named is not None and named.kind in OF_LINKS:
-                if named.pattern not in self.task.contacts:
-                    known = (*self.task.contacts,)
+                known = tuple(of for of, one in self.task.contacts.items() if one.plane is not None)
+                if named.pattern not in known:
                     raise UnknownNameError(self.base.name, "contact", named.pattern, known)
             elif named is not None:
                 joints_of(self.base, named)
