@@ -116,6 +116,9 @@ class ForceDistribution(StrEnum):
     steps, and on a slope those with which all feet creep down it together. (The least sum of
     f_t^2 / c, with c the viscosity of ``GroundLaw``: its optimality condition is
     f_t = c (v + omega x r).) It is what to send to a robot or a simulator.
+    Beside a weld, which bears whatever is left, no contact needs a tangential force, and none
+    lasts: contacts press along their normals alone, with what costs the least sum of squared motor
+    torques, or with the force that is stated.
     MIN_TORQUE has the least sum of squared motor torques, and so the least heat. It needs feet
     that press against each other for good, which a simulator's creeping friction does not bear.
     MIN_MAX_TORQUE has the least peak motor utilisation (peak torque, where no motor has an effort

@@ -286,7 +286,7 @@ def _name_feet(axes: Axes, seen: StandingScene) -> None:
 
 def _draw_margin(axes: Axes, seen: StandingScene, margin: float | None) -> str:
     """Draws the com's margin (m) to the support polygon's edge, from above; returns its words."""
-    if margin is None:
+    if margin is None or not math.isfinite(margin):
         return ""
     ring = np.concatenate([seen.polygon, seen.polygon[:1]])[:, :2]
     edge = np.array([*nearest_edge_point(ring, seen.com[:2]), 0.0])
