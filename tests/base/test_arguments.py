@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,14 @@ def _fits(junk: object, hint: str) -> bool:
 def test_a_wrong_task_is_refused(field: str, junk: Any) -> None:
     with pytest.raises(pa.ConfigurationError, match=field.split("_")[0]):
         pa.solve_stand(load("v3"), pa.StandTask(**{field: junk}))
+
+
+@pytest.mark.parametrize("kind", [pa.Ground, pa.matching.Tolerances, pa.pupper.VariantSpec])
+@pytest.mark.parametrize("junk", [object(), b"x", [None], {5: 1}])
+def test_wrong_values_are_refused(kind: type, junk: Any) -> None:
+    for field in (one.name for one in fields(kind) if one.init):
+        with pytest.raises(pa.PupperAnalysisError):
+            kind(**{field: junk})
 
 
 @pytest.mark.parametrize(

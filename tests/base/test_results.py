@@ -11,8 +11,6 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.base.results import Result
@@ -38,22 +36,6 @@ def test_arrays_become_lists() -> None:
     }
     assert json.loads(sample.to_json()) == sample.to_dict()
     assert "\n  " in sample.to_json()
-
-
-@pytest.mark.parametrize(
-    "array",
-    [
-        np.arange(6.0).reshape(2, 3).T,
-        np.arange(10.0)[::2],
-        np.asfortranarray(np.arange(6.0).reshape(2, 3)),
-        np.array(2.5),
-        np.array([True, False]),
-        np.array([1, 2], dtype=np.int32),
-        np.zeros((0, 3)),
-    ],
-)
-def test_any_array_becomes_json(array: np.ndarray) -> None:
-    assert json.loads(pa.results.to_json({"x": array}))["x"] == array.tolist()
 
 
 @pytest.mark.parametrize(
@@ -130,12 +112,6 @@ def test_tasks_can_be_hashed() -> None:
         for height in (0.01, 0.02)
     )
     assert len({one, other, pa.StandTask(), replace(one), pa.StandTask(height=None)}) == 3
-
-
-@given(value=st.floats(allow_nan=False, allow_infinity=False))
-def test_no_digit_is_lost(value: float) -> None:
-    assert json.loads(pa.results.to_json(np.array([value]))) == [value]
-    assert json.loads(pa.results.to_json(value)) == value
 
 
 def results_of(name: str) -> list[object]:

@@ -11,7 +11,7 @@ import pytest
 
 from pupper_analysis.base.inputs import STANDARD_INPUT, is_held
 from tests.support.commands import run_command
-from tests.support.robots import arm, mjcf_text, quadruped, urdf_text
+from tests.support.robots import arm, urdf_text
 
 MESH = """solid one
 facet normal 0 0 1
@@ -46,23 +46,6 @@ def results(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, st
     found = json.loads(Path("out.json").read_text())
     del found["provenance"]  # which has the words of the command
     return status, json.dumps(found)
-
-
-@pytest.mark.parametrize("format", ["urdf", "xml"])
-def test_crosscheck_reads_standard_input(capfd, given, format: str) -> None:
-    text = {"urdf": urdf_text(quadruped()), "xml": mjcf_text(quadruped())}
-    text["xml"] = text["xml"].replace('mass="0.5"', 'mass="0.6"', 1)
-    for name, content in text.items():
-        Path(f"robot.{name}").write_text(content)
-    names = ["robot.urdf", "robot.xml"]
-    of_files = results(capfd, "crosscheck", *names)
-    given(text[format])
-    messages = ["-" if name.endswith(format) else name for name in names]
-    status, of_input = results(capfd, "crosscheck", *messages, "--report", "report.html")
-    assert status == of_files[0]
-    expected = of_files[1].replace(f"robot.{format}", str(STANDARD_INPUT))
-    assert of_input == expected
-    assert Path("report.html").is_file()
 
 
 def test_meshes_are_looked_for_in_the_current_folder(capfd, given) -> None:

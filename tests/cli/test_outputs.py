@@ -6,7 +6,6 @@ swept, too, and a kind of input that this does not know fails.
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
@@ -326,39 +325,6 @@ def test_a_folder_that_takes_no_file_is_found_before_the_work(
         assert one_line(given)
     assert sums(folder) == before
     assert not (folder / "new").exists()
-
-
-@pytest.mark.parametrize("command", _STAGED, ids=lambda command: str(command.name))
-def test_a_full_disk_is_one_line_and_leaves_nothing(
-    command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("pupper_analysis.base.files.write_new", full)
-    words, before = tiny(folder, command), sums(folder)
-    given = answer(*words, *all_outputs(folder, command), folder=folder)
-    lines = [line for line in given.stderr.splitlines() if line.startswith("error")]
-    assert given.returncode == 2, given
-    assert len(lines) == 1
-    assert "No space left on device" in lines[0]
-    left = {path for path in sums(folder).keys() - before.keys() if path.name != ".lock"}
-    assert left == set()
-    shutil.rmtree(folder / "new", ignore_errors=True)
-
-
-def test_anybodys_file_is_replaced_when_that_is_asked_for(folder: Path) -> None:
-    mine = folder / "notes.json"
-    mine.write_text('{"mine": true}\n')
-    given = answer("audit", "robot.urdf", "--json", "notes.json", folder=folder)
-    assert given.returncode == 2
-    assert "give another name, or add --force" in given.stderr
-    assert mine.read_text() == '{"mine": true}\n'
-    for more in (["--force"], []):  # and then it is a result, which the next may replace
-        given = answer("audit", "robot.urdf", "--json", "notes.json", *more, folder=folder)
-        assert given.returncode < 2, given
-        assert mine.read_text().startswith('{\n  "generator": "pupper-analysis ')
-    mine.unlink()
 
 
 def test_two_names_of_one_file_are_two_results_to_one_file(folder: Path) -> None:

@@ -35,26 +35,6 @@ def test_words_name_a_robot(words: tuple[str, ...], meant: object) -> None:
     assert (found.models if isinstance(found, RobotFiles) else found) == meant
 
 
-@pytest.mark.parametrize(
-    ("words", "meant"),
-    [
-        ("a.urdf a.xml", ["a.urdf+a.xml"]),
-        ("a.xml a.urdf", ["a.urdf+a.xml"]),
-        ("a.urdf a.xml b.urdf b.xml", ["a.urdf+a.xml", "b.urdf+b.xml"]),
-        ("a.urdf b.urdf b.xml c.xml", ["a.urdf", "b.urdf+b.xml", "c.xml"]),
-        ("a.xml b.urdf v3", ["a.xml", "b.urdf", "v3"]),
-        ("v3 c.urdf+c.xml v3", ["v3", "c.urdf+c.xml"]),
-        ("a.urdf a.xml b.urdf a.xml", ["a.urdf+a.xml", "b.urdf+a.xml"]),
-    ],
-)
-def test_a_urdf_and_the_mjcf_after_it_are_one_robot(words: str, meant: list[str]) -> None:
-    found = NOTHING.all(tuple(words.split()))
-    assert [sorted(str(one).split("+")) for one in found] == [sorted(m.split("+")) for m in meant]
-    if len(meant) == 1:  # and by the commands of one robot
-        one = NOTHING.one(tuple(words.split()))
-        assert one == found[0]
-
-
 def test_an_xml_is_taken_by_what_is_in_it(tmp_path: Path) -> None:
     first, second = tmp_path / "a.xml", tmp_path / "b.xml"
     first.write_text('<?xml version="1.0"?><robot name="a"/>')

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.attributes import IN_A_TREE, JOINT_ATTRIBUTES, PASSIVE, JointAttribute
+from pupper_analysis.models.attributes import IN_A_TREE, JOINT_ATTRIBUTES, PASSIVE
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.multibody import from_pinocchio, to_pinocchio
@@ -101,43 +101,6 @@ def test_a_tree_becomes_models_of_both_engines_and_back(files: tuple[Path, Path]
     for one in IN_A_TREE:
         if one.mujoco:
             np.testing.assert_array_equal(getattr(compiled, one.mujoco)[-1], VALUES[one.kind])
-
-
-@pytest.mark.parametrize("attribute", JOINT_ATTRIBUTES, ids=lambda one: one.kind)
-def test_a_factor_is_on_that_number_alone(
-    attribute: JointAttribute, files: tuple[Path, Path]
-) -> None:
-    urdf, mjcf = stated_urdf(), SpecTree(read_mjcf(files[1]).spec.copy())
-    before = {one.kind: urdf.joints["j"].stated(one) for one in JOINT_ATTRIBUTES}
-    urdf.scale("j", attribute, 2.0)
-    after = {one.kind: urdf.joints["j"].stated(one) for one in JOINT_ATTRIBUTES}
-    changed = {kind for kind in before if before[kind] != after[kind]}
-    assert changed == ({attribute.kind} if attribute.urdf else set())
-    if attribute not in PASSIVE:
-        return
-    old = mjcf.spec.copy().compile()
-    mjcf.scale("j", attribute, 2.0)
-    new = mjcf.spec.compile()
-    for one in PASSIVE:
-        name = one.mujoco or one.of_joints
-        ratio = 2.0 if one == attribute else 1.0
-        assert getattr(new, name)[-1] == ratio * getattr(old, name)[-1], one.kind
-
-
-def test_a_comparison_names_each_number_that_differs(files: tuple[Path, Path]) -> None:
-    for one in IN_A_TREE:
-        if not one.in_both:
-            continue
-        tree = stated_urdf()
-        tree.joints["j"].state(one, 0.9 * VALUES[one.kind])
-        files[0].write_text(to_text(tree.root))
-        found = pa.compare_models(*files, configurations=1).differences
-        kinds = [d.kind for d in found if d.kind != "spring"]
-        assert kinds == [one.kind]
-        difference = next(d for d in found if d.kind == one.kind)
-        assert difference.urdf == pytest.approx(0.9 * VALUES[one.kind])
-        assert difference.mjcf == VALUES[one.kind]
-        assert difference.unit == one.unit(slides=False)
 
 
 SPRUNG = MJCF.replace('damping="0.125"', "").replace(

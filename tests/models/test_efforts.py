@@ -89,20 +89,6 @@ def test_what_stands_or_falls_does_not_hang_on_where_the_limit_stands() -> None:
     assert 0 < masses[0][0] < 10
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_simulation_gives_no_more_than_the_least(way: str) -> None:
-    """An arm's length from the command, what MuJoCo gives is the URDF's 3 N m, or 0.7 of 2 N m."""
-    for limit, most in ((50.0, 3.0), (0.7, 0.7)):
-        robot = limited(way, limit, gear=2.0)
-        drive = model_with_servos(robot, kp=100.0, kd=0.0)
-        data = mujoco.MjData(drive.model)
-        robot.mj_convention.set_state(data, stand_of("v3").qpos)
-        data.ctrl[:] = drive.command(robot, stand_of("v3").qpos[7:] + np.tile([1.0, -1.0], 6))
-        mujoco.mj_forward(drive.model, data)
-        torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
-        np.testing.assert_allclose(torques, most * np.tile([1.0, -1.0], 6), rtol=1e-12)
-
-
 ARM = """<mujoco><worldbody><body name="arm"><joint name="turn" axis="0 1 0" {joint}/>
 <geom size=".1" mass="1"/></body></worldbody><actuator>{motor}</actuator></mujoco>"""
 
@@ -175,27 +161,6 @@ def test_motors_that_differ_by_direction() -> None:
     assert any(note.code == "motors-uneven" for note in effort_notes(robot.efforts))
 
 
-def test_found_and_named_feet_give_the_same_limits(tmp_path: object) -> None:
-    """A preparation replaces motors by servos; whose limit it was is told by the file's own."""
-    from pupper_analysis.prepare.drives import servos_of
-    from pupper_analysis.robot.build import equipped_robot
-
-    robot = limited("ctrlrange", 0.8)
-    stated = {limit.joint: limit for limit in robot.efforts}
-    given = servos_of(robot, np.full(12, 20.0), np.full(12, 0.4), 0.002)
-    made = rebuild_robot(equipped_robot(robot, *given), efforts=stated)
-    spec = made.description.mjcf
-    np.testing.assert_allclose(made.effort_limits, 0.8, rtol=1e-15)
-    assert [limit.origin for limit in made.efforts] == [limit.origin for limit in robot.efforts]
-    assert made.efforts[0].origin is not None
-    assert made.efforts[0].origin.attribute == "ctrlrange"
-    half = spec.copy()
-    for actuator in half.actuators:
-        actuator.forcerange = np.array(actuator.forcerange) / 2
-    scaled = rebuild_robot(made, mjcf=half)
-    np.testing.assert_allclose(scaled.effort_limits, 0.4, rtol=1e-15)
-
-
 @pytest.mark.parametrize("feedforward", [False, True])
 def test_a_command_that_ctrlrange_cuts_off_is_predicted(feedforward: bool) -> None:
     """Knees that must be commanded further hold v3 higher; feed-forward cut off lets it sag."""
@@ -255,15 +220,6 @@ def test_a_hinge_whose_limit_states_no_range_has_none(
     # What the audit says of the file as it is written stays.
     found = [one for one in pa.audit_model(urdf).findings if one.rule == "range-empty"]
     assert bool(found) is ('lower="-1"' not in limit)
-
-
-def test_a_slide_without_a_range_stays_locked(tmp_path: Path) -> None:
-    urdf = edited(
-        quadruped(tmp_path).urdf,
-        (KNEE, 'effort="80"'),
-        ('_knee" type="revolute"', '_knee" type="prismatic"'),
-    )
-    assert read_urdf(urdf).notes == ()
 
 
 def test_the_mjcfs_range_counts_where_the_urdf_states_none(tmp_path: Path) -> None:
@@ -352,9 +308,3 @@ def test_a_gear_makes_no_other_drive(gear: float) -> None:
 def test_of_two_servos_the_stiffer_one_at_the_joint_says_where_it_goes() -> None:
     assert drive(position(10) + position(-10, 2)) is Drive.WRONG_SIGN  # 10 - 40 N m/rad
     assert drive(position(10, 2) + position(-10)) is Drive.SERVO
-
-
-def test_what_an_actuator_makes_of_its_command_is_no_stiffness() -> None:
-    away = '<general joint="hinge" gainprm="40" biastype="affine" biasprm="0 40 0"/>'
-    assert drive(position(30) + away) is Drive.WRONG_SIGN  # 30 - 40 N m/rad
-    assert drive(position(50) + away) is Drive.SERVO

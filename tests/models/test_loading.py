@@ -24,7 +24,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.pupper.variants import model_folder
 from tests import fuzz
 from tests.support import corpus
@@ -66,15 +66,6 @@ def test_malformed_is_refused(case: str, tmp_path: Path) -> None:
     where = re.match(rf"{re.escape(str(path))}(?::(\d+))?: ", message)
     assert where
     assert where[1] == (None if line is None else str(line))
-
-
-def test_wrong_kind_is_named(tmp_path: Path) -> None:
-    robot = write(tmp_path, r=urdf(link("a")))
-    model = write(tmp_path, m=mjcf())
-    assert "it is a URDF" in refused(lambda: read_mjcf(robot))
-    assert "it is an MJCF" in refused(lambda: read_urdf(model))
-    assert isinstance(read_model(robot), UrdfFile)
-    assert isinstance(read_model(model), MjcfFile)
 
 
 # ------------------------------------------------------------------------------------- URDF
@@ -144,13 +135,6 @@ def test_a_shape_with_a_material_for_each_colour_of_its_mesh(tmp_path: Path) -> 
     assert "<geometry> more than once" in refused(lambda: read_urdf(path))
 
 
-def test_a_dangling_mimic_is_noted(tmp_path: Path) -> None:
-    path = tmp_path / "r.urdf"
-    path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", LIMIT + '<mimic joint="x"/>')))
-    (note,) = read_urdf(path).notes
-    assert (note.code, note.values["leader"]) == ("mimic-of-no-joint", "x")
-
-
 def test_meshes_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("ws/robot/meshes/a.stl", "ws/named/x/b.stl", "ros/other/c.stl", "else/d.stl"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -177,34 +161,6 @@ def test_meshes_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         assert mesh.samefile(tmp_path / file)
     for name in ("", "x.stl", "package://robot", "package://x/a.stl", "http://x/a.stl", "a\0b"):
         assert robot.resolve_mesh(name) is None
-
-
-def test_meshes_of_a_package_are_found_through_links(tmp_path: Path) -> None:
-    """A folder of a package under another name: what it is linked as, or what it is, is meant."""
-    (tmp_path / "src/robot_description/meshes").mkdir(parents=True)
-    mesh = tmp_path / "src/robot_description/meshes/a.stl"
-    mesh.touch()
-    (tmp_path / "src/robot_description/r.urdf").write_text(urdf(link("a")))
-    (tmp_path / "models").symlink_to("src/robot_description")
-    (tmp_path / "short").mkdir()
-    (tmp_path / "short/robot").symlink_to("../src/robot_description")
-    (tmp_path / "r.urdf").symlink_to("src/robot_description/r.urdf")
-    for file in ("models/r.urdf", "short/robot/r.urdf", "r.urdf"):
-        found = read_urdf(tmp_path / file).resolve_mesh("package://robot_description/meshes/a.stl")
-        assert found is not None
-        assert found.samefile(mesh)
-    assert read_urdf(tmp_path / "short/robot/r.urdf").resolve_mesh("package://robot/meshes/a.stl")
-    # A copy of the folder under a name of no package.
-    copy = tmp_path / "copies/my-robot/meshes/a.stl"
-    copy.parent.mkdir(parents=True)
-    copy.touch()
-    copied = copy.parents[1] / "r.urdf"
-    copied.write_text(urdf(link("a")))
-    assert read_urdf(copied).resolve_mesh("package://unheard/meshes/a.stl") == copy
-    # A copy of one robot's folder of a package of many.
-    assert read_urdf(copied).resolve_mesh("package://all/robots/it/meshes/a.stl") == copy
-    assert read_urdf(copied).resolve_mesh("package://all/robots/it/visual/a.stl") is None
-    assert read_urdf(copied).resolve_mesh("package://all/robots/a.stl") is None
 
 
 @pytest.mark.parametrize("name", ["r.urdf", "r.xml"])
@@ -278,22 +234,6 @@ def test_elements_of_an_mjcf_have_their_lines(tmp_path: Path) -> None:
     assert model.place("key", "home") == Place(path, 9)
     assert model.place("site", "x") == Place(path)
     assert model.model.nv == 8
-
-
-def test_includes_stand_by_the_main_file_first(tmp_path: Path) -> None:
-    part = '<mujocoinclude><worldbody><geom name="{}" size="1"/></worldbody></mujocoinclude>'
-    path = write(
-        tmp_path,
-        m=mjcf('<include file="sub/a.xml"/>'),
-        sub__a='<mujocoinclude><include file="b.xml"/></mujocoinclude>',
-        sub__b=part.format("sub"),
-        b=part.format("main"),
-    )
-    for name in ("main", "sub"):
-        model = read_mjcf(path)
-        assert [geom.name for geom in model.spec.geoms] == [name]
-        assert model.place("geom", name).file == model.files[-1]
-        (tmp_path / "b.xml").unlink(missing_ok=True)
 
 
 def test_includes_that_never_end(tmp_path: Path) -> None:
@@ -510,13 +450,6 @@ def test_what_refers_to_nothing_is_refused_at_its_line(
         assert mujoco.MjSpec.from_string(text).copy().compile().nbody == 2
 
 
-def test_what_refers_to_nothing_is_found_in_the_included_file(tmp_path: Path) -> None:
-    part = '<mujocoinclude>\n\n\n<sensor><gyro site="nix"/></sensor></mujocoinclude>'
-    body = f"{BODY}</body></worldbody>"
-    path = write(tmp_path, m=mjcf(body, "<custom/>", '<include file="a.xml"/>'), a=part)
-    assert refused(lambda: read_mjcf(path)).startswith(f"{tmp_path / 'a.xml'}:4: MuJoCo cannot ")
-
-
 def test_the_ground_of_a_scene_that_pairs_name_is_put_there(tmp_path: Path) -> None:
     """As K-Bot's and T1's, whose ground is in the file that includes theirs."""
     ball = f'<body name="b"><freejoint/>{EXPLICIT}<geom name="foot" size="0.1"/></body>'
@@ -548,22 +481,6 @@ def test_undeclared_prefixes_are_left_out_of_a_urdf(tmp_path: Path) -> None:
     (note,) = file.notes
     assert (note.code, note.values["names"]) == ("undeclared-prefixes", ("a:b", "c:d", "e:f"))
     assert ElementTree.fromstring(file.text).find("link").attrib == {"name": "l"}
-
-
-def test_a_colour_of_a_urdf_is_checked_at_the_top_level_too(tmp_path: Path) -> None:
-    path = tmp_path / "r.urdf"
-    path.write_text(
-        '<robot name="r">\n<material name="m"><color rgba="1,0,0,1"/></material>'
-        '<link name="l"/></robot>'
-    )
-    assert refused(lambda: read_urdf(path)).startswith(f"{path}:2: material 'm': <color rgba=")
-
-
-def test_no_log_file_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    path = write(tmp_path, m=mjcf('<worldbody><geom size="nan"/></worldbody>'))
-    refused(lambda: read_mjcf(path).model)
-    assert [file.name for file in tmp_path.iterdir()] == ["m.xml"]
 
 
 # ------------------------------------------------------------------------------------- fuzzing

@@ -13,11 +13,9 @@ from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO, compare_models
 from tests.support.robots import (
     Files,
-    all_changed,
     changed,
     compared,
     found,
-    headline,
     mjcf_text,
     quadruped,
     urdf_text,
@@ -74,23 +72,6 @@ def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:
     assert "is a pointer of Git LFS, not the mesh: git lfs pull brings it" in finding.message
 
 
-def test_gyro_and_accelerometer_are_those_of_one_site(tmp_path: Path) -> None:
-    """Another site has a gyro and an accelerometer as well, listed first."""
-    imu = '<link name="imu"/><joint name="to_imu" type="fixed"><origin xyz="0.1 0.02 0.03"/>'
-    urdf = URDF.replace(
-        "</robot>", imu + '<parent link="base"/><child link="imu"/></joint></robot>'
-    )
-    sites = '<site name="a" pos="-0.2 0 0"/><site name="imu" pos="0.1 0.02 0.03"/>'
-    order = [("a", "gyro"), ("imu", "accelerometer"), ("a", "accelerometer"), ("imu", "gyro")]
-    sensors = "".join(f'<{kind} site="{site}"/>' for site, kind in order)
-    mjcf = MJCF.replace("<freejoint/>", "<freejoint/>" + sites)
-    mjcf = mjcf.replace("</mujoco>", f"<sensor>{sensors}</sensor></mujoco>")
-    comparison = compared(write(tmp_path, urdf, mjcf))
-    assert comparison.agree
-    (check,) = [q for q in comparison.check.quantities if q.name == "accelerometer"]
-    assert check.relative < 1e-9
-
-
 # ------------------------------------------------------------------------------------- unstated
 
 
@@ -107,22 +88,6 @@ def test_damping_that_the_urdf_does_not_state_is_a_note(tmp_path: Path) -> None:
     strict = compare_models(*files, configurations=2, strict_names=True)
     assert {kind for kind, _ in found(strict)} == {"damping"}
     assert not strict.agree
-
-
-def test_damping_that_the_urdf_states_as_none_is_a_difference(tmp_path: Path) -> None:
-    comparison = compared(write(tmp_path, URDF.replace('damping="0.1"', 'damping="0"'), MJCF))
-    assert {kind for kind, _ in found(comparison)} == {"damping"}
-
-
-def test_an_effort_of_zero_is_none_where_the_mjcf_has_none(tmp_path: Path) -> None:
-    free = MJCF
-    for part in quadruped().values():
-        free = free.replace(f'ctrlrange="{-part.effort!r} {part.effort!r}"', "")
-    zero = urdf_text(all_changed(quadruped(), effort=0.0))
-    assert compared(write(tmp_path, zero, free)).agree
-    comparison = compared(write(tmp_path, zero, MJCF))
-    assert {kind for kind, _ in found(comparison)} == {"effort"}
-    assert "many exporters write 0 where nothing is known" in headline(comparison)
 
 
 def test_gravity_that_is_rounding_is_no_deviation(tmp_path: Path) -> None:

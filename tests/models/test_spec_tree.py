@@ -23,19 +23,6 @@ def tree() -> SpecTree:
 
 
 @pytest.mark.parametrize("name", ["base", "arm"])
-def test_a_mass_is_scaled_with_its_inertia(name: str) -> None:
-    """Stated, of a density and of a geom's mass alike: the com stays."""
-    before, one = tree().spec.compile(), tree()
-    one.scale_mass(name, 1.5)
-    after = one.spec.compile()
-    body = before.body(name).id
-    assert after.body_mass[body] == pytest.approx(1.5 * before.body_mass[body], rel=1e-12)
-    np.testing.assert_allclose(after.body_inertia[body], 1.5 * before.body_inertia[body])
-    np.testing.assert_allclose(after.body_ipos[body], before.body_ipos[body], atol=1e-12)
-    assert one.weight(name) == pytest.approx(1.5 * tree().weight(name))
-
-
-@pytest.mark.parametrize("name", ["base", "arm"])
 def test_a_com_moves_alone(name: str) -> None:
     before, one = tree().spec.compile(), tree()
     one.move_com(name, np.array([0.01, -0.02, 0.03]))

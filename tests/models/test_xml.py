@@ -4,20 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from lxml import etree
 
-from pupper_analysis.models.xml import new_file_text
 from tests.support.commands import answer
 from tests.support.legged import quadruped
-
-
-@pytest.mark.parametrize("header", ["a\x1b[31mb", "a--b", "--->", "a\0b", "\ufffe", "b-"])
-def test_a_header_of_any_characters_is_a_comment_that_parses(header: str) -> None:
-    root = etree.fromstring(new_file_text(etree.Element("robot"), header).encode())
-    [comment] = root.itersiblings(preceding=True)
-    assert comment.tag is etree.Comment
-    assert "a" not in header or comment.text.strip().startswith("a")
 
 
 def test_a_file_whose_name_has_an_escape_is_converted(tmp_path: Path) -> None:

@@ -74,12 +74,6 @@ def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule
     assert message in said
 
 
-def test_a_sound_file_has_no_such_line(tmp_path: Path) -> None:
-    verdict = verdict_of(pa.load_robot(four_legs(tmp_path)))
-    codes = {clause.message.code for clause in verdict_clauses(verdict)}
-    assert not codes & {"rests-on-made-up", "foot-buried", "gravity-not-the-earths"}
-
-
 def test_dry_friction_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
     _, mjcf = features.files(tmp_path, features.FEATURES["frictionloss -1"])
     said = in_words(verdict_of(pa.load_robot(mjcf)))
@@ -101,12 +95,6 @@ def test_impossible_values_stand_in_the_verdict(tmp_path: Path, slip: Slip, mess
     (found,) = (one for one in pa.audit_model(urdf).findings if one.severity == "error")
     assert found.rule == "value-impossible"
     assert f"audit lists them): {message}" in in_words(verdict_of(pa.load_robot(urdf)))
-
-
-def test_gravity_that_is_not_the_earths_stands_in_the_verdict(tmp_path: Path) -> None:
-    _, mjcf = features.files(tmp_path, features.option('gravity="0 0 -1.62"'))
-    said = in_words(verdict_of(pa.load_robot(mjcf)))
-    assert "gravity is taken from the MJCF: (0, 0, -1.62) m/s^2" in said
 
 
 def test_a_foot_that_sinks_by_more_than_its_radius_is_named(tmp_path: Path) -> None:

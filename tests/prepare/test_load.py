@@ -17,7 +17,7 @@ from pupper_analysis.prepare import drives
 from pupper_analysis.prepare.feet import limbs_aside
 from pupper_analysis.robot.robot import Robot
 from tests.support.conversions import standing_urdf
-from tests.support.legged import BIPED_FEET, Pair, biped, from_the_ground, fused, quadruped
+from tests.support.legged import Pair, biped, from_the_ground, fused, quadruped
 
 
 def load(pair: Pair, **values: object) -> Robot:
@@ -38,40 +38,6 @@ def stands(robot: Robot) -> pa.simulation.StandVerification:
     return found
 
 
-def test_nothing_is_named_and_it_stands(tmp_path: Path) -> None:
-    robot = load(quadruped(tmp_path))
-    assert set(robot.feet) == {"FL_calf", "FR_calf", "RL_calf", "RR_calf"}
-    assert "FL_calf on FL_calf" in said(robot, "feet detected")
-    assert "'home'" in said(robot, "start pose")
-    said(robot, "a plane with MuJoCo's default contact was added")
-    said(robot, "no position servos")
-    assert stands(robot).torque_error < 1e-6
-
-
-def test_the_start_pose_is_the_keyframes(tmp_path: Path) -> None:
-    robot = load(quadruped(tmp_path, keyframe="0 0.7 -1.4"))
-    np.testing.assert_allclose(robot.home[7:], [0, 0.7, -1.4] * 4)
-    # Two links of 0.2 m, bent to both sides of the vertical, on a sphere of 0.02 m.
-    assert robot.stand_height == pytest.approx(0.4 * np.cos(0.7) + 0.02)
-
-
-def test_servos_of_the_model_are_kept(tmp_path: Path) -> None:
-    robot = load(quadruped(tmp_path, actuators="position", floor=True))
-    assert not [note for note in robot.notes if "servos" in str(note) or "plane" in str(note)]
-    assert robot.mj_model.actuator_gainprm[0, 0] == 150
-    stands(robot)
-
-
-@pytest.mark.parametrize("keyframe", ["", "0 2.4 -2.6", "0 0.1 0.4"])
-def test_a_start_pose_is_found(keyframe: str, tmp_path: Path) -> None:
-    """There is none, or it is one in which the robot lies, or one beyond the limits."""
-    robot = load(quadruped(tmp_path, keyframe=keyframe))
-    assert "a stand was found" in said(robot, "keyframe")
-    assert (robot.home[7:] > robot.lower_limits).all()
-    assert (robot.home[7:] < robot.upper_limits).all()
-    stands(robot)
-
-
 def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> None:
     """MuJoCo's own conversion of a URDF has no body for the root link, and loses its mass."""
     whole = quadruped(tmp_path, keyframe="", floor=True)
@@ -86,22 +52,6 @@ def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> No
     before = there.mj_model.body(there.mj_base)
     assert float(body.mass[0]) == float(before.mass[0]) == 4
     assert np.sort(body.inertia) == pytest.approx(np.sort(before.inertia), rel=1e-12)
-
-
-def test_names_that_differ_by_a_prefix(tmp_path: Path) -> None:
-    robot = load(quadruped(tmp_path, prefix="rob_"))
-    assert "FL_roll = rob_FL_roll" in said(robot, "other names")
-    stands(robot)
-
-
-def test_a_joint_that_only_one_file_has_is_held_and_named(tmp_path: Path) -> None:
-    robot = load(quadruped(tmp_path, head=True))
-    assert "nod" in said(robot, "only the MJCF has, held at zero")
-    found = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
-    # Its head of 0.3 kg is in the MJCF alone, and that is said.
-    assert found.failures[-1].code == "files-of-two-robots"
-    assert "8.700 kg" in str(found.failures[-1])
-    assert "8.400 kg" in str(found.failures[-1])
 
 
 @pytest.mark.parametrize(
@@ -125,32 +75,9 @@ def test_feet_that_are_named_in_one_file_only(name: str, frame: object, tmp_path
     assert robot.contact_radius["FL"] == 0.02
 
 
-def test_a_foot_that_neither_file_has(tmp_path: Path) -> None:
-    with pytest.raises(pa.UnknownNameError, match="paw") as caught:
-        load(quadruped(tmp_path), feet=["paw"])
-    assert "FL_calf" in str(caught.value)
-
-
 def test_a_keyframe_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(pa.UnknownNameError, match=r"crouch.*home"):
         load(quadruped(tmp_path), keyframe="crouch")
-
-
-COUNTS = {"box": 4, "four spheres": 4, "two capsules": 4, "cylinder": 3}
-
-
-@pytest.mark.parametrize("shape", BIPED_FEET)
-def test_a_biped_stands_on_two_flat_feet(shape: str, tmp_path: Path) -> None:
-    robot = load(biped(tmp_path, BIPED_FEET[shape]))
-    assert {foot: len(points) for foot, points in robot.feet.items()} == {
-        "left_tilt_link": COUNTS[shape],
-        "right_tilt_link": COUNTS[shape],
-    }
-    found = stands(robot)
-    assert set(found.foot_forces) == set(robot.feet)
-    weight = robot.total_mass * 9.81
-    for force in found.foot_forces.values():
-        assert force[2] == pytest.approx(weight / 2, rel=1e-3)
 
 
 def test_the_contact_points_are_mujocos(tmp_path: Path) -> None:
@@ -223,13 +150,6 @@ def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> Non
     assert not sag.failures
     on_one = pa.StandTask(ground=ground, swing={"left_tilt_link": 0.03})
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, on_one)).passed
-
-
-def test_one_foot_with_one_point_is_not_enough(tmp_path: Path) -> None:
-    robot = load(quadruped(tmp_path))
-    swing = {"FL_calf": 0.02, "RR_calf": 0.02}
-    with pytest.raises(pa.ConfigurationError, match="at least 3 must, or a flat one"):
-        pa.solve_stand(robot, pa.StandTask(swing=swing))
 
 
 def test_shapes_beside_a_foot_are_kept_off_the_ground(tmp_path: Path) -> None:
@@ -457,51 +377,6 @@ def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) 
     floor = robot.mj_model.geom("floor")
     for word in ("type", "condim", "friction", "solref", "solimp", "margin", "gap", "priority"):
         assert getattr(floor, word).tolist() == getattr(plain.geom(0), word).tolist(), word
-    stands(robot)
-
-
-def test_a_foot_that_is_a_lying_cylinder_in_the_urdf(tmp_path: Path) -> None:
-    """As on a B2 or an M20: what MuJoCo lets touch the ground is the MJCF's, and that is a sphere.
-
-    The cylinder would be in the ground as soon as the calf leans sideways.
-    """
-    pair = quadruped(tmp_path, keyframe="")
-    text = pair.urdf.read_text()
-    for leg in ("FL", "FR", "RL", "RR"):
-        shape = (
-            '<origin xyz="0 0 -0.2" rpy="1.5707963 0 0"/>'
-            '<geometry><cylinder radius="0.02" length="0.03"/></geometry>'
-        )
-        head = f'<link name="{leg}_calf">'
-        assert head in text
-        text = text.replace(head, f"{head}<collision>{shape}</collision>")
-    pair.urdf.write_text(text)
-    robot = load(pair)
-    said(robot, "a stand was found")
-    stands(robot)
-    pa.solve_stand(robot, pa.StandTask(roll=0.1))
-    # A longer one of the MJCF's, which is no foot, may be no deeper in the ground than the foot.
-    long = '<geom type="cylinder" size="0.02 0.15" euler="1.5707963 0 0" pos="0 0 -0.188"/>'
-    text = pair.mjcf.read_text().replace('pos="0 0 -0.2"/>', f'pos="0 0 -0.2"/>{long}')
-    pair.mjcf.write_text(text)
-    with pytest.raises(pa.StanceUnreachableError, match=r"calf is .* mm in the ground"):
-        pa.solve_stand(load(pair), pa.StandTask(offset=(0.0, 0.06)))
-
-
-def test_a_leg_of_three_joints_has_one_contact_point(tmp_path: Path) -> None:
-    """It cannot lay its box flat: the box's lowest corner touches, in the start pose."""
-    box = '<geom type="box" size="0.02 0.02 0.02" pos="0 0 -0.2"/>'
-    robot = load(quadruped(tmp_path, foot=box))
-    assert all(len(points) == 1 for points in robot.feet.values())
-
-
-def test_bodies_that_overlap_are_kept_from_pushing(tmp_path: Path) -> None:
-    pair = quadruped(tmp_path)
-    text = pair.mjcf.read_text()
-    fat = '<geom type="sphere" size="0.09" pos="0 0 -0.1"/>'
-    pair.mjcf.write_text(text.replace('<body name="FL_calf"', fat + '<body name="FL_calf"', 1))
-    robot = load(pair)
-    assert "FL_thigh and trunk" in said(robot, "overlap in the start pose")
     stands(robot)
 
 

@@ -44,22 +44,6 @@ def read_command(line: str) -> tuple[str, dict[str, str], str]:
     return parts[1], properties, message
 
 
-@pytest.mark.parametrize(
-    ("place", "parameters"),
-    [
-        (None, "title=t"),
-        ("", "title=t"),
-        ("robot.urdf", "file=robot.urdf,title=t"),
-        ("C:/models/robot.urdf", "file=C%3A/models/robot.urdf,title=t"),
-        ("C:/models/robot.urdf:7", "file=C%3A/models/robot.urdf,line=7,title=t"),
-        ("a,b.urdf:7", "file=a%2Cb.urdf,line=7,title=t"),
-        ("50%.urdf:7", "file=50%25.urdf,line=7,title=t"),
-    ],
-)
-def test_places_of_annotations_are_file_and_line(place: str | None, parameters: str) -> None:
-    assert write_github([Annotation("warning", "t", "m", place)]) == f"::warning {parameters}::m"
-
-
 TEXT = st.text(st.sampled_from("ab%:,\n\r=0A25D3C ") | st.characters(codec="utf-8"), max_size=30)
 
 
@@ -80,11 +64,6 @@ def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
         assert properties["title"] == shown(title)
     if "%0" not in message:
         assert read == shown(message)
-
-
-CHARACTERS = st.characters(
-    codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff"
-)
 
 
 HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] :smile:"

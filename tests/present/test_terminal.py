@@ -6,7 +6,6 @@ import io
 import re
 
 import pytest
-from rich.cells import cell_len
 
 from pupper_analysis.present.document import (
     Column,
@@ -43,20 +42,6 @@ def table(columns: int, rows: int = 12, letters: int = 7, **options: bool) -> Ta
 def shown(*blocks: Table | Lines, width: int = 80, everything: bool = True) -> list[str]:
     document = Document(Name(""), Name("robot"), blocks)
     return printed(document, width=width, everything=everything).splitlines()
-
-
-@pytest.mark.parametrize("width", [60, 80, 120, 200])
-@pytest.mark.parametrize("rows", [3, 12])
-@pytest.mark.parametrize("columns", [4, 9, 17])
-def test_every_cell_is_there_in_any_width(columns: int, rows: int, width: int) -> None:
-    made = table(columns, rows)
-    lines = shown(made, width=width)
-    assert max(map(cell_len, lines)) <= width
-    for row in made.rows:
-        for cell in row[1:]:
-            assert sum(f" {cell.text}" in line for line in lines) == 1
-    for column in made.columns[1:]:
-        assert str(column.name.text).split()[1] in " ".join(lines)  # type: ignore[union-attr]
 
 
 def test_sentences_are_wrapped_and_names_are_not() -> None:

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.pupper import derive as urdf
-from pupper_analysis.pupper.variant_files import describe_variant
 from tests.support.bodies import BODIES, Body, assert_same_bodies, mujoco_bodies, pinocchio_bodies
 from tests.support.engines import mujoco_at
 from tests.support.variants import load
@@ -198,78 +197,10 @@ def test_meshes_are_in_the_same_place_in_both_files(name: str, tmp_path: Path) -
             np.testing.assert_allclose(theirs[body], extent, atol=2e-6, err_msg=body)
 
 
-@pytest.mark.parametrize("s", [0.5, 1.5, 2.0])
-def test_skeletons_shapes_are_stretched_in_both_files(s: float) -> None:
-    description = describe_variant(pa.pupper.VariantSpec("skeleton", s))
-    model = description.mjcf.copy().compile()
-    links = {
-        link.attrib["name"]: link for link in ElementTree.fromstring(description.urdf).iter("link")
-    }
-    for part, length, radius in (("thigh", 0.08, 0.013), ("calf", 0.11, 0.011)):
-        for leg in ("FL", "FR", "RL", "RR"):
-            geom = int(model.body(f"{leg}_{part}").geomadr[0])
-            np.testing.assert_allclose(model.geom_size[geom, :2], [radius, s * length / 2])
-            np.testing.assert_allclose(model.geom_pos[geom], [0, 0, -s * length / 2], atol=1e-15)
-            for kind in ("visual", "collision"):
-                cylinder = links[f"{leg}_{part}"].find(f"{kind}/geometry/cylinder")
-                assert cylinder is not None
-                assert float(cylinder.attrib["length"]) == pytest.approx(s * length)
-                assert float(cylinder.attrib["radius"]) == radius
-
-
 # ------------------------------------------------------------------------------------- keyframes
 
 
-@pytest.mark.parametrize("base", ["skeleton", "v3"])
-@pytest.mark.parametrize("scale", [0.5, 1.5, 2.5])
-def test_home_keeps_its_clearance(base: str, scale: float) -> None:
-    """The lowest foot of the scaled robot is as high above the ground as that of the base model."""
-    heights = []
-    for robot in (
-        load("v3" if base == "v3" else "original"),
-        pa.load_variant(pa.pupper.VariantSpec(base, scale)),
-    ):
-        feet = pa.Configuration(robot, robot.home).foot_positions().values()
-        heights.append(min(foot[2] for foot in feet))
-    assert heights[1] == pytest.approx(heights[0], abs=1e-12)
-
-
 # ------------------------------------------------------------------------------------- writing
-
-
-def reloaded(variant: str, folder: Path) -> pa.Robot:
-    paths = pa.pupper.write_variant(variant, folder)
-    return pa.load_robot(
-        urdf=paths[0], mjcf=paths[1], feet=dict(load(variant).contact_frames), name=variant
-    )
-
-
-NUMBERS = (
-    "jnt_range", "dof_armature", "dof_damping", "dof_frictionloss", "actuator_gainprm",
-    "actuator_biasprm", "actuator_forcerange", "geom_size", "geom_pos", "geom_friction",
-    "geom_solimp", "geom_condim", "geom_contype", "geom_conaffinity", "key_ctrl", "site_pos",
-    "mesh_vert",
-)  # fmt: skip
-"""Of MuJoCo's model."""
-
-
-def test_written_files_are_the_variant(variant: str, tmp_path: Path) -> None:
-    ours, again = load(variant), reloaded(variant, tmp_path)
-    assert_same_bodies(pinocchio_bodies(ours), pinocchio_bodies(again), 1e-12)
-    assert_same_bodies(mujoco_bodies(ours), mujoco_bodies(again), 1e-12)
-    assert_same_bodies(pinocchio_bodies(again), mujoco_bodies(again), 1e-12)
-    np.testing.assert_array_equal(again.home, ours.home)
-    np.testing.assert_allclose(again.lower_limits, ours.lower_limits, rtol=1e-15)
-    for name in NUMBERS:
-        np.testing.assert_allclose(
-            getattr(again.mj_model, name),
-            getattr(ours.mj_model, name),
-            rtol=1e-9,
-            atol=1e-12,
-            err_msg=name,
-        )
-    for name in ("timestep", "integrator", "cone", "impratio"):
-        assert getattr(again.mj_model.opt, name) == getattr(ours.mj_model.opt, name)
 
 
 def test_written_files_open_elsewhere(

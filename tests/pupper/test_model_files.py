@@ -9,20 +9,16 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from tests.support.bodies import BODIES
 from tests.support.engines import mujoco_at
 from tests.support.repository import ROOT
 from tests.support.states import numbers
 from tests.support.variants import BASES, load
 
 MJCF = ROOT / "mjcf"
-MIRROR = np.diag([1.0, -1.0, 1.0])
 LEGS = {
     "v3": {"FR": "leg_front_r_", "FL": "leg_front_l_", "RR": "leg_back_r_", "RL": "leg_back_l_"},
     "original": {leg: f"{leg}_" for leg in ("FL", "FR", "RL", "RR")},
 }
-SEGMENTS = {"v3": ("1", "2", "3"), "original": ("HAA", "HFE", "KFE")}
-MIRRORED = (("FR", "FL"), ("RR", "RL"))
 
 
 @pytest.fixture(scope="module", params=BASES)
@@ -72,22 +68,6 @@ def test_actuators_are_in_the_tutorials_order() -> None:
 
 
 # ------------------------------------------------------------------------------------- symmetry
-
-
-@pytest.mark.parametrize("source", BODIES)
-def test_left_bodies_mirror_the_right_ones(variant: str, source: str) -> None:
-    base = "v3" if variant.startswith("v3") else "original"
-    bodies = BODIES[source](load(variant))
-    for right, left in MIRRORED:
-        for segment in SEGMENTS[base]:
-            one, two = (bodies[LEGS[base][leg] + segment] for leg in (right, left))
-            assert two.mass == pytest.approx(one.mass, rel=1e-12)
-            np.testing.assert_allclose(two.com, MIRROR @ one.com, atol=1e-12)
-            np.testing.assert_allclose(two.inertia, MIRROR @ one.inertia @ MIRROR, atol=1e-15)
-            np.testing.assert_allclose(two.position, MIRROR @ one.position, atol=1e-15)
-    torso = bodies["base"]
-    assert torso.com[1] == pytest.approx(0, abs=1e-15)
-    np.testing.assert_allclose(torso.inertia[[0, 1], [1, 2]], 0, atol=1e-15)
 
 
 # ------------------------------------------------------------------------------------- two files

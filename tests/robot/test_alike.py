@@ -11,7 +11,6 @@ from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.alike import structure
 from pupper_analysis.simulation.verdict import VerdictCode
 from tests.support.conversions import standing_urdf
-from tests.support.planted import planted
 
 
 def slipped(folder: Path, old: str, new: str) -> Path:
@@ -63,14 +62,6 @@ def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
     [message] = structure(robot)
     assert message.values["gap"] is None
     assert "no collision shape" in str(message)
-
-
-def test_limbs_of_other_weights_are_alike_by_their_shape(tmp_path: Path) -> None:
-    """Six legs in a ring, each of another weight, one of which touches nothing."""
-    urdf, mjcf = planted(tmp_path, "ring", "a foot that does not touch")
-    [message] = structure(pa.load_robot(urdf, mjcf))
-    assert (message.values["feet"], message.values["alike"]) == (5, 6)
-    assert message.values["gap"] is None, "it is where the others' turned about the base are"
 
 
 def test_feet_that_are_named_are_as_they_are_meant(tmp_path: Path) -> None:

@@ -80,13 +80,3 @@ def test_one_motor_is_held_against_its_links_and_its_armature(
 ) -> None:
     codes = [message.code for _, message in placeholder_efforts([motor], 100.0)]
     assert codes == ([] if code is None else [code])
-
-
-def test_all_motors_are_held_against_the_robot() -> None:
-    motors = [Motor(f"joint{number}", 10.0, 0.1) for number in range(6)]
-    assert not list(placeholder_efforts(motors, 60 / 89))
-    ((joints, message),) = placeholder_efforts(motors, 60 / 91)
-    assert len(joints) == 6
-    assert message.code == "efforts-beyond-robot"
-    assert message.values["same"]
-    assert message.values["share"] == pytest.approx(91)

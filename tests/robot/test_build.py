@@ -35,11 +35,6 @@ def test_what_an_option_does_is_said(option: str, said: str, tmp_path: Path) -> 
     assert [note for note in loaded(tmp_path, option).notes if said in str(note)]
 
 
-def test_of_usual_options_nothing_is_said(tmp_path: Path) -> None:
-    robot = loaded(tmp_path, '<option gravity="0 0 -9.80665" timestep="0.001"/>')
-    assert not [note for note in robot.notes if "gravity" in str(note) or "flag" in str(note)]
-
-
 @pytest.mark.parametrize(
     "option",
     [

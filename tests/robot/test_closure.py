@@ -336,32 +336,6 @@ def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
     )
 
 
-def test_a_mimic_with_a_motor_of_its_own_stays_free_and_is_told(tmp_path: Path) -> None:
-    pair = belts(tmp_path, in_mjcf=False)
-    knees = "".join(f'<motor joint="{leg}_knee" ctrlrange="-30 30"/>' for leg in LEGS)
-    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", f"<actuator>{knees}"))
-    robot = load(pair)
-    assert robot.closure is None
-    assert any(note.code == "mimics-taken-as-free" for note in robot.notes)
-
-
-def test_loops_through_joints_that_the_urdf_lacks_are_opened(tmp_path: Path) -> None:
-    """Cranks and rods held at zero would lock the knees; their weight is what the URDF lacks."""
-    robot = load(four_bars(tmp_path, in_urdf=False))
-    assert robot.closure is None
-    said = "\n".join(map(str, robot.notes))
-    assert "motors of their own have FL_knee, FR_knee, RL_knee, RR_knee" in said
-    assert (
-        "of 0.6 kg (the mass that the URDF lacks), are counted in both models: FL_crank, FL_rod"
-        in said
-    )
-    assert robot.total_mass == pytest.approx(float(robot.mj_model.body_subtreemass[0]), rel=1e-9)
-    stand = pa.stance.solve_stand_on_soft_ground(robot)
-    found = pa.verify_stand(robot, stand)
-    assert found.passed, found.failures
-    assert max(found.torque_error, found.force_error) < 1e-5
-
-
 def test_what_a_urdf_has_in_other_links_is_not_weighed_twice(tmp_path: Path) -> None:
     pair = four_bars(tmp_path, in_urdf=False)
     text = pair.urdf.read_text()
@@ -451,13 +425,6 @@ def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
     motor = at(robot, qpos, "FL_motor")
     assert at(robot, qpos, "FL_knee") == pytest.approx(-0.2 - 0.8 * motor, abs=1e-9)
     holds(robot)
-
-
-def test_a_robot_that_is_tied_to_the_world_is_not_predicted(tmp_path: Path) -> None:
-    pair = belts(tmp_path)
-    tie = '<equality><connect body1="trunk" anchor="0 0 0" solref="0.1 1"/>'
-    pair.mjcf.write_text(pair.mjcf.read_text().replace("<equality>", tie))
-    assert load(pair).closure is None
 
 
 @pytest.mark.parametrize("tie", ["<weld {}/>", '<connect anchor="0 0 0" {}/>'])

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from pupper_analysis.robot import contact
 from tests.support.engines import mujoco_at
-from tests.support.variants import load
 
 positive = st.floats(0.001, 2.0)
 geoms = st.fixed_dictionaries(
@@ -81,25 +80,3 @@ def test_feet_on_the_ground_are_mujocos_contacts(robot: pa.Robot, stand: pa.Stan
         assert ours.condim == theirs.dim[index]
         for field in ("friction", "solref", "solimp"):
             np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field)[index])
-
-
-def test_ground_is_the_plane_fixed_to_the_world() -> None:
-    model = load("v3").mj_model
-    ground = contact.ground_geom(model)
-    assert ground is not None
-    assert model.geom(ground).name == "floor"
-    bare = mujoco.MjModel.from_xml_string(
-        "<mujoco><worldbody><geom type='box' size='1 1 1'/></worldbody></mujoco>"
-    )
-    assert contact.ground_geom(bare) is None
-
-
-def test_foot_geom_is_the_sphere_that_touches() -> None:
-    robot = load("v3")
-    model = robot.mj_model
-    site = model.site(robot.contact_frames["FR"])
-    found = contact.foot_geom(model, int(site.bodyid[0]), site.pos)
-    assert found is not None
-    assert model.geom_conaffinity[found] == 1  # not the drawn one at the same place
-    assert contact.foot_geom(model, int(site.bodyid[0]), site.pos + np.array([0, 0, 1e-5])) is None
-    assert contact.foot_geom(model, 0, site.pos) is None

@@ -1,6 +1,5 @@
 """The maps between the public coordinates and each engine's, against the engines' own calculus."""
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -8,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from tests.support.engines import addresses, integrate, velocity_map
+from tests.support.engines import integrate, velocity_map
 from tests.support.states import positions, velocities
 from tests.support.variants import load
 
@@ -48,22 +47,6 @@ def test_joints_are_in_actuator_order_then_those_without(tiny: pa.Robot) -> None
     assert list(tiny.mj_convention.actuator_index) == [0, 1, -1]
 
 
-@given(data=st.data())
-def test_mujoco_indices_find_the_joints_by_name(any_robot: pa.Robot, data: st.DataObject) -> None:
-    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
-    mj_data = mujoco.MjData(any_robot.mj_model)
-    any_robot.mj_convention.set_state(mj_data, qpos, qvel)
-    first = any_robot.nq - any_robot.nu
-    for index, name in enumerate(any_robot.joint_names):
-        assert mj_data.joint(name).qpos[0] == qpos[first + index]
-        assert mj_data.joint(name).qvel[0] == qvel[any_robot.nv - any_robot.nu + index]
-    q, v = addresses(any_robot)
-    np.testing.assert_array_equal(mj_data.qpos[q], qpos)
-    np.testing.assert_array_equal(mj_data.qvel[v], qvel)
-    any_robot.mj_convention.set_state(mj_data, qpos)
-    assert not mj_data.qvel.any()
-
-
 @pytest.mark.parametrize("turns", [-3, -1, 1, 2])
 def test_continuous_joint_forgets_whole_turns(tiny: pa.Robot, turns: int) -> None:
     qpos = tiny.neutral()
@@ -75,9 +58,3 @@ def test_continuous_joint_forgets_whole_turns(tiny: pa.Robot, turns: int) -> Non
     np.testing.assert_allclose(convention.qpos(convention.q(turned)), qpos, atol=1e-14)
     one, two = (pa.Configuration(tiny, q).foot_positions()["foot"] for q in (qpos, turned))
     np.testing.assert_allclose(one, two, atol=1e-14)
-
-
-def test_continuous_joint_has_no_limits_and_the_others_theirs(tiny: pa.Robot) -> None:
-    np.testing.assert_array_equal(tiny.lower_limits, [-1, -0.3, -np.inf])
-    np.testing.assert_array_equal(tiny.upper_limits, [2, 0.4, np.inf])
-    np.testing.assert_array_equal(tiny.effort_limits, [4, 3, 5])

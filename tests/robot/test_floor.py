@@ -82,15 +82,6 @@ def test_what_stands_in_the_world_is_left_out(tmp_path: Path) -> None:
     stands(robot)
 
 
-def test_a_table_is_no_part_of_the_com(tmp_path: Path) -> None:
-    """Its mass made the com of the MJCF another one, for which the engines were blamed."""
-    table = '<body name="table" pos="1 0 0.1"><geom type="box" size="1 1 0.01" mass="5"/></body>'
-    comparison = pa.compare_models(*scene(tmp_path, PLANE + "/>" + table))
-    assert not [change for change in comparison.differences if change.kind != "effort"]
-    assert comparison.deviations["com"] < 1e-9
-    assert not [note for note in comparison.notes if "engines differ" in str(note)]
-
-
 def test_contacts_by_pairs_are_those_of_the_feet(tmp_path: Path) -> None:
     """The prepared robot's contacts are those that MuJoCo makes of the file as it is."""
     values = 'friction="0.37 0.37 0.02 0.003 0.003" solref="0.03 1.2" solimp="0.9 0.95 0.002 0.5 2"'

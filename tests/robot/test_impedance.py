@@ -6,11 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.impedance import (
     Softness,
     clip_solimp,
-    effective_solref,
     solimp_impedance,
 )
 
@@ -94,30 +92,3 @@ def test_impedance_is_mujocos(seed: int) -> None:
         step = 1e-6 * solimp[2]
         ends = [solimp_impedance(solimp, opened + way)[0] for way in (step, -step)]
         assert slope == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4, abs=1e-6)
-
-
-@silence_mujoco()
-def rests_at(solref: str) -> float:
-    """How high MuJoCo's ball lies on its floor (m)."""
-    geom = f'<geom size="0.1" mass="1" solref="{solref}"/>'
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><worldbody><geom type="plane" size="1 1 1" solref="{solref}"/>'
-        f'<body pos="0 0 0.1"><freejoint/>{geom}</body></worldbody></mujoco>'
-    )
-    data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, 1000)
-    return float(data.qpos[2])
-
-
-@pytest.mark.parametrize("given", [(0.0, 1.0), (0.02, -1.0), (-100.0, 1.0), (0.05, 0.0)])
-def test_what_is_of_both_formats_is_mujocos_default(given: tuple[float, float]) -> None:
-    """A solref of 0 was divided by."""
-    taken = effective_solref(given)
-    assert taken == (0.02, 1.0)
-    assert rests_at(f"{given[0]} {given[1]}") == pytest.approx(rests_at("0.02 1"), abs=1e-12)
-
-
-@pytest.mark.parametrize("given", [(0.05, 0.5), (-100.0, -10.0), (0.0, 0.0)])
-def test_what_is_of_one_format_is_taken_as_it_is(given: tuple[float, float]) -> None:
-    assert effective_solref(given) == given
-    assert abs(rests_at(f"{given[0]} {given[1]}") - rests_at("0.02 1")) > 1e-4

@@ -11,11 +11,9 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.terrain import on_ground
-from tests.support.bodies import assert_same_bodies, mujoco_bodies, pinocchio_bodies
 from tests.support.engines import mujoco_at
-from tests.support.repository import ROOT
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
-from tests.support.variants import BASES, load
+from tests.support.variants import load
 
 
 def write(folder: Path, urdf: str = TINY_URDF, mjcf: str = TINY_MJCF) -> Files:
@@ -37,19 +35,6 @@ def replaced(text: str, old: str, new: str) -> str:
 # ------------------------------------------------------------------------------------- right
 
 
-@pytest.mark.parametrize("name", BASES)
-def test_the_shipped_files_are_the_variant(name: str) -> None:
-    ours = load(name)
-    files = Files(ROOT / f"urdf/{BASES[name]}.urdf", ROOT / f"mjcf/{BASES[name]}.xml")
-    robot = load_files(files, feet=dict(ours.contact_frames))
-    assert robot.name == BASES[name]
-    assert robot.contact_points == ours.contact_points
-    assert robot.joint_names == ours.joint_names
-    assert (robot.base, robot.mj_base, robot.imu) == ("base_link", "base_link", "body_imu_site")
-    assert_same_bodies(pinocchio_bodies(robot), pinocchio_bodies(ours), 1e-15)
-    assert_same_bodies(mujoco_bodies(robot), mujoco_bodies(ours), 1e-15)
-
-
 @pytest.mark.parametrize("first", ["bend", "push"])
 def test_fixed_base_stays_where_the_mjcf_has_it(tmp_path: Path, first: str) -> None:
     """Whichever joint comes first: bend is not at the base."""
@@ -69,38 +54,6 @@ def test_fixed_base_stays_where_the_mjcf_has_it(tmp_path: Path, first: str) -> N
     np.testing.assert_allclose(config.frame_position("base"), [0.1, 0.2, 0.5], atol=1e-15)
     gravity = data.qfrc_bias[robot.mj_convention.qvel_index]
     np.testing.assert_allclose(config.gravity(), gravity, atol=1e-13)
-
-
-def test_an_mjcf_without_a_free_joint_is_fixed(tmp_path: Path) -> None:
-    robot = load_files(write(tmp_path, mjcf=replaced(TINY_MJCF, "<freejoint/>", "")))
-    assert not robot.floating
-    assert robot.nq == 3
-
-
-def test_gravity_is_the_mjcfs(tmp_path: Path) -> None:
-    moon = replaced(TINY_MJCF, "<default>", '<option gravity="0.1 0 -1.62"/><default>')
-    robot = load_files(write(tmp_path, mjcf=moon))
-    np.testing.assert_allclose(robot.gravity, [0.1, 0, -1.62])
-    gravity = pa.Configuration(robot, robot.neutral()).gravity()
-    np.testing.assert_allclose(gravity[:3], -3.2 * np.array([0.1, 0, -1.62]), atol=1e-14)
-
-
-def test_home_is_the_keyframe_in_the_public_order(tmp_path: Path) -> None:
-    keys = (
-        '<keyframe><key name="other" qpos="0 0 9 1 0 0 0 9 9 9"/>'
-        '<key name="home" qpos="0 0 1 1 0 0 0 0.1 0.2 0.3"/></keyframe></mujoco>'
-    )
-    files = write(tmp_path, mjcf=replaced(TINY_MJCF, "</mujoco>", keys))
-    # MuJoCo's order: push, turn, bend. The public one: bend, push, turn.
-    np.testing.assert_allclose(load_files(files).home, [0, 0, 1, 1, 0, 0, 0, 0.3, 0.1, 0.2])
-    np.testing.assert_allclose(load_files(files, fixed_base=True).home, [0.3, 0.1, 0.2])
-
-
-def test_stand_height_is_where_the_lowest_foot_touches(tiny: pa.Robot) -> None:
-    qpos = tiny.neutral()
-    qpos[2] = tiny.stand_height
-    lowest = pa.Configuration(tiny, qpos).contact_points()["foot"]
-    assert lowest[2] == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["body", "geom"])

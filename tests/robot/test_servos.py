@@ -15,7 +15,6 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.servos import model_with_servos, own_servos, with_options
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
@@ -64,13 +63,6 @@ def test_robots_stand_on_them(element: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(cli.group, command)
     assert "HOLDS in MuJoCo for" in done.output, done.output
     assert done.exit_code == 0
-
-
-def test_a_motor_seen_from_the_parent_is_the_joints(tmp_path: Path) -> None:
-    pair = with_motors(quadruped(tmp_path), IN_PARENT)
-    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
-    assert effort_limit(model, model.joint("RL_knee").id) == 30
-    assert pa.compare_models(pair.urdf, pair.mjcf).agree
 
 
 BOTH = '<position name="p_{0}" joint="{0}" kp="150"/><velocity name="v_{0}" joint="{0}" kv="5"/>'

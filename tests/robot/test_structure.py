@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import copy
 import gc
-import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.coordinates import PinocchioConvention
-from pupper_analysis.robot.structure import Structure
 from pupper_analysis.stance.sag.equilibrium import integrate_step
 from tests.stance.sag.test_contact_kinematics import differences
-from tests.support.engines import velocity_map
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
 
@@ -56,22 +51,6 @@ def same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
     """To the last bit: what is left in a workspace must not matter at all."""
     for name in QUANTITIES:
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
-
-
-def test_configurations_alive_at_once_do_not_change_each_other(any_robot: pa.Robot) -> None:
-    rng = np.random.default_rng(0)
-    states = [random_state(any_robot, seed) for seed in range(8)]
-    in_order = np.arange(len(QUANTITIES))
-    fresh = []
-    for state in states:
-        any_robot.__dict__.pop("structure", None)  # a workspace that nobody had before
-        fresh.append(looked_at(pa.Configuration(any_robot, *state), in_order))
-    for _ in range(3):
-        alive = [pa.Configuration(any_robot, *state) for state in states]
-        for _ in range(2):
-            for index in rng.permutation(len(states)):
-                same(looked_at(alive[index], rng.permutation(in_order)), fresh[index])
-        del alive  # the next ones have these workspaces
 
 
 def test_results_are_not_views_of_a_workspace(any_robot: pa.Robot) -> None:
@@ -118,27 +97,6 @@ def test_threads_do_not_change_each_others_configurations(any_robot: pa.Robot) -
         list(pool.map(work, range(4)))
 
 
-def test_joints_may_be_in_any_order(any_robot: pa.Robot) -> None:
-    """Also in one that Pinocchio cannot have: it wants what a joint carries behind the joint."""
-    model, (qpos, _) = any_robot.pin_model, random_state(any_robot, 3)
-    base = any_robot.nq - any_robot.nu
-    for seed in range(5):
-        order = np.random.default_rng(seed).permutation(any_robot.nu)
-        names = [any_robot.joint_names[index] for index in order]
-        convention = PinocchioConvention.of(model, names)
-        structure = Structure(model, convention, names, any_robot.contact_frames)
-        mixed = np.concatenate([qpos[:base], qpos[base:][order]])
-        held, q = structure.workspace(), structure.convention.unit_q(mixed)
-        data, turn = model.createData(), velocity_map(convention, mixed)
-        upper = np.triu(np.atleast_2d(pin.crba(model, data, convention.q(mixed))))
-        full = upper + np.triu(upper, 1).T
-        found = structure.inertia(pin.crba(structure.loaded(), held.data, q))
-        numbers_agree(found, turn.T @ full @ turn)
-        forces = pin.computeGeneralizedGravity(model, data, convention.q(mixed))
-        own = pin.computeGeneralizedGravity(structure.model, held.data, q)
-        numbers_agree(structure.dual(own), turn.T @ forces)
-
-
 def test_armature_that_changes_is_heeded() -> None:
     robot = pa.load_variant("v3")
     config = pa.Configuration(robot, robot.home)
@@ -149,20 +107,6 @@ def test_armature_that_changes_is_heeded() -> None:
     )
     slower = config.forward_dynamics(np.zeros(robot.nv))
     assert np.abs(slower[6:]).max() < 0.5 * np.abs(rest[6:]).max()
-
-
-def test_nobody_changes_a_velocity_of_zero(any_robot: pa.Robot) -> None:
-    for robot in (any_robot, pickle.loads(pickle.dumps(any_robot))):
-        config = pa.Configuration(robot, random_state(robot, 0)[0])
-        with pytest.raises(ValueError, match="read-only"):
-            config.qvel[0] = 1.0
-        with pytest.raises(ValueError, match="WRITEABLE"):
-            config.qvel.flags.writeable = True
-
-
-def numbers_agree(actual: np.ndarray, expected: np.ndarray) -> None:
-    size = float(np.abs(expected).max()) or 1.0
-    np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-13 * size)
 
 
 def test_rates_of_joints_in_another_order(tiny: pa.Robot) -> None:

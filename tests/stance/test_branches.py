@@ -39,14 +39,6 @@ def goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndar
     return robot, qpos, pa.Configuration(robot, bent).foot_positions()
 
 
-@pytest.mark.parametrize("name", ["v3", "original"])
-def test_a_limb_is_a_leg(name: str) -> None:
-    robot = load(name)
-    found = find_limbs(robot)
-    assert [limb.feet for limb in found] == [(foot,) for foot in robot.contact_points]
-    assert sorted(np.concatenate([limb.joints for limb in found])) == list(range(12))
-
-
 def places_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
     data = mujoco_at(robot, qpos)
     mujoco.mj_kinematics(robot.mj_model, data)

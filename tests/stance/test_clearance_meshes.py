@@ -166,16 +166,6 @@ def test_a_demanded_clearance_is_kept_and_its_limit_is_mujocos(robot: pa.Robot) 
         pa.solve_stand(robot, pa.StandTask(ground_clearance=1.01 * limit), explain=False)
 
 
-def test_what_touches_nothing_does_not_count(tmp_path: Path) -> None:
-    """Nor what the MJCF lets touch other robots alone: MuJoCo lets it sink in."""
-    pair = meshed(tmp_path)
-    text = pair.mjcf.read_text()
-    for bits, seen in (('contype="0" conaffinity="0"', False), ('contype="1"', True)):
-        pair.mjcf.write_text(text.replace('mesh="shell" pos', f'mesh="shell" {bits} pos'))
-        robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-        assert any(shape.link == "trunk" for shape in robot.shapes) == seen
-
-
 def test_excluded_links_are_not_kept_apart(tmp_path: Path) -> None:
     pair = meshed(tmp_path)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)

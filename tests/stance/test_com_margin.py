@@ -57,23 +57,3 @@ def test_a_refusal_names_the_margin_with_its_limit() -> None:
     with pytest.raises(pa.StanceUnreachableError):
         pa.solve_stand(robot, replace(task, offset=(1.02 * x, y)), explain=False)
     assert margin_of(robot, error.nearest) >= error.nearest.task.com_margin - 1e-9
-
-
-def test_without_a_margin_the_com_may_be_outside() -> None:
-    """It is reached; that it cannot be held is another matter."""
-    robot = load("v3")
-    stand = pa.solve_stand(robot, pa.StandTask(offset=(0.11, 0.0), height=0.12))
-    assert stand.com_margin < 0
-    with pytest.raises(pa.StaticsInfeasibleError):
-        pa.stance.stand_statics(robot, stand)
-
-
-def test_another_way_to_bend_the_legs_may_have_the_margin() -> None:
-    """A fore leg of v3's bent another way moves the com by millimetres."""
-    robot = load("v3")
-    task = pa.StandTask(height=0.15, yaw=-0.48, offset=(-0.017, 0.0))
-    usual = pa.solve_stand(robot, task)
-    asked = replace(task, com_margin=usual.com_margin + 2e-3)
-    other = pa.solve_stand(robot, asked)
-    assert margin_of(robot, other) >= asked.com_margin - 1e-9
-    assert np.abs(other.qpos[7:] - usual.qpos[7:]).max() > 0.5

@@ -87,16 +87,6 @@ def test_each_field_is_in_the_task_its_json_and_its_words(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
-def test_each_field_comes_back_from_json_and_alone(field: Field) -> None:
-    task = task_with(field)
-    assert pa.StandTask.of(json.loads(to_json(task))) == task
-    alone = {name: value for name, value in task.values().items() if value != FIELDS[name].usual}
-    assert pa.StandTask.of(alone) == task
-    with pytest.raises(pa.ConfigurationError, match="a stance has height, "):
-        pa.StandTask.of({f"{field.name}s_": asked(field)})
-
-
-@pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
 def test_each_field_refuses_what_makes_no_sense(field: Field) -> None:
     wrong: list[Any] = [math.nan, "much", True, (1.0,), (0.0, math.inf)]
     if not (field.axes or field.choices):
@@ -160,15 +150,6 @@ def test_a_task_is_said_in_order_and_with_units() -> None:
         "*elbow* at 0.5236 rad or m"
     )
     assert task.said("zh").startswith("高度 120.0 mm，横滚 1.5°，")
-
-
-def test_a_com_is_said_where_it_is_asked_for() -> None:
-    assert "com" not in str(pa.StandTask(com="centre", com_margin=0.01))
-    assert "com in the support polygon (margin >= 10 mm)" in str(
-        pa.StandTask(com="inside", com_margin=0.01)
-    )
-    assert "com in the support polygon (margin >= 0 mm)" in str(pa.StandTask(com="inside"))
-    assert "com at (10, 20) mm" in str(pa.StandTask(com=(0.01, 0.02)))
 
 
 def test_an_angle_that_was_meant_in_degrees_is_told_its_unit() -> None:

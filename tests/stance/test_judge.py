@@ -10,10 +10,6 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.structure import Kinematics
-from pupper_analysis.stance.clearance import ClearanceShapes
-from pupper_analysis.stance.judge import evaluate_stand
-from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.solver import Context
 from tests.support.variants import NAMES, load, stand_of
 
 
@@ -41,45 +37,6 @@ def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
             turn, origin = there.links[link]
             np.testing.assert_array_equal(turn, config.frame_rotation(link))
             np.testing.assert_array_equal(origin, config.frame_position(link))
-
-
-def test_nothing_that_is_not_finite_is_judged() -> None:
-    robot = load("v3")
-    spoilt = stand_of("v3").qpos.copy()
-    spoilt[9] = np.nan  # one leg's: the other feet are in place
-    with pytest.raises(pa.ConfigurationError, match="element 9 is nan"):
-        evaluate_stand(ClearanceShapes(robot), make_goal(robot, None, {}), spoilt, 0)
-
-
-def some_tasks(robot: pa.Robot, count: int) -> Iterator[pa.StandTask]:
-    rng = np.random.default_rng(5)
-    for _ in range(count):
-        roll, pitch, yaw = rng.uniform(-0.25, 0.25, 3)
-        yield pa.StandTask(
-            height=robot.stand_height * rng.uniform(0.7, 1.15), roll=roll, pitch=pitch, yaw=yaw
-        )
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_steps_nobody_looks_at_lead_where_watched_ones_do(name: str) -> None:
-    """Where they come to a stand; otherwise they are taken once more, and looked at, to the bit."""
-    robot, straight = load(name), 0
-    solver = Context(robot).solver
-    home = robot.home[robot.nq - robot.nu :]
-    for task in some_tasks(robot, 40):
-        goal = make_goal(robot, task, {})
-        point = solver.run(goal, home)
-        watched = solver._watched(solver.begin(goal, home))
-        assert point.iterations == watched.iterations
-        if solver._straight() is None:  # it stands where it ended: there is nothing to do
-            assert watched.miss > 1e-9
-        solver.begin(goal, home)
-        if solver._straight() is None:
-            np.testing.assert_array_equal(point.qpos, watched.qpos)
-        else:
-            straight += 1
-            np.testing.assert_allclose(point.qpos, watched.qpos, atol=1e-13)
-    assert 0 < straight < 40, "one of the two ways has not been looked at"
 
 
 def test_links_that_are_too_near_are_both_named() -> None:

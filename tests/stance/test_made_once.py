@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.solver import Context
 from pupper_analysis.statics.equilibrium import balance_load
-from tests.support.variants import NAMES, load, stand_of
+from tests.support.variants import load
 
 
 def tasks(robot: pa.Robot) -> list[pa.StandTask]:
@@ -23,31 +21,6 @@ def tasks(robot: pa.Robot) -> list[pa.StandTask]:
         pa.StandTask(ground=pa.Ground(slope=0.1, uphill=0.7), com=(0.005, 0.004)),
         pa.StandTask(foot_offsets={robot.contact_points[0]: (0.01, 0.0)}),
     ]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_tasks_that_were_aimed_elsewhere_solve_as_new_ones(name: str) -> None:
-    robot = load(name)
-    goals = [make_goal(robot, task, {}) for task in tasks(robot)]
-    start = stand_of(name).joint_positions(robot)
-    expected = [Context(robot).solver.run(goal, start) for goal in goals]
-    solver = Context(robot).solver
-    for index in np.random.default_rng(0).permutation(3 * len(goals)) % len(goals):
-        found = solver.run(goals[index], start)
-        np.testing.assert_array_equal(found.qpos, expected[index].qpos)
-        assert found.iterations == expected[index].iterations
-
-
-def test_a_robots_files_are_its_own() -> None:
-    """A variant is derived once; what is done to one robot's spec does not reach the next."""
-    first = pa.load_variant("v3-long-leg")
-    mass = first.mj_model.body_mass.copy()
-    for body in first.description.mjcf.bodies[1:]:
-        body.pos = 2 * body.pos
-    second = pa.load_variant("v3-long-leg")
-    assert second.fingerprint == first.fingerprint
-    np.testing.assert_array_equal(second.mj_model.body_mass, mass)
-    np.testing.assert_array_equal(second.mj_model.body_pos, first.mj_model.body_pos)
 
 
 def test_what_the_motors_hold_is_found_once_for_a_stand(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,17 +28,6 @@ def test_spheres_touch_plane_and_steps(name: str) -> None:
     np.testing.assert_allclose(goal.place, goal.contacts[:, :2].mean(axis=0))
 
 
-def test_place_is_the_coms_or_the_bases() -> None:
-    robot = load("v3")
-    centre = make_goal(robot, pa.StandTask(), {}).place
-    com = make_goal(robot, pa.StandTask(com=(0.01, 0.02)), {})
-    assert not com.by_base
-    np.testing.assert_array_equal(com.place, (0.01, 0.02))
-    base = make_goal(robot, pa.StandTask(offset=(0.01, 0.02)), {})
-    assert base.by_base
-    np.testing.assert_allclose(base.place - centre, (0.01, 0.02))
-
-
 def test_feet_on_one_line_carry_nothing() -> None:
     """Three that are left, the front one brought between the rear ones; 4 mm away, it is a base."""
     robot = load("original")
@@ -54,18 +43,3 @@ def test_feet_on_one_line_carry_nothing() -> None:
         goal(0.0)
     corners = np.array(goal(0.004).corners)
     assert np.ptp(corners[:, 0]) == pytest.approx(0.004)
-
-
-@pytest.mark.parametrize(
-    "task", [pa.StandTask(), pa.StandTask(height=0.11), pa.StandTask(offset=(0.01, 0.0))]
-)
-def test_a_goals_task_is_one_that_can_be_asked(task: pa.StandTask) -> None:
-    """What the robot fills in, its height and where the com is, is checked like all else."""
-    filled = make_goal(load("v3"), task, {}).task
-    assert filled == pa.StandTask(**vars(filled))
-    assert None not in (filled.height, filled.com)
-    robot = pa.load_variant("v3")
-    vars(robot)["stand_height"] = -0.1
-    if task.height is None:
-        with pytest.raises(pa.ConfigurationError, match="height"):
-            make_goal(robot, task, {"FL": 0.001})

@@ -37,16 +37,6 @@ def test_simulation_holds_what_is_predicted(name: str, what: str) -> None:
         assert abs(run.height_loss) < 5e-6
 
 
-@pytest.mark.parametrize(
-    ("name", "what"), [("long-leg", "off the centre"), ("v3", "off the centre"), ("v3", "slope")]
-)
-def test_rigid_stand_is_another(name: str, what: str) -> None:
-    """Without its feet sunk, the same stance does not hold its loads on soft ground."""
-    run = pa.verify_stand(load(name), pa.solve_stand(load(name), TASKS[what]))
-    assert not run.passed
-    assert "solve_stand_on_soft_ground compensates for that" in str(run.failures[-1])
-
-
 @pytest.mark.parametrize("what", ["steps", "off the centre", "three legs"])
 @pytest.mark.parametrize("name", ["heavy", "v3"])
 def test_the_stand_on_soft_ground_is_the_equilibrium_that_feedforward_holds(
@@ -68,15 +58,6 @@ def test_depths_are_checked() -> None:
     for depths, named in (({"FL": -1e-3}, "depths"), ({"FL": np.nan}, "depths"), ({"XX": 0}, "XX")):
         with pytest.raises(pa.PupperAnalysisError, match=named):
             pa.solve_stand(load("v3"), depths=depths)
-
-
-def test_at_full_stretch_the_sunk_feet_are_out_of_reach() -> None:
-    robot = load("v3")
-    highest = pa.stance.reachable_heights(robot).high
-    task = pa.StandTask(height=highest - 1e-4)
-    pa.solve_stand(robot, task)
-    with pytest.raises(pa.StanceUnreachableError):
-        solve_stand_on_soft_ground(robot, task)
 
 
 def test_a_sole_with_corners_that_lift_bears_its_load() -> None:

@@ -13,15 +13,6 @@ import pupper_analysis as pa
 from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES, load, stand_of
 
-HEIGHTS = {
-    "original": 0.158,
-    "long-leg": 0.228,
-    "heavy": 0.158,
-    "v3": 0.13151,
-    "v3-long-leg": 0.18729,
-    "v3-heavy": 0.13151,
-}
-
 
 def check(robot: pa.Robot, stand: pa.Stand, task: pa.StandTask) -> None:
     """By MuJoCo's kinematics of the MJCF, and by Pinocchio's of the URDF."""
@@ -44,13 +35,6 @@ def check(robot: pa.Robot, stand: pa.Stand, task: pa.StandTask) -> None:
     assert (joints <= robot.upper_limits + 1e-9).all()
     for error in ("foot_error", "orientation_error", "height_error", "com_error"):
         assert 0 <= getattr(stand, error) < 1e-9
-
-
-def test_the_default_stand_meets_its_task(variant: str, robot: pa.Robot, stand: pa.Stand) -> None:
-    assert stand.task.height == pytest.approx(HEIGHTS[variant], abs=1e-12)
-    assert robot.stand_height == pytest.approx(HEIGHTS[variant], abs=1e-12)
-    check(robot, stand, pa.StandTask(height=HEIGHTS[variant]))
-    assert stand.iterations < 20
 
 
 def test_skeletons_stand_by_hand() -> None:
@@ -132,25 +116,6 @@ def test_any_stand_is_solved_or_out_of_reach(name: str, task: pa.StandTask) -> N
     assert set(refusal.shortfall) <= set(robot.contact_points)
     assert set(refusal.at_limit) <= set(robot.joint_names)
     assert nearest(robot, task, stand_of(name).foot_targets, tries=6) > 1e-7
-
-
-@pytest.mark.parametrize("height", [0.22, 0.25, 0.5, 1.0, 3.0])
-def test_above_the_legs_length_it_is_out_of_reach_by_the_difference(height: float) -> None:
-    """The skeleton's foot is at most 0.19 m from its hip, and the sphere adds 0.018 m."""
-    with pytest.raises(pa.StanceUnreachableError) as caught:
-        pa.solve_stand(load("original"), pa.StandTask(height))
-    missing = height - 0.018 - 0.19
-    assert min(caught.value.shortfall.values()) >= missing - 1e-9
-    # The com is off the hips by 5 mm, so the legs are not quite upright.
-    assert max(caught.value.shortfall.values()) < missing + 0.0004
-    assert set(caught.value.shortfall) == {"FL", "FR", "RL", "RR"}
-    assert "mm" in str(caught.value)
-    assert f"height {1000 * height:.1f} mm" in str(caught.value)
-
-
-def test_fixed_base_cannot_stand() -> None:
-    with pytest.raises(pa.ConfigurationError, match="fixed base"):
-        pa.solve_stand(load("v3", fixed_base=True))
 
 
 @pytest.mark.parametrize("other", ["original", "v3-heavy"])

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -58,24 +56,6 @@ def test_a_sequence_is_what_single_calls_find(name: str) -> None:
         assert_same(one, other)
     # It began where the one before ended: that takes fewer steps.
     assert sum(s.iterations for s in found) < 0.8 * sum(s.iterations for s in singles)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"ik_seed": (0.1, 0.8, -0.9, -0.1, -0.8, 0.9) * 2},
-        {"com": "inside", "com_margin": 0.004},
-        {"self_clearance": 0.001},
-    ],
-)
-def test_what_depends_on_its_start_has_its_own(change: dict[str, Any]) -> None:
-    """To the last bit the single call's, step by step: it did not begin where another ended."""
-    robot = load("v3")
-    tasks = [replace(task, **change) for task in wave(robot, 4)]
-    for task, one in zip(tasks, pa.solve_stands(robot, tasks), strict=True):
-        expected = pa.solve_stand(robot, task)
-        np.testing.assert_array_equal(one.qpos, expected.qpos)
-        assert one.iterations == expected.iterations
 
 
 LINE = '<geom type="capsule" size="0.01" fromto="-0.06 0 -0.05 0.12 0 -0.05"/>'
@@ -135,19 +115,3 @@ def test_a_wrong_task_is_refused_before_any_is_solved() -> None:
     with pytest.raises(pa.ConfigurationError, match=r"tasks: .* is not a sequence"):
         pa.solve_stands(robot, np.array([0.12]))  # type: ignore[call-overload]
     assert pa.solve_stands(robot, []) == ()
-
-
-def test_limits_that_change_between_calls_are_heeded() -> None:
-    """What PlaCo was told of the joint limits last is not kept beyond its time."""
-    robot = pa.load_variant("v3")
-    stand = pa.solve_stand(robot)
-    tight = robot.upper_limits.copy()
-    at = int(np.argmax(stand.joint_positions(robot)))
-    index = robot.pin_convention.q_index[at]
-    robot.pin_model.upperPositionLimit[index] = stand.joint_positions(robot)[at] - 0.1
-    with pytest.raises(pa.StanceUnreachableError):
-        pa.solve_stands(robot, [pa.StandTask(), pa.StandTask()])
-    robot.pin_model.upperPositionLimit[index] = tight[at]
-    np.testing.assert_allclose(
-        pa.solve_stands(robot, [pa.StandTask()])[0].qpos, stand.qpos, atol=ROUNDING
-    )

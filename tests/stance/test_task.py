@@ -35,13 +35,6 @@ def test_uphill_is_where_the_plane_rises(slope: float, uphill: float) -> None:
     assert ground.height(aside) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_ground_is_level_without_slope_and_steps() -> None:
-    assert pa.Ground().level
-    assert pa.Ground(uphill=1.0, heights={"FL": 0.0}).level
-    assert not pa.Ground(slope=0.1).level
-    assert not pa.Ground(heights={"FL": 0.01}).level
-
-
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
@@ -90,10 +83,3 @@ def test_a_word_that_lives_elsewhere_is_shown_its_place(word: str, typed: str) -
 def test_a_word_that_nobody_knows_is_pythons_own_error() -> None:
     with pytest.raises(TypeError, match="unexpected keyword argument 'wings'"):
         pa.StandTask(wings=2)  # type: ignore[call-arg]
-
-
-def test_an_offset_goes_with_the_centre_and_with_no_other_com() -> None:
-    assert pa.StandTask(offset=(0.01, 0.0), com="centre").com == "centre"
-    for com in ("inside", (0.0, 0.0)):
-        with pytest.raises(pa.ConfigurationError, match="not both"):
-            pa.StandTask(offset=(0.01, 0.0), com=com)

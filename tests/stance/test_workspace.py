@@ -14,7 +14,6 @@ from pupper_analysis.stance.workspace import (
     reachable_heights,
     solve_stand_at,
 )
-from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.variants import load
 
 
@@ -23,18 +22,6 @@ def reached(robot: pa.Robot, task: pa.StandTask) -> bool:
         return pa.solve_stand(robot, task, explain=False).foot_error < 1e-9
     except pa.StanceUnreachableError:
         return False
-
-
-def test_the_highest_stand_has_straight_legs() -> None:
-    """The feet are off the hips by the base's shift alone, 5 mm: 0.19 m of leg, 0.018 m of foot."""
-    robot = load("original")
-    heights = reachable_heights(robot)
-    assert heights.high == pytest.approx(0.208, abs=3e-4)
-    assert heights.high < 0.208
-    assert reached(robot, pa.StandTask(heights.low))
-    assert reached(robot, pa.StandTask(heights.high))
-    assert not reached(robot, pa.StandTask(heights.low - 3e-4))
-    assert not reached(robot, pa.StandTask(heights.high + 3e-4))
 
 
 @pytest.mark.parametrize("name", ["v3", "long-leg"])
@@ -75,19 +62,6 @@ def test_the_task_is_where_it_begins() -> None:
     assert base_workspace(robot, pa.StandTask(yaw=0.1)).start.task == replace(
         pa.StandTask(yaw=0.1), height=robot.stand_height, com="centre"
     )
-
-
-def test_com_keeps_its_margin() -> None:
-    """A shift ends where the com is as near to the polygon's edge as the task allows."""
-    robot = load("original")
-    free = base_workspace(robot).intervals["x"]
-    task = pa.StandTask(com="inside", com_margin=0.07)
-    bound = base_workspace(robot, task).intervals["x"]
-    assert free.low < bound.low < bound.high < free.high
-    for value in (bound.low, bound.high):
-        stand = solve_stand_at(robot, pa.solve_stand(robot, task), "x", value)
-        com = pa.Configuration(robot, stand.qpos).center_of_mass()
-        assert com_margin(com, stand.contact_points) == pytest.approx(0.07, abs=1e-4)
 
 
 def test_com_anywhere_inside_stays_where_the_stand_has_it() -> None:

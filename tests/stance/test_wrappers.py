@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import gc
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance import solver
-from pupper_analysis.stance.solver import Context, Wrapper
-from tests.support.legged import quadruped
+from pupper_analysis.stance.solver import Context
 from tests.support.variants import load
 
 TASKS = (
@@ -67,32 +65,6 @@ def test_robots_of_one_structure_are_read_once(monkeypatch: pytest.MonkeyPatch) 
         Context(robot)
         pa.solve_stand(robot, pa.StandTask(self_clearance=0.0))
     assert len(read) == 1
-
-
-def test_limits_of_one_robot_are_not_anothers(tmp_path: Path) -> None:
-    """A joint that turns round and round takes no limit from a robot whose joint has one."""
-    pair = quadruped(tmp_path, floor=True)
-    bound = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    pa.solve_stand(bound, pa.StandTask(joint_margin=0.1))
-    model = bound.pin_model.copy()
-    low, high = model.lowerPositionLimit.copy(), model.upperPositionLimit.copy()
-    low[7:], high[7:] = -np.inf, np.inf
-    model.lowerPositionLimit, model.upperPositionLimit = low, high
-    lent = Wrapper(bound).placo.model
-    assert np.isfinite(lent.lowerPositionLimit[7:]).all()
-    free = Wrapper(replace(bound, pin_model=model)).placo.model
-    assert np.isinf(free.lowerPositionLimit[7:]).all()
-
-
-def test_nobody_has_what_another_holds() -> None:
-    robot = load("v3")
-    held = [Wrapper(robot) for _ in range(3)]
-    assert len({id(one.placo) for one in held}) == 3
-    context = Context(robot)
-    assert all(context.solver.engine.placo is not one.placo for one in held)
-    first = held[0].placo
-    del held[0]
-    assert Wrapper(robot).placo is first
 
 
 def resident() -> int:

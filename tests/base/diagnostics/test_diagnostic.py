@@ -16,7 +16,6 @@ from string import Formatter
 import numpy as np
 import pytest
 
-from pupper_analysis.base import errors
 from pupper_analysis.base.diagnostics import (
     LANGUAGES,
     Diagnostic,
@@ -27,7 +26,6 @@ from pupper_analysis.base.diagnostics import (
     codes,
     diagnose,
     entry,
-    is_term,
     merge_diagnostics,
 )
 from pupper_analysis.base.diagnostics.catalogue import word_files
@@ -150,26 +148,6 @@ def test_every_template_gets_its_values() -> None:
         if given is not None and (missing := uses(entry(code).templates["en"]) - given)
     }
     assert lacking == {}
-
-
-SENTENCE = re.compile("[a-z]+ [a-z]+ [a-z]+")
-
-
-def test_refusals_are_diagnostics_and_no_sentences() -> None:
-    """No error of the package's is made of words that stand in the code."""
-    made = {name for name, one in vars(errors).items() if name.endswith("Error")}
-    found, kinds = set(), set()
-    for module, node in made_calls():
-        name = getattr(node.func, "id", None)
-        if name == "UnknownNameError":
-            kinds |= {one.value for one in node.args[1:2] if isinstance(one, ast.Constant)}
-        elif name in made:
-            words = [one.value for given in node.args for one in ast.walk(given)
-                     if isinstance(one, ast.Constant)]  # fmt: skip
-            if any(map(SENTENCE.search, map(str, words))):
-                found.add(module)
-    assert found == set()
-    assert all(map(is_term, kinds - {None})), kinds
 
 
 # --- templates

@@ -15,7 +15,6 @@ import pupper_analysis as pa
 from pupper_analysis.models.urdf_file import urdf_from
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.convert import meshes
-from pupper_analysis.prepare.convert.load import read_pair
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.pupper.variants import model_folder
 from tests.support.legged import quadruped
@@ -131,13 +130,6 @@ def test_of_two_files_one_can_be_taken(tmp_path: Path) -> None:
         assert robot.description.converted == {"urdf": "mjcf", "mjcf": "urdf"}[take]
 
 
-def test_files_come_in_any_order_and_by_either_word() -> None:
-    pairs = [read_pair(URDF, MJCF), read_pair(MJCF, URDF), read_pair(URDF, mjcf=MJCF)]
-    pairs.append(read_pair(urdf=URDF, mjcf=MJCF))
-    for pair in pairs:
-        assert (pair.urdf.path, pair.mjcf.path, pair.converted) == (URDF, MJCF, "")
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -154,26 +146,6 @@ def test_what_is_no_robot_is_refused(given: dict[str, object], message: str) -> 
     models = given.pop("models", ())
     with pytest.raises(pa.PupperAnalysisError, match=message):
         pa.load_robot(*models, **given)  # type: ignore[misc, arg-type]
-
-
-ARM = """<robot name="arm">
-  <link name="base"/>
-  <link name="upper"><inertial><origin xyz="0 0 0.2"/><mass value="2"/>
-    <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
-    <origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>
-    <limit lower="-1" upper="1" effort="9" velocity="3"/></joint>
-</robot>"""
-
-
-def test_an_arm_keeps_its_base_in_the_world(tmp_path: Path) -> None:
-    file = tmp_path / "arm.urdf"
-    file.write_text(ARM)
-    robot = pa.load_robot(file)
-    assert not robot.floating
-    torque = pa.gravity_compensation(pa.Configuration(robot, np.array([0.5])), contacts=[])
-    # A weight of 2 kg, 0.2 m from the axis, leaning forward: the motor holds it back.
-    assert torque.joint_torques == pytest.approx([-2 * 9.81 * 0.2 * np.sin(0.5)], rel=1e-9)
 
 
 def test_limbs_on_a_link_that_is_fixed_to_the_root_are_legs(tmp_path: Path) -> None:

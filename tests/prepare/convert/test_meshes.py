@@ -166,26 +166,3 @@ def test_meshes_are_found_when_the_folder_is_moved_with_theirs(tmp_path: Path) -
     pa.convert_model(urdf, tmp_path / "robot/mjcf/arm.xml")
     (tmp_path / "robot").rename(tmp_path / "elsewhere")
     assert compiled(tmp_path / "elsewhere/mjcf/arm.xml").nmesh == 1
-
-
-def test_a_folder_that_is_linked_together_is_moved_together(tmp_path: Path) -> None:
-    """The meshes are in a store, and linked to where the package has them."""
-    urdf = published(tmp_path)
-    (tmp_path / "store").mkdir()
-    (tmp_path / "robot/meshes/box.stl").rename(tmp_path / "store/1f3a.stl")
-    (tmp_path / "robot/meshes/box.stl").symlink_to(tmp_path / "store/1f3a.stl")
-    pa.convert_model(urdf, tmp_path / "robot/urdf/arm.xml")
-    (tmp_path / "robot").rename(tmp_path / "elsewhere")
-    assert compiled(tmp_path / "elsewhere/urdf/arm.xml").nmesh == 1
-
-
-def test_copied_meshes_move_with_the_new_file(tmp_path: Path) -> None:
-    urdf = published(tmp_path)
-    (tmp_path / "new").mkdir()
-    found = pa.convert_model(urdf, tmp_path / "new/arm.xml", copy_meshes=True)
-    assert found.written == tuple(
-        str(tmp_path / "new" / name) for name in ("arm_meshes/box.stl", "arm.xml")
-    )
-    (tmp_path / "robot").rename(tmp_path / "gone")
-    (tmp_path / "new").rename(tmp_path / "elsewhere")
-    assert compiled(tmp_path / "elsewhere/arm.xml").nmesh == 1

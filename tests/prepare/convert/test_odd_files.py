@@ -57,35 +57,6 @@ def test_names_that_the_new_file_uses_itself(change: tuple[str, str], tmp_path: 
     assert same_dynamics(urdf, mjcf) < 1e-9
 
 
-def test_a_material_and_a_shape_called_floor(tmp_path: Path) -> None:
-    red = '<material name="floor"><color rgba="1 0 0 1"/></material>'
-    shapes = shape_of("visual", '<box size="0.1 0.1 0.1"/>', "0 0 0").replace(
-        "</visual>", f"{red}</visual>"
-    ) + shape_of("collision", '<box size="0.1 0.1 0.01"/>', "0 0 0").replace(
-        "<collision>", '<collision name="floor">'
-    )
-    path = standing_urdf(tmp_path)
-    path.write_text(path.read_text().replace("</link>", f"{shapes}</link>", 1))
-    mjcf, found = converted(path, "quad.xml")
-    assert found.passed, found.failures
-    model = compiled(mjcf)
-    assert model.geom("floor").type == mujoco.mjtGeom.mjGEOM_PLANE.value
-    np.testing.assert_allclose(model.material("floor_2").rgba, [1, 0, 0, 1])
-
-
-def test_a_fixed_joint_is_called_like_the_base(tmp_path: Path) -> None:
-    """PlaCo asks for frames by their names alone."""
-    head = (
-        '<link name="head"><inertial><mass value="0.3"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" '
-        'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="trunk" type="fixed"><origin '
-        'xyz="0.1 0 0.05"/><parent link="trunk"/><child link="head"/></joint></robot>'
-    )
-    urdf = _changed(tmp_path, ("</robot>", head))
-    mjcf, found = converted(urdf, "quad.xml")
-    assert found.passed, found.failures
-    assert compiled(mjcf).body_subtreemass[0] == pytest.approx(4 + 4 * 1.1 + 0.3)
-
-
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
@@ -173,26 +144,10 @@ def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None
     assert _drift(mjcf) < 1e-4
 
 
-def test_what_an_mjcf_does_not_have_of_a_urdf_is_said(tmp_path: Path) -> None:
-    urdf = _changed(tmp_path, ("</robot>", '<gazebo reference="trunk"/><transmission/></robot>'))
-    _, found = converted(urdf, "quad.xml")
-    assert {"1 <gazebo>", "1 <transmission>"} <= {*map(str, found.not_converted)}
-    assert any(
-        text.startswith("velocity limits of 12 joints") for text in map(str, found.not_converted)
-    )
-
-
 def test_an_armature_is_not_negative(tmp_path: Path) -> None:
     urdf = standing_urdf(tmp_path)
     with pytest.raises(pa.ConfigurationError, match="negative"):
         pa.convert_model(urdf, tmp_path / "new.xml", armature={"FR_knee": -1.0})
-
-
-def test_a_negative_effort_limit_is_left(tmp_path: Path) -> None:
-    urdf = _changed(tmp_path, ('effort="80"', 'effort="-80"'))
-    _, found = converted(urdf, "quad.xml")
-    assert any("effort limit -80" in text for text in map(str, found.not_converted))
-    assert not found.passed
 
 
 # ---------------------------------------------------------------------------- an MJCF as a URDF

@@ -37,19 +37,6 @@ def converted(folder: Path, equality: str) -> tuple[list[ElementTree.Element], l
     ]
 
 
-def test_a_line_is_a_mimic(tmp_path: Path) -> None:
-    (joint,), left = converted(
-        tmp_path, '<joint joint1="second" joint2="first" polycoef="0.1 -2 0 0 0"/>'
-    )
-    assert left == []
-    assert joint.get("name") == "second"
-    mimic = joint.find("mimic")
-    assert mimic is not None
-    assert mimic.get("joint") == "first"
-    assert float(mimic.get("multiplier", "1")) == -2
-    assert float(mimic.get("offset", "0")) == pytest.approx(0.1)
-
-
 @pytest.mark.parametrize(
     "equality",
     [
@@ -63,31 +50,6 @@ def test_what_is_no_line_is_left_and_told(tmp_path: Path, equality: str) -> None
     mimics, left = converted(tmp_path, equality)
     assert mimics == []
     assert left == ["equality-not-in-urdf"]
-
-
-def test_numbers_of_contacts_and_options_that_a_urdf_cannot_state_are_listed(
-    tmp_path: Path,
-) -> None:
-    """Of what touches alone: a geom that is only seen has none."""
-    text = FINGERS.format("").replace(
-        "<default>",
-        '<option impratio="7" integrator="RK4"/><default><geom friction="0.6 0.1 0.2" condim="6"/>',
-    )
-    seen = '<geom size="0.01" friction="0.1" contype="0" conaffinity="0"/></body>\n</body>'
-    source, urdf = tmp_path / "r.xml", tmp_path / "r.urdf"
-    source.write_text(text.replace("</body>\n</body>", seen, 1))
-    listed = {
-        str(left.values["what"]): left.values["values"]
-        for left in pa.convert_model(source, urdf).not_converted
-        if left.code in ("contact-number-not-in-urdf", "option-not-in-urdf")
-    }
-    assert listed == {
-        "friction": ("0.6 0.1 0.2",),
-        "condim": ("6",),
-        "impratio": ("7",),
-        "integrator": ("1",),
-    }
-    assert not any(word in urdf.read_text() for word in listed)
 
 
 ARM = """<body name="{name}" pos="0 {y} 1"><joint name="{name}_1" axis="0 1 0"/>
@@ -147,13 +109,6 @@ def test_furniture_is_no_robot(tmp_path: Path) -> None:
     ]
     np.testing.assert_allclose(*torques, atol=1e-12)
     assert robot.joint_names == ("left_1", "left_2")
-
-
-def test_of_several_robots_one_is_to_be_named(tmp_path: Path) -> None:
-    file = scene(tmp_path, LEFT, RIGHT)
-    with pytest.raises(pa.ModelError, match=r"'left' with 2 joints, 'right' .*; name one"):
-        pa.load_robot(file)
-    assert pa.load_robot(file, body="right").joint_names == ("right_1", "right_2")
 
 
 def test_a_robot_on_a_free_base_goes_before_doors(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from pupper_analysis.models.additions import Floor, Options, Servo, Start
+from pupper_analysis.models.additions import Floor, Servo, Start
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.stance.task import StandTask
 from tests.support.conversions import standing_urdf
@@ -114,17 +114,6 @@ def test_all_that_is_added_says_why(tmp_path: Path) -> None:
     messages = {note.code for note in robot.notes}
     assert said - {"servos-made"} <= messages
     assert "servos-added" in messages
-
-
-def test_what_an_mjcf_says_of_contacts_stays(tmp_path: Path) -> None:
-    """A floor is added; how contacts hold is the file's own: MuJoCo's default, if it says none."""
-    pair = legged(tmp_path)
-    robot = pa.load_robot(pair.urdf, pair.mjcf)
-    stated = mujoco.MjModel.from_xml_path(str(pair.mjcf)).opt
-    assert robot.mj_model.opt.cone == stated.cone
-    assert robot.mj_model.opt.impratio == stated.impratio
-    cones = [each for each in robot.description.added if isinstance(each, Options)]
-    assert not any("cone" in each.values for each in cones)
 
 
 @pytest.mark.parametrize("stated", ["", '<option impratio="5"/>'])

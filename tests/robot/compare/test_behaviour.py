@@ -93,14 +93,6 @@ def test_limits_and_efforts_are_kept() -> None:
         assert found.damping == joint.damping
 
 
-def test_trees_that_differ_in_numbers_share_data(written: Written, workspaces: list[int]) -> None:
-    result = pa.compare_models(*written(10, 4, heavier=8))
-    assert len(result.differences) == 8
-    assert result.complete
-    # Of the URDF, of the MJCF, and of all trees that are made of their numbers.
-    assert len(workspaces) <= 3
-
-
 def test_a_large_robot_is_compared_without_pinocchios_data(
     written: Written, workspaces: list[int]
 ) -> None:

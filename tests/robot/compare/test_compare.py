@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pupper_analysis.base.errors import ModelError
 from pupper_analysis.robot.compare.differences import Difference
 from pupper_analysis.tools.crosscheck import crosscheck
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
 from tests.support.robots import (
     FEET,
     Files,
-    Part,
-    all_changed,
     changed,
     compared,
-    found,
     line_at,
     mjcf_text,
     quadruped,
@@ -102,26 +97,6 @@ def test_the_place_of_what_a_default_class_states(tmp_path: Path) -> None:
     assert 'name="knee1"' in lines_of(differences["upper limit", "knee1"], files)[1]
 
 
-def test_links_that_are_merged_are_named_with_their_shares_and_lines(tmp_path: Path) -> None:
-    """The base has no mass itself: what stands where is the mass of what is fixed to it."""
-    base = quadruped()["base"]
-    parts = {
-        "base": replace(base, mass=0.0),
-        "trunk": replace(base, link="trunk", parent="base", joint="to_trunk", kind="fixed"),
-        "pack": Part("pack", "trunk", "to_pack", "fixed", position=(0, 0, 0.1), mass=2.0),
-        **{name: part for name, part in quadruped().items() if name != "base"},
-    }
-    urdf = urdf_text(parts)
-    files = write(tmp_path, urdf, mjcf_text(quadruped()))
-    difference = first_of(compared(files), "mass")
-    assert lines_of(difference, files)[0] == '<mass value="6.0"/>'
-    trunk, pack = (number_of(urdf, f'<mass value="{mass}"/>') for mass in ("6.0", "2.0"))
-    assert tuple(map(str, difference.made_of)) == (
-        f"in the URDF it is made of trunk 6 kg (75 %, robot.urdf:{trunk}), "
-        f"pack 2 kg (25 %, robot.urdf:{pack})",
-    )
-
-
 SITE, FREE = '<site name="foot1" pos="0.002 0.0 -0.2"/>', '<joint type="free" damping="0.5"/>'
 LOWER_FOOT = [f._replace(position=(0, 0, -0.25)) if f.name == "foot1" else f for f in FEET]
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
@@ -162,26 +137,6 @@ def test_the_place_of_an_effort_without_a_motor(tmp_path: Path) -> None:
     assert '<joint name="knee1"' in lines_of(difference, files)[1]
 
 
-def test_the_place_of_what_is_included(tmp_path: Path) -> None:
-    """The line is that of the included file, by its name."""
-    text = mjcf_text(changed(quadruped(), "base", mass=7.0))
-    start, end = text.index('<body name="base"'), text.index("</worldbody>")
-    (tmp_path / "body.xml").write_text(f"<mujocoinclude>\n{text[start:end]}</mujocoinclude>")
-    text = f'{text[:start]}<include file="body.xml"/>\n{text[end:]}'
-    files = write(tmp_path, urdf_text(quadruped()), text)
-    place = first_of(compared(files), "mass").mjcf_place
-    assert 'mass="7.0"' in line_at(place, {"body.xml": tmp_path / "body.xml"})
-
-
-def test_places_when_joints_are_mapped(tmp_path: Path) -> None:
-    urdf = changed(quadruped(), "shank2", joint="lh_kfe", damping=0.4)
-    files = write_parts(tmp_path, urdf, quadruped())
-    difference = first_of(compared(files, names={"lh_kfe": "knee2"}), "damping")
-    in_urdf, in_mjcf = lines_of(difference, files)
-    assert in_urdf.startswith('<dynamics damping="0.4"')
-    assert '<joint name="knee2"' in in_mjcf
-
-
 # ------------------------------------------------------------------------------------- verdict
 
 
@@ -217,37 +172,6 @@ def test_a_limit_lost_in_one_file_is_an_infinite_deviation(tmp_path: Path) -> No
     limits = {q.name: q for q in comparison.check.quantities}["lower joint limits"]
     assert limits.relative == float("inf")
     assert limits.where == "hip0"
-
-
-def test_names_count_if_they_shall(tmp_path: Path) -> None:
-    files = write_parts(tmp_path, changed(quadruped(), "shank2", joint="lh_kfe"), quadruped())
-    assert compared(files).agree
-    strict = compared(files, strict_names=True)
-    assert not strict.agree
-    assert found(strict) == [("name", "knee2")]
-    difference = strict.differences[0]
-    assert (difference.urdf, difference.mjcf) == ("lh_kfe", "knee2")
-    in_urdf, in_mjcf = lines_of(difference, files)
-    assert '<joint name="lh_kfe"' in in_urdf
-    assert '<joint name="knee2"' in in_mjcf
-    assert strict.complete
-    # Who says that they are the same joint knows their names.
-    assert compared(files, strict_names=True, names={"lh_kfe": "knee2"}).agree
-
-
-def test_a_urdf_without_any_mass_is_refused(tmp_path: Path) -> None:
-    files = write_parts(tmp_path, all_changed(quadruped(), mass=0.0), quadruped())
-    with pytest.raises(ModelError, match="its links weigh 0 kg together; give them <inertial>s"):
-        compared(files)
-
-
-def test_an_mjcf_that_mujoco_refuses_is_not_compared(tmp_path: Path) -> None:
-    """A copy of its spec, without the sensor, would agree."""
-    text = mjcf_text(quadruped(), extra='<sensor>\n<gyro site="nix"/>\n</sensor>')
-    files = write(tmp_path, urdf_text(quadruped()), text)
-    line = number_of(text, "<gyro")
-    with pytest.raises(ModelError, match=rf"robot.xml:{line}: .* unrecognized name 'nix'"):
-        compared(files)
 
 
 # ------------------------------------------------------------------------------------- JSON

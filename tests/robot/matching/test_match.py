@@ -16,16 +16,13 @@ from pupper_analysis.robot.matching.match import match_models, read_mapping
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.robots import (
-    FEET,
     Files,
-    Frame,
     Part,
     Parts,
     arm,
     changed,
     compared,
     found,
-    matched,
     mjcf_text,
     quadruped,
     urdf_text,
@@ -54,23 +51,6 @@ def with_root(kind: str, origin: str = "", urdf: str = URDF) -> str:
 
 
 # ------------------------------------------------------------------------------------- by name
-
-
-def test_joints_and_actuators_in_another_order(tmp_path: Path) -> None:
-    files = write_parts(tmp_path, quadruped(), quadruped(), backwards=True)
-    comparison = compared(files)
-    assert comparison.agree
-    assert set(comparison.joints) == JOINTS
-    assert comparison.joints[0] == "knee3"  # the MJCF's actuators are in reverse
-    assert comparison.guessed == {}
-    assert comparison.only_urdf == comparison.only_mjcf == ()
-
-
-@pytest.mark.parametrize(
-    "free", ["<freejoint/>", '<freejoint name="root"/>', '<joint type="free"/>']
-)
-def test_the_free_joint_needs_no_name(tmp_path: Path, free: str) -> None:
-    assert compare_texts(tmp_path, URDF, MJCF.replace("<freejoint/>", free)).agree
 
 
 # ------------------------------------------------------------------------------------- the root
@@ -199,20 +179,6 @@ def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> N
     )
 
 
-def test_scenery_is_no_part_of_a_fixed_base(tmp_path: Path) -> None:
-    """What is static is lumped with a fixed base, but not a table that the URDF has not."""
-    table = '<body name="table" pos="1 0 0"><geom size="0.1"/></body>'
-    mjcf = mjcf_text(arm(), free=False, scene=table)
-    comparison = compare_texts(tmp_path, urdf_text(arm()), mjcf)
-    assert comparison.agree
-    assert comparison.engines == ()
-    assert "robot.xml: body 'table' is not part of the robot and was left out" in map(
-        str, comparison.notes
-    )
-    heavier = mjcf_text(changed(arm(), "base", mass=3.5), free=False, scene=table)
-    assert found(compare_texts(tmp_path, urdf_text(arm()), heavier)) == [("mass", "base")]
-
-
 # ------------------------------------------------------------------------------------- couplings
 
 
@@ -324,29 +290,6 @@ def test_sides_in_names_decide_between_turns(tmp_path: Path) -> None:
         compared(text)
 
 
-def test_joints_match_that_are_each_others_nearest(tmp_path: Path) -> None:
-    """A joint of the URDF alone, near a renamed one, does not take its place."""
-    hip = quadruped()["thigh0"]
-    near = tuple(np.array(hip.position) + np.array([0.03, 0.0, 0.0]))
-    extra = light("aid", "base", quaternion=hip.quaternion, axis=hip.axis, position=near)
-    urdf = {
-        "base": quadruped()["base"],
-        "aid": replace(extra, joint="a_first"),
-        **{name: part for name, part in quadruped().items() if name != "base"},
-    }
-    mjcf = renamed(quadruped(), hip0="front_hip")
-    comparison = compared(write_parts(tmp_path, urdf, mjcf))
-    assert comparison.guessed == {"hip0": "front_hip"}
-    assert comparison.only_urdf == ("a_first",)
-
-
-def test_joints_with_other_axes_are_not_matched(tmp_path: Path) -> None:
-    urdf = changed(quadruped(), "shank3", joint="other", axis=(0.0, 0.0, 1.0))
-    comparison = compared(write_parts(tmp_path, urdf, other_links(quadruped())))
-    assert comparison.guessed == {}
-    assert (comparison.only_urdf, comparison.only_mjcf) == (("other",), ("knee3",))
-
-
 def test_joints_far_apart_are_not_matched(tmp_path: Path) -> None:
     """Half the robot's length away it is another joint, were it the only one left."""
     urdf = quadruped() | {"tail": light("tail", "base", position=(-0.3, 0.0, 0.0))}
@@ -442,21 +385,6 @@ def test_joints_are_matched_by_the_links_that_they_move(tmp_path: Path) -> None:
     assert {kind for kind, _ in found(comparison)} <= {"axis"}
 
 
-def test_a_fixed_base_of_several_bodies(tmp_path: Path) -> None:
-    """The tower stands on a foot: both are the base, and its frame is the root link's."""
-    foot = Part("foot", mass=0.9, com=(0.0, 0.02, 0.01))
-    tower = replace(
-        arm()["base"], parent="foot", joint="tower", kind="fixed", position=(0.0, 0.1, 0.05),
-        quaternion=(0.8, 0.0, 0.6, 0.0),
-    )  # fmt: skip
-    parts = {"foot": foot, **arm(), "base": tower}
-    text = mjcf_text(prefixed(parts, "left_"), (), free=False, base_position=(0.3, 0.0, 0.2))
-    comparison = compared(write(tmp_path, urdf_text(parts, ()), text))
-    assert comparison.agree
-    assert comparison.engines == ()
-    assert comparison.check.passed
-
-
 @pytest.mark.parametrize("where", ["URDF", "MJCF"])
 def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> None:
     """A hand is fixed to the rod, and carries two fingers."""
@@ -481,50 +409,6 @@ def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> N
 # ------------------------------------------------------------------------------------- no names
 
 
-def without_name(text: str, *joints: str) -> str:
-    """The MJCF with joints that have no name, and so no motors."""
-    for joint in joints:
-        text = text.replace(f'<joint name="{joint}" ', "<joint ")
-        start = text.index(f'<motor name="m_{joint}"')
-        text = text[:start] + text[text.index("\n", start) + 1 :]
-    return text
-
-
-def test_a_hinge_without_a_name_is_named_after_its_body(tmp_path: Path) -> None:
-    comparison = compare_texts(tmp_path, URDF, without_name(MJCF, "knee2"))
-    assert comparison.guessed == {"knee2": "shank2_joint"}
-    assert "a joint without a name in the MJCF is called 'shank2_joint'" in map(
-        str, comparison.notes
-    )
-    assert found(comparison) == [("effort", "shank2_joint")]
-    (difference,) = comparison.differences
-    assert difference.mjcf_place is not None
-
-
-def test_two_hinges_of_one_body_without_names(tmp_path: Path) -> None:
-    """A universal joint: two hinges in one body, and a link without mass between in the URDF."""
-    fork = Part("fork", "base", "roll", position=(0.3, 0.0, 0.0), mass=0.0)
-    wheel = replace(light("wheel", "fork", axis=(0.0, 1.0, 0.0)), position=(0.0, 0.0, 0.0))
-    urdf = urdf_text(quadruped() | {"fork": fork, "wheel": wheel})
-    body = (
-        '<body pos="0.3 0 0"><joint axis="1 0 0" range="-1 1" damping="0.1" armature="0.01" '
-        'frictionloss="0.2"/><joint axis="0 1 0" range="-1 1" damping="0.1" armature="0.02" '
-        'frictionloss="0.2"/><inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body>'
-    )
-    mjcf = MJCF.replace("<freejoint/>", f"<freejoint/>{body}")
-    comparison = compare_texts(tmp_path, urdf, mjcf)
-    assert set(comparison.guessed) == {"roll", "to_wheel"}
-    assert {kind for kind, _ in found(comparison)} <= {"effort"}
-
-
-def test_a_name_made_up_does_not_hide_a_real_one(tmp_path: Path) -> None:
-    mjcf = without_name(MJCF, "knee2").replace('"knee1"', '"shank2_joint"')
-    urdf = URDF.replace('"knee1"', '"shank2_joint"')
-    comparison = compare_texts(tmp_path, urdf, mjcf)
-    assert len(comparison.joints) == 8
-    assert {kind for kind, _ in found(comparison)} <= {"effort"}
-
-
 # ------------------------------------------------------------------------------------- mappings
 
 
@@ -535,16 +419,6 @@ def test_a_mapping_goes_before_equal_names(tmp_path: Path) -> None:
     assert not compared(files).agree
     names = {"hip0": "hip1", "hip1": "hip0", "knee0": "knee1", "knee1": "knee0"}
     assert compared(files, names=names).agree
-
-
-def test_frames_are_mapped(tmp_path: Path) -> None:
-    frames = [frame._replace(name=f"toe_{frame.name}") for frame in FEET]
-    files = write(tmp_path, urdf_text(quadruped(), frames), MJCF)
-    assert "foot positions" not in compared(files).deviations
-    names = {f"toe_foot{leg}": f"foot{leg}" for leg in range(4)}
-    comparison = compared(files, names=names)
-    assert comparison.deviations["foot positions"] < 1e-12
-    assert comparison.agree
 
 
 @pytest.mark.parametrize(
@@ -560,22 +434,6 @@ def test_an_unknown_name_lists_the_valid_ones(
         UnknownNameError, match=rf"robot.{file}: no joint .*'{wrong}'; there are: hip0"
     ):
         compare_texts(tmp_path, URDF, MJCF, names={one: other})
-
-
-def test_a_joint_left_over_may_have_a_mapped_name(tmp_path: Path) -> None:
-    """``old`` is the MJCF's hip0, and the URDF has another joint called hip0."""
-    urdf = renamed(quadruped(), hip0="old") | {"tail": light("tail", "base")}
-    urdf = changed(urdf, "tail", joint="hip0")
-    still = quadruped() | {"tail": replace(light("tail", "base"), kind="fixed")}
-    comparison = compared(write_parts(tmp_path, urdf, still), names={"old": "hip0"})
-    assert comparison.only_urdf == ("hip0",)
-    assert found(comparison) == []
-
-
-def test_a_mapping_file(tmp_path: Path) -> None:
-    path = tmp_path / "names.toml"
-    path.write_text('# legs\n"lf/haa" = "hip0"\nB = "knee1"\n')
-    assert read_mapping(path) == {"lf/haa": "hip0", "B": "knee1"}
 
 
 @pytest.mark.parametrize(
@@ -596,26 +454,6 @@ def test_a_bad_mapping_file(tmp_path: Path, text: str, message: str) -> None:
 
 
 # ------------------------------------------------------------------------------------- frames
-
-
-def test_common_frames_are_links_on_fixed_joints_and_sites_or_bodies(tmp_path: Path) -> None:
-    """foot0 is a site, foot1 a body without joints; lidar is in the URDF alone."""
-    urdf = urdf_text(quadruped(), [*FEET, Frame("lidar", "base", (0.2, 0, 0))])
-    site = '<site name="foot1" pos="0.002 0.0 -0.2"/>'
-    assert site in MJCF
-    mjcf = MJCF.replace(site, '<body name="foot1" pos="0.002 0 -0.21"/>')
-    match = matched(write(tmp_path, urdf, mjcf))
-    assert set(match.robot.description.frames) == {f"foot{leg}" for leg in range(4)}
-    assert found(compared(write(tmp_path, urdf, mjcf))) == [("frame", "foot1")]
-
-
-def test_feet_choose_the_frames(tmp_path: Path) -> None:
-    moved = [f._replace(position=(0, 0, -0.3)) if f.name == "foot1" else f for f in FEET]
-    files = write(tmp_path, urdf_text(quadruped(), moved), MJCF)
-    assert found(compared(files)) == [("frame", "foot1")]
-    assert compared(files, feet=["foot0", "foot2"]).agree
-    with pytest.raises(UnknownNameError, match=r"'toe'; there are: foot0, foot1, foot2, foot3"):
-        compared(files, feet=["toe"])
 
 
 # ------------------------------------------------------------------------------------- continuous

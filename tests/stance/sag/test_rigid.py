@@ -23,11 +23,3 @@ def test_two_points_of_a_sole_cannot_part() -> None:
     )
     for way in ([(1, 2), (1, 2), (0, 0)], [(0, 1), (0, -1), (0, 0)]):  # along, and turning
         np.testing.assert_allclose(left(way), way, atol=1e-12)
-
-
-def test_points_that_are_feet_of_their_own_slip_as_they_like() -> None:
-    anchors = {name: Anchor(np.array(place), np.eye(3)) for name, place in PLACES.items()}
-    assert (
-        rigid_slips(anchors, {name: name for name in PLACES}, dict.fromkeys(PLACES, np.eye(3)))
-        is None
-    )

@@ -5,20 +5,16 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base.diagnostics import (
     Severity,
-    catalogue,
     diagnose,
-    diagnostic,
 )
 from pupper_analysis.present import formats
 from pupper_analysis.tools.check.config import entries_of, read_config
@@ -223,34 +219,6 @@ def test_a_file_of_several_pairs_is_audited_once(folder: Path) -> None:
     assert [(pair.name, pair.agree) for pair in check.pairs] == [("hopper", False), ("alone", None)]
 
 
-def test_each_model_of_a_check_has_its_verdict(folder: Path) -> None:
-    with (folder / "pupper-analysis.toml").open("a") as file:
-        file.write('[[pair]]\nname = "alone"\nurdf = "hopper.urdf"\n')
-    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.3"')
-    shown = run(folder).stdout
-    rows = [line.split() for line in shown.splitlines()]
-    assert ["hopper", "FAILED", "1", "0", "they", "differ", "hopper.urdf,", "hopper.xml"] in rows
-    assert ["alone", "OK", "0", "0", "hopper.urdf"] in rows
-    assert "not compared" not in shown
-    check = pa.guard.check_repository(folder / "pupper-analysis.toml")
-    assert [(pair.failures, pair.known) for pair in check.pairs] == [(1, 0), (0, 0)]
-
-
-def test_a_difference_is_told_in_the_file_that_changed(folder: Path) -> None:
-    (folder / BASELINE).unlink()
-    line = change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.3"')
-    places = re.findall(r"::error file=([\w.]+),line=(\d+),title=mass of knee",
-                        run(folder, "--format", "github").stdout)  # fmt: skip
-    assert sorted(places) == [("hopper.urdf", "20"), ("hopper.xml", str(line))]  # who knows which
-    run(folder, "--update-baseline")
-    change(folder / "hopper.xml", 'mass="0.3"', 'mass="0.4"')
-    places = re.findall(r"::error file=([\w.]+),line=(\d+),title=mass of knee",
-                        run(folder, "--format", "github").stdout)  # fmt: skip
-    assert places == [("hopper.xml", str(line))]
-    sarif = json.loads(run(folder, "--format", "sarif").stdout)["runs"][0]["results"]
-    assert len([one for one in sarif if one["ruleId"] == "crosscheck/mass"]) == 1
-
-
 def test_patterns_name_many_models(folder: Path) -> None:
     for kind, suffix in (("urdf", "urdf"), ("mjcf", "xml")):
         (folder / kind).mkdir()
@@ -327,34 +295,6 @@ def test_check_writes_formats_for_machines(folder: Path) -> None:
         ("upper limit", "new"),
         ("mass", "known"),
     ]
-
-
-def with_findings(folder: Path) -> Path:
-    """The sample with an impossible mass and a rule that is not switched off; its configuration."""
-    config = folder / "pupper-analysis.toml"
-    config.write_text(re.sub("start-outside-limits = .*", "", config.read_text()))
-    change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="-0.4"/>')
-    return config
-
-
-def test_other_words_are_nothing_new(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A baseline knows findings by code and values, whatever is said of them."""
-    config = with_findings(folder)
-    pa.guard.check_repository(config, update_baseline=True)
-    said = {one.message for one in pa.guard.check_repository(config).remarks}
-    words = {"en": "put otherwise", "zh": "换了说法"}
-    monkeypatch.setattr(
-        diagnostic, "entry", lambda code: replace(catalogue.entry(code), templates=words)
-    )
-    check = pa.guard.check_repository(config)
-    assert said & {one.message for one in check.remarks} == set()
-    assert {one.state for one in check.remarks} == {RemarkState.KNOWN}
-    change(folder / "hopper.urdf", '<mass value="-0.4"/>', '<mass value="-0.5"/>')
-    (found,) = (
-        one for one in pa.guard.check_repository(config).remarks if one.kind == "mass-not-positive"
-    )
-    assert found.state is RemarkState.CHANGED
-    assert (found.before or {})["values"]["mass"] == -0.4
 
 
 REFUSED = {
@@ -463,33 +403,6 @@ def test_values_that_are_the_same(one: object, two: object, expected: bool) -> N
 
 
 NAMES = st.text(st.characters(codec="utf-8"), max_size=12)
-ENTRIES = st.lists(
-    st.builds(
-        BaselineEntry,
-        st.tuples(NAMES, NAMES, NAMES, NAMES, NAMES),
-        st.dictionaries(
-            st.sampled_from(["urdf", "mjcf", "code"]),
-            st.floats(allow_nan=False) | NAMES | st.lists(st.floats(allow_nan=False), max_size=3),
-        ),
-    ),
-    max_size=6,
-)
-
-
-@given(entries=ENTRIES)
-def test_a_baseline_is_read_as_it_was_written(
-    entries: list[BaselineEntry], tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "known.txt"
-    write_baseline(path, entries)
-    back = read_baseline(path)
-    assert sorted(map(str, [(e.identity, dict(e.values)) for e in entries])) == sorted(
-        map(str, [(e.identity, dict(e.values)) for e in back])
-    )
-    text = path.read_text()
-    write_baseline(path, reversed(back))  # the order does not matter
-    assert [e.identity for e in read_baseline(path)] == [e.identity for e in back]
-    assert text.startswith("# What `pupper-analysis check` knows")
 
 
 def test_a_baseline_is_sorted_and_says_what_it_lets_pass(folder: Path) -> None:

@@ -122,49 +122,6 @@ def test_how_many_actions_a_network_gives_is_held_against_the_others(
     assert (finding.kind, finding.values) == ("actions", (10, 12))
 
 
-def test_settings_in_yaml_are_those_of_legged_gym(sources: dict[str, Path]) -> None:
-    """As HumanoidVerse has them: names, lists of limits, tables of gains by parts of names."""
-    path = sources["deploy.yaml"].with_name("robot.yaml")
-    path.write_text(
-        f"robot:\n  dof_names: {listed(JOINTS)}\n  dof_effort_limit_list: {listed([3.0] * 12)}\n"
-        "  init_state:\n    default_joint_angles:\n"
-        + "".join(f"      {one}: {at}\n" for one, at in zip(JOINTS, ANGLES, strict=True))
-        + "  control:\n    stiffness: {leg: 5.0, _3: 6.0}\n    action_scale: 0.75\n"
-    )
-    found = contract(path, sources["policy.json"])
-    (read,) = [one for one in found.sources if one.path == str(path)]
-    assert (read.role, read.how) == ("trainer", "named")
-    (finding,) = found.findings
-    assert (finding.kind, finding.values) == ("kp", (6.0, 5.0))
-    assert set(finding.joints) == set(JOINTS[2::3])
-
-
-def test_a_trainers_parts_and_tables_of_standing_up_are_no_deployments(
-    sources: dict[str, Path],
-) -> None:
-    """As Booster has them: gains of `prepare` may be others, those in `control` are a part."""
-    trainer, deploy = (sources["deploy.yaml"].with_name(name) for name in ("T1.yaml", "run.yaml"))
-    trainer.write_text(
-        "init_state:\n  default_joint_angles:\n"
-        + "".join(f"    {one}: {at}\n" for one, at in zip(JOINTS, ANGLES, strict=True))
-        + "control:\n  stiffness: {leg: 5.0}\n  action_scale: 0.75\n  decimation: 4\n"
-    )
-    table = "{}:\n  stiffness: {}\n  default_qpos: {}\n"
-    stand = table.format("prepare", listed([9.0] * 12), listed([0.1] * 12))
-    deploy.write_text(table.format("common", listed([5.0] * 12), listed(ANGLES)) + stand)
-    found = contract(trainer, deploy)
-    assert found.findings == ()
-    assert [one.name for one in found.sources if one.role == "trainer"] == ["T1.yaml"]
-    said = {(one.source, one.quantity) for one in found.facts if one.joint == JOINTS[0]}
-    assert said >= {("run.yaml:prepare", "start kp"), ("run.yaml:prepare", "start angle"),
-                    ("run.yaml:common", "kp"), ("run.yaml:common", "default angle")}  # fmt: skip
-    deploy.write_text(
-        deploy.read_text().replace("common", "walk").replace("5.0, 5.0", "6.0, 5.0", 1)
-    )
-    (finding,) = [one for one in contract(trainer, deploy).findings if one.slip != "mirror"]
-    assert (finding.kind, finding.values, finding.joints) == ("kp", (5.0, 6.0), (JOINTS[0],))
-
-
 def test_joints_of_other_names_are_matched_by_structure(
     tmp_path: Path, sources: dict[str, Path]
 ) -> None:
@@ -335,21 +292,6 @@ def test_a_folder_gives_the_deployments_of_this_robot(sources: dict[str, Path]) 
     found = contract(folder)
     assert {one.name for one in found.sources} == {
         "pupper_v3.urdf", "config.yaml:walker", "policy.onnx"}  # fmt: skip
-
-
-def test_names_are_matched_without_prefixes_and_as_they_are_given(
-    sources: dict[str, Path],
-) -> None:
-    text = sources["config.yaml"].read_text()
-    sources["config.yaml"].write_text(text.replace("leg_", "robot_leg_"))
-    assert contract(sources["gym_cfg.py"], sources["config.yaml"]).findings == ()
-    other = [f"motor{number}" for number in range(12)]
-    sources["config.yaml"].write_text(text.replace(listed(JOINTS), listed(other)))
-    with pytest.raises(ModelError, match="no joint of it is one of"):
-        contract(sources["config.yaml"])
-    names = dict(zip(other, JOINTS, strict=True))
-    found = read_contract(URDF, sources["config.yaml"], names=names, stand=False)
-    assert len([one for one in found.facts if one.quantity == "kp"]) == 12
 
 
 def test_moveits_limits_count_where_they_are_switched_on(sources: dict[str, Path]) -> None:

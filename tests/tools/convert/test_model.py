@@ -18,7 +18,6 @@ import pupper_analysis as pa
 from tests.support import features
 from tests.support.commands import Answer, answer
 from tests.support.conversions import (
-    LEGS,
     compiled,
     converted,
     same_dynamics,
@@ -53,14 +52,6 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
         "accelerometer",
         "orientation",
     }
-
-
-def test_nothing_has_to_be_made_up_for_the_new_file(tmp_path: Path) -> None:
-    urdf = standing_urdf(tmp_path)
-    mjcf, _ = converted(urdf, "quad.xml")
-    notes = pa.load_robot(urdf=urdf, mjcf=mjcf).notes
-    assert not [note for note in notes if note.code in ("servos-added", "ground-added")], notes
-    assert [note for note in notes if note.code == "start-pose-is-keyframe"]
 
 
 @pytest.mark.parametrize("ratio", [0.4, 0.8])
@@ -134,22 +125,6 @@ def _random_tree(random: np.random.Generator) -> Parts:
     return parts
 
 
-def test_what_a_urdf_states_of_joints_is_kept(tmp_path: Path) -> None:
-    urdf = tmp_path / "arm.urdf"
-    urdf.write_text(urdf_text(changed(arm(), "boom", damping=0.7, friction=0.3, effort=12.5), ()))
-    mjcf, found = converted(urdf, "arm.xml")
-    assert found.passed, found.failures
-    assert found.verification is None
-    model = compiled(mjcf)
-    assert [model.joint(i).name for i in range(3)] == ["turn", "lift", "push"]
-    assert model.joint("turn").limited[0] == 0
-    np.testing.assert_array_equal(model.joint("lift").range, [-1, 1])
-    np.testing.assert_array_equal(model.joint("push").range, [0, 0.3])
-    assert model.jnt_type[2] == mujoco.mjtJoint.mjJNT_SLIDE.value
-    assert (model.dof_damping[1], model.dof_frictionloss[1]) == (0.7, 0.3)
-    np.testing.assert_array_equal(model.actuator("lift").forcerange, [-12.5, 12.5])
-
-
 def test_joints_that_follow_others_are_coupled(tmp_path: Path) -> None:
     urdf = tmp_path / "arm.urdf"
     text = urdf_text(changed(arm(), "rod", effort=7.0), ())
@@ -176,25 +151,6 @@ def test_joints_that_follow_others_are_coupled(tmp_path: Path) -> None:
     )
     left = [one.code for one in again.not_converted]
     assert left == ["gains-not-in-urdf", "option-not-in-urdf"]  # its integrator
-
-
-def test_an_inertia_that_mujoco_refuses_goes_to_what_it_is_fixed_to(tmp_path: Path) -> None:
-    parts = arm()
-    parts["tip"] = Part(
-        "tip", "rod", "glue", "fixed", (0.1, 0.02, 0.0), mass=0.3, com=(0.05, 0.0, 0.0),
-        inertia=(1e-5,) * 6,
-    )  # fmt: skip
-    urdf = tmp_path / "arm.urdf"
-    urdf.write_text(urdf_text(parts, ()))
-    mjcf, found = converted(urdf, "arm.xml")
-    assert found.passed, found.failures
-    assert any(
-        "inertia of link 'tip'" in str(note) and "'rod'" in str(note) for note in found.notes
-    )
-    model = compiled(mjcf)
-    assert model.body("rod").mass[0] == pytest.approx(0.8)
-    assert model.body("tip").mass[0] == 0
-    assert same_dynamics(urdf, mjcf) < 1e-9
 
 
 @pytest.mark.filterwarnings("ignore:.*Scene.dump:DeprecationWarning")  # yourdfpy's
@@ -276,31 +232,6 @@ def test_nothing_is_written_of_what_cannot_be_simulated(feature: str, tmp_path: 
     with pytest.raises(pa.ModelError):
         pa.convert_model(mjcf, tmp_path / "new.urdf")
     assert not (tmp_path / "new.urdf").exists()
-
-
-def test_armature_is_where_it_was_given(tmp_path: Path) -> None:
-    urdf = standing_urdf(tmp_path)
-    given = {
-        f"{leg}_{name}": size for leg in LEGS for name, size in (("knee", 0.02), ("roll", 0.01))
-    }
-    mjcf, found = converted(urdf, "quad.xml", armature=given)
-    assert found.passed, found.failures
-    model = compiled(mjcf)
-    armature = {model.joint(i).name: model.dof_armature[i + 5] for i in range(1, 13)}
-    assert armature == {**dict.fromkeys(armature, 0.0), **given}
-
-
-def test_one_that_cannot_stand_is_converted_all_the_same(tmp_path: Path) -> None:
-    parts = quadruped()
-    urdf = tmp_path / "machine.urdf"
-    urdf.write_text(urdf_text(parts, ()))  # no shapes: no feet
-    mjcf, found = converted(urdf, "machine.xml")
-    assert found.agree
-    assert not found.passed
-    assert found.verification is None
-    assert str(found.failures[0]).startswith("it does not stand: ")
-    assert "no feet were found" in str(found.failures[0])
-    assert same_dynamics(urdf, mjcf) < 1e-9
 
 
 # ---------------------------------------------------------------------------- an MJCF as a URDF

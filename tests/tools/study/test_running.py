@@ -53,20 +53,6 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 # ----------------------------------------------------------------------------- the table
 
 
-def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
-    assert len(undisturbed) == 12
-    assert list(undisturbed.columns[:4]) == ["design", "leg_scale", "slope", "kp"]
-    assert list(undisturbed.columns[-4:]) == ["failure", "failed_metric", "reason", "diagnostic"]
-    row = undisturbed.iloc[7]  # of the product: the last variable changes first
-    assert tuple(row[["leg_scale", "slope", "kp"]]) == (1.3, 0.0, 5.0)
-    robot = pa.load_variant(pa.pupper.VariantSpec("v3", leg_scale=1.3))
-    stand = pa.solve_stand(robot)
-    rest = pa.steady_state(robot, stand, kp=5.0)
-    assert row["servo_sag"] == pytest.approx(rest.servo_sag, rel=1e-9)
-    statics = pa.stance.stand_statics(robot, stand)
-    assert row["peak_utilisation"] == pytest.approx(statics.motor_utilisation.max(), rel=1e-9)
-
-
 def test_what_does_not_stand_is_told_as_zero_and_has_no_sag(
     threads: Executor, tmp_path: Path
 ) -> None:

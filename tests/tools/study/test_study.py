@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,7 @@ from pupper_analysis.tools.study.parameters import (
 )
 from pupper_analysis.tools.study.study import names_of
 from pupper_analysis.tools.study.variables import BLOCK, Sampling, make_variable
-from tests.support import slips, study_metrics
+from tests.support import slips
 from tests.support.commands import answer
 from tests.support.variants import load, stand_of
 
@@ -227,28 +226,6 @@ ground = { slope = 0.05 }
 """
 
 
-def test_a_file_says_the_same_as_python(tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text(TOML)
-    read = pa.Study.read(tmp_path / "study.toml")
-    made = pa.Study(
-        "v3",
-        {
-            "leg_scale": pa.study.linspace(0.8, 1.6, 3),
-            "mass:leg_*_3": pa.study.normal(1.0, 0.05),
-            "kp": [5, 10],
-        },
-        ["servo_sag", study_metrics.knee_bend],
-        samples=8,
-        seed=5,
-        time_limit=20,
-        payload_point=(0.05, 0, 0),
-        stand=pa.StandTask(height=0.12, ground=pa.Ground(slope=0.05)),
-    )
-    assert [names for names, _ in read.designs()] == [names for names, _ in made.designs()]
-    again = pa.Study.of(made.asked() | {"stand": {"height": 0.12, "ground": {"slope": 0.05}}})
-    assert [names for names, _ in again.designs()] == [names for names, _ in made.designs()]
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -415,22 +392,6 @@ def test_what_is_only_looked_at_makes_no_difference() -> None:
     assert np.array_equal(pa.solve_stand(bare).qpos, stand.qpos)
     simulated = [pa.verify_stand(one, stand, duration=2.0).base_height for one in (bare, robot)]
     assert simulated[0] == simulated[1]
-
-
-def test_what_is_only_looked_at_and_weighs_stays() -> None:
-    """Where a body's mass is that of its shapes, as MuJoCo adds them up."""
-    description = load("original").description
-    spec = description.mjcf.copy()
-    unseen = {"contype": 0, "conaffinity": 0, "size": [0.01, 0, 0]}
-    body = next(body for body in spec.bodies if body.name != "world" and not body.explicitinertial)
-    for name, mass in (("heavy", 0.3), ("of_water", math.nan), ("light", 0.0)):
-        body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, mass=mass, **unseen)
-    found = without_visuals(replace(description, mjcf=spec)).mjcf
-    names = {geom.name for geom in found.geoms}
-    assert {"heavy", "of_water"} <= names
-    assert "light" not in names
-    masses = [one.compile().body_mass.sum() for one in (spec, found)]
-    assert masses[0] == pytest.approx(masses[1], rel=1e-12)
 
 
 def test_a_design_is_the_robot_that_its_numbers_say() -> None:

@@ -106,20 +106,6 @@ def another_zero(**more: Any) -> Parts:
     return changed(ROBOT, "shank1", quaternion=turned, **limits, **more)
 
 
-@pytest.mark.parametrize("side", ["urdf", "mjcf"])
-def test_a_zero_that_is_elsewhere(tmp_path: Path, side: str) -> None:
-    """The limits move along: it is one difference, and two or three attributes."""
-    moved = another_zero()
-    files = write(tmp_path, urdf_text(ROBOT), mjcf_text(moved))
-    result = pa.sync_models(*files, take=side)
-    assert [(d.kind, d.element) for d in result.differences] == [("zero", "knee1")]
-    assert result.agree
-    assert agree(files)
-    assert {edit.attribute for edit in result.edits} == (
-        {"quat", "range"} if side == "urdf" else {"rpy", "lower", "upper"}
-    )
-
-
 def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) -> None:
     part, moved = ROBOT["shank1"], another_zero(position=(0.01, 0.08, -0.2))
     for side in ("urdf", "mjcf"):

@@ -9,35 +9,7 @@ import mujoco
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.efforts import effort_limit
 from tests.support.robots import changed, mjcf_text, quadruped, urdf_text, write
-
-MOTORS = {
-    "control": '<motor joint="hip1" gear="3" ctrllimited="true" ctrlrange="-5 5"/>',
-    "force": '<motor joint="hip1" gear="3" forcelimited="true" forcerange="-5 5"/>',
-    "gain": '<general joint="hip1" gear="-2" gainprm="1.5" ctrllimited="true" ctrlrange="-5 5"/>',
-}
-
-
-@pytest.mark.parametrize("kind", MOTORS)
-def test_the_torque_behind_a_gear_is_the_urdfs(tmp_path: Path, kind: str) -> None:
-    """All three allow 15 N m at the joint; 7 of what they state are the URDF's 21 N m."""
-    robot = quadruped()
-    text, count = re.subn('<motor [^>]*joint="hip1"[^>]*/>', MOTORS[kind], mjcf_text(robot))
-    assert count == 1
-    files = write(tmp_path, urdf_text(robot), text)
-    assert _limit(files.mjcf) == pytest.approx(15.0)
-    result = pa.sync_models(files.urdf, files.mjcf, take="urdf")
-    assert result.agree
-    ((edit),) = result.edits
-    assert edit.new == "-7 7"
-    assert _limit(files.mjcf) == pytest.approx(21.0) == pytest.approx(robot["thigh1"].effort)
-
-
-def _limit(path: Path) -> float:
-    model = mujoco.MjModel.from_xml_path(str(path))
-    return float(effort_limit(model, model.joint("hip1").id))
-
 
 # ------------ A mass is written into the body that has one, also where that has no joint of its own
 

@@ -292,35 +292,3 @@ def test_of_several_limits_of_an_effort_the_least_counts(tmp_path: Path) -> None
     """Of a drive 12 N m; of MuJoCo's motor 2 N m before a gear of 3."""
     change = ('def PhysicsFixedJoint "ankle"', MOTOR.strip())
     assert model(usd.write(tmp_path, change)).joints["hip"].effort == pytest.approx(6.0)
-
-
-def test_a_hinge_on_the_world_is_the_first_joint_of_its_tree(tmp_path: Path) -> None:
-    mine = model(
-        usd.write(
-            tmp_path,
-            ("rel physics:body0 = </leg/base>", "rel physics:body0 = </leg>"),
-            ("localPos0 = (10, 20, 0)", "localPos0 = (1, 2, 3)"),
-        )
-    )
-    assert mine.base == "thigh"
-    assert not mine.floating
-    (hip,) = mine.links["thigh"].joints
-    assert (hip.kind, hip.parent, hip.upper) == ("hinge", "world", pytest.approx(math.pi / 3))
-    assert np.allclose(mine.mount.position, (0.01, -0.03, 0.02))  # y up: z is -y
-    assert [joint.kind for joint in mine.links["base"].joints] == ["free"]
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        ("float physics:mass = 500", 'string physics:mass = "heavy"'),
-        ("double mjc:damping = 1000000", "double[] mjc:damping = [1, 2]"),
-        ('uniform token physics:axis = "X"', 'uniform token physics:axis = "W"'),
-        ("localPos0 = (10, 20, 0)", "localPos0 = (inf, 20, 0)"),
-    ],
-)
-def test_a_value_of_another_type_is_refused_at_its_prim(
-    change: tuple[str, str], tmp_path: Path
-) -> None:
-    with pytest.raises(ModelError, match=r"leg\.usda:</leg/.*physics|leg\.usda:</leg/.*mjc"):
-        model(usd.write(tmp_path, change))

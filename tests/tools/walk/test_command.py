@@ -143,23 +143,3 @@ def test_push_and_payload_answer_as_walk_does(
     assert f"{payload['intervals'][0]['common'][1] * payload['mass']:.3g} kg" in found["payload"][1]
     forward = push["v3"]["intervals"][0]["common"][1] * push["v3"]["mass"]
     assert f"{forward:.3g} N s forward" in found["push"][1]
-
-
-def test_what_does_nothing_with_a_policy_is_refused(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    policy = str(made.still(tmp_path / "still.json"))
-    folder = tmp_path / "empty"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    for words in (
-        ("push", "v3", "--policy", policy, "--height", "14cm"),
-        ("push", "v3", "--policy", policy, "--directions", "4"),
-        ("payload", "v3", "--policy", policy, "--payload-at", "0,0,1cm"),
-        ("live", "v3", "--policy", policy, "--stance", "height:120"),
-    ):
-        check_refusal(capfd, folder, words, f"{words[4]}: it does nothing with --policy")
-    for command in ("push", "payload", "live"):
-        idle = "--command: it does nothing"
-        check_refusal(capfd, folder, (command, "v3", "--command", "0,0,0"), idle)
-    check_refusal(capfd, folder, ("push", "v3", "--policy", "none.json"), "none.json")

@@ -18,9 +18,9 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.walk.contract import Term
 from pupper_analysis.tools.walk.document import walk_document
-from pupper_analysis.tools.walk.gait import follow, measure, simulate_walk
+from pupper_analysis.tools.walk.gait import measure, simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import Case, Observer, Run, simulate_cases, stage_of
+from pupper_analysis.tools.walk.runs import Observer, simulate_cases, stage_of
 from tests.support.variants import load
 from tests.tools.walk import made
 
@@ -149,21 +149,6 @@ def test_a_rate_is_a_whole_number_of_time_steps_and_both_are_said(still: Policy)
         assert any(f"asked at {shown}" in one for one in how), how
 
 
-@pytest.mark.parametrize(
-    ("changed", "text"),
-    [
-        ({"command": (math.nan, 0, 0)}, "command"),
-        ({"command": (1, 0)}, "command"),
-        ({"seeds": 0}, "seeds"),
-        ({"seconds": math.inf}, "seconds"),
-        ({"seconds": 0.1}, "seconds"),
-    ],
-)
-def test_bad_arguments(still: Policy, changed: dict[str, object], text: str) -> None:
-    with pytest.raises(PupperAnalysisError, match=text):
-        simulate_walk(load("v3"), still, **changed)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(("gain", "text"), [({"kp": None}, "kp"), ({"kd": None}, "kd")])
 def test_one_gain_alone_is_not_passed_over(
     still: Policy, gain: dict[str, object], text: str
@@ -225,30 +210,3 @@ def test_statics_of_a_stance_are_those_of_its_energy(tmp_path: Path) -> None:
     assert pair.outside == pytest.approx(np.mean(outside), abs=1e-4)
     assert pair.static == pytest.approx(np.sqrt(np.mean(squares, axis=0)), abs=2e-3)
     assert sum(one.share for one in gait.stances) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(
-    ("command", "reached", "tracks"),
-    [
-        ((0.13, 0, 0), 0.06, False),  # within 25 % and 0.05 m/s, and not half of it
-        ((0.13, 0, 0), 0.07, True),
-        ((0.5, 0, 0), 0.33, True),
-        ((0.5, 0, 0), 0.32, False),
-        ((0, 0, 0), 0.049, True),  # a stand may drift
-        ((0, 0, 0), 0.051, False),
-    ],
-)
-def test_a_slow_command_is_followed_by_half_at_least(
-    command: tuple[float, float, float], reached: float, tracks: bool, still: Policy
-) -> None:
-    """A run is made whose base moves at a steady speed, and turns at none."""
-    stage = stage_of(load("v3"), still)
-    model, place = stage.robot.mj_model, stage.robot.mj_convention.qpos_index[:4]
-    states = np.zeros((1500, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
-    states[:, 1 + place[0]] = reached * stage.timestep * np.arange(len(states))
-    states[:, 1 + place[3]] = 1.0
-    case = Case(model, np.array(command, dtype=float), 0.0)
-    run = Run(case, states, np.zeros((len(states), model.nu)), False, 0.0, 0.0)
-    found = follow(stage, run, 1.0)
-    assert found.velocity == pytest.approx([reached, 0], abs=1e-9)
-    assert found.tracks is tracks

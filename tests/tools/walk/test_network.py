@@ -211,28 +211,6 @@ def test_what_does_not_fit_names_its_layer() -> None:
     assert "RTNeural" in refused([])
 
 
-def test_onnx_that_is_none_or_too_large(tmp_path: Path) -> None:
-    def refusal(data: bytes) -> str:
-        with pytest.raises(ModelError) as caught:
-            read_graph(data, tmp_path)
-        return str(caught.value)
-
-    assert "no network" in refusal(b"")
-    assert "no ONNX model" in refusal(b"\xff" * 40)
-    whole = made.dense_onnx([(np.ones((2, 3)), np.ones(3))], "Relu")
-    assert "no ONNX model" in refusal(whole[:-20])
-    large = made.tensor("W", [1.0], dims=(40_000, 25_000))
-    ends = [made.value("obs", 1, 2)], [made.value("y", 1, 3)]
-    nodes = [made.node("MatMul", ("obs", "W"), ("y",))]
-    assert "W has 1000000000 weights" in refusal(made.onnx(nodes, [large], *ends))
-    nodes = [made.node("Einsum", ("obs", "W"), ("y",))]
-    assert "Einsum" in refusal(made.onnx(nodes, [made.tensor("W", np.ones((2, 3)))], *ends))
-    spoilt = np.ones((2, 3))
-    spoilt[1, 1] = np.inf
-    nodes = [made.node("MatMul", ("obs", "W"), ("y",))]
-    assert "W: 1 of its weights" in refusal(made.onnx(nodes, [made.tensor("W", spoilt)], *ends))
-
-
 def test_torchscript_needs_torch_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
