@@ -102,19 +102,19 @@ class Balance:
         cost, target = share[:, None] * self.joints, share * self.torques
         return self.solve(friction, cost, target, peak=True)
 
-    def farthest(self, linear: Array, friction: Array, most: float) -> Array | None:
+    def farthest(self, linear: Array, friction: Array, rows: Array, most: Array) -> Array | None:
         """Returns the f (3 n,) in the cones of greatest linear f, or None if there is none.
 
         Args:
             linear: (3 n,).
             friction: (n,) coefficients.
-            most: What the normal forces come to, at most, in weights.
+            rows: (k, 3 n) of what is bounded, rows f <= most.
+            most: (k,) these bounds.
         """
         particular, free = self._by_singular_values
         if not self._balances(particular):
             return None
-        pressing = self.normals.ravel()
-        bounds = (pressing @ free)[None], np.array([most * self.weight[2] - pressing @ particular])
+        bounds = rows @ free, most - rows @ particular
         quadratic = np.zeros((free.shape[1],) * 2)
         found = self._conic(particular, free, quadratic, -linear @ free, friction, bounds)
         return None if found is None else particular + free @ found

@@ -161,7 +161,9 @@ def _balanced(
     corners = []
     for angle in 2 * math.pi / SIDES * np.arange(SIDES):
         towards = np.array([math.cos(angle), math.sin(angle)])
-        forces = problem.farthest(towards @ com, np.array(friction), _SQUEEZE)
+        forces = problem.farthest(
+            towards @ com, np.array(friction), out.reshape(1, -1), np.array([_SQUEEZE])
+        )
         if forces is None:
             return ()
         x, y = (com @ forces).tolist()

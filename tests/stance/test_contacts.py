@@ -21,6 +21,7 @@ from pupper_analysis.stance.problem import ground_normals
 from pupper_analysis.stance.sag.equilibrium import ground_points
 from pupper_analysis.statics.support_polygon import margin_of_place
 from pupper_analysis.tools.path.plan import stance_path
+from pupper_analysis.tools.stand.stance import largest_presses
 from pupper_analysis.tools.study.design import task_of
 from pupper_analysis.tools.study.study import Study
 from tests.stance.test_tilts import edges_of, in_balance, sideways
@@ -100,8 +101,8 @@ def test_mujoco_holds_a_stand_with_a_hand_on_a_table(
         np.testing.assert_allclose(sag.contact_forces[foot], force, atol=5e-3)
 
 
-def least_torque(robot: pa.Robot, stand: pa.Stand) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """The forces of least squared torque, by Clarabel on MuJoCo's Jacobians, and the torques."""
+def in_mujoco(robot: pa.Robot, stand: pa.Stand) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """J^T of the contact points, what motors and contacts add up to, and rows of the cones."""
     model, points = robot.mj_model, list(stand.stance_feet)
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, stand.qpos)
@@ -122,6 +123,13 @@ def least_torque(robot: pa.Robot, stand: pa.Stand) -> tuple[dict[str, np.ndarray
         out, own = stand.normals[point], slice(3 * number, 3 * number + 3)
         cones[4 * number, own] = robot.contacts[point].sliding_friction * out
         cones[4 * number + 1 : 4 * number + 4, own] = np.eye(3) - np.outer(out, out)
+    return pushed, load, cones
+
+
+def least_torque(robot: pa.Robot, stand: pa.Stand) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The forces of least squared torque, by Clarabel on MuJoCo's Jacobians, and the torques."""
+    (pushed, load, cones), points = in_mujoco(robot, stand), list(stand.stance_feet)
+    size = 3 * len(points)
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.tol_gap_abs, settings.tol_gap_rel = False, 1e-13, 1e-13
     solved = clarabel.DefaultSolver(
@@ -149,6 +157,60 @@ def test_least_torque_is_that_of_a_cone_programme_on_mujocos_numbers(armed: pa.R
         np.testing.assert_allclose(ours.joint_torques, torques, atol=1e-5)
         for point, force in forces.items():
             np.testing.assert_allclose(ours.contact_forces[point], force, atol=1e-3)
+
+
+@pytest.mark.parametrize("effort", [600.0, 60.0])
+def test_how_hard_a_hand_can_press_is_what_another_programme_says(
+    armed: pa.Robot, effort: float
+) -> None:
+    """Friction limits it, or a motor does: by Clarabel on MuJoCo's Jacobians. A stated force that
+    is a little less is in balance, a little more is not."""
+    robot = pa.robot.with_efforts(armed, dict.fromkeys(armed.joint_names, effort))
+    wall = pa.Contact(pa.Plane((0.45, 0, 0), (-1, 0, 0), 0.6), place=(0.45, 0.0, 0.45))
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts={HAND: wall}))
+    (press,) = largest_presses(robot, stand)
+    view = stand.check(robot)
+    pushed, load, cones = in_mujoco(view, stand)
+    size, points = pushed.shape[1], list(stand.stance_feet)
+    own, out = 3 * points.index(HAND), stand.normals[HAND]
+    linear = np.zeros(size)
+    linear[own : own + 3] = -out
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    solved = clarabel.DefaultSolver(
+        sparse.csc_matrix((size, size)),
+        linear,
+        sparse.csc_matrix(np.vstack([pushed[:6], pushed[6:], -pushed[6:], -cones])),
+        np.concatenate([load[:6], load[6:] + effort, effort - load[6:], np.zeros(len(cones))]),
+        [
+            clarabel.ZeroConeT(6),
+            clarabel.NonnegativeConeT(2 * view.nu),
+            *[clarabel.SecondOrderConeT(4)] * len(points),
+        ],
+        settings,
+    ).solve()
+    assert press.force == pytest.approx(-solved.obj_val, rel=1e-5)
+    torques = np.abs(load[6:] - pushed[6:] @ np.array(solved.x))
+    most = {view.joint_names[joint] for joint in np.flatnonzero(torques > 0.9999 * effort)}
+    assert {*press.motors} == most
+    assert bool(most) is (effort < 600)
+    assert press.slipping or press.motors
+
+    def peak(force: float) -> float:
+        stated = pa.Contact(wall.plane, wall.place, force=force)
+        asked = pa.solve_stand(robot, pa.StandTask(contacts={HAND: stated}))
+        return float(
+            pa.stance.stand_statics(
+                robot, asked, distribution="min-max torque"
+            ).motor_utilisation.max()
+        )
+
+    assert peak(0.99 * press.force) <= 1.0
+    if press.motors:
+        assert peak(1.01 * press.force) > 1.0
+    else:
+        with pytest.raises(pa.StaticsInfeasibleError):
+            peak(1.01 * press.force)
 
 
 def test_a_plane_through_each_foots_place_is_a_slope() -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +22,17 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.judge import judge
 from pupper_analysis.prepare.passes import PassRun, Request, prepare_robot
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
-from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_contacts, stand_statics
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.cone_program import Balance
+from pupper_analysis.statics.contacts import Contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
@@ -55,6 +59,7 @@ class Stance(Tabular):
         unsettled: Why ``settled`` is None; None where it is not.
         loops_open: By how much MuJoCo's loops and couplings of joints are open in it (m, rad); None
             for a robot without any.
+        presses: How hard each hand can press in it; none if it has no hands.
         minimum_stiffness: Below which no equilibrium is left without feed-forward (N m/rad), if it
             is asked for; None also where there is none at all.
     """
@@ -73,6 +78,7 @@ class Stance(Tabular):
     settled: SteadyState | None
     unsettled: Diagnostic | None
     loops_open: float | None
+    presses: tuple[LargestPress, ...]
     minimum_stiffness: float | None
 
     def _columns(self) -> dict[str, ArrayLike]:
@@ -166,7 +172,87 @@ def study_stance(
         settled=settled,
         unsettled=unsettled,
         loops_open=None if robot.closure is None else robot.closure.open(held.qpos),
+        presses=largest_presses(robot, held),
         minimum_stiffness=least,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class LargestPress(Result):
+    """How hard a hand can press against its plane in a stance, whatever else that takes.
+
+    Attributes:
+        hand: What presses.
+        force: The largest force along the plane's normal, of which balance is left (N).
+        motors: The motors that are at their limits then.
+        slipping: What is at the edge of its friction.
+        lifting: What bears nothing, or of a sole no more than an edge.
+    """
+
+    hand: str
+    force: float
+    motors: tuple[str, ...]
+    slipping: tuple[str, ...]
+    lifting: tuple[str, ...]
+
+
+_AT_LIMIT = 1e-4
+"""Part of a limit by which what is there may be off it: the cone programme's rounding is 1e-6."""
+
+
+def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
+    """Finds how hard each hand can press in a stand: of forces in all cones the largest.
+
+    All contacts and motors share in it by one cone programme; a stated force does not count. A hand
+    that nothing limits, or beside which motors are too weak to stand, has none.
+
+    Args:
+        robot: The robot.
+        stand: The stand; of one that is welded nothing is found, as what it is welded to limits it.
+    """
+    robot = stand.check(robot)
+    carrying = replace(stand_contacts(robot, stand), stated=None)
+    if robot.welds:
+        return ()
+    config, limits = Configuration(robot, stand.qpos), robot.effort_limits
+    load, transposed = (config.by_motors(one) for one in (config.load(), carrying.jacobian(config)))
+    problem, rated = carrying.balance(transposed, load), np.isfinite(limits)
+    joints, torques = problem.joints[rated], problem.torques[rated]
+    most = np.concatenate([limits[rated] + torques, limits[rated] - torques])
+    found = []
+    for hand in robot.hands:
+        own = np.array([[point in robot.feet[hand]] for point in carrying.feet])
+        linear = (own * problem.normals).ravel()
+        rows = np.concatenate([joints, -joints])
+        forces = problem.farthest(linear, carrying.friction, rows, most)
+        if forces is not None:
+            found.append(_describe_press(robot, hand, problem, carrying, forces))
+    return tuple(found)
+
+
+def _describe_press(
+    robot: Robot, hand: str, problem: Balance, carrying: Contacts, forces: Array
+) -> LargestPress:
+    limits, weight = robot.effort_limits, robot.total_mass * float(np.linalg.norm(robot.gravity))
+    torques = np.abs(problem.torques - problem.joints @ forces)
+    each = dict(zip(carrying.feet, forces.reshape(-1, 3), strict=True))
+    out = dict(zip(carrying.feet, problem.normals, strict=True))
+    grip = dict(zip(carrying.feet, carrying.friction.tolist(), strict=True))
+    totals, slipping, lifting = robot.per_foot(each), [], []
+    for foot, force in totals.items():
+        first = robot.feet[foot][0]
+        pressing = float(force @ out[first])
+        bearing = sum(float(each[one] @ out[one]) > _AT_LIMIT * weight for one in robot.feet[foot])
+        if bearing <= min(2, len(robot.feet[foot]) - 1):
+            lifting.append(foot)
+        if math.hypot(*np.cross(out[first], force)) > (1 - _AT_LIMIT) * grip[first] * pressing:
+            slipping.append(foot)
+    return LargestPress(
+        hand=hand,
+        force=float(totals[hand] @ out[robot.feet[hand][0]]),
+        motors=tuple(np.array(robot.joint_names)[torques > (1 - _AT_LIMIT) * limits].tolist()),
+        slipping=tuple(slipping),
+        lifting=tuple(lifting),
     )
 
 
