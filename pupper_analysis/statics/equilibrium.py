@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -473,6 +473,8 @@ def explain_infeasibility(
     tipping: Infeasibility,
 ) -> StaticsInfeasibleError:
     """Finds out why no forces do; see ``balance_load``."""
+    if (stated := _tell_stated(problem, carrying)) is not None:
+        return stated
     feet, friction = carrying.feet, float(carrying.friction.min())
     margin = carrying.com_margin(point, carrying.points(config))
     even = carrying.metric
@@ -510,6 +512,35 @@ def explain_infeasibility(
     detail = diagnose("feet-would-pull", feet=pulling or feet)
     return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=margin, feet=pulls or feet)
 
+
+def _tell_stated(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
+    """Returns that a force which is stated is out of reach, and which is not, if that is why."""
+    if carrying.stated is None:
+        return None
+    free, size = carrying.free, carrying.normals.size
+    loose = replace(problem, base=problem.base[:free], weight=problem.weight[:free])
+    if loose.minimum_tangential(carrying.friction, carrying.metric) is None:
+        return None
+    for pressing, together, force in zip(
+        problem.base[free:, :size], carrying.stated[0], problem.weight[free:], strict=True
+    ):
+        ends = [loose.farthest(way * pressing, carrying.friction, _HARDEST) for way in (-1, 1)]
+        least, most = (math.nan if end is None else float(pressing @ end) for end in ends)
+        if force > most or force < least:
+            feet = tuple(foot for foot, own in zip(carrying.feet, together, strict=True) if own)
+            detail = diagnose(
+                "stated-force-out-of-reach",
+                feet=feet,
+                force=Quantity(force, "N"),
+                least=Quantity(max(least, 0.0), "N"),
+                most=Quantity(most, "N"),
+            )
+            return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=math.nan, feet=feet)
+    return None
+
+
+_HARDEST = 10.0
+"""Weights with which contacts may press in all where a stated force is out of reach."""
 
 IDLE = 1e-9
 """N m/kg: what bears less of a mass has no lever to it but rounding."""

@@ -244,6 +244,23 @@ def test_a_stated_force_moves_where_a_com_is_in_balance(armed: pa.Robot) -> None
     assert least == pytest.approx(stand.com_margin, abs=1e-9)
 
 
+def test_a_stated_force_that_no_feet_bear_is_refused_with_what_they_do(armed: pa.Robot) -> None:
+    """Most of the limit is in balance, a twentieth beyond is not."""
+
+    def statics(force: float) -> pa.GravityCompensation:
+        contact = pa.Contact(HAND["hand"].plane, force=force)
+        stand = pa.solve_stand(armed, pa.StandTask(contacts={"hand": contact}))
+        return pa.stance.stand_statics(armed, stand)
+
+    with pytest.raises(pa.StaticsInfeasibleError, match="hand cannot press") as refused:
+        statics(500.0)
+    most = float(str(refused.value).rpartition(" to ")[2].removesuffix(" N"))
+    assert 5.0 < most < 500.0
+    assert statics(0.95 * most).contact_forces["hand"][2] == pytest.approx(0.95 * most)
+    with pytest.raises(pa.PupperAnalysisError, match="outside the support polygon"):
+        statics(1.05 * most)
+
+
 def test_where_servos_let_a_welded_robot_sag(arm: pa.Robot) -> None:
     for robot, task in (
         (arm, on_table(arm)),
