@@ -216,7 +216,7 @@ class Balance:
         rows[each, 1:, each] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         others = np.zeros((4 * count, self.base.shape[1] - 3 * count))
         cones: Array = rows.reshape(4 * count, 3 * count)
-        return np.hstack([cones, others]) if others.size else cones
+        return np.hstack([cones, others]) if others.shape[1] else cones
 
     def _solve_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import clarabel
@@ -69,6 +70,12 @@ def on_table(of: pa.Robot, height: float = 0.25, **more: float) -> pa.StandTask:
     place = (0.45, 0.0, height)
     wrist = pa.Contact(table, place, (0.0, 0.0, 0.05), **more)
     return pa.StandTask(contacts={**BOLTED, "wrist": wrist}, ik_seed=(0.8, 1.4, 0.0))
+
+
+def under(of: pa.Robot) -> pa.StandTask:
+    """The same, its wrist at a ceiling, which only presses it down: it does best to bear none."""
+    wrist = pa.Contact(pa.Plane((0, 0, 0.4), (0, 0, -1), 0.5), (0.45, 0, 0.4), (0.0, 0.0, 0.05))
+    return replace(on_table(of), contacts={**BOLTED, "wrist": wrist})
 
 
 def proven(robot: pa.Robot, stand: pa.Stand) -> pa.StandVerification:
@@ -179,7 +186,9 @@ def test_forces_are_those_of_a_cone_programme_on_mujocos_numbers(
     for robot, task in (
         (load("v3"), pa.StandTask(contacts=BOLTED)),
         (load("v3"), pa.StandTask(contacts={"FL": pa.Weld()}, roll=0.1)),
+        (load("v3"), pa.StandTask(contacts=BOLTED, roll=0.1, pitch=0.15, yaw=0.2)),
         (arm, on_table(arm)),
+        (arm, under(arm)),
         (armed, pa.StandTask(contacts={**BOLTED, **HAND})),
     ):
         stand = pa.solve_stand_as_simulated(robot, task)
