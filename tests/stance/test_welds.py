@@ -142,7 +142,7 @@ def least(robot: pa.Robot, stand: pa.Stand, *, pressing: bool) -> tuple[np.ndarr
     "task",
     [
         pa.StandTask(contacts=BOLTED),
-        pa.StandTask(contacts=BOLTED, offset=(0.03, 0.0)),  # with the com outside of the feet
+        pa.StandTask(contacts=BOLTED, offset=(0.03, 0.0), roll=0.1, pitch=0.1, yaw=0.2),
         pa.StandTask(contacts={"FL": pa.Weld()}),
         pa.StandTask(contacts={"FL": pa.Weld()}, swing={"RR": 0.02}, com="inside"),
     ],
@@ -160,6 +160,13 @@ def test_mujoco_holds_what_is_welded_beside_feet_that_press(task: pa.StandTask) 
         sum(statics.contact_forces.values()) + statics.weld_wrenches[next(iter(task.contacts))][:3]
     )
     np.testing.assert_allclose(borne, (0, 0, robot.total_mass * 9.81), atol=1e-9)
+    wrench = statics.weld_wrenches[next(iter(task.contacts))]
+    at = stand.qpos[:3] if "base" in task.contacts else stand.foot_targets["FL"]
+    moment = np.cross(at, wrench[:3]) + wrench[3:]
+    for foot, force in statics.contact_forces.items():
+        moment = moment + np.cross(statics.contact_points[foot], force)
+    weight = np.array([0.0, 0.0, 9.81 * robot.total_mass])
+    np.testing.assert_allclose(moment, np.cross(statics.center_of_mass, weight), atol=1e-9)
     for foot, force in statics.contact_forces.items():  # nothing creeps
         np.testing.assert_allclose(force, force[2] * stand.normals[foot], atol=1e-12)
 
