@@ -76,6 +76,7 @@ def judge(
     Raises:
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
+    robot = stand.check(robot)
     servos = servos_used(robot, kp, kd)
     if statics is not None and fed.passed:
         fed = _nudged(robot, stand, fed, statics, trial, kp, kd)

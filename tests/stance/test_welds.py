@@ -15,11 +15,14 @@ from scipy import sparse
 import pupper_analysis as pa
 from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_fields import parse_contact
+from pupper_analysis.present.documents.registry import build_report
+from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.simulation.rollout import begin_stand, simulate
 from pupper_analysis.statics.contacts import stated_forces
 from pupper_analysis.statics.support_polygon import support_corners
 from pupper_analysis.tools.payload.limit import payload_limit
+from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.legged import quadruped, with_arm
 from tests.support.variants import load
 
@@ -304,6 +307,17 @@ def test_a_bolted_arm_carries_what_its_motors_hold(arm: pa.Robot) -> None:
     own = min((40.0 - abs(empty[one])) / lever[one] for one in range(2))
     assert most.motors.mass == pytest.approx(own, rel=1e-5)
     assert most.passed
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_bolted_arm_is_judged_and_shown_as_a_stand_is(arm: pa.Robot, *, alone: bool) -> None:
+    """Also where its base is all that is held."""
+    bare = pa.StandTask(contacts=BOLTED, posture={"turn": 0.7, "bend": 0.5})
+    found = study_stance(arm, bare if alone else on_table(arm))
+    assert found.passed, found.verdict.code
+    shown = write_markdown(build_report([("arm", found)]))
+    assert "base is fixed in the world" in shown
+    assert " inf " not in shown
 
 
 def test_welds_are_typed_and_kept() -> None:
