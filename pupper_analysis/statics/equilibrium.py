@@ -519,21 +519,25 @@ def _tell_stated(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError
         return None
     free, size = carrying.free, carrying.normals.size
     loose = replace(problem, base=problem.base[:free], weight=problem.weight[:free])
+    most = np.array([_HARDEST * carrying.weight])
     if loose.minimum_tangential(carrying.friction, carrying.metric) is None:
         return None
     for pressing, together, force in zip(
         problem.base[free:, :size], carrying.stated[0], problem.weight[free:], strict=True
     ):
-        ends = [loose.farthest(way * pressing, carrying.friction, _HARDEST) for way in (-1, 1)]
-        least, most = (math.nan if end is None else float(pressing @ end) for end in ends)
-        if force > most or force < least:
+        ends = [
+            loose.farthest(way * pressing, carrying.friction, carrying.normals.reshape(1, -1), most)
+            for way in (-1, 1)
+        ]
+        low, high = (math.nan if end is None else float(pressing @ end) for end in ends)
+        if force > high or force < low:
             feet = tuple(foot for foot, own in zip(carrying.feet, together, strict=True) if own)
             detail = diagnose(
                 "stated-force-out-of-reach",
                 feet=feet,
                 force=Quantity(force, "N"),
-                least=Quantity(max(least, 0.0), "N"),
-                most=Quantity(most, "N"),
+                least=Quantity(max(low, 0.0), "N"),
+                most=Quantity(high, "N"),
             )
             return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=math.nan, feet=feet)
     return None
