@@ -260,12 +260,7 @@ def _record(robot: Robot, plan: Path, output: Path | None, bridge: str | None) -
 
 
 def _write(
-    robot: Robot,
-    meant: str | VariantSpec | RobotFiles,
-    found: Fit,
-    folder: Path,
-    *,
-    anyway: bool,
+    robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path, *, anyway: bool
 ) -> None:
     """Writes the corrected models, unless they would be of a fit that explains nothing."""
     from pupper_analysis.tools.fit.write import write_fit

@@ -125,19 +125,12 @@ def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
 
 def describe_parameter(one: Parameter, mean: float, std: float, determined: Determined) -> Estimate:
     """Returns what is known of a parameter."""
-    return Estimate(
-        name=one.name,
-        kind=one.kind,
-        subject=one.subject,
-        component=one.component,
-        unit=one.unit,
-        stated=one.stated,
-        mean=mean,
-        std=std,
-        low=mean - NORMAL_95 * std,
-        high=mean + NORMAL_95 * std,
-        determined=determined,
-    )
+    stated = {name: getattr(one, name) for name in STATED}
+    low, high = mean - NORMAL_95 * std, mean + NORMAL_95 * std
+    return Estimate(**stated, mean=mean, std=std, low=low, high=high, determined=determined)
+
+
+STATED = ("name", "kind", "subject", "component", "unit", "stated")
 
 
 def derive(posterior: Posterior, one: Parameter, mean: float, line: Array) -> Estimate:

@@ -26,6 +26,7 @@ from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import AXES as COMPONENTS
 from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
+from pupper_analysis.tools.fit.result import STATED
 from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.numbers import (
     OF_BODIES,
@@ -203,9 +204,8 @@ def _json(
     fit: object,
 ) -> bytes:
     rows = [
-        {"name": one.name, "kind": one.kind, "subject": one.subject, "component": one.component}
-        | {"unit": one.unit, "stated": one.stated, "mean": mean, "std": std}
-        | {"low": low, "high": high, "written": value}
+        {name: getattr(one, name) for name in STATED}
+        | {"mean": mean, "std": std, "low": low, "high": high, "written": value}
         for one, mean, std, (low, high), value in zip(
             posterior.parameters,
             posterior.mean.tolist(),

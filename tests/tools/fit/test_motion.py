@@ -52,7 +52,7 @@ def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
 
 @pytest.mark.longest
 def test_with_the_mass_not_known_either_all_is_told_in_ratio_only() -> None:
-    found = fit_motion(bar(), [log()], priors=["com=0", "offset=0", "delay=0"])
+    found = fit_motion(bar(), [log()], priors=["com=0"])
     assert {one.determined for one in found.estimates if one.kind in ("kp", "mass")} != {"data"}
     ratio = found.kp_over_mass
     assert ratio.determined is Determined.DATA

@@ -89,10 +89,7 @@ class Log:
             return placed
 
         return replace(
-            self,
-            joints=robot.joint_names,
-            command=put(self.command),
-            position=put(self.position),
+            self, joints=robot.joint_names, command=put(self.command), position=put(self.position)
         )
 
 
@@ -167,10 +164,7 @@ COLUMNS = (
 
 @check_arguments
 def read_log(
-    path: str | Path,
-    *,
-    topics: Mapping[str, str] | None = None,
-    joints: Sequence[str] = (),
+    path: str | Path, *, topics: Mapping[str, str] | None = None, joints: Sequence[str] = ()
 ) -> Log:
     """Reads a log from a CSV file, an ``.mcap`` or a ROS bag.
 

@@ -169,16 +169,8 @@ class MeasuredStands:
         def mean(values: Array) -> Array:
             return np.array([_mean(values[rows]) for rows in groups])
 
-        first = [int(rows[0]) for rows in groups]
-        return replace(
-            self,
-            names=tuple(self.names[row] for row in first),
-            command=mean(self.command),
-            position=mean(self.position),
-            swing=tuple(self.swing[row] for row in first),
-            heading=self.heading[first],
-            added={link: own[first] for link, own in self.added.items()},
-        )
+        first = self.part([int(rows[0]) for rows in groups])
+        return replace(first, command=mean(self.command), position=mean(self.position))
 
     def part(self, rows: Sequence[int]) -> MeasuredStands:
         """Returns the same of some of the stands, by their rows."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -180,6 +180,7 @@ def _report_motions(
         [root_mean_square(one[:, joint] for one in off["after", part]) for joint in joints]
     )
     noise = np.array([_encoder_noise([run.position[:, j] for run in motion.runs]) for j in joints])
+    posterior = _widened(posterior, max(1.0, float(np.nanmedian(by_joint / noise))))
     return MotionFit(
         name=robot.name,
         source=", ".join(log.source for log in logs),
@@ -197,6 +198,18 @@ def _report_motions(
         by_joint=dict(zip(robot.joint_names, by_joint.tolist(), strict=True)),
         encoder_noise=dict(zip(robot.joint_names, noise.tolist(), strict=True)),
     )
+
+
+def _widened(posterior: Posterior, times: float) -> Posterior:
+    """Returns what is known if measurements' noise is so many times what it was taken to be.
+
+    What is left beyond the encoders' noise is of the model: it shifts numbers, and nobody knows
+    which way. What was known before is as it was.
+    """
+    width = np.array([one.width for one in posterior.parameters])
+    sizes, share = np.outer(width, width), times**-2
+    whole = share * np.linalg.inv(posterior.covariance / sizes) + (1 - share) * posterior.precision
+    return replace(posterior, covariance=sizes * np.linalg.inv(whole))
 
 
 def _unexplained(robot: Robot, by_joint: Array, noise: Array, off: float) -> Iterator[Diagnostic]:
@@ -513,11 +526,7 @@ _FIRST_STEP = 1e-2
 
 
 def differentiate(
-    simulator: Simulator,
-    moments: Moments,
-    run: Run,
-    at: Array,
-    known: Array | None = None,
+    simulator: Simulator, moments: Moments, run: Run, at: Array, known: Array | None = None
 ) -> Mapping[int, tuple[IntArray, Array]]:
     """Returns how predicted positions change with parameters by moments.
 

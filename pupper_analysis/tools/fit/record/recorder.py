@@ -46,6 +46,9 @@ _BEHIND = 0.5
 _ASKED, _FOLLOWS = 0.25, 0.25
 """A joint that was led so far (rad) and went less than that part of it does not follow."""
 
+_LIVES = 0.6
+"""Of its way: a joint that went so far was not only pressed there by another load."""
+
 _STILL, _WINDOW, _PATIENCE = 1e-3, 1.0, 20.0
 """rad within which positions stay over so many seconds, at rest; and how long that may take (s)."""
 
@@ -80,11 +83,16 @@ class Recording(Result):
 
 
 class _EndError(Exception):
-    """The recording ends here, and the robot holds."""
+    """The recording ends here, and the robot holds.
 
-    def __init__(self, finding: Diagnostic) -> None:
+    Args:
+        finding: Why.
+        rows: So many of those that were taken now are sound.
+    """
+
+    def __init__(self, finding: Diagnostic, rows: int | None = None) -> None:
         super().__init__(finding)
-        self.finding = finding
+        self.finding, self.rows = finding, rows
 
 
 class _LeftOutError(_EndError):
@@ -118,6 +126,7 @@ def record_stands(
     had = _names_in(path, planned)
     rows = [row for row, name in enumerate(planned.names) if planned.names[row] not in had]
     taken: list[str] = []
+    sizes: list[int] = []
     findings: list[Diagnostic] = []
     before: PlannedStand | None = None
     session = _Session(robot, bridge, person)
@@ -131,16 +140,20 @@ def record_stands(
                     margin, off = Quantity(margins[row], "m"), Quantity(aside, "m")
                     said = diagnose("keep-a-hand-on-it", stand=stand.name, margin=margin, aside=off)
                     todo.append(str(said))
-                read, up = session.take(stand, loads, todo)
+                read, up = session.take(stand, loads, todo, len(taken))
             except _LeftOutError as error:
                 findings.append(error.finding)
                 before = stand
                 continue
-            _append(path, planned, row, read, up)
+            sizes.append(_append(path, planned, row, read, up))
             taken.append(stand.name)
             before = stand
     except _EndError as error:
         findings.append(error.finding)
+        if doubtful := taken[error.rows :] if error.rows is not None else []:
+            findings.append(diagnose("rows-withdrawn", stands=doubtful))
+            _cut(path, sizes[len(taken) - len(doubtful)])
+            del taken[-len(doubtful) :]
     except KeyboardInterrupt:
         findings.append(diagnose("recording-stopped"))
     finally:
@@ -157,6 +170,7 @@ class _Session:
     def __init__(self, robot: Robot, bridge: Bridge, person: Person) -> None:
         self._robot, self._bridge, self._person = robot, bridge, person
         self._command: Array | None = None
+        self._lived = np.zeros(robot.nu, dtype=int)  # rows there were as a servo last did its work
 
     def hold(self) -> None:
         """Commands again what was commanded last."""
@@ -164,12 +178,12 @@ class _Session:
             self._bridge.send(self._command)
 
     def take(
-        self, stand: PlannedStand, loads: Mapping[str, Array], todo: Sequence[str]
+        self, stand: PlannedStand, loads: Mapping[str, Array], todo: Sequence[str], rows: int
     ) -> tuple[Array, Sequence[str]]:
-        """Returns positions at rest (nu,), and the feet in the air."""
+        """Returns positions at rest (nu,), and the feet in the air, after so many rows."""
         target = np.array([stand.command[name] for name in self._robot.joint_names])
         if self._bridge.ramps:
-            self._ramp(stand, target)
+            self._ramp(stand, target, rows)
         else:
             self._bridge.send(target)
         if not self._person.prepare(stand, loads, todo):
@@ -180,10 +194,11 @@ class _Session:
             raise _LeftOutError(diagnose("recording-left-out", stand=stand.name))
         return read, up
 
-    def _ramp(self, stand: PlannedStand, target: Array) -> None:
+    def _ramp(self, stand: PlannedStand, target: Array, rows: int) -> None:
         if self._command is None:  # where it is, and not where anybody thinks that it is
             self._command = self._positions(stand)
             self._bridge.send(self._command)
+            self._rest(stand)  # what it was commanded before, which carried it, is not known
         begin, first = self._command, self._positions(stand)
         steps = max(1, math.ceil(np.abs(target - begin).max() / (SPEED * _TICK)))
         for step in range(1, steps + 1):
@@ -191,6 +206,9 @@ class _Session:
             self._bridge.send(self._command)
             self._bridge.wait(_TICK)
             self._watch(stand, begin, first)
+        asked, moved = target - begin, self._positions(stand) - first
+        lives = (np.abs(asked) > _ASKED) & (moved * np.sign(asked) > _LIVES * np.abs(asked))
+        self._lived[lives] = rows
 
     def _watch(self, stand: PlannedStand, begin: Array, first: Array) -> None:
         """Looks whether it may go on: servos follow from where they were, and no key is pressed."""
@@ -206,7 +224,7 @@ class _Session:
                 stand=stand.name,
                 off=Quantity(float(off[joint]), "rad"),
             )
-            raise _EndError(finding)
+            raise _EndError(finding, int(self._lived[joint]))
         if self._person.stops():
             raise _EndError(diagnose("recording-stopped"))
 
@@ -222,14 +240,14 @@ class _Session:
 
     def _rest(self, stand: PlannedStand) -> Array:
         """Returns the average of positions (nu,) once they stay."""
+        assert self._command is not None
         count = round(_WINDOW / _TICK)
         window: list[Array] = []
         end = self._bridge.now() + _PATIENCE
         while self._bridge.now() < end:
             self._bridge.wait(_TICK)
             window = [*window[-count + 1 :], self._positions(stand)]
-            if self._person.stops():
-                raise _EndError(diagnose("recording-stopped"))
+            self._watch(stand, self._command, window[-1])
             if len(window) == count and np.ptp(window, axis=0).max() < _STILL:
                 mean: Array = np.mean(window, axis=0)
                 return mean
@@ -330,11 +348,26 @@ def _stand(planned: MeasuredStands, row: int) -> PlannedStand:
     )
 
 
-def _append(path: Path, planned: MeasuredStands, row: int, read: Array, up: Sequence[str]) -> None:
-    """Adds a row: the whole file is written anew beside it, and takes its place at once."""
+def _append(path: Path, planned: MeasuredStands, row: int, read: Array, up: Sequence[str]) -> int:
+    """Adds a row: the whole file is written anew beside it, and takes its place at once.
+
+    Returns:
+        How long it was before.
+    """
     one = replace(planned.part([row]), position=read[None], swing=(tuple(up),))
     had = path.read_bytes() if path.exists() else b""
     if had and not had.endswith(b"\n"):
         had += b"\n"
     with whole_file(path, RECORD) as file:
         file.write(had + stands_text(one, header=not had).encode())
+    return len(had)
+
+
+def _cut(path: Path, size: int) -> None:
+    """Takes rows back: what was there before them stays, and a file of nothing goes."""
+    if not size:
+        path.unlink()
+        return
+    had = path.read_bytes()[:size]
+    with whole_file(path, RECORD) as file:
+        file.write(had)

@@ -24,17 +24,24 @@ Array = NDArray[np.float64]
 
 STATE, COMMAND = "/joint_states", "/forward_position_controller/commands"
 
+_TICK, _DISCOVERY = 0.02, 5.0
+"""s until nodes of a network have found each other: on one machine it is 0.1 to 1 s."""
+
 
 class Topics(WallClock):
     """Subscribes to the joints' state, and publishes commands.
 
     Args:
         robot: The robot.
-        ros: ``rclpy``.
+        ros: ``rclpy``, with its modules ``qos`` and ``signals``.
         messages: The classes ``JointState`` and ``Float64MultiArray``.
         state: Topic of the state.
         command: Topic of the commands.
         order: The controller's joints.
+
+    Raises:
+        ConfigurationError: If joints and order differ, or nobody publishes states of all joints, or
+            hears commands.
     """
 
     ramps = True
@@ -56,11 +63,24 @@ class Topics(WallClock):
         self._order = [names.index(name) for name in order or names]
         self._positions: dict[str, float] = {}
         self._seen = dict.fromkeys(names, -math.inf)
-        if not ros.ok():
-            ros.init()
+        if not ros.ok():  # its own handler of Ctrl-C would end the topic before the last command
+            ros.init(signal_handler_options=ros.signals.SignalHandlerOptions.NO)
         self._node = ros.create_node("pupper_analysis_fit")
-        self._node.create_subscription(messages[0], state, self._hear, 10)
+        # "Best effort" hears reliable publishers, too; the other way round nothing comes.
+        quality = ros.qos.qos_profile_sensor_data
+        self._node.create_subscription(messages[0], state, self._hear, quality)
         self._publisher = self._node.create_publisher(messages[1], command, 10)
+        end = self.now() + _DISCOVERY
+        while (silent := [name for name, at in self._seen.items() if at < 0]) or (
+            self._publisher.get_subscription_count() == 0
+        ):
+            if self.now() > end:
+                self.close()
+                finding = diagnose(
+                    "topic-is-silent", joints=silent or None, state=state, command=command
+                )
+                raise ConfigurationError("--bridge", finding)
+            self.wait(_TICK)
 
     def _hear(self, message: Any) -> None:
         for name, value in zip(message.name, message.position, strict=False):
@@ -98,6 +118,8 @@ def open_ros(robot: Robot, words: str) -> tuple[Topics, Terminal]:
     """
     try:
         ros = import_module("rclpy")
+        for name in ("qos", "signals"):
+            import_module(f"rclpy.{name}")
         state = import_module("sensor_msgs.msg").JointState
         numbers = import_module("std_msgs.msg").Float64MultiArray
     except ImportError as error:

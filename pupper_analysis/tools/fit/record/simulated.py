@@ -44,6 +44,7 @@ class SimulatedRobot:
     Args:
         robot: The robot, as its files have it.
         seed: Of what is off.
+        kp: Stiffness that is stated of its servos (N m/rad); the files' by default.
 
     Attributes:
         total_mass: What it weighs (kg).
@@ -54,19 +55,20 @@ class SimulatedRobot:
 
     ramps = True
 
-    def __init__(self, robot: Robot, seed: int = 0) -> None:
+    def __init__(self, robot: Robot, seed: int = 0, kp: float | None = None) -> None:
         rng = np.random.default_rng(seed)
         factors = {}
         for link, _ in bodies_of(robot):
             factors[f"mass:{link}"] = math.exp(MASS * rng.normal())
             factors |= {f"com_{axis}:{link}": COM * rng.normal() for axis in "xyz"}
         common = rng.normal()
-        self.kp = servo_gains(robot).kp * np.exp(KP * (common + rng.normal(size=robot.nu)))
+        gains = servo_gains(robot, kp, None)
+        self.kp = gains.kp * np.exp(KP * (common + rng.normal(size=robot.nu)))
         self.offset = OFFSET * rng.normal(size=robot.nu)
         self.robot = scale_robot(robot, factors)
         self.total_mass = self.robot.total_mass
         self.sent: list[Array] = []
-        self._kd = servo_gains(robot).kd
+        self._kd = gains.kd
         self._time = 0.0
         self._put_on({})
         self.send(robot.nominal + self.offset)
@@ -153,12 +155,14 @@ class SimulatedRobot:
 
 
 def open_simulated(robot: Robot, words: str) -> tuple[SimulatedRobot, SimulatedRobot]:
-    """Returns the bridge, of ``mujoco:SEED``.
+    """Returns the bridge, of ``mujoco:SEED`` or ``mujoco:SEED;kp=60``.
 
     Raises:
-        ConfigurationError: If that is no seed.
+        ConfigurationError: If that is no seed, or no stiffness.
     """
-    if words and not words.isdecimal():
-        raise ConfigurationError("--bridge", diagnose("no-bridge-words", words=words))
-    made = SimulatedRobot(robot, int(words or 0))
+    seed, _, stiffness = (words or "0").partition(";kp=")
+    try:
+        made = SimulatedRobot(robot, int(seed), float(stiffness) if stiffness else None)
+    except (OverflowError, ValueError) as error:
+        raise ConfigurationError("--bridge", diagnose("no-bridge-words", words=words)) from error
     return made, made

@@ -1,0 +1,334 @@
+"""Fits to logs of robots whose friction and servos no fit has: Stribeck, a dead band, a slow motor.
+
+    python benchmarks/fit_logs.py [--robot v3] [--kp 20 --kd 0.5] [--only none --only "dead band"]
+        [--seeds 1] [--seconds 10] [--sysid] [--csv docs/data/fit-logs.csv]
+
+Masses, centres of mass, zeros of encoders, kp, friction, damping and armature are off as in
+``fit_motions.py``. Servos are explicit torques, friction is a bristle that holds and sticks more
+than it slides. Another motion (other sines and steps) is predicted, not fitted. Of numbers that are
+determined by the measurements, it says how many intervals hold the truth (of friction only where
+it is one number); and whether the interval of kp over mass does.
+
+Then all but kp, friction, damping and armature is known (a robot on a scale, taken apart, its
+encoders at zero): by ``fit`` with ``--prior mass=0`` and so on, and with ``--sysid`` by
+``mujoco.sysid`` (``pip install mujoco[sysid]``), which has no priors, from the same start.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import csv
+import math
+import time
+import zlib
+from dataclasses import astuple, dataclass, fields, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from fit_motions import COM, INTERVAL, KP, MASS, OFFSET, QUANTUM, RUBS, SHAKES, commands, positive
+
+import pupper_analysis as pa
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import Gains, model_with_servos, servo_gains
+from pupper_analysis.tools.fit.measurements.log import Log
+from pupper_analysis.tools.fit.motions.fit import fit_motion
+from pupper_analysis.tools.fit.motions.rollouts import MovingBodies
+from pupper_analysis.tools.fit.parameters import bodies_of
+from pupper_analysis.tools.fit.result import Determined, MotionFit
+from pupper_analysis.tools.study.parameters import scale_robot
+
+STEP, BRISTLE, TICK = 2e-4, 5e-4, 1e-3
+"""s of a step, rad that a joint yields before it slides, s of a step of ``mujoco.sysid``."""
+RUBBING = ("friction", "damping", "armature")
+
+
+@dataclass(frozen=True)
+class Joints:
+    """What a robot's joints do that the fit's do not.
+
+    Attributes:
+        more: Times the file's dry friction.
+        sticks: Times the sliding friction at rest; it falls with exp(-(v / 0.2 rad/s)^2).
+        deadband: Of the servo's error (rad).
+        with_load: Friction that grows with the motor's torque, as that of gears (of it).
+        lag: Time constant of the motor's torque (s).
+        backlash: Between motor and joint (rad).
+    """
+
+    more: float = 1.0
+    sticks: float = 1.0
+    deadband: float = 0.0
+    with_load: float = 0.0
+    lag: float = 0.0
+    backlash: float = 0.0
+
+
+KINDS = {
+    "bristle": Joints(),
+    "Stribeck 1.6": Joints(sticks=1.6),
+    "4 times the friction, Stribeck 1.6": Joints(more=4.0, sticks=1.6),
+    "dead band 0.3 deg": Joints(deadband=math.radians(0.3)),
+    "friction of 5 % of the torque": Joints(with_load=0.05),
+    "motors 5 ms slow": Joints(lag=0.005),
+    "backlash 0.3 deg": Joints(backlash=math.radians(0.3)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Planted:
+    """What is true of a robot that hangs."""
+
+    robot: Robot
+    kp: np.ndarray
+    rubs: dict[str, np.ndarray]
+    offsets: np.ndarray
+    truth: dict[str, float]
+
+
+def plant(robot: Robot, rng: np.random.Generator, gains: Gains) -> Planted:
+    """Draws what is true."""
+    factors, truth = {}, {}
+    bodies = MovingBodies(build_robot(robot.description, fixed_base=True), robot.mj_model)
+    for link, _ in bodies_of(robot):
+        if link in bodies.links:
+            at, factor = bodies.links.index(link), max(0.3, 1 + MASS * rng.normal())
+            factors[f"mass:{link}"], truth[f"mass {link}"] = factor, factor * bodies.mass[at]
+            for axis, stated in zip("xyz", bodies.com[at], strict=True):
+                factors[f"com_{axis}:{link}"] = off = COM * rng.normal()
+                truth[f"com.{axis} {link}"] = stated + off
+    true, nu = scale_robot(robot, factors), robot.nu
+    both = math.sqrt(0.5) * (rng.normal() + rng.normal(size=nu))
+    kp, dofs = gains.kp * np.maximum(1 + KP * both, 0.3), robot.mj_convention.qvel_index[-nu:]
+    model = robot.mj_model
+    own = (model.dof_frictionloss[dofs], model.dof_damping[dofs], model.dof_armature[dofs])
+    drawn = {
+        kind: positive(rng, values, RUBS * values)
+        for kind, values in zip(RUBBING, own, strict=True)
+    }
+    offsets = OFFSET * rng.normal(size=nu)
+    for kind, values in {"kp": kp, **drawn, "offset": offsets}.items():
+        truth |= {f"{kind} {n}": float(v) for n, v in zip(robot.joint_names, values, strict=True)}
+    return Planted(true, kp, drawn, offsets, truth | {"delay servos": 0.0})
+
+
+def run(planted: Planted, joints: Joints, command: np.ndarray, gains: Gains, seed: int) -> Log:
+    """Returns a log of commands (n, nu), step by step in bare MuJoCo."""
+    true = build_robot(planted.robot.description, fixed_base=True)
+    at, model = true.mj_convention, model_with_servos(true, planted.kp, gains.kd).model
+    dofs, where = at.qvel_index, at.qpos_index
+    model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_RK4
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.dof_frictionloss[dofs] = 0  # it is our own
+    model.dof_damping[dofs] = planted.rubs["damping"]
+    model.dof_armature[dofs] = planted.rubs["armature"]
+    data, seen = mujoco.MjData(model), []
+    at.set_state(data, command[0] - planted.offsets)
+    bristle, slides = data.qpos[where].copy(), joints.more * planted.rubs["friction"]
+    side, torque = np.zeros(true.nu), np.zeros(true.nu)
+    for row in command - planted.offsets:
+        seen.append(data.qpos[where] + joints.backlash / 2 * side)
+        data.ctrl[model.actuator_ctrladr[at.actuator_index]] = row
+        for _ in range(round(INTERVAL / STEP)):
+            q, rate = data.qpos[where], data.qvel[dofs]
+            error = row - q - joints.backlash / 2 * side
+            error = np.sign(error) * np.maximum(np.abs(error) - joints.deadband, 0.0)
+            asked = planted.kp * error
+            torque = torque + (asked - torque) * (STEP / (joints.lag + STEP) if joints.lag else 1)
+            if joints.backlash:
+                side += 0.02 * (np.clip(torque / (0.1 * slides + 1e-6), -1, 1) - side)
+            sticks = 1 + (joints.sticks - 1) * np.exp(-np.square(rate / 0.2))
+            held = np.clip((q - bristle) / BRISTLE, -1, 1)
+            bristle = q - BRISTLE * held
+            friction = slides * sticks + joints.with_load * np.abs(torque)
+            # A servo is one of MuJoCo's (an explicit one's lag is in damping); the rest is added.
+            data.qfrc_applied[dofs] = torque - planted.kp * (row - q) - friction * held
+            mujoco.mj_step(model, data)
+    read = np.array(seen) + planted.offsets
+    read += SHAKES * np.random.default_rng(seed).normal(size=read.shape)
+    clock = INTERVAL * np.arange(len(read))
+    return Log("planted", clock, true.joint_names, command, QUANTUM * np.round(read / QUANTUM))
+
+
+def hold(fit: MotionFit, truth: dict[str, float], *, friction: bool) -> tuple[int, int]:
+    """Returns how many intervals of numbers that measurements determine hold, and of how many."""
+    own = [
+        one.low <= truth[one.name] <= one.high
+        for one in fit.estimates
+        if one.name in truth
+        and one.determined is Determined.DATA
+        and (friction or one.kind != "friction")
+    ]
+    return sum(own), len(own)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A log, and what fits make of it."""
+
+    robot: str
+    kind: str
+    seed: int
+    outcome: str
+    held_out_file: float
+    held_out: float
+    hold: int
+    of: int
+    ratio_off: float
+    ratio_half: float
+    known_held_out: float
+    known_hold: int
+    known_of: int
+    known_kp_off: float
+    known_seconds: float
+    sysid_held_out: float = math.nan
+    sysid_hold: int = 0
+    sysid_of: int = 0
+    sysid_kp_off: float = math.nan
+    sysid_seconds: float = math.nan
+
+
+def rms(values: np.ndarray) -> float:
+    """Returns the root mean square in thousandths: mrad."""
+    return round(1e3 * float(np.sqrt(np.mean(np.square(values)))), 3)
+
+
+def shifted(log: Log, offsets: np.ndarray) -> Log:
+    """Returns a log as encoders at zero would have it."""
+    return replace(log, command=log.command - offsets, position=log.position - offsets)
+
+
+def by_sysid(
+    robot: Robot, log: Log, other: Log, gains: Gains, planted: Planted, *, friction: bool
+) -> tuple[float, int, int, float, float]:
+    """Returns held-out error (mrad), intervals that hold, of how many, kp's error (%), seconds."""
+    from mujoco import rollout, sysid
+
+    held = build_robot(robot.description, fixed_base=True)
+    model, at = model_with_servos(held, gains.kp, gains.kd).model, held.mj_convention
+    model.opt.timestep, model.opt.integrator = TICK, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    dofs, motors = at.qvel_index, at.actuator_index
+    rubs = (model.dof_frictionloss, model.dof_damping, model.dof_armature)
+    stated = np.concatenate([gains.kp, *(values[dofs] for values in rubs)])
+    params = sysid.ParameterDict()
+    params.add(sysid.Parameter("numbers", stated, 0.1 * stated, 10 * stated))
+
+    def build(x: np.ndarray) -> mujoco.MjModel:
+        made = copy.copy(model)
+        kp, *rest = x.reshape(4, -1)
+        made.actuator_gainprm[motors, 0], made.actuator_biasprm[motors, 1] = kp, -kp
+        values = (made.dof_frictionloss, made.dof_damping, made.dof_armature)
+        for whole, own in zip(values, rest, strict=True):
+            whole[dofs] = own
+        mujoco.mj_setConst(made, mujoco.MjData(made))
+        return made
+
+    def off(x: np.ndarray, one: Log) -> np.ndarray:
+        """Returns what is off of vectors (n, m): (m, samples, joints)."""
+        models, data, every = [build(own) for own in x.T], mujoco.MjData(model), INTERVAL / TICK
+        at.set_state(data, one.position[0])
+        start = np.tile(sysid.create_initial_state(model, data.qpos, data.qvel), (len(models), 1))
+        ctrl = np.zeros((len(one.time), model.nu))
+        ctrl[:, model.actuator_ctrladr[motors]] = one.command
+        fine = np.tile(np.repeat(ctrl, round(every), axis=0), (len(models), 1, 1))
+        with rollout.Rollout(nthread=2) as roll:
+            states, _ = roll.rollout(models, [mujoco.MjData(model) for _ in range(2)], start, fine)
+        there = states[:, round(every) - 1 :: round(every), 1 + at.qpos_index][:, :-1]
+        left: np.ndarray = there - one.position[1:]
+        return left
+
+    def residual(x: np.ndarray, _: object) -> tuple[list[np.ndarray], None, None]:
+        found = off(x.reshape(len(stated), -1), log)
+        found = found.reshape(len(found), -1).T
+        return [found if x.ndim > 1 else found[:, 0]], None, None
+
+    begun = time.monotonic()
+    best, result = sysid.optimize(params, residual, verbose=False, max_iters=60)
+    x = best.as_vector()
+    _, half = sysid.calculate_intervals(residual(x, best)[0], result.jac)
+    spent = round(time.monotonic() - begun, 1)
+    truth = np.concatenate([planted.kp, *(planted.rubs[kind] for kind in RUBBING)])
+    counts = np.repeat([True, friction, True, True], robot.nu)
+    inside = (np.abs(x - truth) <= half)[counts]
+    kp_off = round(100 * float(np.median(np.abs(x[: robot.nu] / planted.kp - 1))), 2)
+    return rms(off(x[:, None], other)), int(inside.sum()), len(inside), kp_off, spent
+
+
+def row(name: str, robot: Robot, kind: str, seed: int, given: argparse.Namespace) -> Row:
+    """Makes a log of one kind, and fits it."""
+    joints, gains = KINDS[kind], servo_gains(robot, given.kp, given.kd)
+    rng = np.random.default_rng([zlib.crc32(name.encode()), seed])
+    planted = plant(robot, rng, gains)
+    fitted, other = (commands(robot, rng, s) for s in (given.seconds, given.seconds / 2))
+    log, held = (
+        run(planted, joints, one, gains, seed + k) for k, one in enumerate((fitted, other))
+    )
+    one_number = joints == Joints()
+    fit = fit_motion(robot, [log], hold_out=[held], kp=given.kp, kd=given.kd)
+    masses = [one.subject for one in fit.estimates if one.kind == "mass"]
+    stated = {one.name: one.stated for one in fit.estimates}
+    ratio = math.exp(np.mean(np.log(planted.kp / gains.kp)))
+    ratio *= sum(stated[f"mass {m}"] for m in masses) / sum(
+        planted.truth[f"mass {m}"] for m in masses
+    )
+    assert fit.kp_over_mass is not None
+    begun = time.monotonic()
+    known = fit_motion(
+        planted.robot,
+        [shifted(log, planted.offsets)],
+        hold_out=[shifted(held, planted.offsets)],
+        priors=("mass=0", "com=0", "offset=0", "delay=0"),
+        kp=given.kp,
+        kd=given.kd,
+    )
+    spent = time.monotonic() - begun
+    means = {one.name: one.mean for one in known.estimates}
+    kp = np.array([means[f"kp {one}"] for one in robot.joint_names])
+    found = Row(
+        name, kind, seed, "EXPLAINED" if fit.explained else "NOT EXPLAINED",
+        round(1e3 * fit.held_out_before, 2), round(1e3 * fit.held_out, 3),
+        *hold(fit, planted.truth, friction=one_number),
+        round(100 * (fit.kp_over_mass.mean / ratio - 1), 2),
+        round(100 * (fit.kp_over_mass.high / fit.kp_over_mass.mean - 1), 2),
+        round(1e3 * known.held_out, 3), *hold(known, planted.truth, friction=one_number),
+        round(100 * float(np.median(np.abs(kp / planted.kp - 1))), 2), round(spent, 1),
+    )  # fmt: skip
+    if not given.sysid:
+        return found
+    logs = (shifted(log, planted.offsets), shifted(held, planted.offsets))
+    own = by_sysid(planted.robot, *logs, gains, planted, friction=one_number)
+    return replace(found, **dict(zip([f.name for f in fields(Row)][-5:], own, strict=True)))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--robot", default="v3", help="a variant, or a file")
+    parser.add_argument("--kp", type=float, help="of the servos, where the file states none")
+    parser.add_argument("--kd", type=float)
+    parser.add_argument("--only", action="append", choices=list(KINDS))
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--sysid", action="store_true")
+    parser.add_argument("--csv", type=Path, help="a file to add rows to")
+    given = parser.parse_args()
+    known = given.robot in pa.VARIANTS
+    robot = pa.load_variant(given.robot) if known else pa.load_robot(given.robot)
+    for kind in given.only or KINDS:
+        for seed in range(given.first, given.first + given.seeds):
+            found = row(Path(given.robot).stem, robot, kind, seed, given)
+            print(*astuple(found), sep=" | ", flush=True)
+            if given.csv:
+                new = not given.csv.exists()
+                with given.csv.open("a", newline="") as file:
+                    writer = csv.writer(file, lineterminator="\n")
+                    if new:
+                        writer.writerow([one.name for one in fields(Row)])
+                    writer.writerow(astuple(found))
+
+
+if __name__ == "__main__":
+    main()
