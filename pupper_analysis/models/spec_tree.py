@@ -128,10 +128,7 @@ class SpecTree:
         self.__dict__.pop("_compiled", None)
 
     def remove_subtree(self, link: str) -> None:
-        """Takes a body out, with all that it carries and what refers to its joints."""
-        for name in list(self.subtree(link)):
-            for joint in list(self.spec.body(name).joints):
-                delete_joint(self.spec, joint)
+        """Takes a body out, with all that it carries and what refers to that."""
         self.spec.delete(self.spec.body(link))
         self._forget()
 

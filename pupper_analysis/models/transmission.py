@@ -26,6 +26,13 @@ def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
     return int(model.jnt_type[model.actuator_trnid[actuator, 0]]) in _ONE_COORDINATE
 
 
+def motor_targets(model: mujoco.MjModel, actuator: int) -> tuple[mujoco.mjtObj, list[int]]:
+    """Returns on what an actuator acts: its kind, and the ids of one or two; -1 is none."""
+    kind = mujoco.mjtTrn(int(model.actuator_trntype[actuator])).name.removeprefix("mjTRN_")
+    word = {"JOINTINPARENT": "JOINT", "SLIDERCRANK": "SITE", "SO3": "SITE"}.get(kind, kind)
+    return getattr(mujoco.mjtObj, f"mjOBJ_{word}"), model.actuator_trnid[actuator].tolist()
+
+
 def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
     """Returns the gear of an actuator's first output: (1,) at one joint, else (6,)."""
     gear = np.array(model.actuator_gear[int(model.actuator_outadr[actuator])])

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.prepare.causes import LIMITS, overloading_springs
-from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
+from pupper_analysis.prepare.own_run import as_loaded, import_refused
 from pupper_analysis.prepare.self_check import (
-    as_published_held,
     as_published_in,
     makes_it_shake,
     own_run_explained,
@@ -22,7 +21,6 @@ from pupper_analysis.robot.alike import structure
 from pupper_analysis.robot.as_published import Cause, Published
 from pupper_analysis.robot.build import efforts_nobody_meant
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
@@ -41,10 +39,9 @@ from pupper_analysis.simulation.verdict import (
     judge_stance,
 )
 from pupper_analysis.simulation.verify import verify_stand
-from pupper_analysis.stance.posture import Posture
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
+from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 def judge(
@@ -184,44 +181,6 @@ def _first(
         return Published((), causes, differs=False)
     kept = (cause for cause in published.causes if cause.code not in instead)
     return replace(published, causes=(*causes, *kept))
-
-
-def judge_held(
-    robot: Robot,
-    posture: Posture,
-    fed: Simulated,
-    alone: Simulated | None,
-    statics: GravityCompensation,
-    *,
-    kp: ArrayLike | None = None,
-    kd: ArrayLike | None = None,
-) -> Verdict:
-    """Weighs what was simulated of a posture of a robot whose base is held, as ``judge`` does.
-
-    Args:
-        robot: The robot, with what it carries.
-        posture: Where it is commanded to be.
-        fed: The simulation with feed-forward.
-        alone: The simulation without.
-        statics: What its motors hold.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
-        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
-
-    Raises:
-        ModelError: If the robot has no position servos, and kp and kd are not both given.
-    """
-    servos, empty = servos_used(robot, kp, kd), as_loaded(robot)
-    bare = gravity_compensation(Configuration(empty, posture.qpos), contacts=[])
-    return judge_stance(
-        fed,
-        alone,
-        servos,
-        overloaded=beyond_limits(statics),
-        own=own_run_held(robot, posture.qpos),
-        published=as_published_held(robot, posture.qpos, bare.joint_torques),
-        converted=robot.description.converted,
-        remarks=(*structure(robot), *remarks_of_files(robot)),
-    )
 
 
 _BEARING = {

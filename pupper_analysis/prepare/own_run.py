@@ -22,7 +22,6 @@ from pupper_analysis.prepare.bare import (
     Hold,
     hold_of,
     imported_model,
-    place_held,
     place_published,
     published_model,
     self_controlled,
@@ -55,9 +54,6 @@ _WHILE = 2.0
 _STILL = 5e-3
 """Speed of what has (m/s, rad/s): feet that part creep by 1e-3 (ANYmal B's), what shakes goes to
 and fro by 2e-2 or more."""
-
-_THERE = 1e-6
-"""A posture that is so near to a keyframe's is its (rad, m)."""
 
 
 def as_loaded(robot: Robot) -> Robot:
@@ -125,7 +121,7 @@ def rests_by_itself(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
     if data is None:
         return False
     data.qvel[:] = nudge_velocity(model)
-    hold = hold_of(bare, robot, data, None, data.qpos[_places(bare, robot)])
+    hold = hold_of(bare, robot, data, None, data.qpos[joint_places(bare, robot)])
     simulate_published(bare, data, hold, _WHILE)
     return bool(np.abs(data.qvel).max() < _STILL)
 
@@ -168,9 +164,9 @@ def _from_keyframe(bare: Bare, robot: Robot, key: int) -> OwnRun:
     mujoco.mj_resetDataKeyframe(model, data, key)
     name = model.key(key).name or f"keyframe {key + 1}"
     assert robot.published is not None
-    stated = bool(model.key_ctrl[key].any()) or _states_ctrl(robot, key)
-    limp = _limp(bare)
-    run = _own(bare, robot, data, Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {}))
+    stated = bool(model.key_ctrl[key].any()) or states_ctrl(robot, key)
+    limp = is_limp(bare)
+    run = run_alone(bare, robot, data, Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {}))
     run = replace(
         run,
         keyframe=name,
@@ -179,13 +175,13 @@ def _from_keyframe(bare: Bare, robot: Robot, key: int) -> OwnRun:
     )
     if stated or limp or self_controlled(bare, robot):
         return run
-    pose = data.qpos[_places(bare, robot)].copy()
-    held = _own(bare, robot, data, _angles(bare, robot, data, pose))
+    pose = data.qpos[joint_places(bare, robot)].copy()
+    held = run_alone(bare, robot, data, hold_of_angles(bare, robot, data, pose))
     held = replace(held, keyframe=name, commands=OwnCommands.ANGLES)
     return replace(run, held=held)
 
 
-def _states_ctrl(robot: Robot, key: int) -> bool:
+def states_ctrl(robot: Robot, key: int) -> bool:
     """Tells whether the XML of a keyframe states its ctrl: zeros are stated as well as absent."""
     assert robot.published is not None
     file = robot.published.file
@@ -199,79 +195,39 @@ def _from_stand(bare: Bare, robot: Robot) -> OwnRun | None:
     data = place_published(bare, robot, robot.home)
     if data is None or bare.ground is None or self_controlled(bare, robot):
         return None
-    pose = data.qpos[_places(bare, robot)].copy()
-    run = _own(bare, robot, data, _angles(bare, robot, data, pose))
+    pose = data.qpos[joint_places(bare, robot)].copy()
+    run = run_alone(bare, robot, data, hold_of_angles(bare, robot, data, pose))
     return replace(run, commands=OwnCommands.ANGLES)
 
 
-def own_run_held(robot: Robot, qpos: Array) -> OwnRun | None:
-    """Returns what the file of a robot whose base is held does by itself in a posture.
-
-    With a keyframe's ctrl where it is that keyframe's posture, and the XML states one; else with
-    its servos told the posture.
-
-    Args:
-        robot: The robot.
-        qpos: (nu,) joint positions.
-
-    Returns:
-        What it does; None where its base is free in the file, or commands of its own control it.
-    """
-    robot = as_loaded(robot)
-    model = None if robot.floating else robot.once(raw_model)
-    if model is None:
-        return None
-    bare = Bare.of(model, robot)
-    if bare.floating or self_controlled(bare, robot):
-        return None
-    data, key = place_held(bare, robot, qpos), None
-    places = _places(bare, robot)
-    for number in range(model.nkey):
-        there = np.abs(model.key_qpos[number, places] - qpos).max(initial=0.0) < _THERE
-        if there and _states_ctrl(robot, number):
-            key = number
-            mujoco.mj_resetDataKeyframe(model, data, number)
-            break
-    angles = _angles(bare, robot, data, qpos)
-    if key is not None:
-        angles = Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {})
-    run = _own(bare, robot, data, angles, standing=False)
-    return replace(
-        run,
-        keyframe="" if key is None else model.key(key).name or f"keyframe {key + 1}",
-        commands=OwnCommands.ANGLES if key is None else OwnCommands.STATED,
-        limp=_limp(bare),
-    )
-
-
-def _limp(bare: Bare) -> bool:
+def is_limp(bare: Bare) -> bool:
     """Tells whether fewer than half of the joints have what holds a position."""
     holding = sum(drive not in (Drive.MOTOR, Drive.NONE) for drive in bare.drives)
     return 2 * holding < len(bare.drives)
 
 
-def _angles(bare: Bare, robot: Robot, data: mujoco.MjData, pose: Array) -> Hold:
+def hold_of_angles(bare: Bare, robot: Robot, data: mujoco.MjData, pose: Array) -> Hold:
     """Returns what holds a pose: its servos are commanded it.
 
     Servos that were added help where most joints have none; a motor among servos holds nothing.
     """
     hold = hold_of(bare, robot, data, None, pose)
-    return hold if _limp(bare) else replace(hold, outside=NOTHING, motors={})
+    return hold if is_limp(bare) else replace(hold, outside=NOTHING, motors={})
 
 
-def _places(bare: Bare, robot: Robot) -> NDArray[np.intp]:
+def joint_places(bare: Bare, robot: Robot) -> NDArray[np.intp]:
     """Returns where the robot's joints are in the file's qpos."""
     joints = [bare.model.joint(joint).id for joint in robot.joint_names]
     return np.asarray(bare.model.jnt_qposadr[joints])
 
 
-def _own(
+def run_alone(
     bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold, *, standing: bool = True
 ) -> OwnRun:
     """Simulates a file from some data on, told something; neither knows of a keyframe."""
     start = copy.copy(data)
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
-    places = _places(bare, robot)
+    places = joint_places(bare, robot)
 
     def advance(run: mujoco.MjData, time: float) -> None:
         simulate_published(bare, run, hold, time)

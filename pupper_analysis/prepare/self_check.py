@@ -130,32 +130,6 @@ def with_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
     return tuple(cause if file is None else with_line(cause, file) for cause in causes)
 
 
-def as_published_held(robot: Robot, qpos: Array, torques: Array) -> Published | None:
-    """Returns how the file of a robot whose base is held differs in a posture.
-
-    Its servos are given the posture and the torques that hold it there: ctrl = q* + tau / kp.
-
-    Args:
-        robot: The robot; of one that was changed since it was loaded, how it was loaded.
-        qpos: (nu,) joint positions.
-        torques: (nu,) that hold it as it was loaded (N m, N).
-
-    Returns:
-        What comes of it; None where there is no file, or its base is free in it.
-    """
-    robot = as_loaded(robot)
-    if robot.floating or robot.published is None or robot.published.as_prepared:
-        return None
-    model = robot.once(raw_model)
-    if model is None:
-        return None
-    bare = Bare.of(model, robot)
-    if bare.floating:
-        return None
-    found = _compared(bare, robot, [Predicted(True, qpos, torques, qpos)])
-    return replace(found, causes=with_lines(found.causes, robot))
-
-
 def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
     """Simulates the MJCF as it was published from a stand, and finds what makes it differ.
 
@@ -172,10 +146,10 @@ def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
         return None
     if not bare.floating:
         return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
-    return _compared(bare, robot, wanted)
+    return compared_with_file(bare, robot, wanted)
 
 
-def _compared(bare: Bare, robot: Robot, wanted: Sequence[Predicted]) -> Published:
+def compared_with_file(bare: Bare, robot: Robot, wanted: Sequence[Predicted]) -> Published:
     """Simulates the MJCF as it was published from where it is predicted to rest."""
     if controlled := self_controlled(bare, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)

@@ -12,7 +12,6 @@ from lxml import etree
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.tools import format_of
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.shapes import Mesh, Pose, Shape
@@ -153,46 +152,16 @@ def mesh_hull(path: Path) -> Mesh | None:
     """
     if path.suffix.lower() not in (".stl", ".obj"):
         return None
-    found = _read(path, path.stat().st_mtime_ns)
+    found = read_mesh_file(path, path.stat().st_mtime_ns)
     return None if isinstance(found, Diagnostic) else found
 
-
-def mesh_problem(path: Path) -> Diagnostic | None:
-    """Says what keeps a file from being a mesh; None if nothing does, or it is not read here.
-
-    STL and OBJ are read, of COLLADA the start. A file of more than ``LARGEST_MESH`` bytes is not
-    opened.
-    """
-    ending = path.suffix.lower()
-    if ending not in _FORMATS and format_of(path) is None:
-        return diagnose("mesh-of-no-format", ending=ending)
-    if path.stat().st_size > LARGEST_MESH:
-        return None
-    if ending == ".dae":
-        with path.open("rb") as file:
-            start = file.read(_PROLOGUE)
-        return None if b"COLLADA" in start else diagnose("mesh-no-collada")
-    if ending not in (".stl", ".obj"):
-        return None
-    found = _read(path, path.stat().st_mtime_ns)
-    return found if isinstance(found, Diagnostic) else None
-
-
-_FORMATS = (
-    ".stl", ".obj", ".msh", ".dae", ".ply", ".off", ".glb", ".gltf", ".fbx", ".3ds", ".mesh",
-    ".wrl", ".iv",
-)  # fmt: skip
-"""Endings of meshes that MuJoCo, Gazebo, Bullet, Drake or RViz read; whole formats have theirs."""
-
-_PROLOGUE = 4096
-"""Bytes of an XML before its first element, with comments."""
 
 LARGEST_MESH = 200_000_000
 """Bytes: the greatest meshes that are published have a quarter of it."""
 
 
 @lru_cache(maxsize=256)
-def _read(path: Path, _changed: int) -> Mesh | Diagnostic:
+def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
     """Returns a mesh's convex hull (m), or what is wrong with the file."""
     import trimesh  # slow to import; yourdfpy depends on it
 

@@ -28,7 +28,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.mjcf import JointKind, equality_ends, equality_name
-from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint, motor_targets
 from pupper_analysis.robot.matching.trees import Mimics, Reference
 
 Slot = tuple[str, int | slice]
@@ -115,10 +115,25 @@ class NamedModel:
     def __init__(self, reference: Reference) -> None:
         self.reference, self.model, self.names = reference, reference.model, reference.names
         self.bodies = reference.bodies()
+        model, kinds = reference.model, mujoco.mjtObj
+        trees = model.body_treeid
+        self._trees = set(trees[sorted(self.bodies)].tolist()) - {-1}
+        self._trees_of = {
+            kinds.mjOBJ_BODY: trees,
+            kinds.mjOBJ_JOINT: trees[model.jnt_bodyid],
+            kinds.mjOBJ_SITE: trees[model.site_bodyid],
+            kinds.mjOBJ_GEOM: trees[model.geom_bodyid],
+            kinds.mjOBJ_TENDON: model.tendon_treeid,
+            kinds.mjOBJ_FLEX: trees[model.flex_vertbodyid[model.flex_vertadr]],
+        }
 
     def off(self, bit: mujoco.mjtDisableBit) -> bool:
         """Says whether the file switches a term of the dynamics off."""
         return bool(self.model.opt.disableflags & bit.value)
+
+    def holds(self, what: mujoco.mjtObj, index: int) -> bool:
+        """Says whether an element is on what moves with the robot; none (-1) is not."""
+        return index >= 0 and not self._trees.isdisjoint(np.ravel(self._trees_of[what][index]))
 
     def name(self, kind: str, index: int) -> str:
         """An element's name, or its number: ``#3``."""
@@ -221,7 +236,7 @@ def find_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the tendons that pull at the robot, as far as they act without command."""
     model = scene.model
     for tendon in range(model.ntendon):
-        if not wrapped_bodies(scene, tendon) & scene.bodies:
+        if not scene.holds(mujoco.mjtObj.mjOBJ_TENDON, tendon):
             continue
         force, length = _tendon_units(scene, tendon)
         value, terms, acts = _tendon_terms(scene, tendon, force, length)
@@ -274,23 +289,6 @@ def _tendon_terms(
     return value, terms, acts
 
 
-def wrapped_bodies(scene: NamedModel, tendon: int) -> set[int]:
-    """The bodies that a tendon pulls at."""
-    model = scene.model
-    wrap = mujoco.mjtWrap
-    bodies = set()
-    first = int(model.tendon_adr[tendon])
-    for index in range(first, first + int(model.tendon_num[tendon])):
-        kind, other = int(model.wrap_type[index]), int(model.wrap_objid[index])
-        if kind == wrap.mjWRAP_JOINT.value:
-            bodies.add(int(model.jnt_bodyid[other]))
-        elif kind == wrap.mjWRAP_SITE.value:
-            bodies.add(int(model.site_bodyid[other]))
-        elif kind in (wrap.mjWRAP_SPHERE.value, wrap.mjWRAP_CYLINDER.value):
-            bodies.add(int(model.geom_bodyid[other]))
-    return bodies
-
-
 def _tendon_units(scene: NamedModel, tendon: int) -> tuple[str, str]:
     """The units of a tendon's force and length; a fixed one adds up its joints' coordinates."""
     model, first = scene.model, int(scene.model.tendon_adr[tendon])
@@ -305,7 +303,8 @@ def find_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Inertia and damping of motors; at one joint, the linear ones count as the joint's."""
     model = scene.model
     for motor in range(model.nactuator):
-        if not _drives(scene, motor) & scene.bodies:
+        what, targets = motor_targets(model, motor)
+        if not any(scene.holds(what, target) for target in targets):
             continue
         at_joint = is_at_one_joint(model, motor)
         armature = 0.0 if at_joint else float(model.actuator_armature[motor])
@@ -337,20 +336,6 @@ def find_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
                 gear=Vector(tuple(actuator_gear(model, motor)), "1"),
             )
             yield MjcfOnlyEffect("actuator", name, value, "", message, tuple(slots))
-
-
-def _drives(scene: NamedModel, motor: int) -> set[int]:
-    model = scene.model
-    kind, (target, other) = int(model.actuator_trntype[motor]), model.actuator_trnid[motor]
-    transmission = mujoco.mjtTrn
-    if kind in (transmission.mjTRN_JOINT.value, transmission.mjTRN_JOINTINPARENT.value):
-        return {int(model.jnt_bodyid[target])}
-    if kind == transmission.mjTRN_TENDON.value:
-        return wrapped_bodies(scene, int(target))
-    if kind == transmission.mjTRN_BODY.value:
-        return {int(target)}
-    sites = [int(site) for site in (target, other) if 0 <= site < model.nsite]
-    return {int(model.site_bodyid[site]) for site in sites}
 
 
 EQUALITY = mujoco.mjtEq
@@ -425,8 +410,7 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         if not model.eq_active0[index]:
             continue
         ends = equality_ends(model, index)
-        bodies = [_end_bodies(scene, what, target) for what, target in ends]
-        if not any(end is None or end & scene.bodies for end in bodies):
+        if not any(scene.holds(*end) for end in ends):
             continue  # of other objects of the scene
         name = equality_name(scene.names, index)
         kind = EQUALITY(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
@@ -444,39 +428,11 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         )
 
 
-def _end_bodies(scene: NamedModel, what: mujoco.mjtObj, target: int) -> set[int] | None:
-    """The bodies that an equality holds at one end; None where it is not known."""
-    model, kinds = scene.model, mujoco.mjtObj
-    if target < 0:
-        return set()
-    if what == kinds.mjOBJ_TENDON:
-        return wrapped_bodies(scene, target)
-    if what == kinds.mjOBJ_FLEX:
-        return flex_bodies(model, target)
-    carrier = {
-        kinds.mjOBJ_BODY: np.arange(model.nbody),
-        kinds.mjOBJ_JOINT: model.jnt_bodyid,
-        kinds.mjOBJ_SITE: model.site_bodyid,
-        kinds.mjOBJ_GEOM: model.geom_bodyid,
-    }.get(what)
-    return None if carrier is None else {int(carrier[target])}
-
-
 def _end_name(scene: NamedModel, what: mujoco.mjtObj, target: int) -> Diagnostic | Term:
     if target < 0:
         return Term("a constant")
     name = mujoco.mj_id2name(scene.names, what.value, target) or f"#{target}"
     return diagnose("element", subject=(what.name.removeprefix("mjOBJ_").lower(), name))
-
-
-def flex_bodies(model: mujoco.MjModel, flex: int) -> set[int]:
-    """Returns the bodies that carry a flex."""
-    found = set[int]()
-    for kind in ("vert", "node"):
-        first = int(getattr(model, f"flex_{kind}adr")[flex])
-        count = int(getattr(model, f"flex_{kind}num")[flex])
-        found |= set(map(int, getattr(model, f"flex_{kind}bodyid")[first : first + count]))
-    return found
 
 
 def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:

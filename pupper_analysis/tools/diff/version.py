@@ -31,7 +31,7 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.places import Place, one_line
 from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.stated.urdf import read_urdf_model
-from pupper_analysis.models.transmission import actuator_gear
+from pupper_analysis.models.transmission import actuator_gear, motor_targets
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.mjcf_only import NamedModel, mjcf_only_effects
@@ -180,12 +180,9 @@ def _motors(scene: NamedModel) -> dict[tuple[str, str], Any]:
 
 
 def _target(scene: NamedModel, motor: int) -> str:
-    kind = mujoco.mjtTrn(int(scene.model.actuator_trntype[motor])).name.removeprefix("mjTRN_")
-    target = int(scene.model.actuator_trnid[motor, 0])
-    if kind.startswith("JOINT"):
-        return f"joint {scene.joint_name(target)}"
-    what = "site" if kind == "SLIDERCRANK" else kind.lower()
-    return f"{what} {scene.name(what, target)}"
+    what, (target, _) = motor_targets(scene.model, motor)
+    kind = what.name.removeprefix("mjOBJ_").lower()
+    return f"{kind} {scene.joint_name(target) if kind == 'joint' else scene.name(kind, target)}"
 
 
 def _short(values: Any, *, trim: bool = True) -> list[float]:

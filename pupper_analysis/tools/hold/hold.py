@@ -19,7 +19,6 @@ from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
-from pupper_analysis.prepare.judge import judge_held
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, servo_gains
@@ -33,6 +32,7 @@ from pupper_analysis.statics.equilibrium import (
     gravity_compensation,
 )
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
+from pupper_analysis.tools.hold.judged import judge_held
 from pupper_analysis.tools.hold.motions import JointMotions, bound_in_common
 from pupper_analysis.tools.hold.sag import SaggedPosture, sag_posture
 from pupper_analysis.tools.hold.verify import PostureVerification, verify_posture

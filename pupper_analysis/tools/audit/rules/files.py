@@ -8,7 +8,8 @@ from pathlib import Path
 
 from lxml import etree
 
-from pupper_analysis.base.diagnostics import Severity, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnose
+from pupper_analysis.base.tools import format_of
 from pupper_analysis.models.loading import Found
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
@@ -19,7 +20,7 @@ from pupper_analysis.models.stated.model import (
     RobotModel,
     UrdfModel,
 )
-from pupper_analysis.models.stated.urdf import mesh_problem
+from pupper_analysis.models.stated.urdf import LARGEST_MESH, read_mesh_file
 from pupper_analysis.tools.audit.registry import rule
 
 
@@ -100,6 +101,37 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[Found]:
                 place = Place(robot.file.path, mesh.sourceline)
                 message = diagnose("mesh-unreadable", mesh=name, problem=problem)
                 yield Found("link", owner, message, place=place)
+
+
+def mesh_problem(path: Path) -> Diagnostic | None:
+    """Says what keeps a file from being a mesh; None if nothing does, or it is not read here.
+
+    STL and OBJ are read, of COLLADA the start. A file of more than ``LARGEST_MESH`` bytes is not
+    opened.
+    """
+    ending = path.suffix.lower()
+    if ending not in _FORMATS and format_of(path) is None:
+        return diagnose("mesh-of-no-format", ending=ending)
+    if path.stat().st_size > LARGEST_MESH:
+        return None
+    if ending == ".dae":
+        with path.open("rb") as file:
+            start = file.read(_PROLOGUE)
+        return None if b"COLLADA" in start else diagnose("mesh-no-collada")
+    if ending not in (".stl", ".obj"):
+        return None
+    found = read_mesh_file(path, path.stat().st_mtime_ns)
+    return found if isinstance(found, Diagnostic) else None
+
+
+_FORMATS = (
+    ".stl", ".obj", ".msh", ".dae", ".ply", ".off", ".glb", ".gltf", ".fbx", ".3ds", ".mesh",
+    ".wrl", ".iv",
+)  # fmt: skip
+"""Endings of meshes that MuJoCo, Gazebo, Bullet, Drake or RViz read; whole formats have theirs."""
+
+_PROLOGUE = 4096
+"""Bytes of an XML before its first element, with comments."""
 
 
 def _missing_in_mjcf(file: MjcfFile) -> Iterator[_Missing]:
