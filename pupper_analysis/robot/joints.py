@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -14,9 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_finite
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import Position
-from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -24,76 +21,17 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 
-_OBLIQUE = ("oblique", "oblique slide")
+OBLIQUE = ("oblique", "oblique slide")
 """What a joint does whose axis is along none of the base's: turns, or slides."""
 
 
-@dataclass(frozen=True, eq=False)
-class JointSummary(Result):
-    """What a joint does, and what it can.
-
-    Attributes:
-        name: Its name, in both files.
-        motion: ``roll``, ``pitch`` or ``yaw``, as far as the axis is within 1 degree of x, y or z
-            of the base at zero angles; otherwise ``oblique``. Of a joint that slides ``along x``,
-            ``along y`` or ``along z``; otherwise ``oblique slide``.
-        axis: (3,) its axis in the base frame at zero angles.
-        lower: rad (here and below, of a joint that slides: m for rad, N for N m, kg for kg m^2).
-        upper: rad.
-        effort: What its motor can give either way, the least that both files state (N m).
-        velocity: rad/s.
-        armature: Of the MJCF (kg m^2).
-        damping: N m s/rad.
-        friction: N m.
-        effort_origin: Which statement of which file ``effort`` is; None without a limit.
-    """
-
-    name: str
-    motion: str
-    axis: Array
-    lower: float
-    upper: float
-    effort: float
-    velocity: float
-    armature: float
-    damping: float
-    friction: float
-    effort_origin: EffortStatement | None
-
-    @property
-    def oblique(self) -> bool:
-        """Whether its axis is along none of the base's."""
-        return self.motion in _OBLIQUE
-
-    @property
-    def slides(self) -> bool:
-        """Whether it slides, and does not turn."""
-        return self.motion.startswith("along ") or self.motion == _OBLIQUE[1]
-
-
-def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
-    """Tells of each joint what it does and what it can, in actuator order."""
+def joint_motions(robot: Robot) -> dict[str, str]:
+    """Returns {joint: what it does, as words of how its axis lies in the base at zero angles}."""
     rest = Configuration(robot, robot.neutral())
-    model, v = robot.pin_model, robot.pin_convention.v_index
-    summaries = []
-    for index, name in enumerate(robot.joint_names):
-        axis = rest.joint_axis(name)
-        summaries.append(
-            JointSummary(
-                name=name,
-                motion=_motion(axis, is_slide=is_slide(robot, name)),
-                axis=axis,
-                lower=float(robot.lower_limits[index]),
-                upper=float(robot.upper_limits[index]),
-                effort=float(robot.effort_limits[index]),
-                velocity=float(robot.velocity_limits[index]),
-                armature=float(model.armature[v[index]]),
-                damping=float(model.damping[v[index]]),
-                friction=float(model.friction[v[index]]),
-                effort_origin=robot.efforts[index].origin,
-            )
-        )
-    return tuple(summaries)
+    return {
+        name: _motion(rest.joint_axis(name), is_slide=is_slide(robot, name))
+        for name in robot.joint_names
+    }
 
 
 def is_slide(robot: Robot, joint: str) -> bool:
@@ -103,12 +41,12 @@ def is_slide(robot: Robot, joint: str) -> bool:
 
 
 def _motion(axis: Array, *, is_slide: bool) -> str:
-    """Returns the word for what a joint does; see ``JointSummary``."""
+    """Returns the word for what a joint does."""
     direction = int(np.argmax(np.abs(axis)))
     aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
     if is_slide:
-        return f"along {'xyz'[direction]}" if aligned else _OBLIQUE[1]
-    return ("roll", "pitch", "yaw")[direction] if aligned else _OBLIQUE[0]
+        return f"along {'xyz'[direction]}" if aligned else OBLIQUE[1]
+    return ("roll", "pitch", "yaw")[direction] if aligned else OBLIQUE[0]
 
 
 def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:

@@ -61,7 +61,7 @@ from pupper_analysis.present.scene import (
     shown_geoms,
 )
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.joints import joint_summaries
+from pupper_analysis.robot.joints import joint_motions
 from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def _robot(
     mujoco.mj_kinematics(model, data)
     low, high = extent_of(model, data)
     geoms, meshes = geoms_of(model)
-    kinds = {one.name: one.motion for one in joint_summaries(robot)}
+    kinds = joint_motions(robot)
     return {
         "bodies": bodies_of(model),
         "geoms": geoms,

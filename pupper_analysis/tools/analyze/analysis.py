@@ -11,14 +11,11 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.joints import (
-    JointSummary,
-    joint_summaries,
-    leg_joints,
-)
+from pupper_analysis.robot.joints import OBLIQUE, joint_motions, leg_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.verdict import Verdict
@@ -35,6 +32,73 @@ from pupper_analysis.tools.analyze.gain_sweep import GainSweep, sweep_gains
 from pupper_analysis.tools.crosscheck.crosscheck import CrossCheck, cross_check
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class JointSummary(Result):
+    """What a joint does, and what it can.
+
+    Attributes:
+        name: Its name, in both files.
+        motion: ``roll``, ``pitch`` or ``yaw``, as far as the axis is within 1 degree of x, y or z
+            of the base at zero angles; otherwise ``oblique``. Of a joint that slides ``along x``,
+            ``along y`` or ``along z``; otherwise ``oblique slide``.
+        axis: (3,) its axis in the base frame at zero angles.
+        lower: rad (here and below, of a joint that slides: m for rad, N for N m, kg for kg m^2).
+        upper: rad.
+        effort: What its motor can give either way, the least that both files state (N m).
+        velocity: rad/s.
+        armature: Of the MJCF (kg m^2).
+        damping: N m s/rad.
+        friction: N m.
+        effort_origin: Which statement of which file ``effort`` is; None without a limit.
+    """
+
+    name: str
+    motion: str
+    axis: Array
+    lower: float
+    upper: float
+    effort: float
+    velocity: float
+    armature: float
+    damping: float
+    friction: float
+    effort_origin: EffortStatement | None
+
+    @property
+    def oblique(self) -> bool:
+        """Whether its axis is along none of the base's."""
+        return self.motion in OBLIQUE
+
+    @property
+    def slides(self) -> bool:
+        """Whether it slides, and does not turn."""
+        return self.motion.startswith("along ") or self.motion == OBLIQUE[1]
+
+
+def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
+    """Tells of each joint what it does and what it can, in actuator order."""
+    rest = Configuration(robot, robot.neutral())
+    model, v = robot.pin_model, robot.pin_convention.v_index
+    summaries = []
+    for index, (name, motion) in enumerate(joint_motions(robot).items()):
+        summaries.append(
+            JointSummary(
+                name=name,
+                motion=motion,
+                axis=rest.joint_axis(name),
+                lower=float(robot.lower_limits[index]),
+                upper=float(robot.upper_limits[index]),
+                effort=float(robot.effort_limits[index]),
+                velocity=float(robot.velocity_limits[index]),
+                armature=float(model.armature[v[index]]),
+                damping=float(model.damping[v[index]]),
+                friction=float(model.friction[v[index]]),
+                effort_origin=robot.efforts[index].origin,
+            )
+        )
+    return tuple(summaries)
 
 
 @dataclass(frozen=True, eq=False)

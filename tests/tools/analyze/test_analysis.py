@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.joints import joint_summaries
-from pupper_analysis.tools.analyze.analysis import leg_jacobians, leg_lengths, thigh_shape_length
+from pupper_analysis.tools.analyze.analysis import (
+    joint_summaries,
+    leg_jacobians,
+    leg_lengths,
+    thigh_shape_length,
+)
 from tests.support.tiny import TINY_MJCF, TINY_URDF
 
 
