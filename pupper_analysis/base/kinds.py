@@ -6,8 +6,6 @@ import csv
 import hashlib
 import io
 import re
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import BinaryIO, Final
@@ -15,7 +13,7 @@ from typing import BinaryIO, Final
 GENERATOR: Final = "pupper-analysis"
 """What results are marked with, before the version: JSON, pages and figures."""
 
-_HEAD: Final = 1 << 16
+HEAD: Final = 1 << 16
 """Bytes at a file's beginning that are looked at: the columns of a hundred joints."""
 
 _MOST: Final = 1 << 24
@@ -59,34 +57,19 @@ class Folder:
     files: Mapping[str, Kind]
 
 
-def _begins(*marks: str) -> Callable[[BinaryIO], bool]:
+def begins(*marks: str) -> Callable[[BinaryIO], bool]:
+    """Returns what knows a file by what it begins with."""
     known = tuple(mark.encode() for mark in marks)
     return lambda file: file.read(max(map(len, known))).startswith(known)
 
 
 def _is_page(file: BinaryIO) -> bool:
-    return b'<meta name="generator" content="pupper_analysis ' in file.read(_HEAD)
+    return b'<meta name="generator" content="pupper_analysis ' in file.read(HEAD)
 
 
 def _is_picture(file: BinaryIO) -> bool:
-    head = file.read(_HEAD)
+    head = file.read(HEAD)
     return head.startswith(b"\x89PNG") and f"tEXtSoftware\0{GENERATOR} ".encode() in head
-
-
-def _is_path_table(file: BinaryIO) -> bool:
-    head, _, _ = file.read(_HEAD).partition(b"\n")
-    columns = head.decode(errors="replace").split(",")
-    return columns[0] == "time (s)" and all(
-        one.startswith(("q ", "tau ")) for one in columns[1:]
-    )  # fmt: skip
-
-
-def _is_path_arrays(file: BinaryIO) -> bool:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return {"joint_names.npy", "zmp_margin.npy"} <= set(archive.namelist())
-    except (zipfile.BadZipFile, zlib.error, OSError, ValueError, NotImplementedError, EOFError):
-        return False
 
 
 def _plan_cells(file: BinaryIO) -> list[str] | None:
@@ -117,16 +100,14 @@ def _is_filled_in(file: BinaryIO) -> bool:
     return bool(_plan_cells(file))
 
 
-RESULTS: Final = Kind("JSON result", _begins(f'{{\n  "generator": "{GENERATOR} '))
+RESULTS: Final = Kind("JSON result", begins(f'{{\n  "generator": "{GENERATOR} '))
 PAGE: Final = Kind("report page", _is_page)
 PICTURE: Final = Kind("figure", _is_picture)
-PATH_TABLE: Final = Kind("table of a path", _is_path_table)
-PATH_ARRAYS: Final = Kind("file of a path's arrays", _is_path_arrays)
-STAND_TABLE: Final = Kind("table of a stand", _begins("joint,position (rad),torque (N m),"))
+STAND_TABLE: Final = Kind("table of a stand", begins("joint,position (rad),torque (N m),"))
 PLAN: Final = Kind("plan of stands", _is_plan, keeps=_is_filled_in)
 RECORD: Final = Kind("table of stands", lambda file: _plan_cells(file) is not None, edits=True)
-OFFSETS: Final = Kind("table of offsets", _begins("joint,offset_rad,offset_deg\n"))
-RANGES: Final = Kind("file of ranges", _begins("# Domain randomization."))
+OFFSETS: Final = Kind("table of offsets", begins("joint,offset_rad,offset_deg\n"))
+RANGES: Final = Kind("file of ranges", begins("# Domain randomization."))
 MODEL: Final = Kind("model")
 """A model: people go on with it, so that it is replaced when it is asked for alone."""
 
@@ -148,7 +129,7 @@ OWN: Final = Kind("model", _any)
 EDITED: Final = Kind("model", _any, edits=True)
 """A file that was read, known for what it is, and is written in place."""
 
-SAMPLES: Final = Kind("table of samples", _begins("# Samples of a fitted robot."))
+SAMPLES: Final = Kind("table of samples", begins("# Samples of a fitted robot."))
 FIT_FOLDER: Final = Folder(
     {
         "fit.json": RESULTS,
@@ -157,13 +138,3 @@ FIT_FOLDER: Final = Folder(
     }
 )
 """What ``fit -o`` writes beside models."""
-FIGURES: Final = Folder(
-    dict.fromkeys(("torques.png", "heights.png", "gains.png", "variants.png"), PICTURE)
-)
-"""What ``analyze -o`` draws beside the pose of each robot."""
-STUDY_FOLDER: Final = Folder(
-    {"study.json": Kind("study", _begins('{\n  "format": ', '{"format": '))}
-)
-"""What ``study -o`` writes beside shards."""
-EMPTY: Final = Folder({})
-"""A folder of which nothing is known before."""

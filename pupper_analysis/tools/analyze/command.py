@@ -34,6 +34,12 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.analyze.document import ComparisonRow
 
 
+_FIGURES = kinds.Folder(
+    dict.fromkeys(("torques.png", "heights.png", "gains.png", "variants.png"), kinds.PICTURE)
+)
+"""What is drawn beside the pose of each robot."""
+
+
 @shared.command("analyze")
 @robots_argument
 @click.option("--list", "list_only", is_flag=True, help="List the variants and exit.")
@@ -41,7 +47,7 @@ if TYPE_CHECKING:
 @shared.output_option(
     "-o",
     "--output",
-    holds=lambda given: None if given["no_figures"] or given["list_only"] else kinds.FIGURES,
+    holds=lambda given: None if given["no_figures"] or given["list_only"] else _FIGURES,
     default=Path("output"),
     show_default=True,
     help="Write the figures into this folder; it is created if needed.",
@@ -55,7 +61,7 @@ if TYPE_CHECKING:
 @shared.output_option(
     "--write",
     "write_folder",
-    holds=kinds.EMPTY,
+    holds=kinds.Folder({}),
     help="Write the variants' URDFs, MJCFs and meshes into this folder.",
 )
 @with_robot

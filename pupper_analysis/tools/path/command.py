@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
-from pupper_analysis.base import kinds
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robot_argument
 from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
+from pupper_analysis.tools.path import kinds
 
 
 @shared.command("path")

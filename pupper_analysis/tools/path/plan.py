@@ -19,7 +19,6 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.base.files import whole_file
-from pupper_analysis.base.kinds import PATH_ARRAYS, PATH_TABLE
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -31,6 +30,7 @@ from pupper_analysis.statics.equilibrium import sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.path.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_jerk, path_geometry
+from pupper_analysis.tools.path.kinds import PATH_ARRAYS, PATH_TABLE
 
 Array = NDArray[np.float64]
 

@@ -27,6 +27,12 @@ def _list_metrics(context: click.Context, _: click.Parameter, asked: bool) -> No
     context.exit()
 
 
+_FOLDER = kinds.Folder(
+    {"study.json": kinds.Kind("study", kinds.begins('{\n  "format": ', '{"format": '))}
+)
+"""What is written beside shards."""
+
+
 @shared.command("study")
 @click.argument("file", type=click.Path(path_type=Path))
 @shared.output_option(
@@ -34,7 +40,7 @@ def _list_metrics(context: click.Context, _: click.Parameter, asked: bool) -> No
     "--output",
     "folder",
     required=True,
-    holds=kinds.STUDY_FOLDER,
+    holds=_FOLDER,
     help="Folder of the results; a run that was interrupted is resumed.",
 )
 @click.option(

@@ -1,0 +1,29 @@
+"""What files of a path are: how an older one is known."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from typing import BinaryIO, Final
+
+from pupper_analysis.base.kinds import HEAD, Kind
+
+
+def _is_path_table(file: BinaryIO) -> bool:
+    head, _, _ = file.read(HEAD).partition(b"\n")
+    columns = head.decode(errors="replace").split(",")
+    return columns[0] == "time (s)" and all(
+        one.startswith(("q ", "tau ")) for one in columns[1:]
+    )  # fmt: skip
+
+
+def _is_path_arrays(file: BinaryIO) -> bool:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return {"joint_names.npy", "zmp_margin.npy"} <= set(archive.namelist())
+    except (zipfile.BadZipFile, zlib.error, OSError, ValueError, NotImplementedError, EOFError):
+        return False
+
+
+PATH_TABLE: Final = Kind("table of a path", _is_path_table)
+PATH_ARRAYS: Final = Kind("file of a path's arrays", _is_path_arrays)
