@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import InputError, PupperAnalysisError
-from pupper_analysis.base.inputs import check_input, decode_input, is_input, read_input, read_toml
+from pupper_analysis.base.inputs import check_input, decode_input, is_input, read_input
 from tests import damaged
 
 
@@ -67,24 +67,6 @@ def test_what_is_no_text_is_told_with_its_line(data: bytes, code: str, line: int
         decode_input(Path("a.csv"), data)
     assert (error.value.cause.code, error.value.line) == (code, line)
     assert decode_input(Path("a.csv"), "\ufeffä".encode()) == "ä"
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("a = 1\nb = ]", 2),
-        ("a = " + "[" * 5000, None),
-        ("a = " + "9" * 5000, None),
-        ("a = 2020-02-31", 1),
-    ],
-)
-def test_toml_that_is_none_is_one_error(tmp_path: Path, text: str, line: int | None) -> None:
-    (tmp_path / "a.toml").write_text(text)
-    with pytest.raises(InputError) as error:
-        read_toml(tmp_path / "a.toml")
-    assert error.value.cause.code == "not-toml"
-    assert error.value.line == line
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("kind", damaged.kinds(), ids=lambda kind: kind.name)

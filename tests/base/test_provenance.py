@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import mujoco
-import pytest
 from PIL import Image
 
-from pupper_analysis.base.provenance import find_provenance
 from pupper_analysis.base.units import units_of
 from tests.support.commands import answer
 from tests.support.repository import ROOT
@@ -40,25 +36,6 @@ def test_json_page_markdown_and_pictures_say_where_they_come_from(tmp_path: Path
         assert found["command"] in shown
         assert f"own.urdf sha256:{digest[:12]}" in shown
         assert f"mujoco {mujoco.__version__}" in shown
-
-
-def test_of_many_files_a_page_lists_the_first() -> None:
-    many = replace(find_provenance(), files={f"{n:02}.stl": "0" * 64 for n in range(20)})
-    assert "11.stl" in many.lines()[-2]
-    assert many.lines()[-1].startswith("... 8 more")
-
-
-def test_json_has_the_unit_of_each_number_that_has_one(tmp_path: Path) -> None:
-    """All that its classes state; lengths, angles and torques of a stand among them."""
-    done = answer("stand", "v3", "--roll", "2deg", "--json", "s.json", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads((tmp_path / "s.json").read_text())
-    units = found["provenance"]["units"]
-    names = ("height", "roll", "joint_positions", "joint_torques", "contact_forces", "kp", "off")
-    expected = ["m", "rad", "rad", "N m", "N", "N m/rad", "rad or m"]
-    assert [units[name] for name in names] == expected
-    assert not {"name", "friction_utilisation", "torque_error", "passed"} & set(units)
-    assert found["stand"]["task"]["roll"] == pytest.approx(math.radians(2))
 
 
 def test_units_of_a_class_are_those_of_its_docstring() -> None:

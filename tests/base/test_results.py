@@ -27,17 +27,6 @@ class Sample(Result):
     feet: dict[str, np.ndarray]
 
 
-def test_arrays_become_lists() -> None:
-    sample = Sample(np.array([1.5, -2.0]), 3.25, {"FR": np.eye(2)})
-    assert sample.to_dict() == {
-        "vector": [1.5, -2.0],
-        "number": 3.25,
-        "feet": {"FR": [[1, 0], [0, 1]]},
-    }
-    assert json.loads(sample.to_json()) == sample.to_dict()
-    assert "\n  " in sample.to_json()
-
-
 @pytest.mark.parametrize(
     ("value", "expected"),
     [

@@ -175,14 +175,6 @@ def test_commands_stand_under_headings(capsys: pytest.CaptureFixture[str]) -> No
         assert above[-1] == f"{tool.heading}:"
 
 
-@pytest.mark.parametrize("name", own_tools())
-def test_a_tool_says_in_a_line_what_its_command_does(name: str) -> None:
-    assert cli.find_command(name).name == name
-    question = own_tools()[name].question
-    assert 15 < len(question) < 60
-    assert question[-1] in ".?"
-
-
 @pytest.mark.parametrize(
     ("arguments", "needed"),
     [(["--help"], set()), (["diff", "--help"], {"diff"})],

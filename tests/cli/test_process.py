@@ -18,7 +18,6 @@ import click
 import pytest
 
 from pupper_analysis import cli
-from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli.process import Ended
 from tests.support.cases import some
 from tests.support.repository import ROOT
@@ -260,17 +259,6 @@ def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     err = capsys.readouterr().err
     assert "Traceback" in err
     assert 'raise ZeroDivisionError("of' in err
-
-
-def test_an_error_with_a_name_in_lines_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    @click.command()
-    def named() -> None:
-        raise ConfigurationError("x", "\n::error::forged\x1b[31m\u009b\u202e")
-
-    with pytest.raises(SystemExit):
-        cli.run(named, [])
-    err = capsys.readouterr().err
-    assert err == "error: x: \\n::error::forged\\x1b[31m\\x9b\\u202e\n"
 
 
 def test_a_signal_that_a_library_swallows_is_raised_again() -> None:

@@ -65,18 +65,6 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return urdf, mjcf
 
 
-def test_what_is_not_stated_is_unknown_and_zero_is_not(tmp_path: Path) -> None:
-    path = tmp_path / "r.xml"
-    bare = MJCF.replace('damping="0.125" frictionloss="0.0625"', 'damping="0"')
-    path.write_text(bare.replace('armature="0.03"', "").replace('stiffness="0.7"', ""))
-    stated = read_mjcf_model(read_mjcf(path)).joints["j"].stated
-    assert stated["damping"] == 0.0
-    assert not {"friction", "armature", "spring"} & set(stated)
-    default = '<default><joint armature="0"/></default><worldbody>'
-    path.write_text(path.read_text().replace("<worldbody>", default))
-    assert read_mjcf_model(read_mjcf(path)).joints["j"].stated["armature"] == 0.0
-
-
 def test_engines_read_what_the_files_state(files: tuple[Path, Path]) -> None:
     model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
     tree = from_pinocchio(model, "a", ["j"], {})

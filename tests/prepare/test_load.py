@@ -152,27 +152,6 @@ def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> Non
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, on_one)).passed
 
 
-def test_shapes_beside_a_foot_are_kept_off_the_ground(tmp_path: Path) -> None:
-    shapes = (
-        '<geom type="sphere" size="0.02" pos="0 0 -0.2" solimp="0.02 0.9 0.02" priority="1"/>'
-        '<geom type="capsule" size="0.018" fromto="0 0 -0.05 0 0 -0.199"/>'
-    )
-    robot = load(quadruped(tmp_path, foot=shapes))
-    said(robot, "reach down beside the feet")
-    stands(robot)
-
-
-def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
-    """MuJoCo's contact pushes from its margin on: a foot may stand above the ground."""
-    sphere = '<geom type="sphere" size="0.02" pos="0 0 -0.2" margin="0.004"/>'
-    robot = load(quadruped(tmp_path, foot=sphere))
-    stand = pa.stance.solve_stand_on_soft_ground(robot)
-    bare = pa.stance.solve_stand_on_soft_ground(load(quadruped(tmp_path)))
-    for foot, depth in stand.depths.items():
-        assert depth == pytest.approx(bare.depths[foot] - 0.004, abs=1e-9)
-    stands(robot)
-
-
 @pytest.mark.parametrize(
     ("below", "framed"), [(0.78, False), (0.78, True), (1.7, False), (0.72 - 1e-9, False)]
 )
@@ -279,21 +258,6 @@ def test_a_urdf_whose_base_is_not_upright_is_refused_with_what_to_do(
     assert f"its limbs end along {axis} of its base's frame" in told
     (stated,) = re.findall('rpy="([^"]*)"', told)
     np.testing.assert_allclose([float(x) for x in stated.split()], [*np.pi / 2 * np.array(back), 0])
-
-
-def test_fingers_are_one_limb_of_a_base_on_wheels(tmp_path: Path) -> None:
-    """Six fingers of one arm say no more of where is up than the arm does."""
-    link = '<link name="{}"><inertial><mass value="1"/><inertia ixx="1e-2" iyy="1e-2" izz="1e-2"'
-    link += ' ixy="0" ixz="0" iyz="0"/></inertial></link>'
-    joint = '<joint name="to_{0}" type="revolute"><parent link="{1}"/><child link="{0}"/>'
-    joint += '<origin xyz="{2}"/><axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="9"'
-    joint += ' velocity="9"/></joint>'
-    ways = [("arm", "trunk", "0 .1 0"), ("left", "trunk", "0 .2 0"), ("right", "trunk", "0 -.2 0")]
-    ways += [(f"finger{number}", "arm", "0 .3 0") for number in range(6)]
-    text = "".join(map(link.format, ["trunk", *(way[0] for way in ways)]))
-    path = tmp_path / "wheels.urdf"
-    path.write_text(f'<robot name="w">{text}{"".join(joint.format(*way) for way in ways)}</robot>')
-    assert not limbs_aside(pa.load_robot(path, fixed_base=True))
 
 
 ICOSPHERE = """<asset><mesh name="ball" vertex="{}"/></asset>"""

@@ -115,16 +115,6 @@ def test_the_margin_is_drawn_to_the_nearest_edge(name: str) -> None:
 # ------------------------------------------------------------------------------------- figures
 
 
-def test_pose_figure_says_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    analysis = analysis_of("v3")
-    figure = drawn(monkeypatch, pose_figure, load("v3"), analysis.stand, analysis.statics)
-    texts = [text.get_text() for axes in figure.axes for text in axes.texts]
-    margin = f"com margin {1e3 * analysis.statics.com_margin:.1f} mm"
-    assert margin in figure.axes[-1].get_title(loc="left")
-    for foot, force in analysis.statics.contact_forces.items():
-        assert f"{foot}\n{np.linalg.norm(force):.2f} N" in texts
-
-
 def test_pose_figure_draws_slopes_steps_and_lifted_feet(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = load("v3")
     ground = pa.Ground(slope=0.15, uphill=0.8, heights={"FR": 0.02})
@@ -150,28 +140,6 @@ def test_pose_figure_draws_slopes_steps_and_lifted_feet(monkeypatch: pytest.Monk
     assert len(boxes) == 3
     for number, one in enumerate(boxes):
         assert not any(one.overlaps(other) for other in boxes[number + 1 :])
-
-
-def test_a_failed_run_is_marked(monkeypatch: pytest.MonkeyPatch) -> None:
-    analysis = analysis_of("v3")
-    fields = {**vars(analysis.sagging), "failures": ("it tipped over",)}
-    failed = other(analysis, sagging=SimpleNamespace(**fields))
-    for shown, count in ((analysis, len(analysis.sagging.failures) > 0), (failed, 1)):
-        figure = drawn(monkeypatch, height_figure, [shown])
-        texts = [t.get_text() for t in figure.legends[0].get_texts()]
-        assert sum(text.endswith("mm, fails") for text in texts) == count
-        crosses = [line for line in figure.axes[0].lines if line.get_linewidth() == 2.0]
-        assert len(crosses) == 2 * count
-
-
-@pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)
-@pytest.mark.parametrize("count", [1, 2, 4])
-def test_figures_of_several_robots_are_drawn(
-    draw: Callable[[Any, Path], None], count: int, tmp_path: Path
-) -> None:
-    analyses = [analysis_of(NAMES[index % 2]) for index in range(count)]
-    draw(analyses, tmp_path / "figure.png")
-    check_picture(tmp_path / "figure.png")
 
 
 @pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)
@@ -216,14 +184,6 @@ def test_gain_figure_marks_what_fell_and_what_is_not_stable(
     assert texts == ["1.500", "fell", "2.000", "0.250", "3.000", "fell"]
     marked = [patch.get_xy() for patch in axes.patches if not patch.get_fill()]  # type: ignore[attr-defined]
     np.testing.assert_allclose(marked, [(-0.46, 0.54)])
-
-
-def test_a_name_is_not_taken_for_a_formula(tmp_path: Path) -> None:
-    analysis = other(analysis_of("v3"), name="a$b_c$ \\frac")
-    pose_figure(load("v3"), analysis.stand, analysis.statics, tmp_path / "pose.png")
-    torque_figure([analysis], tmp_path / "torques.png")
-    check_picture(tmp_path / "pose.png")
-    check_picture(tmp_path / "torques.png")
 
 
 # ------------------------------------------------------------------------------------- files

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import math
 import re
 from dataclasses import dataclass, replace
 from functools import cache
@@ -31,7 +30,6 @@ from pupper_analysis.present.document import (
     Table,
     Text,
     View,
-    number_cell,
     tell,
 )
 from pupper_analysis.present.documents import sources
@@ -39,7 +37,6 @@ from pupper_analysis.present.html import plots, write
 from pupper_analysis.present.html.write import scene_of
 from pupper_analysis.present.scene import describe_scene, shapes_of
 from pupper_analysis.tools.stand.stance import study_stance
-from tests.support.commands import answer
 from tests.support.html_page import Page, shown
 from tests.support.repository import ROOT
 from tests.support.stubs import problem
@@ -382,15 +379,6 @@ def test_a_line_is_where_its_values_are() -> None:
     assert grid["3"] - 4 == pytest.approx(y1, abs=0.1)
 
 
-def test_a_plot_whose_values_are_unknown_has_axes_and_no_line() -> None:
-    """Of motors without limits no force on the tool is the greatest."""
-    axis = Axis(Name("x"), "N", ".0f"), Axis(Name("y"), "N", ".0f")
-    drawing = plots.draw_svg(LinePlot(Name("t"), *axis, [Series(Name("a"), [np.nan], [np.nan])]))
-    tags = {mark["tag"] for mark in drawing.marks if mark.get("points") != []}
-    assert "text" in tags
-    assert "polyline" not in tags
-
-
 def test_directions_are_as_seen_from_above() -> None:
     """Forward is up, left is left."""
     around = Series(Name("a"), np.radians([0.0, 90.0, 180.0, 270.0]), [1.11, 2.22, 3.33, 4.44])
@@ -405,31 +393,6 @@ def test_directions_are_as_seen_from_above() -> None:
     assert right[0] > back[0]
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [
-        (0, 10, [0, 2, 4, 6, 8, 10]),
-        (-3, 3, [-2, 0, 2]),
-        (0.11, 0.13, [0.11, 0.115, 0.12, 0.125, 0.13]),
-    ],
-)
-def test_ticks_are_round(low: float, high: float, expected: list[float]) -> None:
-    assert plots.round_ticks(low, high) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(
-    ("value", "form", "expected"),
-    [
-        (-1e-9, "+.3f", "+0.000"),
-        (None, ".1f", "-"),
-        (0.1234, ".1%", "12.3%"),
-        (math.inf, "g", "inf"),
-    ],
-)
-def test_numbers_are_written(value: float | None, form: str, expected: str) -> None:
-    assert number_cell(value, form).text == expected
-
-
 # Files and commands
 
 
@@ -441,9 +404,3 @@ def test_bad_arguments_are_refused(tmp_path: Path) -> None:
     with pytest.raises(pa.OutputError):
         pa.report.write_report(audit(), tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_report_goes_to_standard_output() -> None:
-    found = answer("audit", str(ROOT / "urdf" / "pupper_v3.urdf"), "--report", "-")
-    assert Page(found.stdout).root.find(".//h1") is not None
-    assert "OK" in found.stderr

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -23,9 +22,6 @@ from pupper_analysis.present.document import (
     text,
 )
 from pupper_analysis.present.markdown import MOST_LETTERS, MOST_ROWS, write_markdown
-from tests.support.commands import answer
-from tests.support.html_page import Page
-from tests.support.repository import ROOT
 from tests.support.stubs import problem
 
 TABLE = Table(
@@ -144,16 +140,3 @@ def test_a_comment_has_room_for_it() -> None:
     assert len(shown) < MOST_LETTERS
     assert shown.startswith("### ❌ FAILS v3\n\n- **it fell over**")
     assert "`--json` has all numbers" in shown
-
-
-def test_markdown_is_all_that_stands_on_standard_output(tmp_path: Path) -> None:
-    """Files are confirmed beside it."""
-    path, page = tmp_path / "a.json", tmp_path / "a.html"
-    file = str(ROOT / "urdf" / "pupper_v3.urdf")
-    found = answer(
-        "audit", file, "--format", "markdown", "--json", str(path), "--report", str(page)
-    )
-    assert found.stdout.startswith("### ✅ OK pupper\\_v3.urdf\n\n- 0 errors, ")
-    assert "written" not in found.stdout
-    assert found.stderr == f"written: {page}\nwritten: {path}\n"
-    assert Page(page.read_text(encoding="utf-8")).root.find(".//h1") is not None

@@ -5,13 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
-from pupper_analysis.present.formats import Annotation, from_root, write_sarif
+from pupper_analysis.present.formats import Annotation, write_sarif
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -78,11 +73,6 @@ def test_a_finding_is_a_sarif_result() -> None:
     }
 
 
-def test_nothing_found_is_a_log_all_the_same() -> None:
-    """With it code scanning closes what it has shown before."""
-    assert checked_log(write_sarif([]))["results"] == []
-
-
 def test_levels_rules_and_states() -> None:
     run = checked_log(
         write_sarif(
@@ -113,41 +103,6 @@ def test_a_fingerprint_is_of_the_subject_not_of_its_line_or_numbers() -> None:
         assert print_of(**other) != print_of()
 
 
-TEXT = st.text(st.characters(codec="utf-8"), max_size=20)
-
-
-@given(message=TEXT, subject=TEXT, name=st.text("ab:?#%ä ", min_size=1, max_size=8))
-def test_names_of_files_are_quoted_and_read_back(message: str, subject: str, name: str) -> None:
-    text = write_sarif([finding(message=message, title=subject, place=f"x/{name}.urdf:3")] * 2)
-    run = checked_log(text)
-    for one in run["results"]:
-        assert one["message"]["text"] == message
-        uri = one["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
-        assert unquote(uri) == f"x/{name}.urdf"
-        assert not set(uri) & set(":?# ")
-
-
-def test_paths_are_relative_to_the_checkout(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    inside = tmp_path / "models"
-    inside.mkdir()
-    monkeypatch.delenv("GITHUB_WORKSPACE", raising=False)
-    monkeypatch.chdir(inside)
-    assert from_root("a.urdf") == from_root(inside / "a.urdf") == "a.urdf"
-    assert from_root("../b.urdf") == (tmp_path / "b.urdf").as_posix()
-    monkeypatch.setenv("GITHUB_WORKSPACE", str(tmp_path))
-    assert from_root("a.urdf") == "models/a.urdf"
-    assert from_root("../b.urdf") == "b.urdf"
-    # A link in the checkout is what GitHub shows, wherever it leads; so is a linked checkout.
-    (tmp_path / "elsewhere").mkdir()
-    (inside / "link.urdf").symlink_to(tmp_path / "elsewhere" / "a.urdf")
-    assert from_root("link.urdf") == "models/link.urdf"
-    (tmp_path / "linked").symlink_to(inside)
-    monkeypatch.setenv("GITHUB_WORKSPACE", str(tmp_path / "linked"))
-    assert from_root(inside / "a.urdf") == "a.urdf"
-
-
 def test_of_the_commands(tmp_path: Path) -> None:
     text = (ROOT / "urdf" / "pupper_skeleton.urdf").read_text()
     text = text.replace('<mass value="1.506"/>', '<mass value="-1.506"/>')
@@ -165,11 +120,3 @@ def test_of_the_commands(tmp_path: Path) -> None:
     assert found["ruleId"] == "crosscheck/mass"
     assert found["level"] == "error"
     assert "mass 1.7 kg in the URDF, 1.506 kg in the MJCF" in found["message"]["text"]
-
-
-def test_names_in_messages_are_no_links() -> None:
-    """Source: SARIF 2.1.0, 3.11.6; in a viewer "[click](address)" would be one."""
-    name = r"[click](javascript:alert(1)) a\b"
-    log = checked_log(write_sarif([finding(message=f"joint {name}")]))
-    text = log["results"][0]["message"]["text"]
-    assert text == r"joint \[click\](javascript:alert(1)) a\\b"

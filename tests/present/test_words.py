@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from pupper_analysis.base.diagnostics import LANGUAGES, phrase
-from pupper_analysis.present.document import Name, join_words, text, word
+from pupper_analysis.base.diagnostics import LANGUAGES
+from pupper_analysis.present.document import Name, text, word
 from pupper_analysis.tools.study.measures import METRICS
 from tests.base.diagnostics.test_diagnostic import HAN, TERMS, TEXTS, made_calls, uses, written
 
@@ -48,12 +48,6 @@ def test_all_is_said_in_both_languages(words: dict[str, dict[str, str]]) -> None
         assert not re.search(r"[,;:?!](?=[\u4e00-\u9fff])", chinese), f"punctuation of {chinese}"
 
 
-def test_every_text_that_is_asked_for_is_there_and_gets_its_values() -> None:
-    for where, key, given in said():
-        template = phrase(key, "en")
-        assert given is None or uses(template) <= given, where
-
-
 def test_no_text_is_left_over() -> None:
     measures = {f"metric-{name.replace('_', '-')}" for name in METRICS}
     left = set(TEXTS) - written() - measures
@@ -72,13 +66,6 @@ def test_a_text_that_is_not_there_is_refused() -> None:
     with pytest.raises(KeyError):
         text("no-such-text")
     assert word("leg_front_r_1") == Name("leg_front_r_1")
-
-
-def test_words_are_filled_in_in_their_language() -> None:
-    message = text("force-axis", axis=text("roll"))
-    assert (message.en, message.zh) == ("force roll", "力 横滚")
-    listed = join_words([text("mass"), Name("com {x}")])
-    assert (listed.en, listed.zh) == ("mass, com {x}", "质量、com {x}")
 
 
 def test_keys_are_no_english() -> None:

@@ -1,7 +1,6 @@
 """Variants derived from the URDF and from the MJCF: against each other and direct integration."""
 
 import itertools
-import os
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -201,28 +199,3 @@ def test_meshes_are_in_the_same_place_in_both_files(name: str, tmp_path: Path) -
 
 
 # ------------------------------------------------------------------------------------- writing
-
-
-def test_written_files_open_elsewhere(
-    variant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """From another folder, with relative paths, in MuJoCo and in yourdfpy with its meshes."""
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path / "elsewhere")
-    paths = pa.pupper.write_variant(variant, "out/models")
-    assert paths == (
-        Path(f"out/models/urdf/{variant}.urdf"),
-        Path(f"out/models/mjcf/{variant}.xml"),
-    )
-    monkeypatch.chdir(tmp_path)
-    urdf_path, mjcf_path = (os.path.join("elsewhere", path) for path in paths)  # noqa: PTH118
-    model = mujoco.MjModel.from_xml_path(mjcf_path)
-    assert model.body_mass.sum() == pytest.approx(load(variant).total_mass, rel=1e-12)
-    scene = yourdfpy.URDF.load(urdf_path)
-    masses = [link.inertial.mass for link in scene.robot.links if link.inertial is not None]
-    assert sum(masses) == pytest.approx(load(variant).total_mass, rel=1e-12)
-    shapes = sum(len(link.visuals) for link in scene.robot.links)
-    assert len(scene.scene.geometry) == shapes
-    written = {path.name for path in (tmp_path / "elsewhere/out/models").rglob("*.stl")}
-    expected = {"torso.stl", "hip.stl", "thigh.stl", "calf.stl"} if "v3" in variant else set()
-    assert written == expected

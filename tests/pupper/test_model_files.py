@@ -131,13 +131,6 @@ def test_feet_are_spheres_of_the_robots_radius(
 # ------------------------------------------------------------------------------------- shapes
 
 
-def test_the_robot_does_not_touch_itself(robot: pa.Robot, stand: pa.Stand) -> None:
-    """In its stand it touches the ground with its feet alone."""
-    mj = mujoco_at(robot, stand.qpos - np.eye(robot.nq)[2] * 1e-3)
-    assert mj.ncon == 4
-    assert all(robot.mj_model.geom_bodyid[pair].min() == 0 for pair in mj.contact.geom)
-
-
 # ------------------------------------------------------------------------------------- fixed base
 
 
@@ -173,28 +166,3 @@ def test_v3_files_differ_by_freejoint_floor_and_keyframe_alone() -> None:
     assert one.keys() == two.keys()
     for name, value in one.items():
         np.testing.assert_array_equal(two[name], value, err_msg=name)
-
-
-def test_fixed_file_is_the_variant_with_a_fixed_base() -> None:
-    robot = load("v3", fixed_base=True)
-    assert (robot.nq, robot.nv, robot.nu, robot.floating) == (12, 12, 12, False)
-    assert robot.total_mass == pytest.approx(3.170, abs=1e-12)
-    file = arrays(
-        without(
-            mujoco.MjSpec.from_file(str(MJCF / "pupper_v3_fixed.xml")), lambda k: k == "keyframe"
-        )
-    )
-    ours = arrays(without(robot.description.mjcf.copy(), lambda kind: True))
-    for name, value in file.items():
-        np.testing.assert_array_equal(ours[name], value, err_msg=name)
-
-
-def test_holding_the_base_takes_the_base_rows_away() -> None:
-    """The joints' block of the free robot's mass matrix and gravity is the fixed robot's."""
-    free, fixed = load("v3"), load("v3", fixed_base=True)
-    qpos = free.neutral()
-    qpos[2], qpos[7:] = 0.13, np.linspace(-0.4, 0.4, 12)
-    one, two = pa.Configuration(free, qpos), pa.Configuration(fixed, qpos[7:])
-    np.testing.assert_allclose(two.mass_matrix(), one.mass_matrix()[6:, 6:], atol=1e-15)
-    np.testing.assert_allclose(two.gravity(), one.gravity()[6:], atol=1e-15)
-    np.testing.assert_allclose(two.center_of_mass(), one.center_of_mass(), atol=1e-15)

@@ -94,13 +94,3 @@ def test_a_joint_without_the_limits_of_its_like_has_an_infinite_range() -> None:
     robot.mj_model.jnt_limited[robot.mj_model.joint("leg_back_l_3").id] = 0
     [message] = structure(robot)
     assert "leg_back_l_3 has range inf" in str(message)
-
-
-@pytest.mark.parametrize(("factor", "reported"), [(10.0, True), (2.0, False), (0.1, True)])
-def test_what_was_measured_of_each_joint_may_differ_by_half(factor: float, reported: bool) -> None:
-    robot = pa.load_variant("v3")
-    assert structure(robot) == ()
-    model = robot.mj_model
-    model.dof_armature[model.jnt_dofadr[model.joint("leg_back_l_3").id]] *= factor
-    found = structure(robot)
-    assert ["leg_back_l_3 has armature" in str(one) for one in found] == [True] * reported

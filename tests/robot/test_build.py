@@ -21,21 +21,6 @@ def loaded(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
 
 
 @pytest.mark.parametrize(
-    ("option", "said"),
-    [
-        ('<option gravity="0 0 -1.62"/>', "gravity is taken from the MJCF: (0, 0, -1.62) m/s^2"),
-        ('<option gravity="1 0 -9.81"/>', "gravity is taken from the MJCF: (1, 0, -9.81) m/s^2"),
-        ('<option><flag contact="disable"/></option>', "nothing touches the ground"),
-        ('<option><flag constraint="disable"/></option>', "nothing touches the ground"),
-        ('<option><flag actuation="disable"/></option>', "no motor has any torque"),
-        ('<option actuatorgroupdisable="0"/>', "actuatorgroupdisable disables actuators: "),
-    ],
-)
-def test_what_an_option_does_is_said(option: str, said: str, tmp_path: Path) -> None:
-    assert [note for note in loaded(tmp_path, option).notes if said in str(note)]
-
-
-@pytest.mark.parametrize(
     "option",
     [
         '<option gravity="0 0 0"/>',

@@ -286,19 +286,6 @@ def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     )
 
 
-def test_motors_at_both_ends_each_hold_their_own(tmp_path: Path) -> None:
-    """Statics leaves it open which of them gives what: each gives what it is told."""
-    pair = belts(tmp_path)
-    knees = "".join(f'<motor joint="{leg}_knee" ctrlrange="-30 30"/>' for leg in LEGS)
-    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", f"<actuator>{knees}"))
-    robot = load(pair)
-    assert robot.closure is not None
-    assert not len(robot.closure.following)
-    stand = holds(robot)
-    assert robot.closure.open(stand.qpos) < 1e-9
-    assert abs(at(robot, pa.stance.stand_statics(robot, stand).joint_torques, "FL_knee")) > 1
-
-
 def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()
@@ -425,15 +412,6 @@ def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
     motor = at(robot, qpos, "FL_motor")
     assert at(robot, qpos, "FL_knee") == pytest.approx(-0.2 - 0.8 * motor, abs=1e-9)
     holds(robot)
-
-
-@pytest.mark.parametrize("tie", ["<weld {}/>", '<connect anchor="0 0 0" {}/>'])
-def test_what_ties_a_base_that_is_held_binds_nothing(tie: str, tmp_path: Path) -> None:
-    """MuJoCo makes room for the rows of bodies that cannot move, and leaves it as it is."""
-    pair = quadruped(tmp_path)
-    bond = "<equality>" + tie.format('body1="trunk"') + "</equality><actuator>"
-    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", bond))
-    assert pa.load_robot(pair.mjcf, fixed_base=True).closure is None
 
 
 @pytest.mark.longest

@@ -21,16 +21,6 @@ def any_robot(request: pytest.FixtureRequest, tiny: pa.Robot) -> pa.Robot:
 
 
 @given(data=st.data())
-def test_qpos_round_trip(any_robot: pa.Robot, data: st.DataObject) -> None:
-    qpos = data.draw(positions(any_robot))
-    convention = any_robot.pin_convention
-    q = convention.q(qpos)
-    assert q.shape == (any_robot.pin_model.nq,)
-    assert pin.isNormalized(any_robot.pin_model, q, 1e-12)
-    np.testing.assert_allclose(convention.qpos(q), qpos, atol=1e-14)
-
-
-@given(data=st.data())
 def test_velocity_map_agrees_with_both_engines_integration(
     any_robot: pa.Robot, data: st.DataObject
 ) -> None:

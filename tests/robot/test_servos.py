@@ -13,7 +13,6 @@ from click.testing import CliRunner
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.servos import model_with_servos, own_servos, with_options
@@ -123,17 +122,6 @@ def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None
     lagging = element is LAGGING
     assert any(note.code == "servos-added" for note in robot.notes) != lagging
     holds(robot)
-
-
-def test_servos_too_stiff_for_the_integrator_are_told_what_would_hold(tmp_path: Path) -> None:
-    stiff = '<position joint="{0}" kp="1500" kv="60"/>'
-    robot = loaded(with_motors(quadruped(tmp_path), stiff))
-    (note,) = (note for note in robot.notes if note.code == "own-servos-too-stiff")
-    assert note.values["integrator"] == "Euler"
-    assert note.values["timestep"] == Quantity(0.002, "s")
-    stand = pa.stance.solve_stand_on_soft_ground(robot)
-    assert not pa.verify_stand(robot, stand).passed
-    assert pa.verify_stand(robot, stand, integrator="implicitfast").passed
 
 
 @pytest.mark.parametrize(("kind", "pulls"), [("motor", False), ("position", True)])

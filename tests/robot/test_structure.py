@@ -97,18 +97,6 @@ def test_threads_do_not_change_each_others_configurations(any_robot: pa.Robot) -
         list(pool.map(work, range(4)))
 
 
-def test_armature_that_changes_is_heeded() -> None:
-    robot = pa.load_variant("v3")
-    config = pa.Configuration(robot, robot.home)
-    before, rest = config.mass_matrix(), config.forward_dynamics(np.zeros(robot.nv))
-    robot.pin_model.armature[robot.pin_convention.v_index] += 0.25
-    np.testing.assert_allclose(
-        np.diag(config.mass_matrix() - before)[6:], np.full(robot.nu, 0.25), rtol=1e-12
-    )
-    slower = config.forward_dynamics(np.zeros(robot.nv))
-    assert np.abs(slower[6:]).max() < 0.5 * np.abs(rest[6:]).max()
-
-
 def test_rates_of_joints_in_another_order(tiny: pa.Robot) -> None:
     """Rows and columns of what gravity and a foot's wrench do, against differences of both."""
     rng = np.random.default_rng(4)

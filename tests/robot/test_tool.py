@@ -11,7 +11,6 @@ import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
 from pupper_analysis.simulation.verify import load_by_mujoco
-from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.engines import mujoco_at
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
@@ -85,23 +84,6 @@ def test_a_payload_keeps_changed_effort_limits() -> None:
         pa.Configuration(once, qpos).mass_matrix(),
         atol=1e-12,
     )
-
-
-def test_the_base_moves_from_under_the_load_and_the_feet_sink() -> None:
-    robot, point, task = load("v3"), (0.08, 0.0, 0.05), pa.StandTask(pitch=0.1, roll=-0.05)
-    loaded, sunk = solve_loaded_stand(robot, task, 2.0, point)
-    feet = np.mean(list(sunk.contact_points.values()), axis=0)
-    com = pa.Configuration(loaded, sunk.qpos).center_of_mass()
-    np.testing.assert_allclose(com[:2], feet[:2], atol=1e-9)
-    assert sunk.qpos[2] == pytest.approx(robot.stand_height, abs=1e-9)
-    statics = pa.stance.stand_statics(loaded, sunk)
-    assert sum(f[2] for f in statics.contact_forces.values()) == pytest.approx(
-        9.81 * (robot.total_mass + 2.0)
-    )
-    _, ahead = solve_loaded_stand(robot, pa.StandTask(offset=(0.0, 0.0)), 2.0, point)
-    assert ahead.depths["FR"] > ahead.depths["RR"] + 1e-4  # the base stays, the load is in front
-    report = pa.verify_stand(loaded, sunk)
-    assert report.passed, report.failures
 
 
 def test_a_fixed_base_carries_nothing() -> None:

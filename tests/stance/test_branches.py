@@ -14,10 +14,7 @@ from scipy import optimize
 import pupper_analysis as pa
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.stance.branches import (
-    Branch,
-    combine_branches,
     find_branches,
-    find_limbs,
 )
 from tests.support.engines import mujoco_at
 from tests.support.variants import load
@@ -102,22 +99,6 @@ def test_a_whole_turn_is_no_other_branch() -> None:
             assert np.abs(np.exp(1j * one) - np.exp(1j * two)).max() > 0.05
 
 
-def test_combinations_begin_with_what_is_in_reach_and_near() -> None:
-    robot = load("v3")
-    first, second, *rest = find_limbs(robot)
-    near = np.zeros(12)
-    found = {
-        first: (Branch(np.full(3, 1.0), 0.0), Branch(np.full(3, 0.1), 0.0)),
-        second: (Branch(np.full(3, 0.2), 0.0), Branch(np.full(3, 0.0), 0.01)),
-        **{limb: (Branch(np.zeros(3), 0.0),) for limb in rest},
-    }
-    chosen = list(combine_branches(found, near))
-    assert len(chosen) == 4
-    pairs = [(row[first.joints[0]], row[second.joints[0]]) for row in chosen]
-    assert pairs == [(0.1, 0.2), (1.0, 0.2), (0.1, 0.0), (1.0, 0.0)]
-    assert len({row.tobytes() for row in chosen}) == len(list(itertools.chain(chosen)))
-
-
 BESIDE_A_STEP = pa.StandTask(
     height=0.1080530850699608,
     roll=0.2369110561876388,
@@ -154,23 +135,3 @@ def test_a_thigh_in_the_ground_is_lifted_out_by_another_branch_elsewhere(
         stand = pa.solve_stand(robot, replace(task, **{angle: value}), explain=False)
         assert stand.ground_clearance is not None
         assert stand.ground_clearance.distance > -1e-6
-
-
-@pytest.mark.parametrize("name", ["original", "long-leg"])
-@pytest.mark.parametrize("up", [0.02, 0.05, 0.08])
-def test_legs_that_may_be_bent_either_way_are_bent_alike(name: str, up: float) -> None:
-    """From straight legs knees may go forwards or backwards: which is not rounding's to say."""
-    robot = load(name)
-    straight = np.zeros(robot.nu)
-    qpos = robot.posed(straight)
-    feet = pa.Configuration(robot, qpos).foot_positions()
-    found = find_branches(
-        robot,
-        qpos,
-        {foot: place + np.array((0.0, 0.0, up)) for foot, place in feet.items()},
-        np.full(robot.nu, -3.0),
-        np.full(robot.nu, 3.0),
-    )
-    knees = next(combine_branches(found, straight))[2::3]
-    assert abs(knees[0]) > 0.5
-    assert knees == pytest.approx(np.full(4, knees[0]), abs=1e-6)

@@ -117,21 +117,6 @@ def test_distance_between_links(name: str) -> None:
     assert seen
 
 
-def test_a_calf_may_be_as_deep_as_its_foot() -> None:
-    """The skeleton's calf ends in its foot, 7 mm above the ground; a sunk foot takes it along."""
-    robot, shapes = load("original"), ClearanceShapes(load("original"))
-    stand = pa.solve_stand(robot)
-    places, deep = stand.foot_targets, dict.fromkeys(robot.contact_points, 0.009)
-    qpos = stand.qpos.copy()
-    qpos[2] -= 0.009
-    rigid, soft = (shapes.above_ground(shapes.at(qpos), pa.Ground(), places, d) for d in ({}, deep))
-    assert rigid is not None
-    assert soft is not None
-    assert rigid.links[0].endswith("_calf")
-    assert rigid.distance == pytest.approx(-0.002)
-    assert soft.distance == pytest.approx(0.007)
-
-
 # ------------------------------------------------------------------------------------- stands
 
 LOW = pa.StandTask(height=0.1113, pitch=0.3755, ground=pa.Ground(0.465, np.pi))

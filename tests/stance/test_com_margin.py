@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
 from tests.support.engines import mujoco_at
-from tests.support.variants import NAMES, load
+from tests.support.variants import load
 
 
 def margin_of(robot: pa.Robot, stand: pa.Stand) -> float:
@@ -24,19 +23,6 @@ def refused(robot: pa.Robot, task: pa.StandTask) -> pa.StanceUnreachableError:
     with pytest.raises(pa.StanceUnreachableError) as caught:
         pa.solve_stand(robot, task)
     return caught.value
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_margin_is_heeded_up_to_what_there_is(name: str) -> None:
-    robot = load(name)
-    task = pa.StandTask(offset=(0.03, -0.01), yaw=0.1)
-    free = pa.solve_stand(robot, task)
-    margin = margin_of(robot, free)
-    assert free.com_margin == pytest.approx(margin, abs=1e-9)
-    held = pa.solve_stand(robot, replace(task, com_margin=margin - 1e-8))
-    np.testing.assert_allclose(held.qpos, free.qpos, atol=1e-9)
-    with pytest.raises(pa.StanceUnreachableError):
-        pa.solve_stand(robot, replace(task, com_margin=margin + 1e-8), explain=False)
 
 
 def test_a_refusal_names_the_margin_with_its_limit() -> None:

@@ -39,17 +39,6 @@ def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
             np.testing.assert_array_equal(origin, config.frame_position(link))
 
 
-def test_links_that_are_too_near_are_both_named() -> None:
-    stand = pa.solve_stand(load("v3"), pa.StandTask(self_clearance=1e-3))
-    assert stand.self_clearance is not None
-    near = replace(stand, task=pa.StandTask(self_clearance=stand.self_clearance.distance + 0.01))
-    (message,) = near.blocked
-    assert message.code == "links-too-near"
-    named = [message.subject.name, message.values["other"]]
-    assert named == list(stand.self_clearance.links)
-    assert len(set(named)) == 2
-
-
 def test_the_room_of_a_stand_is_that_of_what_is_nearest() -> None:
     """Of the com, the ground and the robot itself, each beyond what was asked of it."""
     stand = stand_of("v3")

@@ -11,12 +11,10 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.posture import find_posture
 from tests.support import arm
 from tests.support.random_legged import drawn, written
-from tests.support.variants import load
 
 
 def test_a_tail_is_where_it_is_told_to_be(tmp_path: Path) -> None:
@@ -60,16 +58,6 @@ def test_a_tail_is_where_it_is_told_to_be(tmp_path: Path) -> None:
     assert np.diff(angles).min() > -1e-12
     assert np.gradient(angles, path.time)[5:-5] == pytest.approx(rates[5:-5], abs=2e-3)
     assert rates.max() == pytest.approx(0.6 / 2.0 * 15 / 8, rel=1e-6)  # of the minimum-jerk law
-
-
-def test_joints_without_limits_stand_once_and_again() -> None:
-    """PlaCo limits no continuous joint, and says so where a second goal has other limits."""
-    robot = load("v3")
-    urdf = robot.description.urdf.replace('type="revolute"', 'type="continuous"')
-    endless = rebuild_robot(robot, urdf=urdf)
-    assert np.isinf(endless.upper_limits).all()
-    tasks = [pa.StandTask(height=0.13, joint_margin=margin) for margin in (0.0, 0.1, 0.0)]
-    assert all(stand.solved for stand in pa.solve_stands(endless, tasks))
 
 
 def test_a_weld_that_puts_a_joint_out_of_its_range_is_named(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.stance.problem import Goal, make_goal
+from pupper_analysis.stance.problem import make_goal
 from tests.support.variants import NAMES, load
 
 
@@ -26,20 +26,3 @@ def test_spheres_touch_plane_and_steps(name: str) -> None:
     assert heights["FR"] == pytest.approx(0, abs=1e-12)  # the ground itself does not sink
     assert goal.height == pytest.approx(goal.contacts[:, 2].mean() + robot.stand_height)
     np.testing.assert_allclose(goal.place, goal.contacts[:, :2].mean(axis=0))
-
-
-def test_feet_on_one_line_carry_nothing() -> None:
-    """Three that are left, the front one brought between the rear ones; 4 mm away, it is a base."""
-    robot = load("original")
-    places = make_goal(robot, pa.StandTask(), {}).targets
-    swing, moved, one, two = "FL", "FR", "RL", "RR"
-    middle = (places[one] + places[two]) / 2 - places[moved]
-
-    def goal(ahead: float) -> Goal:
-        offsets = {moved: (float(middle[0]) + ahead, float(middle[1]))}
-        return make_goal(robot, pa.StandTask(swing={swing: 0.02}, foot_offsets=offsets), {})
-
-    with pytest.raises(pa.ConfigurationError, match="along a single line"):
-        goal(0.0)
-    corners = np.array(goal(0.004).corners)
-    assert np.ptp(corners[:, 0]) == pytest.approx(0.004)

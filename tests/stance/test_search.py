@@ -17,12 +17,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.floor import floor_of
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance import search as search_module
-from pupper_analysis.stance.constraints import TOUCHING
-from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.search import meet_constraints
-from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.statics.support_polygon import com_margin
 from tests.support import random_legged
 from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES, load
@@ -135,20 +130,6 @@ def test_joint_margin_is_a_demand() -> None:
     assert list(caught.value.limits) == ["joint_margin"]
 
 
-def test_a_com_that_may_be_anywhere_inside_is_moved_only_if_need_be() -> None:
-    robot = load("original")
-    free = pa.solve_stand(robot, pa.StandTask(com="inside", com_margin=0.02))
-    centred = pa.solve_stand(robot)
-    np.testing.assert_allclose(free.qpos, centred.qpos, atol=1e-12)
-    # A hind foot lifted 14 mm is out of reach over the centre, but not elsewhere.
-    swing = {"RL": 0.014}
-    with pytest.raises(pa.StanceUnreachableError):
-        pa.solve_stand(robot, pa.StandTask(swing=swing), explain=False)
-    stand = pa.solve_stand(robot, pa.StandTask(swing=swing, com="inside", com_margin=0.005))
-    assert stand.foot_error < 1e-9
-    assert stand_statics(robot, stand).com_margin >= 0.005 - 1e-9
-
-
 @pytest.mark.parametrize(
     ("task", "named"),
     [
@@ -162,44 +143,6 @@ def test_a_com_that_may_be_anywhere_inside_is_moved_only_if_need_be() -> None:
 def test_requests_that_no_robot_can_meet(task: pa.StandTask, named: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=named):
         pa.solve_stand(load("v3"), task)
-
-
-@pytest.mark.parametrize("slope", [0.0, 0.1])
-def test_a_foot_lifted_over_its_step_is_clear_of_it(slope: float) -> None:
-    """The step is where the foot would stand; the foot is above it by as much as is asked."""
-    robot = load("v3")
-    ground = pa.Ground(slope=slope, heights={"FL": 0.01})
-    task = pa.StandTask(swing={"FL": 0.015}, ground=ground, com="inside", com_margin=0.01)
-    stand = pa.solve_stand(robot, task)
-    model = on_ground(robot, ground, stand.foot_targets).mj_model
-    step = model.geom("step_FL")
-    normal = ground.normal()
-    above = (stand.foot_targets["FL"] - step.pos) @ normal - step.size[2]
-    assert above == pytest.approx(robot.contact_radius["FL"] + 0.015 * normal[2], abs=1e-9)
-    failures = pa.verify_stand(robot, stand).failures
-    assert not any("touches" in str(failure) for failure in failures)
-
-
-def test_the_nearest_stance_keeps_what_is_left_of_the_com_margin() -> None:
-    """On three legs with a foot lifted high, reach pulls the com to the edge: the margin binds."""
-    robot = load("original")
-    task = pa.StandTask(swing={"RL": 0.04}, com="inside", com_margin=0.036)
-    with pytest.raises(pa.StanceUnreachableError) as caught:
-        pa.solve_stand(robot, task)
-    limits, nearest = caught.value.limits, caught.value.nearest
-    assert set(limits) == {"swing", "com_margin"}
-    assert nearest is not None
-    assert 0.03 < nearest.task.com_margin < 0.036
-    for stand in (
-        nearest,
-        pa.solve_stand(robot, replace(task, com_margin=limits["com_margin"]["com_margin"])),
-    ):
-        margin = stand_statics(robot, stand).com_margin
-        assert margin == pytest.approx(stand.task.com_margin, abs=1e-4)
-        assert margin >= stand.task.com_margin - 1e-9
-    beyond = 1.01 * limits["com_margin"]["com_margin"]
-    with pytest.raises(pa.StanceUnreachableError):
-        pa.solve_stand(robot, replace(task, com_margin=beyond), explain=False)
 
 
 # ------------------------------------------------------------------------------------- slopes
@@ -266,25 +209,6 @@ def test_sag_is_read_at_the_base(offset: tuple[float, float]) -> None:
     assert abs(run.servo_sag) < 2e-5
     assert pose.contact_sag == pytest.approx(run.contact_sag, abs=2e-5)
     assert abs(pose.contact_sag - np.mean(depths)) > 1e-4
-
-
-def test_feet_in_place_and_a_clear_ground_are_had_at_once() -> None:
-    """From feet in place and a thigh 1 mm too low: as high as is allowed, and the com inside."""
-    robot = load("v3")
-    task = pa.StandTask(height=0.092, roll=0.2, com="inside", com_margin=0.01)
-    stand = pa.solve_stand(robot, task, explain=False)
-    assert stand.ground_clearance is not None
-    asked = replace(task, ground_clearance=stand.ground_clearance.distance + 1e-3)
-    goal = make_goal(robot, asked, {})
-    found = meet_constraints(Context(robot), goal, stand.qpos)
-    assert found is not None
-    assert found.ground_clearance is not None
-    assert found.ground_clearance.distance >= asked.ground_clearance - TOUCHING
-    for foot, centre in mujoco_feet(robot, found.qpos).items():
-        np.testing.assert_allclose(centre, found.foot_targets[foot], atol=1e-9)
-    com = pa.Configuration(robot, found.qpos).center_of_mass()
-    assert com_margin(com, found.contact_points) > 0.01 - 1e-9
-    assert np.abs(found.qpos - stand.qpos).max() > 1e-4
 
 
 def test_a_search_that_ends_where_it_began_ends(

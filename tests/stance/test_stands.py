@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from tests.support.legged import BIPED_FEET, biped
-from tests.support.variants import NAMES, load
+from tests.support.variants import load
 
 ROUNDING = 1e-12
 
@@ -43,19 +43,6 @@ def assert_same(found: pa.Stand, expected: pa.Stand) -> None:
     assert wanted is not None
     assert near.distance == pytest.approx(wanted.distance, abs=ROUNDING)
     assert found.solved
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_sequence_is_what_single_calls_find(name: str) -> None:
-    robot = load(name)
-    tasks = wave(robot, 60)
-    found = pa.solve_stands(robot, tasks)
-    assert len(found) == len(tasks)
-    singles = [pa.solve_stand(robot, task) for task in tasks]
-    for one, other in zip(found, singles, strict=True):
-        assert_same(one, other)
-    # It began where the one before ended: that takes fewer steps.
-    assert sum(s.iterations for s in found) < 0.8 * sum(s.iterations for s in singles)
 
 
 LINE = '<geom type="capsule" size="0.01" fromto="-0.06 0 -0.05 0.12 0 -0.05"/>'

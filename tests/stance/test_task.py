@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,18 +11,6 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 
 angles = st.floats(0.0, 1.2)
-
-
-@given(angles, st.floats(-math.pi, math.pi), st.floats(-1, 1), st.floats(-1, 1))
-def test_a_sphere_touches_the_plane(slope: float, uphill: float, x: float, y: float) -> None:
-    ground = pa.Ground(slope, uphill, {"FL": 0.05})
-    normal = ground.normal()
-    assert np.linalg.norm(normal) == pytest.approx(1.0)
-    for foot, step in (("FR", 0.0), ("FL", 0.05 * math.cos(slope))):
-        centre = ground.centre(foot, (x, y), 0.02)
-        # The plane goes through the origin; a step is 0.05 m above it, along z.
-        assert normal @ centre == pytest.approx(0.02 + step, abs=1e-12)
-        np.testing.assert_array_equal(centre[:2], (x, y))
 
 
 @given(st.floats(0.01, 1.2), st.floats(-math.pi, math.pi))

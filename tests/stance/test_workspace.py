@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance.workspace import (
     base_workspace,
-    find_interval,
     reachable_heights,
-    solve_stand_at,
 )
 from tests.support.variants import load
 
@@ -62,33 +59,3 @@ def test_the_task_is_where_it_begins() -> None:
     assert base_workspace(robot, pa.StandTask(yaw=0.1)).start.task == replace(
         pa.StandTask(yaw=0.1), height=robot.stand_height, com="centre"
     )
-
-
-def test_com_anywhere_inside_stays_where_the_stand_has_it() -> None:
-    robot = load("v3")
-    task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
-    start = pa.solve_stand(robot, task)
-    place = pa.Configuration(robot, start.qpos).center_of_mass()[:2]
-    other = solve_stand_at(robot, start, "pitch", 0.1)
-    found = pa.Configuration(robot, other.qpos).center_of_mass()[:2]
-    np.testing.assert_allclose(found, place, atol=1e-9)
-    interval = base_workspace(robot, task).intervals["pitch"]
-    assert interval.low < -0.2
-    assert interval.high > 0.2
-
-
-def test_an_end_that_is_far_enough_need_not_be_found() -> None:
-    robot = pa.load_variant("original")
-    start = pa.solve_stand(robot)
-    whole = pa.stance.base_workspace(robot).intervals
-    for direction, enough in (("pitch", 0.3), ("roll", 0.45), ("height", 0.02)):
-        begin = float(getattr(start.task, direction))
-        some = find_interval(robot, start, direction, enough)
-        for found, end, side in (
-            (some.low, whole[direction].low, -1.0),
-            (some.high, whole[direction].high, 1.0),
-        ):
-            if side * (end - begin) < enough:
-                assert found == pytest.approx(end, abs=1e-9)
-            else:
-                assert side * (found - begin) >= enough

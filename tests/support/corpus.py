@@ -1,18 +1,6 @@
-"""Malformed model files, and a worker process that loads files and hands them to both engines.
-
-Run as a program, it loads one file after the other: a path per line of its input, a line of JSON
-for each on its output. What crashes an engine ends the worker, not the tests.
-"""
+"""Malformed model files."""
 
 from __future__ import annotations
-
-import contextlib
-import json
-import os
-import select
-import subprocess
-import sys
-from pathlib import Path
 
 INERTIAL = (
     '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
@@ -187,87 +175,3 @@ MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
     ),
     "mjcf flexcomp": (mjcf('<flexcomp count="999 999 999"/>'), 2, "count is too large"),
 }
-
-
-class Worker:
-    """The worker process; a crash shows as ``RuntimeError``."""
-
-    def __init__(self) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, __file__],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            bufsize=1,
-        )
-
-    def load(self, path: Path, seconds: float = 20.0) -> dict[str, str]:
-        """Loads a file; returns ``refused`` (the message), or what ``pinocchio``/``mujoco`` said.
-
-        Raises:
-            RuntimeError: If the worker crashed, or took too long.
-        """
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        with contextlib.suppress(BrokenPipeError):
-            print(path, file=self._process.stdin, flush=True)
-        ready, _, _ = select.select([self._process.stdout], [], [], seconds)
-        answer = self._process.stdout.readline() if ready else ""
-        if not answer:
-            self._process.kill()
-            status = self._process.wait()
-            self.close()
-            self.__init__()
-            end = f"crashed (exit status {status})" if ready else f"took more than {seconds} s"
-            raise RuntimeError(f"loading {path} {end}")
-        result: dict[str, str] = json.loads(answer)
-        return result
-
-    def close(self) -> None:
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                with contextlib.suppress(BrokenPipeError):
-                    stream.close()
-        self._process.wait(10)
-
-
-def _examine(path: Path) -> dict[str, str]:
-    import pinocchio as pin
-
-    from pupper_analysis.base.errors import ModelError
-    from pupper_analysis.models.loading import read_model
-    from pupper_analysis.models.urdf_file import UrdfFile
-
-    try:
-        model = read_model(path)
-    except ModelError as error:
-        return {"refused": str(error)}
-    said = {}
-    try:
-        if isinstance(model, UrdfFile):
-            pin.buildModelFromXML(model.text, pin.JointModelFreeFlyer())
-            said["pinocchio"] = ""
-        else:
-            _ = model.model
-            said["mujoco"] = ""
-    except ModelError as error:
-        said["mujoco"] = str(error)
-    except Exception as error:  # any exception will do, a crash will not
-        said["pinocchio"] = repr(error)
-    return said
-
-
-def _work() -> None:
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # The engines print.
-    for line in sys.stdin:
-        try:
-            answer = _examine(Path(line.rstrip("\n")))
-        except Exception as error:
-            answer = {"bug": repr(error)}
-        print(json.dumps(answer), file=answers, flush=True)
-
-
-if __name__ == "__main__":
-    _work()

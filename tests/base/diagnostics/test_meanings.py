@@ -11,7 +11,6 @@ from functools import cache
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import LANGUAGES, meaning
-from pupper_analysis.base.diagnostics.catalogue import list_entries
 from pupper_analysis.base.results import Result
 from tests.base.diagnostics.test_diagnostic import HAN, MEANINGS
 
@@ -44,10 +43,6 @@ def all_results(kind: type = Result) -> set[type]:
         if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
     return {s for one in kind.__subclasses__() for s in (one, *all_results(one))}
-
-
-def test_the_file_is_what_toml_reads() -> None:
-    assert set(list_entries("meanings.toml")) == set(listed())
 
 
 def test_each_field_that_pages_list_has_a_meaning_that_is_its_docstrings() -> None:

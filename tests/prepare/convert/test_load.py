@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import re
 from pathlib import Path
 
@@ -15,7 +14,6 @@ import pupper_analysis as pa
 from pupper_analysis.models.urdf_file import urdf_from
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.convert import meshes
-from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.pupper.variants import model_folder
 from tests.support.legged import quadruped
 
@@ -92,29 +90,6 @@ def test_the_made_model_has_what_only_the_other_engine_reads(
         )
 
 
-def test_it_is_said_that_there_was_one_file(
-    both: pa.Robot, of_urdf: pa.Robot, of_mjcf: pa.Robot
-) -> None:
-    assert both.description.converted == ""
-    for robot, made, file in ((of_urdf, "mjcf", URDF), (of_mjcf, "urdf", MJCF)):
-        assert robot.description.converted == made
-        [message] = [note for note in robot.notes if note.code == "one-model-converted"]
-        assert (message.values["made"], message.values["file"]) == (made.upper(), file.name)
-        again = pickle.loads(pickle.dumps(robot))
-        assert again.description.converted == made
-        np.testing.assert_array_equal(
-            pa.Configuration(again, again.neutral()).gravity(),
-            pa.Configuration(robot, robot.neutral()).gravity(),
-        )
-    # An MJCF that was made was not published: what stands beside it is MuJoCo's own import.
-    assert of_urdf.published is not None
-    assert of_urdf.published.file is None
-    own = own_run(of_urdf)
-    assert own is not None
-    assert own.imported
-    assert not own.falls
-
-
 def test_of_two_files_one_can_be_taken(tmp_path: Path) -> None:
     """The URDF's numbers, and then the MJCF's, where they are of two robots."""
     urdf, mjcf = pa.pupper.write_variant("original", tmp_path)
@@ -146,19 +121,6 @@ def test_what_is_no_robot_is_refused(given: dict[str, object], message: str) -> 
     models = given.pop("models", ())
     with pytest.raises(pa.PupperAnalysisError, match=message):
         pa.load_robot(*models, **given)  # type: ignore[misc, arg-type]
-
-
-def test_limbs_on_a_link_that_is_fixed_to_the_root_are_legs(tmp_path: Path) -> None:
-    """As published: a root without mass, the trunk fixed to it, the legs on the trunk."""
-    text = URDF.read_text()
-    root = '<link name="root"/><joint name="to_root" type="fixed"><parent link="root"/>'
-    root += '<child link="base_link"/></joint>'
-    at = text.index(">", text.index("<robot")) + 1
-    file = tmp_path / "rooted.urdf"
-    file.write_text(text[:at] + root + text[at:].replace("../mjcf", str(MJCF.parent)))
-    robot = pa.load_robot(file)
-    assert robot.floating
-    assert len(robot.feet) == 4
 
 
 def test_a_file_under_the_other_ones_name_is_told(tmp_path: Path) -> None:
@@ -271,25 +233,6 @@ def test_a_robot_whose_masses_would_all_be_made_up_is_refused(tmp_path: Path) ->
     path.write_text(_chain(WEIGHT, ""))
     robot = pa.load_robot(path)
     assert [note.subject.name for note in robot.notes if note.code == "mass-given"] == ["b"]
-
-
-def test_a_robot_that_weighs_what_all_its_shapes_do_is_loaded(tmp_path: Path) -> None:
-    """As Gym's Ant: MuJoCo does not leave out shapes that are only seen, as they have mass."""
-    leg = (
-        '<body pos="{0} {1} 0"><joint name="hip{2}" axis="0 1 0" range="-1 1" limited="true"/>'
-        '<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" contype="0" conaffinity="0"/>'
-        '<geom size="0.02" pos="0 0 -0.2"/></body>'
-    )
-    legs = "".join(leg.format(x, y, f"{x}{y}") for x in (-0.2, 0.2) for y in (-0.1, 0.1))
-    path = tmp_path / "ant.xml"
-    path.write_text(
-        '<mujoco><compiler inertiafromgeom="true" angle="radian"/><worldbody>'
-        f'<body name="trunk" pos="0 0 0.3"><freejoint/><geom type="box" size="0.2 0.1 0.05"/>{legs}'
-        "</body></worldbody></mujoco>"
-    )
-    whole = mujoco.MjModel.from_xml_path(str(path))
-    robot = pa.load_robot(path, fixed_base=True, as_is=True)
-    assert robot.total_mass == pytest.approx(float(whole.body_mass.sum()))
 
 
 def test_a_gripper_on_an_arm_is_told_that_it_cannot_stand(tmp_path: Path) -> None:

@@ -158,11 +158,3 @@ def published(folder: Path) -> Path:
     path = folder / "robot/urdf/arm.urdf"
     path.write_text(urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1))
     return path
-
-
-def test_meshes_are_found_when_the_folder_is_moved_with_theirs(tmp_path: Path) -> None:
-    urdf = published(tmp_path)
-    (tmp_path / "robot/mjcf").mkdir()
-    pa.convert_model(urdf, tmp_path / "robot/mjcf/arm.xml")
-    (tmp_path / "robot").rename(tmp_path / "elsewhere")
-    assert compiled(tmp_path / "elsewhere/mjcf/arm.xml").nmesh == 1

@@ -105,38 +105,6 @@ def test_a_link_that_moves_is_repaired_if_asked_for(tmp_path: Path) -> None:
     assert np.abs(off - np.diag(np.diag(off))).max() < 1e-9
 
 
-def test_what_moves_without_mass_is_given_a_gram_if_asked_for(tmp_path: Path) -> None:
-    parts = arm()
-    parts["claw"] = Part("claw", "rod", "grip", position=(0.2, 0.0, 0.0), axis=(0.0, 0.0, 1.0))
-    urdf = written(tmp_path, parts)
-    without_mass(urdf, "claw")
-    with pytest.raises(pa.ModelError, match="'claw', which joint 'grip' moves, has no mass"):
-        pa.convert_model(urdf, tmp_path / "arm.xml")
-    mjcf, found = converted(urdf, "arm.xml", repair_inertia=True)
-    assert found.passed, found.failures
-    assert [(repair.link, repair.new_mass) for repair in found.repairs] == [("claw", 1e-3)]
-    assert compiled(mjcf).body("claw").mass[0] == 1e-3
-    assert {difference.element for difference in found.comparison.differences} == {"grip"}
-
-
-def test_what_else_differs_still_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A repair of one body excuses no difference of another."""
-    from pupper_analysis.tools.convert import model
-
-    real = model.mjcf_draft
-
-    def heavier(*arguments: object) -> object:
-        draft = real(*arguments)  # type: ignore[arg-type]
-        assert 'mass="0.5"' in draft.text
-        return replace(draft, text=draft.text.replace('mass="0.5"', 'mass="0.6"'))
-
-    monkeypatch.setattr(model, "mjcf_draft", heavier)
-    urdf = written(tmp_path, changed(arm(), "boom", inertia=(0.02, 0.04, 0.08, 0, 0, 0)))
-    _, found = converted(urdf, "arm.xml", repair_inertia=True)
-    assert not found.agree
-    assert any("link rod: mass" in failure for failure in map(str, found.failures))
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_repaired_moments_are_possible_and_nearest(seed: int) -> None:
     """No possible moments among many random ones are nearer."""

@@ -370,24 +370,6 @@ def test_armature_of_the_free_joint(tmp_path: Path) -> None:
     assert explanation.complete
 
 
-def test_an_armature_unlike_that_of_the_other_legs(tmp_path: Path) -> None:
-    mjcf = changed(quadruped(), "shank2", armature=0.2)
-    difference = only(explained(tmp_path, quadruped(), mjcf))
-    assert (difference.kind, difference.element) == ("armature", "knee2")
-    assert (difference.urdf, difference.mjcf, difference.unit) == (None, 0.2, "kg m^2")
-    assert "armature 0.2 kg m^2 in the MJCF, but 0.02 kg m^2 on the joints" in difference.message
-    assert difference.effects["mass matrix"].deviation == pytest.approx(0.18, rel=1e-9)
-
-
-def test_armature_of_a_neck_is_no_legs(tmp_path: Path) -> None:
-    """Apollo's neck is as deep in its tree as a joint of an arm."""
-    neck = Part("head", "base", "neck", position=(0.3, 0.0, 0.4), mass=0.2, armature=0.5)
-    nod = Part("face", "head", "nod", position=(0.0, 0.0, 0.05), mass=0.1, armature=0.6)
-    parts = quadruped() | {"head": neck, "face": nod}
-    explanation = explain_differences(robot_of(tmp_path, parts, parts))
-    assert not [d for d in explanation.differences if d.kind == "armature"]
-
-
 def test_of_two_legs_one_has_the_armature_of_the_other(tmp_path: Path) -> None:
     """K1's left knee with ten times the armature: no third leg says which is meant."""
     sides = {"hip0": "left_hip", "hip1": "right_hip", "knee0": "left_knee", "knee1": "right_knee"}

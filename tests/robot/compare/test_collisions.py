@@ -66,11 +66,3 @@ def test_a_foot_on_links_of_two_names_is_said_to_be_on_each(tmp_path: Path) -> N
     }
     assert said.pop("leg_front_l_3") == ("shank", "leg_front_l_3")
     assert set(said.values()) == {(None, None)}
-
-
-def test_a_foot_that_is_excluded_from_the_world_is_a_difference(tmp_path: Path) -> None:
-    """Its bits still say that it touches; MuJoCo lets it through the floor."""
-    exclude = '<contact><exclude body1="leg_front_l_3" body2="world"/></contact></mujoco>'
-    found = pa.compare_models(*edited(tmp_path, "mjcf/pupper_v3.xml", "</mujoco>", exclude))
-    (difference,) = found.differences
-    assert difference.diagnostic.code == "foot-touches-in-one-file"

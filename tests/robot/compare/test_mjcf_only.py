@@ -11,7 +11,6 @@ import pytest
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
-from pupper_analysis.robot.compare import mjcf_only as extras_module
 from pupper_analysis.robot.compare.attribution import explain_differences
 from pupper_analysis.robot.compare.behaviour import random_states
 from pupper_analysis.robot.compare.differences import Effect
@@ -28,7 +27,6 @@ from tests.support.robots import (
     arm,
     compared,
     found,
-    line_at,
     matched,
     mjcf_text,
     pendulum,
@@ -80,11 +78,6 @@ def only_acceleration(effects: dict[str, Effect], expected: np.ndarray) -> None:
 # ------------------------------------------------------------------------------------- closed forms
 
 SWING = '<joint name="swing"'
-
-
-def test_a_spring_pulls_back_to_its_rest(tmp_path: Path) -> None:
-    effects, angle, _ = swing(tmp_path, **{SWING: f'{SWING} stiffness="7" springref="0.3"'})
-    only_acceleration(effects, 7 * (angle - 0.3) / ROD)
 
 
 def test_a_spring_of_higher_order(tmp_path: Path) -> None:
@@ -329,35 +322,6 @@ def test_never_agree_while_mujoco_accelerates_otherwise(
         assert not differs
 
 
-FINDERS = {
-    "find_springs": ("spring", "qfrc_spring"),
-    "find_damping_polynomials": ("damping polynomial", "qfrc_damper"),
-    "find_gravity_compensation": ("gravity compensation", "qfrc_gravcomp"),
-    "find_tendons": ("spatial spring", "qfrc_spring"),
-    "find_fluid": ("density", "qfrc_fluid"),
-    "find_actuators": ("motor damping polynomial", "qfrc_damper"),
-}
-
-
-@pytest.mark.parametrize("finder", FINDERS)
-def test_what_is_not_found_is_said_to_be_left(
-    finder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The proof is MuJoCo's own dynamics: it does not rest on the finders."""
-    kind, force = FINDERS[finder]
-    old, new = PASSIVE[kind]
-    monkeypatch.setattr(extras_module, finder, lambda _: iter(()))
-    comparison = pair(tmp_path, with_(MJCF, **{old: new.format("5")}))
-    assert comparison.differences == ()
-    assert not comparison.agree
-    assert not comparison.complete
-    assert comparison.explained < 0.5
-    (objection,) = comparison.objections
-    assert objection.code == "deviation-unexplained"
-    assert force in [remains.values["field"] for remains in objection.values["remains"]]
-    assert comparison.engines == ()  # they were not given the same model
-
-
 @pytest.mark.parametrize("kind", PASSIVE)
 def test_the_engines_are_not_blamed(kind: str, tmp_path: Path) -> None:
     old, new = PASSIVE[kind]
@@ -390,12 +354,6 @@ def test_small_differences_that_add_up_are_no_agreement(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- couplings
 
 
-def coupled(folder: Path, mimic: str, equality: str) -> Comparison:
-    urdf = with_(URDF, **{'<axis xyz="0.0 1.0 0.0"/>': f'{mimic}\n<axis xyz="0.0 1.0 0.0"/>'})
-    return pair(folder, mjcf_text(quadruped(), extra=f"<equality>\n{equality}\n</equality>"), urdf)
-
-
-MIMIC = '<mimic joint="hip0" multiplier="2" offset="0.1"/>'  # of knee0
 OTHER = {
     "another factor": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2.01 0 0 0"/>',
     "another offset": '<joint joint1="knee0" joint2="hip0" polycoef="-0.1 2 0 0 0"/>',
@@ -404,29 +362,6 @@ OTHER = {
     "a parabola": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2 0.1 0 0"/>',
     "a curve of the fourth order": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2 0 0 0.1"/>',
 }
-
-
-@pytest.mark.parametrize("how", OTHER)
-def test_a_mimic_and_an_equality_that_do_not(how: str, tmp_path: Path) -> None:
-    comparison = coupled(tmp_path, MIMIC, OTHER[how])
-    assert not comparison.agree
-    ends = (
-        ("hip0", "knee0")
-        if "backwards" in how
-        else ("knee0", "hip1" if "another joint" in how else "hip0")
-    )
-    name = f"#0 ({ends[0]} = {ends[1]})"
-    assert set(found(comparison)) == {("equality", name), ("mimic", "knee0")}
-    places = {"robot.urdf": tmp_path / "robot.urdf", "robot.xml": tmp_path / "robot.xml"}
-    by_kind = {difference.kind: difference for difference in comparison.differences}
-    assert line_at(by_kind["mimic"].urdf_place, places) == MIMIC
-    assert line_at(by_kind["equality"].mjcf_place, places) == OTHER[how]
-    assert by_kind["equality"].effects["forward dynamics"].relative > 1e-3
-
-
-def test_an_inactive_equality_is_none(tmp_path: Path) -> None:
-    extra = '<equality><joint joint1="hip0" joint2="hip1" active="false"/></equality>'
-    assert pair(tmp_path, mjcf_text(quadruped(), extra=extra)).agree
 
 
 def test_the_offset_of_an_equality_is_about_the_rest_position(tmp_path: Path) -> None:

@@ -6,8 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
-from pupper_analysis.robot.matching.alignment import count_digits, digits_in_all, with_base
-from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.matching.alignment import with_base
 
 
 def inertia_of(points: np.ndarray, masses: np.ndarray) -> np.ndarray:
@@ -45,12 +44,3 @@ def leg(frame: tuple[float, float, float]) -> MultibodyTree:
     frames = {"foot": ("knee", np.array(frame))}
     bodies = {"trunk": body, "knee": body}
     return MultibodyTree("trunk", True, bodies, {"knee": joint}, frames, np.array([0, 0, -9.81]))
-
-
-def test_only_what_differs_takes_digits_to_tell() -> None:
-    tolerances = Tolerances()
-    one = leg((0.01, 0.0, -0.2))
-    assert digits_in_all(one, leg((0.01, 0.0, -0.2)), tolerances) == 0
-    there = digits_in_all(one, leg((0.01, 0.03, -0.16)), tolerances)
-    np.testing.assert_allclose(there, count_digits(0.05, tolerances.position))
-    assert there > 3

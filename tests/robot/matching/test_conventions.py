@@ -185,13 +185,6 @@ def test_the_zero_of_a_slide(tmp_path: Path) -> None:
     assert "q of the URDF = q of the MJCF + 0.02 m;" in comparison.differences[0].message
 
 
-def test_limits_that_do_not_follow_are_no_convention(tmp_path: Path) -> None:
-    part = quadruped()["shank1"]
-    mjcf = changed(quadruped(), "shank1", quaternion=turned_about(part, part.axis, 0.3))
-    comparison = compared(pair(tmp_path, mjcf))
-    assert found(comparison) == [("rotation", "knee1")]
-
-
 # ------------------------------------------------------------------------------------- the base
 
 
@@ -239,22 +232,6 @@ def test_a_fixed_base_that_is_turned_in_the_world_is_said_once(tmp_path: Path, n
         "0.57735) in the world; the URDF's was placed there"
     ]
     assert set(comparison.joints) == {"turn", "lift", "push"}
-
-
-def test_the_limits_of_the_one_joint_on_a_base_tell_where_its_zero_is(tmp_path: Path) -> None:
-    """Those of a zero that is elsewhere are so, too: the base is mounted elsewhere, no more."""
-    bare = changed(arm(), "base", mass=0.0)
-    bare = changed(bare, "column", kind="revolute", lower=-1.0, upper=1.5)
-    mjcf, _ = reframed(bare, [], "base", *POSES["turned"])
-    comparison = compared(pair(tmp_path, mjcf, urdf=bare))
-    assert comparison.agree
-    assert len([note for note in comparison.notes if "the fixed base's frame" in str(note)]) == 1
-    # With the limits moved by the quarter, it is the zero, or the frame with other limits.
-    column = mjcf["column"]
-    quarter = math.pi / 2
-    moved = changed(mjcf, "column", lower=column.lower + quarter, upper=column.upper + quarter)
-    comparison = compared(pair(tmp_path, moved, urdf=bare))
-    assert not comparison.agree
 
 
 def test_a_com_of_masses_that_add_up_to_none_is_nowhere() -> None:

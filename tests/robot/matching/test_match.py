@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.robot.matching.match import match_models, read_mapping
-from pupper_analysis.robot.matching.trees import kinematic_trees
+from pupper_analysis.robot.matching.match import read_mapping
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.robots import (
     Files,
@@ -29,7 +26,6 @@ from tests.support.robots import (
     write,
     write_parts,
 )
-from tests.support.tiny import TINY_MJCF, TINY_URDF
 
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
 JOINTS = {f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)}
@@ -78,22 +74,6 @@ def test_a_root_link_with_mass_is_part_of_the_robot(tmp_path: Path) -> None:
     assert comparison.differences[0].urdf == pytest.approx(6.5)
 
 
-def test_an_mjcf_in_the_frame_of_the_urdfs_root(tmp_path: Path) -> None:
-    """The base hangs on a root link 0.1 m below it, whose frame the MJCF has kept."""
-    lift = np.array([0.0, 0.0, 0.1])
-    lifted = {
-        name: replace(
-            part,
-            position=tuple(part.position + lift) if part.parent == "base" else part.position,
-            com=tuple(part.com + lift) if name == "base" else part.com,
-        )
-        for name, part in quadruped().items()
-    }
-    text = with_root("fixed", '<origin xyz="0 0 0.1"/>')
-    mjcf = mjcf_text(lifted).replace('<body name="base"', '<body name="world_"')
-    assert found(compare_texts(tmp_path, text, mjcf)) == []
-
-
 # ------------------------------------------------------------------------------------- welds
 
 
@@ -105,15 +85,6 @@ def split(parts: Parts) -> Parts:
     below = Part("toe0", "shank0", "toe", "fixed", position=(0.0, 0.0, -0.2), **shared)
     below = replace(below, com=tuple(com - (0.0, 0.0, -0.2)))
     return {**changed(parts, "shank0", **shared), "toe0": below}
-
-
-@pytest.mark.parametrize("where", ["urdf", "mjcf"])
-def test_fixed_children_may_be_merged_in_one_file(tmp_path: Path, where: str) -> None:
-    urdf = split(quadruped()) if where == "urdf" else quadruped()
-    mjcf = split(quadruped()) if where == "mjcf" else quadruped()
-    comparison = compared(write_parts(tmp_path, urdf, mjcf))
-    assert found(comparison) == []
-    assert comparison.agree
 
 
 # ------------------------------------------------------------------------------------- refused
@@ -128,24 +99,6 @@ def test_a_joint_of_several_degrees_of_freedom_in_the_urdf(tmp_path: Path, kind:
     assert not comparison.agree
     (note,) = [note for note in comparison.notes if "hip1" in str(note)]
     assert str(note).startswith(f"joint 'hip1' of the URDF is {kind} and was fixed at rest;")
-
-
-def test_a_ball_joint_in_the_mjcf(tmp_path: Path) -> None:
-    text = MJCF.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
-    motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
-    text = text.replace(motor, "")
-    comparison = compare_texts(tmp_path, URDF, text)
-    assert comparison.only_urdf == comparison.only_mjcf == ("hip1",)
-    assert found(comparison) == []
-    assert not comparison.agree
-    (note,) = [note for note in comparison.notes if "ball" in str(note)]
-    assert str(note).startswith("ball joints, which a URDF cannot state, were fixed at rest: hip1;")
-
-
-def test_an_mjcf_without_joints(tmp_path: Path) -> None:
-    text = '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>'
-    with pytest.raises(ModelError, match="it has no joints"):
-        compare_texts(tmp_path, URDF, text)
 
 
 def test_robots_that_have_nothing_in_common(tmp_path: Path) -> None:
@@ -488,20 +441,3 @@ def test_a_base_that_is_fused_with_the_world_has_no_mass_there(tmp_path: Path) -
     comparison = compare_texts(tmp_path, URDF, fused.replace("</worldbody>", other))
     assert comparison.differences == ()
     assert "'door' is not part of the robot" in " ".join(map(str, comparison.notes))
-
-
-def test_bodies_that_mujoco_fuses_are_no_frames(tmp_path: Path) -> None:
-    """With ``fusestatic`` MuJoCo's model has no body that nothing moves: Tiago's casters."""
-    urdf, mjcf = tmp_path / "tiny.urdf", tmp_path / "tiny.xml"
-    urdf.write_text(TINY_URDF)
-    site, body = '<site name="foot" pos="0 0 -0.1"/>', '<body name="foot" pos="0 0 -0.1"/>'
-    kept = TINY_MJCF.replace(site, body)
-    for text, frames in (
-        (kept, {"foot"}),
-        (kept.replace("<compiler ", '<compiler fusestatic="true" '), set()),
-    ):
-        mjcf.write_text(text)
-        matched = match_models(read_urdf(urdf), read_mjcf(mjcf))
-        assert set(matched.robot.description.frames) == frames
-        one, two = kinematic_trees(matched.robot)
-        assert one.joints.keys() == two.joints.keys() == {"turn", "bend", "push"}

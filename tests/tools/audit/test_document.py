@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis import cli
-from pupper_analysis.tools.audit.audit import RULES
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 
@@ -25,41 +24,6 @@ def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(*arguments: str) -> Answer:
     return answer("audit", *arguments)
-
-
-def test_prints_place_rule_reason_and_remedy(broken: Path) -> None:
-    result = run(str(broken))
-    assert result.returncode == 1
-    line = broken.read_text().splitlines().index('      <mass value="-1.506"/>') + 1
-    assert "1. error mass-not-positive link 'base_link': its mass" in result.stdout
-    assert f"   {broken}:{line}\n" in result.stdout
-    assert RULES["mass-not-positive"].todo in result.stdout
-    assert "mirror-limits" in result.stdout
-    assert result.stdout.startswith("ERRORS broken.urdf: 1 error, ")
-
-
-def test_what_has_warnings_is_not_called_sound(broken: Path) -> None:
-    result = run(str(broken), "--disable", "mass-not-positive")
-    assert result.returncode == 0
-    verdict = result.stdout.splitlines()[0]
-    assert verdict.startswith("WARNINGS ")
-    assert "0 errors" in verdict
-    assert "warning" in verdict
-
-
-def test_disabled_rules_and_the_least_severity_that_fails(broken: Path) -> None:
-    assert run(str(broken), "--disable", "mass-not-positive").returncode == 0
-    warned = run(str(broken), "--disable", "mass-not-positive", "--fail-on", "warning")
-    assert warned.returncode == 1
-    assert "mass-not-positive" not in warned.stdout
-
-
-def test_audit_lists_its_rules() -> None:
-    result = run("--list-rules")
-    assert result.returncode == 0
-    lines = result.stdout.splitlines()
-    assert lines[1] == f"{len(RULES)} rules; --disable RULE skips one"
-    assert [line.split()[0] for line in lines[4:] if line[0] != " "] == list(RULES)
 
 
 @pytest.mark.parametrize(

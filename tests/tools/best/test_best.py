@@ -17,7 +17,6 @@ from pupper_analysis.tools.best.best import best_stance
 from pupper_analysis.tools.best.first_order import SmallPayload
 from pupper_analysis.tools.best.search import Objective, StanceSearch, Subspace
 from pupper_analysis.tools.best.space import BASE, LEAST_SINGULAR_VALUE, StanceSpace
-from tests.stance.test_com_margin import margin_of
 from tests.support.engines import with_efforts
 from tests.support.random_legged import drawn, written
 from tests.support.variants import load
@@ -228,16 +227,3 @@ def test_motors_without_a_limit_to_use(limit: float, words: str) -> None:
     for objective in (Objective.UTILISATION, Objective.PAYLOAD):
         with pytest.raises(pa.ConfigurationError, match=words):
             best_stance(robot, objective)
-
-
-def test_a_search_sees_stances_without_it() -> None:
-    """A search that goes by how much is missing needs the stances that miss it."""
-    robot = load("original")
-    space = StanceSpace(robot, pa.StandTask(com_margin=0.06))
-    there = space.start.copy()
-    there[space.names.index("x")] += 0.04
-    stand = space.stand(there)
-    assert stand is not None
-    assert stand.task.com_margin == 0.06
-    assert space.room(stand).edges.min() == pytest.approx(margin_of(robot, stand) - 0.06, abs=1e-9)
-    assert space.room(stand).edges.min() < 0

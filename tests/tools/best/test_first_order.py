@@ -13,7 +13,7 @@ from pupper_analysis.robot.tool import find_place, find_tool
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.tools.best import first_order
 from pupper_analysis.tools.best.first_order import SmallPayload
-from tests.support.variants import NAMES, load, stand_of
+from tests.support.variants import NAMES, load
 
 
 @pytest.mark.parametrize(
@@ -53,8 +53,3 @@ def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(
         except pa.NoEquilibriumError:  # it is gone before a step of the search ends there
             signs.append(-1.0)
     assert signs == [1, -1]
-
-
-def test_servos_too_soft_without_any_payload() -> None:
-    robot, stand = load("v3"), stand_of("v3")
-    assert SmallPayload(robot, find_place(robot, (0, 0, 0)), np.full(12, 0.5)).borne(stand) is None

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from pupper_analysis import cli
 from pupper_analysis.base.diagnostics import (
     Severity,
     diagnose,
@@ -99,21 +98,6 @@ def test_the_same_on_several_joints_is_said_once(folder: Path) -> None:
     assert "joint knee: damping 0.05 N m s/rad in the URDF, 0.06 N m s/rad in the MJCF" in shown
     assert "   likewise on 1 more: hip" in shown
     assert "FAILED pupper-analysis.toml: 1 to fix" in shown
-
-
-def test_a_known_difference_that_grows_or_shrinks_has_changed(folder: Path) -> None:
-    for mass in ("0.25", "0.21"):
-        shutil.copy(SAMPLE / "hopper.xml", folder)
-        change(folder / "hopper.xml", 'mass="0.22"', f'mass="{mass}"')
-        check = pa.guard.check_repository(folder / "pupper-analysis.toml")
-        assert not check.passed
-        (remark,) = check.remarks
-        assert remark.state is RemarkState.CHANGED
-        assert remark.values == {"urdf": 0.2, "mjcf": float(mass)}
-        assert remark.before == {"urdf": 0.2, "mjcf": 0.22}
-        assert check.stale == ()
-    result = run(folder, "--format", "github")
-    assert "the baseline has: urdf 0.2, mjcf 0.22" in result.stdout
 
 
 def test_what_is_the_same_but_for_rounding_is_known(folder: Path) -> None:
@@ -306,26 +290,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize(("text", "line"), REFUSED.values(), ids=REFUSED)
-def test_a_baseline_that_is_not_valid(folder: Path, text: str, line: int) -> None:
-    (folder / BASELINE).write_text(text)
-    result = run(folder)
-    assert result.returncode == cli.BAD_INPUT
-    assert result.stdout == ""
-    assert f"{BASELINE}:{line}: no line of a baseline" in result.stderr
-
-
-def test_bad_input_is_one_line(folder: Path, tmp_path: Path) -> None:
-    result = run(tmp_path)
-    assert result.returncode == cli.BAD_INPUT
-    assert "no pupper-analysis.toml in" in result.stderr
-    assert run(folder, "--config", "none.toml").returncode == cli.BAD_INPUT
-    change(folder / "pupper-analysis.toml", "feet", "feat")
-    result = run(folder)
-    assert re.search(r"pupper-analysis\.toml:7: no key 'feat' in pair; valid: name", result.stderr)
-    assert len(result.stderr.splitlines()) == 1
-
-
 # ------------------------------------------------------------------------------------- baseline
 
 
@@ -434,25 +398,6 @@ def test_no_digits_of_rounding_are_kept() -> None:
 
 def annotation(number: int, rule: str, level: str = "error") -> formats.Annotation:
     return formats.Annotation(level, f"{rule} {number}", "m", f"a.urdf:{number}", rule=rule)
-
-
-def test_ten_are_shown_as_they_are() -> None:
-    ten = [annotation(number, "mass") for number in range(10)]
-    assert formats.group_remarks(ten) == ten
-
-
-def test_more_are_grouped_by_kind_and_file_and_none_is_lost() -> None:
-    many = [annotation(number, "mass") for number in range(8)]
-    many += [annotation(number, "com") for number in range(4)]
-    many += [annotation(1, "other", "warning")]
-    found = formats.group_remarks(many)
-    assert [(one.title, one.level) for one in found] == [
-        ("mass 0", "error"),
-        ("com 0", "error"),
-        ("other 1", "warning"),
-    ]
-    assert found[0].message.startswith("m; and 7 more of this kind in the file: mass 1 (a.urdf:1)")
-    assert found[2].message == "m"
 
 
 def test_of_many_kinds_the_tenth_names_the_rest() -> None:

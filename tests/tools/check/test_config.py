@@ -83,15 +83,6 @@ strict = false
     assert b.tolerances == Tolerances().changed({"mass": 1e-2, "com": 1e-3})
 
 
-def test_what_is_not_said(folder: Path) -> None:
-    read = read_config(written(folder, LEAST))
-    assert read.baseline == folder / "pupper-analysis-baseline.txt"
-    assert read.fail_on is Severity.ERROR
-    (pair,) = read.pairs
-    assert (pair.names, pair.feet, pair.packages, pair.disabled) == ({}, (), {}, {})
-    assert pair.tolerances == Tolerances()
-
-
 REFUSED = {
     "an unknown key": ('bas = "x"\n' + LEAST, 1, "no key 'bas'; valid: baseline, fail-on"),
     "one of a pair": (LEAST + 'foot = "x"\n', 4, "no key 'foot' in pair; valid: name, urdf"),

@@ -92,19 +92,6 @@ def test_numbers_of_motors_that_are_none_are_not_read(sources: dict[str, Path], 
     assert "contract-motors-unread" in notes
 
 
-def test_files_of_one_name_are_told_apart(sources: dict[str, Path]) -> None:
-    real = sources["deploy.yaml"].parent / "real" / "deploy.yaml"
-    real.parent.mkdir()
-    text = sources["deploy.yaml"].read_text()
-    real.write_text(text.replace("step_dt: 0.02", "step_dt: 0.01"))
-    found = contract(sources["gym_cfg.py"], sources["deploy.yaml"], real)
-    names = {one.name for one in found.sources if one.role == "deployment"}
-    assert names == {f"{real.parents[1].name}/deploy.yaml", "real/deploy.yaml"}
-    assert {one.sources[1] for one in found.findings} == {"real/deploy.yaml"}
-    assert len([one for one in found.facts if one.source == "real/deploy.yaml"
-                and one.quantity == "kp"]) == 12  # fmt: skip
-
-
 def test_how_many_actions_a_network_gives_is_held_against_the_others(
     sources: dict[str, Path],
 ) -> None:
@@ -191,15 +178,6 @@ def test_numbers_that_were_rounded_are_one(sources: dict[str, Path]) -> None:
     assert [one.joints for one in found.findings if one.kind == "kp"] == [tuple(JOINTS)]
 
 
-def test_what_two_people_wrote_is_not_rounded(sources: dict[str, Path]) -> None:
-    text = sources["config.yaml"].read_text()
-    sources["config.yaml"].write_text(text.replace("0.26", "0.3"))  # no rounding of 0.26
-    found = contract(sources["gym_cfg.py"], sources["config.yaml"])
-    (finding,) = found.findings
-    assert finding.kind == "default angle"
-    assert len(finding.joints) == 4
-
-
 def test_a_mirror_tells_a_slip_in_one_source_alone(sources: dict[str, Path]) -> None:
     text = sources["isaac_cfg.py"].read_text()
     sources["isaac_cfg.py"].write_text(text.replace('"leg_.*_l_1": -0.26', '"leg_.*_l_1": 0.26'))
@@ -244,18 +222,6 @@ def test_limits_of_motors_are_held_against_the_urdfs(sources: dict[str, Path]) -
     assert (finding.kind, finding.values, finding.joints) == ("effort", (2.0, 3.0), tuple(JOINTS))
 
 
-def test_expressions_that_are_no_constants_are_shown_as_they_stand(
-    sources: dict[str, Path],
-) -> None:
-    text = sources["isaac_cfg.py"].read_text()
-    sources["isaac_cfg.py"].write_text(text.replace("damping=0.25", "damping=measured()"))
-    found = contract(sources["isaac_cfg.py"], sources["policy.json"])
-    kd = [one for one in found.facts if one.quantity == "kd" and one.value is None]
-    assert {one.expression for one in kd} == {"measured()"}
-    assert len(kd) == 12
-    assert [one for one in found.findings if one.kind == "kd"] == []
-
-
 def test_default_poses_are_stood(sources: dict[str, Path]) -> None:
     text = sources["config.yaml"].read_text()
     sources["config.yaml"].write_text(text.replace("0.52", "0.82"))
@@ -292,21 +258,6 @@ def test_a_folder_gives_the_deployments_of_this_robot(sources: dict[str, Path]) 
     found = contract(folder)
     assert {one.name for one in found.sources} == {
         "pupper_v3.urdf", "config.yaml:walker", "policy.onnx"}  # fmt: skip
-
-
-def test_moveits_limits_count_where_they_are_switched_on(sources: dict[str, Path]) -> None:
-    path = sources["joint_limits.yaml"]
-    found = contract(path)
-    assert found.findings == ()
-    said = {(one.joint[-9:], one.quantity): one.value for one in found.facts
-            if one.source == path.name}  # fmt: skip
-    assert said == {("front_r_1", "effort"): 3.0, ("front_r_2", "effort"): 3.0}
-    text = path.read_text().replace("has_velocity_limits: false", "has_velocity_limits: true")
-    path.write_text(text.replace("max_effort: 3.0}", "max_effort: 4.5}"))
-    effort, velocity = sorted(contract(path).findings, key=lambda one: one.kind)
-    assert (effort.kind, effort.values, effort.joints) == ("effort", (4.5, 3.0), (JOINTS[1],))
-    assert (velocity.kind, velocity.joints) == ("velocity", (JOINTS[0],))
-    assert velocity.places[0] == f"{path}:4"
 
 
 def test_a_deployment_of_unitree_rl_gym(sources: dict[str, Path]) -> None:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import (
     gather_fields,
     integers_of,
     read_onnx,
-    tables,
     text_of,
 )
-from tests.tools.contract.sources import ONNX, field, onnx, tensor
+from tests.tools.contract.sources import field, onnx, tensor
 
 
 def test_an_onnx_files_metadata_and_ends_are_read(tmp_path: Path) -> None:
@@ -31,14 +28,6 @@ def test_an_onnx_files_metadata_and_ends_are_read(tmp_path: Path) -> None:
     assert text_of(gather_fields(file.graph[12][0]), 1) == "actions"
 
 
-def test_metadata_alone_is_a_file_too(tmp_path: Path) -> None:
-    path = tmp_path / "policy.onnx"
-    path.write_bytes(onnx(**ONNX))
-    file = read_onnx(path)
-    assert file.metadata == ONNX
-    assert (file.graph, file.inputs, file.outputs) == ({}, {}, {})
-
-
 def test_integers_are_packed_or_one_by_one() -> None:
     assert integers_of([3, memoryview(b"\x01\xac\x02"), (1 << 64) - 1]) == [3, 1, 300, -1]
 
@@ -48,16 +37,3 @@ def test_what_is_no_message_is_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.onnx").write_bytes(data)
     with pytest.raises(ModelError, match="no ONNX"):
         read_onnx(tmp_path / "a.onnx")
-
-
-def test_rtneurals_sizes_are_read_and_its_weights_are_not(tmp_path: Path) -> None:
-    """With more weights than values are read of a source."""
-    path = tmp_path / "policy.json"
-    weights = [[[0.5] * 600] * 400]
-    layers = [{"type": "dense", "shape": [None, 8], "weights": weights},
-              {"type": "dense", "shape": [None, 12]}]  # fmt: skip
-    path.write_text(json.dumps({"in_shape": [None, 36], "layers": layers, "kp": 5.0}))
-    (source,) = tables.read(Request(path))
-    said = {one.quantity: one.value for one in source.statements}
-    assert (source.role, said) == (
-        "policy", {"actions": 12, "observed numbers": 36, "kp": 5.0})  # fmt: skip

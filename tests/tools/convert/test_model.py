@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from pathlib import Path
@@ -25,7 +24,7 @@ from tests.support.conversions import (
     standing_urdf,
 )
 from tests.support.repository import ROOT
-from tests.support.robots import NOTHING, Part, Parts, arm, changed, mjcf_text, quadruped, urdf_text
+from tests.support.robots import NOTHING, Part, Parts, arm, changed, mjcf_text, urdf_text
 
 # ---------------------------------------------------------------------------- a URDF as an MJCF
 
@@ -296,26 +295,6 @@ def test_anchors_zeros_and_several_joints_of_a_body(tmp_path: Path) -> None:
     assert [shape.tag for shape in shapes] == ["cylinder", "sphere", "sphere"]
 
 
-def test_conversion_there_and_back_loses_nothing(tmp_path: Path) -> None:
-    parts = quadruped()
-    mjcf = tmp_path / "machine.xml"
-    mjcf.write_text(mjcf_text(parts))
-    urdf, found = converted(mjcf, "machine.urdf")
-    assert found.passed, found.failures
-    original = tmp_path / "original.urdf"
-    original.write_text(urdf_text(parts))
-    one, two = (pin.buildModelFromUrdf(str(path)) for path in (original, urdf))
-    assert list(one.names) == list(two.names)
-    for first, second in zip(one.inertias, two.inertias, strict=True):
-        np.testing.assert_allclose(
-            first.toDynamicParameters(), second.toDynamicParameters(), rtol=1e-9, atol=1e-12
-        )
-    for first, second in zip(one.jointPlacements, two.jointPlacements, strict=True):
-        np.testing.assert_allclose(first.homogeneous, second.homogeneous, atol=1e-9)
-    for values in ("lowerPositionLimit", "upperPositionLimit", "effortLimit"):
-        np.testing.assert_allclose(getattr(one, values), getattr(two, values), rtol=1e-9)
-
-
 # ---------------------------------------------------------------------------- what is refused
 
 
@@ -371,28 +350,6 @@ def run(folder: Path, *arguments: str) -> Answer:
     return answer("convert", *arguments, folder=folder)
 
 
-def test_the_command_says_what_it_did(tmp_path: Path) -> None:
-    standing_urdf(tmp_path)
-    done = run(
-        tmp_path, "quad.urdf", "-o", "quad.xml", "--armature", "*_knee=0.01", "--json", "out.json",
-        "--foot", "FL_calf", "--foot", "FR_calf", "--foot", "RL_calf", "--foot", "RR_calf",
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "written: quad.xml" in done.stdout
-    assert "AGREE quad.urdf and " in done.stdout
-    assert "differences from quad.urdf: 0;" in done.stdout
-    assert "STANDS for 12 s in MuJoCo" in done.stdout
-    result = json.loads((tmp_path / "out.json").read_text())
-    assert result["passed"]
-    assert compiled(tmp_path / "quad.xml").dof_armature.tolist() == [0.0] * 6 + [0, 0, 0.01] * 4
-    again = run(tmp_path, "quad.urdf", "-o", "quad.xml")
-    assert again.returncode == 2
-    assert (
-        again.stderr
-        == "error: cannot write quad.xml: it exists; add --force (force=True) to replace it\n"
-    )
-
-
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
@@ -429,22 +386,6 @@ def test_nothing_goes_into_a_pipe(tmp_path: Path) -> None:
     finally:
         os.close(reader)
     assert pipe.is_fifo()
-
-
-def test_a_urdf_is_not_called_xml(tmp_path: Path) -> None:
-    source = tmp_path / "robot.xml"
-    source.write_text(mjcf_text(arm()))
-    with pytest.raises(pa.OutputError, match=r"becomes a URDF: end its name in \.urdf"):
-        pa.convert_model(source, tmp_path / "new.xml")
-    assert [path.name for path in tmp_path.iterdir()] == ["robot.xml"]
-
-
-def test_frames_state_that_they_weigh_nothing(tmp_path: Path) -> None:
-    """PyBullet gives each link without an <inertial> 1 kg: v3's five sites made 8.17 kg of it."""
-    written = tmp_path / "v3.urdf"
-    pa.convert_model(ROOT / "mjcf/pupper_v3.xml", written)
-    found = {finding.rule for finding in pa.audit_model(written).findings}
-    assert "link-without-inertial" not in found
 
 
 def test_servos_of_joints_that_hold_no_gravity_are_for_their_inertia() -> None:
@@ -504,23 +445,6 @@ def test_a_hand_is_no_legged_robot(tmp_path: Path) -> None:
     assert is_free(compiled(mjcf))
 
 
-def test_nothing_is_thrown_up_from_qpos0(quad: Path) -> None:
-    """Simulations begin there, if nobody resets to the keyframe: the feet were 0.4 m in the ground.
-
-    The legs are at zero then, beyond their limits, and straighten up.
-    """
-    model = compiled(quad)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    assert all(contact.dist > -1e-5 for contact in data.contact)
-    assert model.qpos0[2] >= model.key_qpos[0, 2]
-    highest = 0.0
-    while data.time < 3.0:
-        mujoco.mj_step(model, data)
-        highest = max(highest, float(data.qpos[2]))
-    assert highest < model.qpos0[2] + 0.1
-
-
 def test_feet_hold_on_a_slope(quad: Path) -> None:
     """On 17 degrees, with a friction of 1: by MuJoCo's default contacts they creep by 26 mm/s."""
     speeds = {}
@@ -542,17 +466,6 @@ def test_feet_hold_on_a_slope(quad: Path) -> None:
     assert speeds["default"] > 5e-3
     assert speeds["written"] < 1e-3
     assert speeds["written"] < speeds["default"] / 30
-
-
-def test_missing_meshes_are_the_cause_that_is_told(tmp_path: Path) -> None:
-    """Feet were meshes that are not there: the robot is no hand for that."""
-    text = standing_urdf(tmp_path).read_text()
-    path = tmp_path / "lost.urdf"
-    path.write_text(text.replace('<sphere radius="0.02"/>', '<mesh filename="package://x/f.stl"/>'))
-    found = pa.convert_model(path, tmp_path / "lost.xml")
-    assert not found.passed
-    assert is_free(compiled(tmp_path / "lost.xml"))
-    assert str(found.failures[0]).index("missing") < str(found.failures[0]).index("no feet")
 
 
 def test_a_mesh_that_an_mjcf_touches_with_and_lacks_is_no_conversion(tmp_path: Path) -> None:

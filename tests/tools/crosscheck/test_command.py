@@ -34,15 +34,6 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_strict_and_tolerance(models: Path) -> None:
-    pair = ("robot.urdf", "slightly.xml")
-    assert run(models, *pair).returncode == 0
-    assert run(models, *pair, "--strict").returncode == 1
-    assert run(models, *pair, "--tolerance", "mass=1e-6").returncode == 1
-    strict = run(models, *pair, "--strict", "--tolerance", "mass=1e-3")
-    assert strict.returncode == 0, strict.stdout
-
-
 def test_strict_minds_names(models: Path, tmp_path: Path) -> None:
     """A name that was guessed is a note, an error under --strict, and none once it is given."""
     text = (models / "robot.urdf").read_text().replace('"knee2"', '"lh_kfe"')

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.present.formats import write_github
 from pupper_analysis.robot.compare import mjcf_only as extras
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from pupper_analysis.tools.crosscheck.document import (
@@ -39,36 +38,7 @@ def files(tmp_path: Path) -> Files:
     return write_parts(tmp_path, quadruped(), mjcf)
 
 
-def test_joints_of_one_file_alone_are_the_cause(tmp_path: Path) -> None:
-    parts = quadruped()
-    still = changed(parts, "shank3", kind="fixed")
-    comparison = compared(write_parts(tmp_path, still, parts))
-    text = printed(comparison)
-    assert text.startswith("DISAGREE robot.urdf and robot.xml: they do not have the same joints\n")
-    assert f"only in {comparison.mjcf}, fixed at zero to compare the rest: knee3" in text
-
-
-def test_differences_alike_are_one_group(files: Files) -> None:
-    text = lines(compared(files))
-    group = next(index for index, line in enumerate(text) if line.startswith("2."))
-    assert "damping 0.1 N m s/rad in the URDF, 0.3 N m s/rad in the MJCF" in text[group]
-    assert text[group + 2].startswith("   likewise on 7 more: ")
-    assert not any(line.startswith("3.") for line in text)
-
-
 # ------------------------------------------------------------------------------------- machines
-
-
-def test_a_remark_for_each_difference(files: Files) -> None:
-    comparison = compared(files)
-    found = comparison_remarks(comparison)
-    assert len(found) == len(comparison.differences) == 9
-    first = found[0]
-    assert (first.level, first.title) == ("error", "mass of base")
-    assert first.message.startswith(comparison.differences[0].message)
-    assert "robot.xml:7" in first.message
-    assert str(first.place).endswith("robot.urdf:5")
-    assert write_github(found).splitlines()[0].endswith(" [mass-differs]")
 
 
 def test_remarks_on_joints_left_over_and_guessed(tmp_path: Path) -> None:

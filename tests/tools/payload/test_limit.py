@@ -216,12 +216,6 @@ def test_beyond_it_fails_in_the_simulation_as_is_said() -> None:
     assert limit.passed
 
 
-@pytest.mark.parametrize("point", [(0, 0), (0, 0, np.nan), "top"])
-def test_payload_limit_refuses_bad_points(point: object) -> None:
-    with pytest.raises(pa.ConfigurationError, match="point"):
-        payload_limit(load("v3"), stand_of("v3"), point)  # type: ignore[arg-type]
-
-
 def test_what_does_not_hold_without_payload_carries_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -11,22 +11,8 @@ import shapely
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import with_options
 from pupper_analysis.simulation import trial as payload
-from pupper_analysis.simulation.trial import NUDGE, nudge_velocities
 from pupper_analysis.tools.payload.limit import simulate_payload
 from tests.support.variants import load, stand_of
-
-
-def test_a_base_is_nudged_to_all_sides() -> None:
-    robot, stand = load("v3"), stand_of("v3")
-    speeds = nudge_velocities(robot, stand, 0.3)
-    np.testing.assert_allclose(np.linalg.norm(speeds[8:10, :3], axis=1), NUDGE)
-    # The octagon of those along the ground has a circle of that speed inside.
-    sides = (speeds[:8, :3] + np.roll(speeds[:8, :3], 1, axis=0)) / 2
-    np.testing.assert_allclose(np.linalg.norm(sides, axis=1), NUDGE)
-    assert speeds[0, 1] / speeds[0, 0] == pytest.approx(np.tan(0.3))
-    np.testing.assert_allclose(speeds.sum(axis=0), 0.0, atol=1e-15)
-    angles = np.sort(np.arctan2(speeds[:8, 1], speeds[:8, 0]))
-    np.testing.assert_allclose(np.diff(angles), np.pi / 4)
 
 
 def test_the_first_nudge_points_to_the_nearest_edge() -> None:
@@ -74,10 +60,3 @@ def test_creep_is_no_slide(impratio: float, failure: payload.Failure | None) -> 
     task = pa.StandTask(ground=pa.Ground(np.radians(15.0)))
     trial = simulate_payload(robot, task, 1.0, (0.0, 0.0, 0.05), duration=9)
     assert trial.failure is failure
-
-
-def test_what_is_out_of_reach_is_not_simulated() -> None:
-    with pytest.raises(pa.StanceUnreachableError):
-        simulate_payload(load("v3"), stand_of("v3"), 50.0, (0.4, 0.0, 0.0))
-    with pytest.raises(pa.ConfigurationError, match="point"):
-        simulate_payload(load("v3"), stand_of("v3"), 1.0, "top")  # type: ignore[arg-type]

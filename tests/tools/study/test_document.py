@@ -18,7 +18,6 @@ from pupper_analysis.tools.study.document import study_document
 from pupper_analysis.tools.study.outcome import (
     main_effects,
 )
-from pupper_analysis.tools.study.plots import colour_of_share
 from tests.present.test_html import written
 from tests.support.commands import answer
 from tests.support.html_page import Page, shown
@@ -113,25 +112,6 @@ def drawing(page: Page, title: str) -> object:
         if figure.get("class") == "plot" and title in shown(figure.find("figcaption")):
             return figure.find("svg")
     raise AssertionError(title)
-
-
-def test_maps_are_coloured_by_their_means_and_tell_them() -> None:
-    found = outcome()
-    svg = drawing(
-        Page(written(found, robots=False)),
-        "peak_utilisation over leg_scale and height: kp = 5 N m/rad",
-    )
-    fills = [rect.get("fill") for rect in svg.iter("rect") if "cell" in rect.get("class")][:9]
-    soft = found.table[found.table["kp"] == 5.0]  # nothing is averaged
-    means = soft.sort_values(["height", "leg_scale"])["peak_utilisation"].to_numpy()
-    assert fills[6:] == [None] * 3  # out of reach
-    inside = means[:6]
-    assert fills[int(np.argmin(inside))] == colour_of_share(0.0) == "#440154"
-    assert fills[int(np.argmax(inside))] == colour_of_share(1.0) == "#fde725"
-    (line,) = [one for one in svg.iter("polyline") if one.get("class") == "unseen"]
-    labels = line.get("data-labels").split("|")
-    assert labels[0] == f"leg_scale 0.8, height 0.12: {means[0]:.4g}"
-    assert labels[8] == "leg_scale 1.2, height 0.5: -"
 
 
 def test_no_mean_leaves_out_what_does_not_stand_in_silence() -> None:

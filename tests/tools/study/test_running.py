@@ -189,14 +189,6 @@ def test_a_changed_study_has_its_own_rows_alone(tmp_path: Path, threads: Executo
     assert everything["peak_utilisation"].notna().sum() == 1
 
 
-def test_what_comes_twice_is_done_once(tmp_path: Path, threads: Executor) -> None:
-    """Of 16 samples of 2 x 1 lists and a constant distribution's ends only the lists differ."""
-    vary = {"kp": [5.0, 6.0], "payload": pa.study.uniform(0, 1e-300)}
-    done = study(vary, "total_mass", samples=16)
-    table = done.run(tmp_path, executor=threads)
-    assert len(table) == table["design"].nunique()
-
-
 @pytest.mark.parametrize("sole", some([True, False], 2), ids=["boxes", "spheres"])
 def test_a_pair_of_files_as_published(sole: bool, tmp_path: Path, threads: Executor) -> None:
     """Joints of other names, torque motors, no floor: factors are in both of its models."""

@@ -16,7 +16,6 @@ from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.tools.study.design import Maker
 from pupper_analysis.tools.study.document import measured_document
@@ -28,7 +27,6 @@ from pupper_analysis.tools.study.parameters import (
     scale_robot,
     with_friction,
     with_gains,
-    without_visuals,
 )
 from pupper_analysis.tools.study.study import names_of
 from pupper_analysis.tools.study.variables import BLOCK, Sampling, make_variable
@@ -114,13 +112,6 @@ def test_plain_data_says_the_same() -> None:
 
 def all_of(sampling: Sampling) -> np.ndarray:
     return np.concatenate(list(sampling.blocks()))
-
-
-def test_lists_give_their_product_the_last_changing_first() -> None:
-    sampling = Sampling({"a": pa.study.values([1, 2]), "b": pa.study.values([5, 6, 7])}, None, 0)
-    assert all_of(sampling).tolist() == [[1, 5], [1, 6], [1, 7], [2, 5], [2, 6], [2, 7]]
-    assert len(sampling) == 6
-    assert all_of(Sampling({}, None, 0)).shape == (1, 0)  # of nothing: the robot as it is
 
 
 def test_a_longer_sequence_begins_with_the_shorter_one() -> None:
@@ -305,18 +296,6 @@ def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
                 assert change[6:] == pytest.approx(np.zeros(before.nu), abs=1e-10)
 
 
-def test_coms_move_where_the_files_masses_differ() -> None:
-    """By each file's own shares of the mass: neither is refused."""
-    robot = load("v3")
-    spec = robot.description.mjcf.copy()
-    spec.body(robot.mj_base).mass *= 1.1
-    heavier = rebuild_robot(robot, mjcf=spec)
-    after = scale_robot(heavier, {f"com_y:{robot.base}": 0.01})
-    at = heavier.mj_model.body(heavier.mj_base).id
-    moved = after.mj_model.body_ipos[at] - heavier.mj_model.body_ipos[at]
-    assert np.linalg.norm(moved) == pytest.approx(0.01)
-
-
 def bias(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
     """MuJoCo's own gravity torques, in the public order."""
     data = mujoco.MjData(robot.mj_model)
@@ -357,16 +336,6 @@ def test_each_parameter_has_a_factor_of_its_own() -> None:
         pa.Study("v3", {"mass:each:nothing_*": [1.0]}, ["torque"])
 
 
-def test_the_base_has_factors_by_either_name() -> None:
-    before = load("original")
-    after = scale_robot(before, {f"mass:{before.base}": 1.5})
-    torso = float(before.pin_model.inertias[1].mass)
-    assert after.total_mass - before.total_mass == pytest.approx(0.5 * torso)
-    twice = scale_robot(before, {f"mass:{before.base}": 1.5, f"mass:{before.mj_base}*": 2.0})
-    assert twice.total_mass - before.total_mass == pytest.approx(2.0 * torso)
-    assert pa.cross_check(twice, configurations=2).passed
-
-
 def test_gains_and_friction_are_what_the_predictions_read() -> None:
     robot, stand = load("v3"), stand_of("v3")
     other = with_gains(robot, 8.0, 0.3, {"kp:*_3": 1.5})
@@ -381,17 +350,6 @@ def test_gains_and_friction_are_what_the_predictions_read() -> None:
     steep = pa.solve_stand(slippery, pa.StandTask(ground=pa.Ground(slope=0.4)))
     with pytest.raises(pa.StaticsInfeasibleError, match="friction too low"):
         pa.stance.stand_statics(slippery, steep)
-
-
-def test_what_is_only_looked_at_makes_no_difference() -> None:
-    """The plain robot stands, sags and moves in MuJoCo as the whole one, to the last bit."""
-
-    robot, stand = load("v3"), stand_of("v3")
-    bare = rebuild_robot(robot, mjcf=without_visuals(robot.description).mjcf)
-    assert bare.mj_model.nmesh == 0 < robot.mj_model.nmesh
-    assert np.array_equal(pa.solve_stand(bare).qpos, stand.qpos)
-    simulated = [pa.verify_stand(one, stand, duration=2.0).base_height for one in (bare, robot)]
-    assert simulated[0] == simulated[1]
 
 
 def test_a_design_is_the_robot_that_its_numbers_say() -> None:

@@ -37,18 +37,6 @@ def test_without_a_choice_the_differences_are_listed(folder: Path) -> None:
     assert (folder / "robot.xml").read_bytes() == before
 
 
-def test_a_dry_run_prints_a_diff(folder: Path) -> None:
-    before = (folder / "robot.urdf").read_bytes()
-    result = run(folder, "--take", "mjcf:mass", "--dry-run")
-    assert result.returncode == 1
-    assert '-<mass value="6.0"/>\n+<mass value="7.5"/>' in result.stdout
-    assert "\n--- a/robot.urdf\n+++ b/robot.urdf\n@@ " in result.stdout
-    assert "\nNot written\njoint hip1: effort: nothing was chosen for it" in result.stdout
-    message = "DISAGREE URDF and MJCF: attributes that would be written: 1\n  differences left: 1\n"
-    assert result.stdout.startswith(message)
-    assert (folder / "robot.urdf").read_bytes() == before
-
-
 def asked(folder: Path, keys: str, monkeypatch: pytest.MonkeyPatch) -> Answer:
     """Runs it in what it takes for a terminal, in which keys are pressed."""
     waiting = iter(keys)

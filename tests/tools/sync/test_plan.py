@@ -13,11 +13,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.sync.digits import Digits
 from pupper_analysis.tools.sync.models import refuse_uncommitted
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 from pupper_analysis.tools.sync.xml_bytes import read_document
@@ -150,26 +148,6 @@ def test_orientations_in_other_words(tmp_path: Path, stated: str, attribute: str
     result = sync(files, "urdf")
     assert [(edit.element, edit.attribute) for edit in result.edits] == [("body thigh1", attribute)]
     assert agree(files)
-
-
-def test_a_class_stays_as_it_is_for_the_others(tmp_path: Path) -> None:
-    files = pair(tmp_path)
-    text = re.sub(r' (damping|frictionloss)="\S+"', "", files.mjcf.read_text())
-    default = '<default><joint damping="0.1" frictionloss="0.2"/></default>\n<worldbody>'
-    files.mjcf.write_text(text.replace("<worldbody>", default).replace("<freejoint/>", FREE))
-    assert sync(files).agree
-    replaced(files.urdf, 'damping="0.1"', 'damping="0.15"')
-    before = files.mjcf.read_text()
-    result = sync(files, "urdf")
-    assert agree(files)
-    assert edits(result) == [("joint hip0", "damping", None, "0.15")]
-    assert "stated in a default class (robot.xml:3)" in str(result.notes["joint hip0: damping"])
-    assert files.mjcf.read_text() == before.replace(
-        'armature="0.01"/>', 'armature="0.01" damping="0.15"/>', 1
-    )
-
-
-FREE = '<joint type="free" damping="0" frictionloss="0"/>'
 
 
 def test_includes_are_changed_in_place(tmp_path: Path) -> None:
@@ -516,19 +494,6 @@ def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> No
 
 
 # ------------------------------------------------------------------------------------- its parts
-
-
-def test_digits_are_those_of_the_other_file() -> None:
-    digits = Digits(["0.1234567890123 -2.5e-3"])
-    assert digits.word(0.12345678901230004, 1.0) == "0.1234567890123"
-    assert digits.word(-0.1234567890123, 1.0) == "-0.1234567890123"
-    assert digits.word(0.0025, 1.0) == "0.0025"
-    assert digits.word(0.30000000000000004, 1.0) == "0.3"
-    assert float(digits.word(1 / 3, 1.0)) == pytest.approx(1 / 3, abs=1e-15)
-    assert digits.word(1e-17, 1.0) == "0"
-    assert digits.word(3.0, 1.0) == "3"
-    assert digits.words(["1.50", "0"], np.array([1.5, 2.0])) == "1.50 2"
-    assert digits.words(["1.50", "2"], np.array([1.5, 2.0])) is None
 
 
 def test_bytes_of_a_tag(tmp_path: Path) -> None:

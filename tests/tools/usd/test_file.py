@@ -103,14 +103,6 @@ def Xform "w"
     assert str(found.place("joint", "hip")) == "scene.usda:</w/one/joints/hip>"
 
 
-def test_a_file_that_changes_is_read_anew(tmp_path: Path) -> None:
-    """USD holds layers that are open: a second reading must not be of the first's."""
-    first = read_usd(usd.write(tmp_path))
-    second = read_usd(usd.write(tmp_path, ('def Xform "rod"', 'def Xform "stick"')))
-    assert "stick" in second.bodies
-    assert "rod" in first.bodies
-
-
 def test_names_that_are_alike_are_told_apart_by_their_paths(tmp_path: Path) -> None:
     file = tmp_path / "two.usda"
     two = "".join(f'def Xform "{name}"\n{{\n{BODY}}}\n' for name in ("left", "right"))

@@ -78,22 +78,6 @@ def test_up_is_up_and_what_is_unknown_is_not_zero(tmp_path: Path) -> None:
     assert mine.gravity is None
 
 
-def test_a_fixed_joint_to_the_world_holds_the_base(tmp_path: Path) -> None:
-    held = """def PhysicsFixedJoint "root"
-        {
-            rel physics:body1 = </leg/base>
-            point3f physics:localPos0 = (0, 70, 0)
-            quatf physics:localRot0 = (0.70710677, -0.70710677, 0, 0)
-        }
-
-        def PhysicsFixedJoint "ankle\""""
-    mine = model(usd.write(tmp_path, ('def PhysicsFixedJoint "ankle"', held)))
-    assert not mine.floating
-    assert near(mine.mount.position, np.array((0, 0, 0.7)))
-    assert near(mine.mount.rotation, np.eye(3))
-    assert not mine.loops
-
-
 @pytest.mark.filterwarnings(
     "ignore:LoadUsdPhysicsFromRange:DeprecationWarning"
 )  # its new name is new

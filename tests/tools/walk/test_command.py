@@ -46,32 +46,6 @@ def test_what_an_audit_calls_an_error_is_said(
         assert said in out, err
 
 
-def test_how_far_it_may_change_and_whose_it_is(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """A stand: commanded nothing, it tracks with any small delay; forward, no reading walks."""
-    policy = made.still(tmp_path / "still.json")
-    path, page = tmp_path / "found.json", tmp_path / "found.html"
-    words = ("walk", "v3", "--policy", str(policy), "--json", str(path), "--report", str(page))
-    more = ("--vary", "mass,strength", "--command", "0,0,0", "--seconds", "3", "--seeds", "1")
-    status, out, err = run_command(capfd, *words, *more)
-    assert status == 0, err
-    assert "WALKS v3 by still.json: commanded 0, 0 m/s" in out
-    found = json.loads(path.read_text())["intervals"][1]
-    assert found["quantity"] == "strength"
-    assert f"{found['common'][0]:.3g}" in out
-    assert "电机力矩上限" in page.read_text(encoding="utf-8")
-
-
-def test_what_does_not_track_exits_with_1(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    policy = made.still(tmp_path / "still.json")
-    status, out, _ = run_command(capfd, "walk", "--policy", str(policy), "--seconds", "3")
-    assert status == 1
-    assert "DOES NOT TRACK" in out
-
-
 def test_bad_input(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,11 +13,9 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.present.document import in_english
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.walk.contract import Term
-from pupper_analysis.tools.walk.document import walk_document
 from pupper_analysis.tools.walk.gait import measure, simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Observer, simulate_cases, stage_of
@@ -74,18 +72,6 @@ def test_torques_and_motion_of_bare_mujoco(still: Policy) -> None:
     assert rms.sum() == pytest.approx(np.abs(walk.standing).sum(), rel=0.15)
 
 
-def test_any_number_of_workers(still: Policy) -> None:
-    stage = stage_of(load("v3"), still)
-    cases = [stage.case(np.zeros(3), seed) for seed in range(5)]
-    one = list(simulate_cases(stage, cases, 0.4, 0.1, workers=1))
-    for workers in (2, 3, 5):
-        many = list(simulate_cases(stage, cases, 0.4, 0.1, workers=workers))
-        assert all((a.states == b.states).all() for a, b in zip(one, many, strict=True))
-    alone = list(simulate_cases(stage, cases[3:4], 0.4, 0.1))
-    assert (alone[0].states == one[3].states).all()
-    assert (one[1].states[0] != one[2].states[0]).any()
-
-
 def test_a_delay_is_that_of_the_commands(still: Policy) -> None:
     stage = stage_of(load("v3"), still.with_contract(latency=0.03))
     moving = stage_of(load("v3"), still)
@@ -136,17 +122,6 @@ def test_what_falls_says_so(still: Policy) -> None:
     assert gait.margin == 0
     assert gait.duration < 4.0
     assert math.isfinite(gait.power)
-
-
-def test_a_rate_is_a_whole_number_of_time_steps_and_both_are_said(still: Policy) -> None:
-    robot = load("v3")
-    for stated, shown in ((50.0, "50 Hz"), (47.0, "45.4545 (47) Hz")):  # 11 steps of 2 ms
-        walk = simulate_walk(robot, still.with_contract(rate=stated), (0, 0, 0), seconds=3.0)
-        steps = 1.0 / (walk.rate * walk.timestep)
-        assert steps == pytest.approx(round(steps))
-        how = [in_english(one) for block in walk_document(walk).blocks
-               for one in getattr(block, "sources", getattr(block, "source", ()))]  # fmt: skip
-        assert any(f"asked at {shown}" in one for one in how), how
 
 
 @pytest.mark.parametrize(("gain", "text"), [({"kp": None}, "kp"), ({"kd": None}, "kd")])

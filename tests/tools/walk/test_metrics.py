@@ -9,7 +9,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.tools.study.measures import metric_fingerprint, metric_of, metric_text
+from pupper_analysis.tools.study.measures import metric_of, metric_text
 from pupper_analysis.tools.walk.gait import simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
 from tests.support.variants import load
@@ -27,18 +27,6 @@ def test_metrics_are_those_of_walk(tmp_path: Path) -> None:
     forward = metric_of(f"walk_margin:{path}")  # 0.5 m/s: a stand does not track it
     assert forward.function(design) == 0.0  # type: ignore[arg-type]
     assert metric_text(margin) == f"walk_margin:{path}@0,0,0"
-
-
-def test_what_a_policy_holds_is_part_of_a_study(tmp_path: Path) -> None:
-    """Results of another policy, contract or command of the same name are not taken for its."""
-    path = made.still(tmp_path / "still.json")
-    prints = [metric_fingerprint(metric_of(f"walk_margin:{path}"))]
-    prints.append(metric_fingerprint(metric_of(f"walk_margin:{path}@0.3,0,0")))
-    path.with_suffix(".toml").write_text("latency = 0.01")
-    prints.append(metric_fingerprint(metric_of(f"walk_margin:{path}")))
-    made.still(path, kp=6.0)
-    prints.append(metric_fingerprint(metric_of(f"walk_margin:{path}")))
-    assert len(set(prints)) == 4
 
 
 @pytest.mark.parametrize(

@@ -112,17 +112,6 @@ def test_lstm_as_by_loops() -> None:
         assert found[0] == pytest.approx(hidden, abs=ALIKE)
 
 
-def test_a_row_does_not_depend_on_its_neighbours() -> None:
-    """To the last bit: many runs at once give what each gives alone."""
-    draw = np.random.default_rng(4)
-    weights = [draw.normal(size=(144, 256)).tolist(), draw.normal(size=256).tolist()]
-    network = read([{"type": "dense", "activation": "elu", "weights": weights}])
-    given = rows(33, 144)
-    whole, _ = network.forward(given)
-    for start, end in ((0, 1), (5, 22), (32, 33)):
-        assert (network.forward(given[start:end])[0] == whole[start:end]).all()
-
-
 def read_graph(data: bytes, folder: Path) -> Network:
     path = folder / "made.onnx"
     path.write_bytes(data)
@@ -187,18 +176,6 @@ def refused(layers: list[dict[str, Any]]) -> str:
 
 def dense(matrix: Any, bias: Any, **more: Any) -> dict[str, Any]:
     return {"type": "dense", "activation": "tanh", "weights": [matrix, bias], **more}
-
-
-def test_what_is_no_policy_of_rtneural_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "policy.json"
-    path.write_text('{"kp":\n nothing}')
-    with pytest.raises(ModelError, match=r"policy\.json:2: it is no JSON"):
-        policy.read_rtneural(path)
-    path.write_text('{"layers": 3}')
-    with pytest.raises(ModelError, match="no list of layers"):
-        policy.read_rtneural(path)
-    with pytest.raises(ModelError, match="missing"):
-        policy.read_rtneural(tmp_path / "missing.json")
 
 
 def test_what_does_not_fit_names_its_layer() -> None:
