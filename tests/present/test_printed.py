@@ -65,6 +65,7 @@ def test_a_stance_that_fails() -> None:
         verdict=judge_stance(run(0.0, passed=False), None, SERVOS),
         minimum_stiffness=None,
         loops_open=None,
+        presses=(),
     )
     text = " ".join(printed(stance_document(failing)))
     assert text.startswith(

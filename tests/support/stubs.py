@@ -288,6 +288,7 @@ def stance(**changes: Any) -> Any:
         "minimum_stiffness": 4.567,
         "passed": False,
         "loops_open": 2.34e-5,
+        "presses": (),
     }
     return Stub(**{**fields, **changes})
 
