@@ -75,8 +75,10 @@ KINDS: Mapping[str, ParameterKind] = {
         # What a foot that turned on the ground, or rolled, keeps in every stand alike, in parts of
         # the force on it.
         ParameterKind("moment", "m", width=3e-4),
-        # Servos that give nothing for an error below it: that of hobby servos' data sheets.
-        ParameterKind("deadband", "rad", width=math.radians(0.1)),
+        # Servos that give nothing for an error below it: 0.1 deg in hobby servos' data sheets.
+        # Below zero it is dry friction that holds all joints against their load: on Go1 4 % of
+        # weight times height is 1.5 deg of its servos.
+        ParameterKind("deadband", "rad", width=math.radians(1.0)),
         # Dry friction of joints that yielded to their load, where a known mass is on, beyond what
         # all stands keep alike: it swings longer. Of what is stated, anywhere in its band.
         ParameterKind("settling", "1", width=3**-0.5),

@@ -371,6 +371,24 @@ def test_a_dead_band_is_found_and_kp_is_right_beside_it(
     assert "servos-have-a-dead-band" not in {one.code for one in plain.diagnostics}
 
 
+def test_joints_that_dry_friction_holds_have_the_right_kp_and_so_much_of_it_is_named(
+    robot: Robot, planted: Robot, stands: MeasuredStands
+) -> None:
+    """Against the load as far as it goes; of a joint that it holds whole, a servo gives little."""
+    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+    carried, times = stands.command - stands.position, 6.0  # of what the file states
+    band = times * robot.joint_friction / kp
+    held = replace(stands, command=stands.command - np.clip(0.8 * carried, -band, band))
+    fit = fit_stands(robot, held, weight=planted.total_mass, priors=["load=0"])
+    assert fit.kp_over_mass is not None
+    true = robot.total_mass / planted.total_mass
+    assert fit.kp_over_mass.low < true < fit.kp_over_mass.high
+    (found,) = (one for one in fit.estimates if one.kind == "deadband")
+    assert found.low < -band.mean() < found.high < 0
+    (said,) = (one for one in fit.failures if one.code == "torques-off")
+    assert said.values["times"] == pytest.approx(times, rel=0.4)
+
+
 def test_a_weight_that_makes_all_servos_twice_as_stiff_is_asked_about(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:

@@ -45,8 +45,12 @@ joint of a leg carries a tenth of that product: it is a thousandth of what it ca
 _UNKNOWN = 1e3
 """Likewise, of the torque of a motor whose command is not known: what it says is nothing."""
 
-_TURNS_ROUND = 1e-3
-"""rad: where an error is no larger, which side of a servo's dead band it is on is not sure."""
+_TURNS_ROUND, _YIELDS = 1e-3, 0.7
+"""rad, and of the dead band: where an error is no larger, which side it is on is not sure. Joints
+of Go1 and MEVIUS that are held by less than their dry friction have from none to all of it."""
+
+_ANYWHERE = 0.45
+"""Of a dead band: standard deviation of what friction carries of a joint that has not yielded."""
 
 
 @dataclass(frozen=True)
@@ -176,9 +180,12 @@ class StandRows:
         self.jacobians = linear - cross_matrices(self._arms) @ turning
         known = np.isfinite(reading.command)
         lead = np.where(known, reading.command - reading.position, 0.0)
-        self._signs = lead / np.hypot(lead, _TURNS_ROUND)
-        self._lead = lead - numbers.deadband * self._signs
+        band, stuck = numbers.deadband, _turned(numbers.stuck)
+        self._signs = lead / (size := np.hypot(lead, _turned(band)))
+        self._lead = lead - band * self._signs
+        self._by_band = self._signs - (_YIELDS * band) ** 2 * lead / size**3
         self._stiff = np.where(known, numbers.stiff, 0.0)
+        self._held = _ANYWHERE * numbers.stuck * self._stiff * stuck / np.hypot(lead, stuck)
         self._known = known
         self._scale = robot.total_mass * float(np.linalg.norm(robot.gravity))
         own, sources = 3 + 3 * len(points), robot.nu + 3 * len(points) + 12
@@ -200,6 +207,7 @@ class StandRows:
         # A joint rests anywhere in its band of dry friction; half of it is the last motion's.
         rubbing = noise.friction * self._numbers.rubbing
         torque = np.hypot(_LINEAR * self._scale * length, rubbing / math.sqrt(6.0))
+        torque = np.hypot(torque, self._held)
         torque = np.where(self._known, torque, _UNKNOWN * self._scale * length)
         base = _BALANCE * self._scale * np.array([1.0, 1.0, 1.0, length, length, length])
         flatness = np.full(len(pressed), noise.flatness)
@@ -295,7 +303,7 @@ class StandRows:
             row = 6 + joint
             self._put(by_x, stiffness[:, row], "offset", name)
             self._put(by_x[row], self._lead[joint], "kp", name)
-            self._put(by_x[row], -(numbers.kp[joint] * self._signs[joint]), "deadband", "servos")
+            self._put(by_x[row], -(numbers.kp[joint] * self._by_band[joint]), "deadband", "servos")
         self._gravity(by_x, by_mass, by_com, by_slope)
         self._in_positions(residual, by_x, by_own, by_noise)
         self.residual[:nv] = residual
@@ -369,6 +377,11 @@ class StandRows:
             self._put(by_x[point], self._ahead[point, 2], "length", foot)
 
 
+def _turned(band: float) -> float:
+    """Returns the error (rad) for which a dead band, or friction of one sign, is there in part."""
+    return math.hypot(_TURNS_ROUND, _YIELDS * band)
+
+
 # What parameters say of a robot and its surroundings, and how gravity pulls on it.
 
 
@@ -415,6 +428,7 @@ class Numbers:
         mass: Of the whole robot (kg).
         heaviness: The mass at which noise is taken (kg), as ``stiff`` is the kp.
         stiff: (nu,) kp, by which an encoder's noise becomes torque.
+        stuck: Dead band by which friction of joints that have not yielded is noise (rad).
         rubbing: (nu,) friction, that nobody knows the place in.
         loads: Known masses that were put on.
     """
@@ -436,6 +450,7 @@ class Numbers:
     mass: float
     heaviness: float
     stiff: Array
+    stuck: float
     rubbing: Array
     loads: tuple[Load, ...] = ()
 
@@ -574,7 +589,8 @@ class StandEquations:
     ) -> None:
         self.robot, self.table, self.noise = robot, table, noise
         self._kp, self._friction, self._stiff = kp, friction, kp
-        self._heaviness = robot.total_mass
+        self._heaviness, band = robot.total_mass, table.place("deadband", "servos")
+        self._stuck = 0.0 if band is None else float(table.width[band])
         model = robot.structure.model
         self._bodies = [(link, at, model.inertias[at].copy()) for link, at in bodies_of(robot)]
         self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
@@ -601,13 +617,15 @@ class StandEquations:
         return total
 
     def weigh_at(self, x: Array) -> None:
-        """Takes kp and weight, by which noise becomes torque, the stated ones before, from x.
+        """Takes kp, weight and dead band, by which noise becomes torque, from x.
 
-        If it followed the parameters from step to step, steps would go where noise is large.
+        Before it is the stated ones, and the dead band's width. If it followed the parameters from
+        step to step, steps would go where noise is large.
         """
         names = self.robot.joint_names
         self._stiff = self.table.of_each(x, "kp", names, self._kp)
         self._heaviness = self._mass(x)
+        self._stuck = abs(self.table.value(x, "deadband", "servos", "", 0.0))
 
     def stand(self, stand: int, numbers: Numbers, evaluations: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of one stand, its own unknowns eliminated."""
@@ -676,6 +694,7 @@ class StandEquations:
             mass=self._mass(x),
             heaviness=self._heaviness,
             stiff=self._stiff,
+            stuck=self._stuck,
             rubbing=self._friction,  # as stated: where little is estimated, torques were sure
         )
 
@@ -733,11 +752,9 @@ class StandEquations:
 
     def residuals(self, x: Array) -> list[float]:
         """Returns the root mean square of each stand's whitened residuals."""
-        numbers, found = self._numbers(x), []
-        for stand in range(len(self._readings)):
-            left = self.stand(stand, numbers)
-            found.append(math.sqrt(left.chi2 / max(left.rows, 1)))
-        return found
+        numbers = self._numbers(x)
+        left = [self.stand(stand, numbers) for stand in range(len(self._readings))]
+        return [math.sqrt(one.chi2 / max(one.rows, 1)) for one in left]
 
     def joint_residuals(self, x: Array) -> tuple[Array, Array]:
         """Returns by how much measured positions are beyond predicted ones, and noise.

@@ -245,6 +245,9 @@ _ALSO = 2.0
 _NOISY = 5.0
 """Times what was expected: noise of which there is so much hides a cause."""
 
+_RUBS = 4.0
+"""Likewise, of dry friction: of what is random in it, and what is of one sign."""
+
 _FAR = 4.5
 """Standard deviations: of a hundred numbers that are as was said, none is so far off."""
 
@@ -259,7 +262,7 @@ _RESIDUALS_CHANCE = 1e-3
 
 
 def suspect_stands(
-    posterior: Posterior, found: StandNoise, expected: StandNoise
+    posterior: Posterior, found: StandNoise, expected: StandNoise, stuck: float
 ) -> Iterator[Diagnostic]:
     """Yields what the model does not explain of the measurements.
 
@@ -267,6 +270,7 @@ def suspect_stands(
         posterior: What is known of the parameters.
         found: The noise that was found.
         expected: The noise that was expected.
+        stuck: See ``_findings``.
     """
     from scipy import stats  # slow to import
 
@@ -275,9 +279,12 @@ def suspect_stands(
         yield diagnose("residuals-too-large", times=math.sqrt(ratio))
     if found.flatness > _NOISY * expected.flatness:
         yield diagnose("feet-off-the-plane", off=Quantity(found.flatness, "m"))
-    if found.friction > _NOISY * expected.friction:
-        yield diagnose("torques-off", times=found.friction / expected.friction)
-    own = [place for place, one in enumerate(posterior.parameters) if _is_own(one)]
+    bands = posterior.mean[[one.kind == "deadband" for one in posterior.parameters]]
+    one_sign = -float(np.minimum(bands, 0.0).sum()) / max(stuck, _NOTHING**2)
+    if (times := found.friction / expected.friction + one_sign) > _RUBS:
+        yield diagnose("torques-off", times=times)
+    numbers = enumerate(posterior.parameters)
+    own = [place for place, one in numbers if one.kind not in OF_SURROUNDINGS]
     # What is known before and after differ in variance by what an estimate is surprised by, if the
     # parameter is as it was said to be: one by poor measurements stays near the stated value, and
     # tells as much by a smaller step.
@@ -293,15 +300,10 @@ def suspect_stands(
         )
     ]
     if far:
-        worst = max(far, key=lambda place: abs(moved[place]))
-        names = [posterior.parameters[place].name for place in far]
-        yield diagnose("far-from-the-file", names=names, widths=abs(float(moved[worst])))
+        names, widths = [posterior.parameters[place].name for place in far], np.abs(moved[far])
+        yield diagnose("far-from-the-file", names=names, widths=float(widths.max()))
     flatter = min(1.0, found.flatness / expected.flatness)
     yield from suspect_surroundings(posterior, flatter)
-
-
-def _is_own(one: Parameter) -> bool:
-    return one.kind not in OF_SURROUNDINGS
 
 
 def suspect_surroundings(posterior: Posterior, flatter: float = 1.0) -> Iterator[Diagnostic]:
@@ -428,22 +430,23 @@ def fit_stands(
     try:
         found = _without_contradictions(fit, given)
     except (MeasurementError, FitError) as error:
+        if isinstance(error, FitError) and weight is not None:  # a known mass may tell why
+            bare = fit_stands(robot, stands, priors=priors, kp=kp, encoder=encoder)
+            load = bare.total_mass.mean / weight - 1
+            if abs(load) * weight > _FAR * bare.total_mass.std:
+                said = diagnose("known-mass-contradicts-the-scale", load=100 * load)
+                return replace(bare, weight=weight, failures=(said, *bare.failures))
         if wiring := find_wiring(robot, given, evidence, fit):
             raise MeasurementError(given.source, wiring.found) from error
         raise
     # Plugs that are exchanged leave residuals, or a stand out; a wrong scale and a slope do not.
-    whole = all(one.code != "stand-left-out" for one in found.diagnostics)
-    if whole and all(one.code in _LEAVE_NONE for one in found.failures):
-        return found
-    if wiring := find_wiring(robot, given, evidence, fit):
-        return replace(found, failures=(wiring.found, *found.failures))
-    return found
+    left_out = any(one.code == "stand-left-out" for one in found.diagnostics)
+    searched = left_out or any(one.code not in _LEAVE_NONE for one in found.failures)
+    wiring = find_wiring(robot, given, evidence, fit) if searched else None
+    return replace(found, failures=(wiring.found, *found.failures)) if wiring else found
 
 
-_LEAVE_NONE = (
-    *("scale-far-from-the-file", "known-mass-contradicts-the-scale"),
-    "ground-slopes",
-)
+_LEAVE_NONE = ("scale-far-from-the-file", "known-mass-contradicts-the-scale", "ground-slopes")
 
 
 def _without_contradictions(
@@ -534,8 +537,7 @@ class _Problem:
 
     def evidence(self) -> float:
         """Returns the logarithm of how likely the stands are, linear about the file's numbers."""
-        equations, _ = self.equations()
-        message = equations.linearise(self.table.stated, self.table.stated)
+        message = self.equations()[0].linearise(self.table.stated, self.table.stated)
         return message.evidence(self.table, np.zeros(len(self.table)))
 
     def equations(
@@ -553,13 +555,18 @@ class _Problem:
         known = _estimate(robot, stands, equations, weighed, None)
         # With what is known of the encoders now, fewer joints may be at a stop.
         equations, notes = self.equations(known)
-        equations.weigh_at(known.mean)
-        equations.noise = find_noise(equations, known, weighed)
-        equations.table = alike(table, equations.noise, self.noise)
-        known = _estimate(robot, stands, equations, weighed, known.mean)
+        for _ in range(_PASSES):
+            equations.weigh_at(before := known.mean)
+            equations.noise, equations.table = self.noise, table
+            equations.noise = find_noise(equations, known, weighed)
+            equations.table = alike(table, equations.noise, self.noise)
+            known = _estimate(robot, stands, equations, weighed, known.mean)
+            at = table.place("deadband", "servos")
+            if at is None or abs(known.mean[at] - before[at]) < known.std[at]:
+                break
         equations.table = ParameterTable(known.parameters)
         x, weight = known.mean, self.weight
-        doubts = tuple(suspect_stands(known, equations.noise, self.noise))
+        doubts = tuple(suspect_stands(known, equations.noise, self.noise, self.stuck))
         level = all(one.code != "ground-slopes" for one in doubts)
         return StandFit(
             name=robot.name,
@@ -578,6 +585,10 @@ class _Problem:
             diagnostics=(*notes, *_findings(known, self.stuck)),
             posterior=known,
         )
+
+
+_PASSES = 5
+"""In which friction that holds joints is noise by the last one's: two to four are enough."""
 
 
 def _estimate(
