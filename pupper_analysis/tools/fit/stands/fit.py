@@ -564,6 +564,7 @@ class _Problem:
             at = table.place("deadband", "servos")
             if at is None or abs(known.mean[at] - before[at]) < known.std[at]:
                 break
+        _check_feet(robot, stands, equations, known)
         equations.table = ParameterTable(known.parameters)
         x, weight = known.mean, self.weight
         doubts = tuple(suspect_stands(known, equations.noise, self.noise, self.stuck))
@@ -613,9 +614,7 @@ def _estimate(
     except FitError:
         _check_feet(robot, stands, equations)  # which may tell why
         raise
-    posterior = logarithms.of_posterior(found)
-    _check_feet(robot, stands, equations, posterior)
-    return posterior
+    return logarithms.of_posterior(found)
 
 
 _ENOUGH = 2e-3
