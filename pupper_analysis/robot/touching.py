@@ -117,6 +117,9 @@ def _freed(robot: Robot) -> Robot:
         if not base or model.body_geomnum[chain[1:]].any():
             problem = diagnose("no-base-to-weld", robot=robot.name, base=robot.mj_base)
             raise ConfigurationError("contacts", problem)
+        if min(model.body_mass[base], *model.body_inertia[base]) < mujoco.mjMINVAL:
+            problem = diagnose("base-without-mass", robot=robot.name, base=robot.mj_base)
+            raise ConfigurationError("contacts", problem)
         pose = (*data.xpos[base], *data.xquat[base])
         for one in chain:  # but for these the base may be in bodies that are empty
             body = spec.body(model.body(one).name)

@@ -92,7 +92,10 @@ def _robot(file: Path, text: str) -> str:
         return arm.URDF if urdf else arm.MJCF
     if stem == "ur5":
         robot = (arm.URDF if urdf else arm.MJCF).replace('"shoulder"', '"shoulder_lift_joint"')
-        return re.sub(r'effort="(\d+)', r'effort="\g<1>0', robot).replace('"tip"', '"tool0"')
+        robot = re.sub(r'effort="(\d+)', r'effort="\g<1>0', robot).replace('"tip"', '"tool0"')
+        inertia = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+        inertial = f'<inertial><mass value="4"/>{inertia}</inertial>'
+        return robot.replace('<link name="base"/>', f'<link name="base">{inertial}</link>')
     if stem == "hand":
         pose = '<keyframe><key name="open" qpos="0 -0.5 0.5 0.1"/></keyframe></mujoco>'
         return arm.MJCF.replace("</mujoco>", pose).replace('"tip"', '"thumb_tip"')
