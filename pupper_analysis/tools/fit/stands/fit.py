@@ -804,8 +804,9 @@ def _check_feet(
                 at, pull, up = ("foot", foot), Quantity(-force, "N"), list(stands.swing[row])
                 one = diagnose("foot-would-pull", subject=at, stand=name, force=pull, swing=up)
                 found.append((-force / (_PULLS * weight), one))
-    if found:  # the worst one: it may have drawn others
-        raise MeasurementError(stands.source, max(found, key=lambda one: one[0])[1])
+    if found:  # the worst one: it may have drawn others; of joints first, which no servo draws
+        worst = max(found, key=lambda one: (one[1].code == _CONTRADICTIONS[0], one[0]))
+        raise MeasurementError(stands.source, worst[1])
 
 
 # Coordinates of parameters in which what is known before is normal: logarithms of what scales.
