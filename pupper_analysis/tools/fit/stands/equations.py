@@ -576,6 +576,9 @@ class StandEquations:
         kp: (nu,) stated stiffness of the servos (N m/rad); 0 without a servo.
         friction: (nu,) stated dry friction of the joints (N m).
         noise: Of the measurements; may be set to another.
+
+    Attributes:
+        stuck: Dead band by which friction of joints that have not yielded is noise (rad).
     """
 
     def __init__(
@@ -589,8 +592,8 @@ class StandEquations:
     ) -> None:
         self.robot, self.table, self.noise = robot, table, noise
         self._kp, self._friction, self._stiff = kp, friction, kp
-        self._heaviness, band = robot.total_mass, table.place("deadband", "servos")
-        self._stuck = 0.0 if band is None else float(table.width[band])
+        self._heaviness = robot.total_mass
+        self.stuck = 0.0
         model = robot.structure.model
         self._bodies = [(link, at, model.inertias[at].copy()) for link, at in bodies_of(robot)]
         self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
@@ -619,13 +622,13 @@ class StandEquations:
     def weigh_at(self, x: Array) -> None:
         """Takes kp, weight and dead band, by which noise becomes torque, from x.
 
-        Before it is the stated ones, and the dead band's width. If it followed the parameters from
-        step to step, steps would go where noise is large.
+        Before it is the stated ones. If it followed the parameters from step to step, steps would
+        go where noise is large.
         """
         names = self.robot.joint_names
         self._stiff = self.table.of_each(x, "kp", names, self._kp)
         self._heaviness = self._mass(x)
-        self._stuck = abs(self.table.value(x, "deadband", "servos", "", 0.0))
+        self.stuck = abs(self.table.value(x, "deadband", "servos", "", 0.0))
 
     def stand(self, stand: int, numbers: Numbers, evaluations: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of one stand, its own unknowns eliminated."""
@@ -694,7 +697,7 @@ class StandEquations:
             mass=self._mass(x),
             heaviness=self._heaviness,
             stiff=self._stiff,
-            stuck=self._stuck,
+            stuck=self.stuck,
             rubbing=self._friction,  # as stated: where little is estimated, torques were sure
         )
 

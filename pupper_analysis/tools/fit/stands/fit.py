@@ -552,6 +552,7 @@ class _Problem:
         """Returns the fit: with the noise that is expected, then with that which is found."""
         robot, stands, table = self.robot, self.stands, self.table
         (equations, _), weighed = self.equations(), _weighed(robot, table, self.weight)
+        equations.stuck = sum(one.width for one in table if one.kind == "deadband")
         known = _estimate(robot, stands, equations, weighed, None)
         # With what is known of the encoders now, fewer joints may be at a stop.
         equations, notes = self.equations(known)
