@@ -191,9 +191,8 @@ com_z: to be added (m).
 
 def _csv(header: Iterable[str], rows: Iterable[Iterable[object]], about: str = "") -> bytes:
     text = io.StringIO()
-    text.write(about)
     csv.writer(text, lineterminator="\n").writerows([header, *rows])
-    return text.getvalue().encode()
+    return (about + text.getvalue()).encode()
 
 
 def _json(

@@ -169,34 +169,27 @@ def find_degrees(
     farthest = np.maximum(np.abs(robot.lower_limits), np.abs(robot.upper_limits))
     farthest = np.where(np.isfinite(farthest) & (farthest > 0), farthest, 2 * np.pi)
     for index in joints:
-        name = robot.joint_names[index]
         for kind, values in (("position", position), ("command", command)):
-            column = values[:, index]
-            column = column[np.isfinite(column)]
+            there = values[np.isfinite(values[:, index]), index]
             # Its median: servos may be asked for what is far beyond a limit, for a moment.
-            reach = np.median(np.abs(column)) if column.size else 0.0
+            reach = np.median(np.abs(there)) if there.size else 0.0
             if reach > _TWICE * farthest[index]:
-                seen = reach / _DEGREES <= _TWICE * farthest[index]
+                column = f"{kind}.{robot.joint_names[index]}"
                 yield diagnose(
                     "column-in-degrees",
-                    column=f"{kind}.{name}",
-                    header=f"{kind}.{name} [deg]",
+                    column=column,
+                    header=f"{column} [deg]",
                     value=Quantity(reach, "rad"),
                     limit=Quantity(farthest[index], "rad"),
-                    degrees=bool(seen),
+                    degrees=bool(reach / _DEGREES <= _TWICE * farthest[index]),
                 )
 
 
 def _ratio(one: Array, other: Array) -> float | None:
     """Returns how much more a column varies than another, in the median of columns."""
-    with np.errstate(invalid="ignore"):
-        both = np.isfinite(one) & np.isfinite(other)
-        spread = [
-            (one[rows, column].std(), other[rows, column].std())
-            for column, rows in enumerate(both.T)
-            if rows.sum() > 1
-        ]
-    ratios = [above / below for above, below in spread if below > _STILL and above > 0]
+    both = np.isfinite(one) & np.isfinite(other)
+    pairs = [(one[rows, at], other[rows, at]) for at, rows in enumerate(both.T) if rows.any()]
+    ratios = [a.std() / b.std() for a, b in pairs if b.std() > _STILL and a.std() > 0]
     return float(np.median(ratios)) if ratios else None
 
 

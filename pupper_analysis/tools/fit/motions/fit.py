@@ -428,9 +428,8 @@ class Motion:
         narrow = np.linalg.inv(whole)
         spread = width[:, None] * spread * width + posterior.precision
         # With what was promised and not found.
-        covariance = narrow @ (spread - whole) @ narrow + posterior.covariance / np.outer(
-            width, width
-        )
+        promised = posterior.covariance / np.outer(width, width)
+        covariance = narrow @ (spread - whole) @ narrow + promised
         return self.moments.of_posterior(posterior, covariance)
 
 
@@ -468,8 +467,7 @@ class SeriesNoise:
     @staticmethod
     def white(series: Sequence[Array]) -> SeriesNoise:
         """Returns noise without memory, that some series (n,) are."""
-        deviation = root_mean_square(series)
-        deviation = max(deviation, _LEAST) if math.isfinite(deviation) else _LEAST
+        deviation = float(np.fmax(root_mean_square(series), _LEAST))  # which is NaN of nothing
         return SeriesNoise(np.zeros(0), deviation, deviation)
 
     @staticmethod
@@ -502,9 +500,8 @@ class SeriesNoise:
         The noise is w through a filter; so its sums are those of w with the weights through the
         filter backwards.
         """
-        back = lfilter([self.innovation], [1.0, *-self.coefficients], weights[::-1], axis=0)
-        turned: Array = back.T
-        return turned
+        turned = [1.0, *-self.coefficients]
+        return np.asarray(lfilter([self.innovation], turned, weights[::-1], axis=0)).T
 
 
 def root_mean_square(series: Iterable[Array]) -> float:

@@ -283,8 +283,7 @@ def suspect_stands(
     one_sign = -float(np.minimum(bands, 0.0).sum()) / max(stuck, _NOTHING**2)
     if (times := found.friction / expected.friction + one_sign) > _RUBS:
         yield diagnose("torques-off", times=times)
-    numbers = enumerate(posterior.parameters)
-    own = [place for place, one in numbers if one.kind not in OF_SURROUNDINGS]
+    own = [at for at, one in enumerate(posterior.parameters) if one.kind not in OF_SURROUNDINGS]
     # What is known before and after differ in variance by what an estimate is surprised by, if the
     # parameter is as it was said to be: one by poor measurements stays near the stated value, and
     # tells as much by a smaller step.
