@@ -32,10 +32,9 @@ from pupper_analysis.statics.equilibrium import (
     gravity_compensation,
 )
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
-from pupper_analysis.tools.hold.judged import judge_held
 from pupper_analysis.tools.hold.motions import JointMotions, bound_in_common
 from pupper_analysis.tools.hold.sag import SaggedPosture, sag_posture
-from pupper_analysis.tools.hold.verify import PostureVerification, verify_posture
+from pupper_analysis.tools.hold.verify import PostureVerification, judge_held, verify_posture
 from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
 
 Array = NDArray[np.float64]
