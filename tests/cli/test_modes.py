@@ -56,7 +56,7 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
         *(("--repair-inertia",), ("--copy-meshes",)),
     ),
     (*STUDY, "--dry-run"): (
-        *(("--figures",), ("--report", "r.html")),
+        ("--report", "r.html"),
         *(("--minimise", "servo_sag"), ("--maximise", "servo_sag"), ("--write", "1")),
     ),
     ("walk", "v3", "--policy", "policy.json"): (("--fit", "fit.json"),),
