@@ -244,7 +244,7 @@ def write_junit(annotations: Iterable[Annotation]) -> str:
     failing = [one.level != "notice" and not one.known for one in listed]
     counts = {"tests": str(len(listed)), "failures": str(sum(failing)), "errors": "0"}
     root = ElementTree.Element("testsuites", counts)
-    suite = ElementTree.SubElement(root, "testsuite", name="pupper-analysis", **counts)
+    suite = ElementTree.SubElement(root, "testsuite", {"name": "pupper-analysis"} | counts)
     for one, fails in zip(listed, failing, strict=True):
         file, line = one.file_and_line
         names = {"name": escape_control(one.title), "classname": escape_control(one.kind)}
