@@ -226,7 +226,7 @@ class Rig:
             self.model.pair_friction[:, 2:], [RUBBER[0], RUBBER[1], RUBBER[1]]
         )
         self.model.dof_damping[self.dofs] += drive.kd
-        self.weight = true.total_mass * float(np.linalg.norm(true.gravity))
+        self.weight = true.weight
         scale = self.weight * stated.stand_height / V3_TORQUE
         self.friction = other.stiction * scale
         self.base = int(self.model.jnt_bodyid[self.model.jnt_type.argmin()])

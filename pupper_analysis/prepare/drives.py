@@ -293,7 +293,7 @@ def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
 
 def _another(robot: Robot, seen: StandVerification) -> bool:
     """Tells whether the two files are not of one robot: then no gains make them stand alike."""
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    weight = robot.weight
     return seen.mujoco_residual > ANOTHER_ROBOT * weight
 
 

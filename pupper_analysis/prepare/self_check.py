@@ -275,7 +275,7 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
         error, collapses = motion.end_height - motion.height, motion.collapses
         alike = abs(error) <= SAME_HEIGHT * motion.height
     else:
-        weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+        weight = robot.weight
         largest = max(largest, LEVER * weight)
         collapses = not float(np.abs(moved).max()) <= LEFT
         rubbing = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index]

@@ -97,7 +97,7 @@ class Requirement:
         """
         inertia = felt_inertia(robot, qpos)
         timestep = float(robot.mj_model.opt.timestep) / parts
-        weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+        weight = robot.weight
         most = max(float(np.abs(torques).max()), _LEAST_LEVER * weight * robot.stand_height)
         calm = np.full(robot.nu, np.inf)
         if robot.closure is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite, check_length, check_type, check_vector
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.units import READ_IN
 
@@ -101,7 +101,7 @@ class Slope:
     friction: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "angle", _between("slope.angle", self.angle, math.pi))
+        object.__setattr__(self, "angle", _between("slope.angle", self.angle, math.pi, "rad"))
         object.__setattr__(self, "uphill", check_finite("slope.uphill", self.uphill))
         object.__setattr__(self, "friction", self.through((0.0, 0.0, 0.0)).friction)
 
@@ -283,15 +283,16 @@ def slope_normal(angle: float, uphill: float) -> Point:
     return -rise * math.cos(uphill), -rise * math.sin(uphill), math.cos(angle)
 
 
-def _between(name: str, value: float, high: float) -> float:
-    """Returns a number from 0 to ``high``.
+def _between(name: str, value: float, high: float, unit: str = "") -> float:
+    """Returns a number, of a unit or none, from 0 to ``high``.
 
     Raises:
         ConfigurationError: If it is none.
     """
     number = check_finite(name, value)
     if not 0 <= number <= high:
-        raise ConfigurationError(name, diagnose("not-between", given=number, low=0, high=high))
+        given, most = (Quantity(one, unit) if unit else one for one in (number, high))
+        raise ConfigurationError(name, diagnose("not-between", given=given, low=0, high=most))
     return number
 
 

@@ -335,6 +335,11 @@ class Robot:
         """Mass of the URDF's model (kg)."""
         return self.structure.total_mass
 
+    @property
+    def weight(self) -> float:
+        """Of the URDF's model, in its gravity (N)."""
+        return self.total_mass * float(np.linalg.norm(self.gravity))
+
     @cached_property
     def structure(self) -> Structure:
         """What configurations need to know of the robot; worked out once."""

@@ -280,7 +280,7 @@ def watch_contacts(
     carrying = robot.feet_with(stand.stance_feet)
     feet = {foot: np.zeros(3) for foot in robot.contact_points}
     count, touching = 0, set[tuple[str, str]]()
-    least = TOUCH * robot.total_mass * float(np.linalg.norm(robot.gravity))
+    least = TOUCH * robot.weight
     last_second = range(settling - round(LAST / model.opt.timestep), settling)
     # Backwards: the first moment stays. Both parts end with their last state.
     for index in (*range(len(states) - 1, settling - 1, -step), *range(settling - 1, -1, -step)):

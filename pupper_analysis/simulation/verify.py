@@ -326,7 +326,7 @@ def verify_stand(
     out = stand.ways_out(robot)
     borne = sum(force[2] for force in predicted.values())
     if robot.welds:  # which may bear more than all, and hands hold down
-        borne = robot.total_mass * float(np.linalg.norm(robot.gravity))
+        borne = robot.weight
     light = LIGHT * borne
     least = FORCE_TOLERANCE * light
     loaded = {foot for foot, force in predicted.items() if force @ out[foot] >= least}
@@ -579,7 +579,7 @@ def _deviations(
     off = deviations(found.joint_error, found.torque_error)
     if not found.force_error < FORCE_TOLERANCE:
         off.append(diagnose("foot-force-off", error=found.force_error))
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    weight = robot.weight
     if off:
         torques = found.joint_torques, found.predicted_torques
         off += drive_limits(robot, found, *torques, stand.joint_positions(robot))

@@ -218,7 +218,7 @@ def _contacts(
         soles={foot: own for foot, own in soles.items() if own},
         welds=robot.welds,
         stated=stated_forces(robot, feet),
-        weight=_weight(robot) if robot.touching else 0.0,
+        weight=robot.weight if robot.touching else 0.0,
     )
 
 
@@ -230,11 +230,7 @@ def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | No
     if not pressing:
         return None
     given = np.array([forces[name] for name in pressing])
-    return np.array([rows[name] for name in pressing]), given / _weight(robot)
-
-
-def _weight(robot: Robot) -> float:
-    return robot.total_mass * float(np.linalg.norm(robot.gravity))
+    return np.array([rows[name] for name in pressing]), given / robot.weight
 
 
 def _normal(foot: str, normal: ArrayLike) -> Array:

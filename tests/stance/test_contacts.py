@@ -101,21 +101,27 @@ def test_mujoco_holds_a_stand_with_a_hand_on_a_table(
         np.testing.assert_allclose(sag.contact_forces[foot], force, atol=5e-3)
 
 
-def in_mujoco(robot: pa.Robot, stand: pa.Stand) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """J^T of the contact points, what motors and contacts add up to, and rows of the cones."""
-    model, points = robot.mj_model, list(stand.stance_feet)
+def contact_rows(robot: pa.Robot, stand: pa.Stand) -> tuple[mujoco.MjData, list[np.ndarray]]:
+    """MuJoCo's data at a stand, and its Jacobians (3, nv) of the contact points."""
+    model = robot.mj_model
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_forward(model, data)
     rows = []
-    for point in points:
+    for point in stand.stance_feet:
         body, place = robot.contact_places[point]
         centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
         deep = robot.contact_radius[point] - stand.depths[point] / 2
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jac(model, data, jacobian, None, centre - deep * stand.normals[point], body)
-        rows.append(jacobian[:, robot.mj_convention.qvel_index])
-    pushed = np.vstack(rows).T
+        rows.append(jacobian)
+    return data, rows
+
+
+def in_mujoco(robot: pa.Robot, stand: pa.Stand) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """J^T of the contact points, what motors and contacts add up to, and rows of the cones."""
+    (data, rows), points = contact_rows(robot, stand), list(stand.stance_feet)
+    pushed = np.vstack(rows)[:, robot.mj_convention.qvel_index].T
     load = data.qfrc_bias[robot.mj_convention.qvel_index]
     size = 3 * len(points)
     cones = np.zeros((4 * len(points), size))

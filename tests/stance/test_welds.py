@@ -23,6 +23,7 @@ from pupper_analysis.statics.contacts import stated_forces
 from pupper_analysis.statics.support_polygon import support_corners
 from pupper_analysis.tools.payload.limit import payload_limit
 from pupper_analysis.tools.stand.stance import study_stance
+from tests.stance.test_contacts import contact_rows
 from tests.support.legged import quadruped, with_arm
 from tests.support.variants import load
 
@@ -96,17 +97,7 @@ def least(robot: pa.Robot, stand: pa.Stand, *, pressing: bool) -> tuple[np.ndarr
     Of forces in the friction cones, or of those that only press; a weld bears what is left.
     """
     model, points = robot.mj_model, list(stand.stance_feet)
-    data, order = mujoco.MjData(model), robot.mj_convention.qvel_index
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_forward(model, data)
-    rows = []
-    for point in points:
-        body, place = robot.contact_places[point]
-        centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
-        deep = robot.contact_radius[point] - stand.depths[point] / 2
-        jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, centre - deep * stand.normals[point], body)
-        rows.append(jacobian)
+    (data, rows), order = contact_rows(robot, stand), robot.mj_convention.qvel_index
     for point in robot.welds.values():
         body = model.body(robot.mj_base).id if point is None else robot.contact_places[point][0]
         both = np.zeros((2, 3, model.nv))

@@ -185,7 +185,7 @@ class Units:
     @staticmethod
     def of(robot: Robot, stand: Stand) -> Units:
         """Returns those of a robot in a stand."""
-        weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+        weight = robot.weight
         if robot.welds:
             return Units(weight, robot.stand_height)
         lowest = min(float(stand.foot_targets[foot][2]) for foot in stand.stance_feet)

@@ -643,7 +643,7 @@ def release_margin(way: HomotopyPath) -> float:
         robot.contacts[foot].sliding_friction * z - math.hypot(x, y)
         for foot, (x, y, z) in zip(feet, overshot.tolist(), strict=True)
     ]
-    return float(min(left, default=math.inf) / (robot.total_mass * np.linalg.norm(robot.gravity)))
+    return float(min(left, default=math.inf) / robot.weight)
 
 
 @check_arguments

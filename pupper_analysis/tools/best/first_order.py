@@ -127,7 +127,7 @@ class SmallPayload:
         self.mass = SMALL * robot.total_mass
         loaded = with_payload(robot, self.mass, point)
         self._laws = {foot: GroundLaw.of(loaded, foot) for foot in robot.contact_points}
-        share = robot.total_mass * float(np.linalg.norm(robot.gravity)) / len(self._laws)
+        share = robot.weight / len(self._laws)
         self._usual = {foot: law.depth(share) for foot, law in self._laws.items()}
 
     def borne(self, stand: Stand) -> FirstOrder | None:

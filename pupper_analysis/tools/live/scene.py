@@ -416,7 +416,7 @@ class Scene:
 
 def force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
     """Returns contact forces as arrows (n, 2, 3): from the ground up (m)."""
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    weight = robot.weight
     scale = _ARROW * robot.stand_height / weight
     return np.array([[one.point, one.point + scale * one.force] for one in contacts])
 

@@ -226,7 +226,7 @@ def rolling_levers(
         {foot: (3,) in world axes, against its turning}, of those that the ground resists.
     """
     robot, found = config.robot, {}
-    share = robot.total_mass * float(np.linalg.norm(robot.gravity)) / max(1, len(normals))
+    share = robot.weight / max(1, len(normals))
     accelerations = config.foot_accelerations(qacc)
     for foot, normal in normals.items():
         parameters = robot.contacts.get(foot)

@@ -492,7 +492,7 @@ def _watch(
     events: dict[Diagnostic, float] = {}
     out = ground_normals(robot, path.stances[0].task.ground)
     slip = dict.fromkeys(path.feet, 0.0)
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    weight = robot.weight
     tilt = 0.0
     for index in evaluations:
         sight = watcher.look(states[index], plan.ctrl[min(index + 1, len(plan.ctrl) - 1)])

@@ -300,7 +300,7 @@ def tipping_impulses(
         hinge *= math.copysign(1.0, np.cross(hinge, com - pivot) @ UP)
         lever = com - pivot - radius * UP
         rise = np.linalg.norm(np.cross(hinge, lever)) - lever[2]
-        energy = robot.total_mass * np.linalg.norm(robot.gravity) * rise
+        energy = robot.weight * rise
         twist = np.zeros(robot.nv)
         twist[:3] = np.cross(hinge, config.qpos[:3] - pivot)
         twist[3:6] = config.base_rotation().T @ hinge

@@ -233,7 +233,7 @@ def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
 def _describe_press(
     robot: Robot, hand: str, problem: Balance, carrying: Contacts, forces: Array
 ) -> LargestPress:
-    limits, weight = robot.effort_limits, robot.total_mass * float(np.linalg.norm(robot.gravity))
+    limits, weight = robot.effort_limits, robot.weight
     torques = np.abs(problem.torques - problem.joints @ forces)
     each = dict(zip(carrying.feet, forces.reshape(-1, 3), strict=True))
     out = dict(zip(carrying.feet, problem.normals, strict=True))

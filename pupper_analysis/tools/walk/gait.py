@@ -362,7 +362,7 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
     followed = follow(stage, run, warm_up)
     power = float(np.maximum(torques * rates, 0.0).sum(axis=1).mean())
     speed = float(np.linalg.norm(followed.velocity))
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    weight = robot.weight
     ticks = run.states[first :: stage.substeps]
     ticks = ticks[np.isfinite(ticks).all(axis=1)]
     seen, touching = _contacts(stage, run.case.model, ticks, statics=not run.case.seed)

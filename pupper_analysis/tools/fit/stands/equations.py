@@ -187,7 +187,7 @@ class StandRows:
         self._stiff = np.where(known, numbers.stiff, 0.0)
         self._held = _ANYWHERE * numbers.stuck * self._stiff * stuck / np.hypot(lead, stuck)
         self._known = known
-        self._scale = robot.total_mass * float(np.linalg.norm(robot.gravity))
+        self._scale = robot.weight
         own, sources = 3 + 3 * len(points), robot.nu + 3 * len(points) + 12
         rows = robot.nv + len(points)
         self.residual = np.zeros(rows)
@@ -710,7 +710,7 @@ class StandEquations:
         """Returns a stand's own unknowns to begin with: on its feet, as the encoders have it."""
         robot, points = self.robot, reading.points
         forces = np.zeros((len(points), 3))
-        forces[:, 2] = robot.total_mass * float(np.linalg.norm(robot.gravity)) / len(points)
+        forces[:, 2] = robot.weight / len(points)
         return level_base(robot, reading.position, points), forces
 
     def informations(self, x: Array) -> list[Array]:

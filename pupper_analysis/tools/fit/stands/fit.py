@@ -632,7 +632,7 @@ def expected_noise(
         stands: Its stands, whose positions may show the encoders' step.
         encoder: Standard deviation of a position, if it is known (rad).
     """
-    scale = robot.total_mass * float(np.linalg.norm(robot.gravity)) * robot.stand_height
+    scale = robot.weight * robot.stand_height
     if encoder is None:
         step = quantum_of(stands)
         encoder = step / math.sqrt(12.0) if step else _FINE_ENCODER
@@ -791,7 +791,7 @@ def _check_feet(
     table = equations.table
     x = table.stated if posterior is None else posterior.mean
     _, offsets = _zeros(robot, table, posterior)
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    weight = robot.weight
     found: list[tuple[float, Diagnostic]] = []
     for row, name in enumerate(stands.names):
         for foot, (height, off) in equations.heights_in_the_air(row, x, offsets).items():
