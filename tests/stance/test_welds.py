@@ -309,6 +309,11 @@ def test_a_bolted_arm_is_judged_and_shown_as_a_stand_is(arm: pa.Robot, *, alone:
     shown = write_markdown(build_report([("arm", found)]))
     assert "base is fixed in the world" in shown
     assert " inf " not in shown
+    wrench = found.statics.weld_wrenches["base"].tolist()
+    (row,) = (line for line in shown.splitlines() if line.startswith("| base |"))
+    assert [float(cell) for cell in row.split("|")[2:5]] == pytest.approx(wrench[:3], abs=6e-4)
+    moment = shown.split("by a moment of ")[1].split(" N m")[0]
+    assert [float(one) for one in moment.split()] == pytest.approx(wrench[3:], rel=1e-3, abs=1e-3)
 
 
 def test_welds_are_typed_and_kept() -> None:
