@@ -57,9 +57,13 @@ and fro by 2e-2 or more."""
 
 
 def as_loaded(robot: Robot) -> Robot:
-    """Returns the robot as its files have it, of one that may have been changed since."""
+    """Returns the robot as its files have it, of one that may have been changed since.
+
+    And without the contacts of a task: of the parts that are welded nothing else would carry.
+    """
     published = robot.published
-    return robot if published is None or published.loaded is None else published.loaded
+    loaded = robot if published is None or published.loaded is None else published.loaded
+    return loaded if loaded.bare is None else loaded.bare
 
 
 def own_run(robot: Robot) -> OwnRun | None:

@@ -94,3 +94,19 @@ def test_what_sleeps_is_judged(tmp_path: Path) -> None:
     robot = slipped(tmp_path, asleep)
     assert judged(robot).code is VerdictCode.HOLDS
     assert "sleep-not-differentiated" in {note.code for note in robot.notes}
+
+
+def test_what_the_file_does_is_no_matter_of_what_a_task_welds(tmp_path: Path) -> None:
+    """A foot that is welded carries nothing; in the file it carries as the others do."""
+
+    def with_motors(text: str) -> str:
+        text = re.sub(_CTRL, "", text)
+        motor = r'<motor \g<1> ctrlrange="-90 90" ctrllimited="true"/>'
+        return re.sub(r'<position (joint="[^"]*")[^>]*/>', motor, text)
+
+    robot = slipped(tmp_path, with_motors)
+    for contacts in ({}, {next(iter(robot.feet)): pa.Weld()}):
+        stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=contacts))
+        verdict = judge_stand(robot, stand)
+        assert verdict.passed, codes(verdict)
+        assert "on-servos-made-up" in codes(verdict)
