@@ -24,7 +24,7 @@ from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.stand.stance import largest_presses
 from pupper_analysis.tools.study.design import task_of
 from pupper_analysis.tools.study.study import Study
-from tests.stance.test_tilts import edges_of, in_balance, sideways
+from tests.stance.test_slopes import edges_of, in_balance, sideways
 from tests.support.legged import biped, quadruped, with_arm
 from tests.support.variants import load
 
