@@ -6,7 +6,7 @@ service obeys; it leaves every file whole; and it calls no MJCF sound, agreeing 
 MuJoCo refuses. ::
 
     python tests/fuzz.py 20000            # as many inputs (make fuzz N=20000)
-    python tests/fuzz.py --seconds 60     # for a minute, as CI does
+    python tests/fuzz.py 500 --seed 1     # the same inputs as whoever gave that seed, as CI does
     python tests/fuzz.py --again FILE     # one failure, as it was kept
 
 Failures are kept in build/fuzz; those that were mended are in tests/fuzz_seeds, which run as tests.

@@ -74,7 +74,8 @@ class Policy:
         """
         path = Path(path)
         try:
-            beside = path.with_suffix(".toml") if contract is None else Path(contract)
+            # Not with_suffix: "." has no name to give another suffix to.
+            beside = Path(contract or path.parent / f"{path.stem}.toml")
             there = contract is not None or is_input(beside)
             toml: dict[str, Any] = read_toml(beside)[1] if there else {}
         except InputError as error:
