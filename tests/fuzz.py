@@ -137,7 +137,7 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
     if "Traceback (most recent call last)" in said:
         yield f"a traceback: {said[-500:]}"
     yield from _shown(said, case.arguments)
-    yield from _written(folder, before, may_write=command == "sync")
+    yield from _written(folder, before, case.arguments)
     if status == 0 and command in ("audit", "crosscheck", "stand", "convert", "check"):
         refusal = _refused(folder, case)
         if refusal and "--help" not in case.arguments and "-h" not in case.arguments:
@@ -206,7 +206,10 @@ def _around(said: str, letter: str) -> str:
     return said[max(0, place - 40) : place + 40]
 
 
-def _written(folder: Path, before: Mapping[str, bytes], *, may_write: bool) -> Iterator[str]:
+def _written(
+    folder: Path, before: Mapping[str, bytes], arguments: tuple[str, ...]
+) -> Iterator[str]:
+    read = _checked(folder, arguments) if arguments else []
     for name, content in before.items():
         path = folder / name
         if not path.is_file():
@@ -232,8 +235,11 @@ def _written(folder: Path, before: Mapping[str, bytes], *, may_write: bool) -> I
                     yield f"out.json is no JSON: {error}"
             elif not whole:
                 yield f"{name} is not whole: {now[:40]!r} … {now[-40:]!r}"
-        elif not may_write:
-            yield f"{name} was written to"
+        elif arguments[:1] != ("sync",):
+            # What --force names once, as an output, is not read: "audit - --force --json FILE".
+            named = [one for one in arguments if Path(one).name == name]
+            if "--force" not in arguments or len(named) != 1 or name in read:
+                yield f"{name} was written to"
     for path in folder.rglob("*"):
         if path.name not in before and path.suffix == ".tmp":
             yield f"{path.name} was left"

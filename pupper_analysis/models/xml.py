@@ -84,8 +84,12 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
 
 
 def parse_numbers(text: str | None, default: str) -> NDArray[np.float64]:
-    """Returns the numbers of an attribute that has been checked, or was written here."""
-    return np.array([float(word) for word in (default if text is None else text).split()])
+    """Returns the numbers of an attribute that has been checked, or was written here.
+
+    Hexadecimal ones, too, which MuJoCo reads in a file as C's ``strtod`` does.
+    """
+    words = (default if text is None else text).split()
+    return np.array([float.fromhex(w) if "x" in w.lower() else float(w) for w in words])
 
 
 def parse_text(text: str) -> etree._Element:

@@ -8,6 +8,7 @@ is ever cut.
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -59,12 +60,24 @@ class _Line(NamedTuple):
     wrap: bool = True
 
 
+_COMMAND = re.compile(r"(?<!\S):(?=:)|#(?=#\[)")
+"""Begins what a CI service obeys: ``::error::`` where a line begins, ``##[error]`` anywhere.
+
+Source: actions/runner, ActionCommand.TryParseV2 and TryParse.
+"""
+
+
+def _escape(text: str) -> str:
+    """Returns a text with what would act on a terminal, or on what reads it as a CI log."""
+    return _COMMAND.sub(lambda found: f"\\x{ord(found[0]):02x}", escape_control(text))
+
+
 class SafeConsole(Console):
     """A console that shows what would act on the terminal (ESC, U+202E), and does not do it."""
 
     def render_str(self, text: str, **_: Any) -> Text:
         """Returns what is shown of a text, its own lines apart; nothing in it is markup."""
-        return Text("\n".join(map(escape_control, text.split("\n"))))
+        return Text("\n".join(map(_escape, text.split("\n"))))
 
 
 def make_console() -> Console:
@@ -202,11 +215,11 @@ def _of_sides(block: Sides, view: _View) -> list[_Line]:
     head = Text(f"\n{view.place}. ")
     if block.tag is not None:
         head.append(f"{_plain(block.tag)} ", STYLES.get(block.tag.mark, "cyan"))
-    files = "   ".join(escape_control(one.path) or _plain(one.place) for one in block.columns)
+    files = "   ".join(_escape(one.path) or _plain(one.place) for one in block.columns)
     rows = [f"   {files}"]
     if view.everything:
         quoted = (row for one in block.columns for row in in_english(one.line).split("\n") if row)
-        rows += [f"   | {escape_control(row)}" for row in quoted]
+        rows += [f"   | {_escape(row)}" for row in quoted]
     return [
         _Line(head.append(_plain(block.title)), 3),
         *(_Line(Text(row, "dim"), wrap=False) for row in rows),
@@ -226,7 +239,7 @@ def _of_lines(block: Lines, _: _View) -> list[_Line]:
 @_lines_of.register
 def _of_listing(block: Listing, _: _View) -> list[_Line]:
     rows = block.text.rstrip("\n").split("\n")
-    return [_Line(Text(escape_control(row)), wrap=False) for row in rows]
+    return [_Line(Text(_escape(row)), wrap=False) for row in rows]
 
 
 def _print_block(out: Console, block: Block, place: int = 0, *, everything: bool) -> None:
@@ -260,7 +273,7 @@ def _say(out: Console, line: Text, *, indent: int = 0, wrap: bool = True) -> Non
 
 
 def _plain(words: Words) -> str:
-    return escape_control(in_english(words))
+    return _escape(in_english(words))
 
 
 def _marked(words: Words) -> Text:
@@ -367,9 +380,9 @@ def _fitted(
 def _column(column: Column, cells: Sequence[Cell]) -> _Column:
     texts = [_shown(cell) for cell in cells]
     wide = max(map(cell_len, texts), default=0)
-    head = _wrapped(escape_control(in_english(column.name)), max(wide, _HEADER))
+    head = _wrapped(_escape(in_english(column.name)), max(wide, _HEADER))
     if column.unit not in ("", "1"):
-        unit = f"({escape_control(column.unit)})"
+        unit = f"({_escape(column.unit)})"
         joined = f"{head[-1]} {unit}" if head else unit
         head = [*head[:-1], joined] if cell_len(joined) <= wide else [*head, unit]
     shares = [cell.share if isinstance(cell, Number) else None for cell in cells]
@@ -463,7 +476,7 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 def _shown(cell: Cell) -> str:
-    return escape_control(cell.text if isinstance(cell, Number) else in_english(cell))
+    return _escape(cell.text if isinstance(cell, Number) else in_english(cell))
 
 
 def _wide(columns: Sequence[_Column]) -> int:

@@ -105,15 +105,16 @@ HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] 
 
 
 @pytest.mark.parametrize("terminal", [False, True])
-def test_the_console_shows_what_would_act(terminal: bool) -> None:
+@pytest.mark.parametrize("hostile", [HOSTILE, f"::error::{HOSTILE}", f"##[error]{HOSTILE}"])
+def test_the_console_shows_what_would_act(hostile: str, terminal: bool) -> None:
     out = SafeConsole(file=io.StringIO(), force_terminal=terminal, width=400, emoji=False)
-    out.print(f"robot {HOSTILE.replace(chr(10), '')}")
-    name, place = Name(HOSTILE), FilePlace(Name(HOSTILE), Name(HOSTILE), HOSTILE)
+    out.print(f"robot {hostile.replace(chr(10), '')}")
+    name, place = Name(hostile), FilePlace(Name(hostile), Name(hostile), hostile)
     blocks = (
-        Table(name, (Column(name, HOSTILE),), ((name,),), (name,)),
+        Table(name, (Column(name, hostile),), ((name,),), (name,)),
         Lines((name,), title=name),
-        Sides(tell(problem(HOSTILE)), (place,), (name,), name),
-        Listing(name, HOSTILE.replace("\n", "")),
+        Sides(tell(problem(hostile)), (place,), (name,), name),
+        Listing(name, hostile.replace("\n", "")),
     )
     document = Document(name, name, blocks, passed=False, verdict=name, failures=(name, name))
     print_document(out, replace(document, notes=(name,)), everything=True)
@@ -122,6 +123,7 @@ def test_the_console_shows_what_would_act(terminal: bool) -> None:
     plain = re.sub("\x1b\\[[0-9;]*m", "", text) if terminal else text
     assert not set("\x1b\x9b\u202e\u2028\r") & set(plain)
     assert not any(line.lstrip().startswith("::") for line in plain.splitlines())
+    assert "##[" not in plain
     assert "\x1b[31m" not in text
     assert "[bold]e" in plain
     assert ":smile:" in plain
