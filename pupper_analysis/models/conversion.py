@@ -32,7 +32,9 @@ from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
+from pupper_analysis.models.places import one_line
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
 
 Array = NDArray[np.float64]
@@ -149,6 +151,23 @@ def _take_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[Tre
     for one in JOINT_ATTRIBUTES:
         if one.mujoco:
             getattr(model, one.mujoco)[dofs] = [getattr(joint, one.field) for joint in joints]
+
+
+def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model:
+    """Builds the model of a URDF's text, its base free or fixed.
+
+    Its shapes have no effect, and are left out: the reader complains of what it does not know.
+
+    Raises:
+        ModelError: If Pinocchio cannot read it; the message names the source.
+    """
+    tree = UrdfTree.of(text)
+    tree.remove_shapes()
+    base = (pin.JointModelFreeFlyer(),) if floating else ()
+    try:
+        return pin.buildModelFromXML(to_text(tree.root), *base)
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
 
 
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
@@ -302,5 +321,5 @@ class UrdfImport:
         try:
             return mujoco.MjSpec.from_string(to_text(root), assets=dict(self.assets))
         except (ValueError, RuntimeError) as error:
-            message = " ".join(str(error).split())
-            raise ModelError(self.path, diagnose("urdf-not-imported", message=message)) from error
+            problem = diagnose("urdf-not-imported", message=one_line(error))
+            raise ModelError(self.path, problem) from error

@@ -305,7 +305,7 @@ class Shape:
 
     @cached_property
     def collision(self) -> coal.CollisionGeometry:
-        """The shape in coal; it has one of ``CONVEX``, or a mesh that is known."""
+        """The shape in coal; it is a cone or one of ``CONVEX``, its mesh known."""
         match self.kind, self.size:
             case "sphere", (r,):
                 return coal.Sphere(r)
@@ -313,6 +313,8 @@ class Shape:
                 return coal.Capsule(r, 2 * half)
             case "cylinder", (r, half):
                 return coal.Cylinder(r, 2 * half)
+            case "cone", (r, half):
+                return coal.Cone(r, 2 * half)
             case "ellipsoid", (x, y, z):
                 return coal.Ellipsoid(x, y, z)
             case "box", (x, y, z):
@@ -325,36 +327,12 @@ class Shape:
 
     @cached_property
     def solid(self) -> Solid | None:
-        """Its volume and second moments in closed form, z its axis; None where there is none."""
-        middle = np.zeros(3)
-        match self.kind, self.size:
-            case "box", (a, b, c):
-                volume = 8 * a * b * c
-                moments = np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 3
-            case "sphere", (r,):
-                volume, moments = 4 / 3 * math.pi * r**3, np.full(3, 0.4 * r * r)
-            case "ellipsoid", (a, b, c):
-                volume = 4 / 3 * math.pi * a * b * c
-                moments = np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 5
-            case "cylinder", (r, h):
-                volume = 2 * math.pi * r * r * h
-                across = r * r / 4 + h * h / 3
-                moments = np.array([across, across, r * r / 2])
-            case "cone", (r, h):
-                volume = 2 / 3 * math.pi * r * r * h
-                across = 0.15 * (r * r + h * h)  # 3/80 of the height squared, which is 2 h
-                moments = np.array([across, across, 0.3 * r * r])
-                middle = np.array([0.0, 0.0, -h / 2])  # a quarter of the height above the base
-            case "capsule", (r, h):
-                tube, ball = 2 * math.pi * r * r * h, 4 / 3 * math.pi * r**3
-                volume = tube + ball
-                # The two halves of the ball, their coms 3/8 r beyond the ends of the tube.
-                across = tube * (r * r / 4 + h * h / 3)
-                across += ball * (0.4 * r * r + h * h + 0.75 * h * r)
-                moments = np.array([across, across, (tube / 2 + 0.4 * ball) * r * r]) / volume
-            case _:
-                return None
-        return Solid(float(volume), middle, np.diag(volume * moments))
+        """Its volume and second moments, by coal; None of a mesh, and where there is none."""
+        if self.kind == "mesh" or self.kind not in (*CONVEX, "cone"):
+            return None
+        shape = self.collision
+        inertia = np.array(shape.computeMomentofInertiaRelatedToCOM())
+        return Solid(float(shape.computeVolume()), np.array(shape.computeCOM()), inertia)
 
 
 _GLOBE = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -13,7 +12,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-import numpy as np
 from lxml import etree
 
 from pupper_analysis.base.arguments import check_type
@@ -29,7 +27,7 @@ from pupper_analysis.models.places import (
     refuse_file,
 )
 from pupper_analysis.models.published import existing_file, folders_of_package
-from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER, parse_xml, to_text
 
 
@@ -170,7 +168,7 @@ def urdf_from(
         raise refusal_at(path, root, diagnose("version-unknown", version=root.get("version")))
     undeclared, completed = leave_out_undeclared(root), complete_limits(root)
     notes = [note for note in (undeclared, completed) if note is not None]
-    rewritten = leave_out_odd_materials(root) or bool(notes)
+    rewritten = bool(notes)
     materials = distinct_children(path, root, "material")
     links = distinct_children(path, root, "link")
     joints = distinct_children(path, root, "joint")
@@ -178,9 +176,8 @@ def urdf_from(
         raise refuse_file(Place(path), diagnose("no-links"))
     if len(links) > MAX_LINKS:
         raise refuse_file(Place(path), diagnose("too-many-links", count=len(links), most=MAX_LINKS))
-    spaces = False
     for element in (*links.values(), *joints.values(), *materials.values()):
-        spaces |= check_element(path, element)
+        rewritten |= check_element(path, element)
     for name, joint in joints.items():
         check_joint(path, name, joint, links)
         mimic = joint.find("mimic")
@@ -188,12 +185,9 @@ def urdf_from(
             leader = str(mimic.get("joint"))
             notes.append(diagnose("mimic-of-no-joint", subject=("joint", name), leader=leader))
     check_tree(path, links, joints)
-    if spaces or UNTIDY_NUMBER.search(text):
-        rewritten = True
-        notes.append(diagnose("white-space-normalised"))
     unlimited = taken_as_unlimited(root)
     notes += [] if unlimited is None else [unlimited]
-    if rewritten or unlimited or next(root.iter("capsule"), None) is not None:
+    if rewritten or unlimited:
         text = for_engines(root)
     file = UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))
     if current_run() is not None:  # a command may not look at them, and must not lose them
@@ -250,17 +244,11 @@ _REQUIRED: Final[Mapping[str, tuple[str, ...]]] = {
     "child": ("link",),
 }
 
-# Line breaks and tabs in numbers; an XML parser makes them spaces, Pinocchio's does not.
-UNTIDY_NUMBER: Final = re.compile(
-    rf"""\b(?:{"|".join(name for names in _NUMBERS.values() for name in names)})"""
-    r"""\s*=\s*(?:"[^"<\t\r\n]*[\t\r\n]|'[^'<\t\r\n]*[\t\r\n])"""
-)
-
 # Which children an element may have once only, and which it must have.
 _ONCE: Final[Mapping[str, tuple[str, ...]]] = {
     "link": ("inertial",),
     "inertial": ("origin", "mass", "inertia"),
-    "visual": ("origin", "geometry", "material"),
+    "visual": ("origin", "geometry"),
     "collision": ("origin", "geometry"),
     "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
 }
@@ -291,24 +279,6 @@ def leave_out_undeclared(root: etree._Element) -> Diagnostic | None:
             gone[element.tag] = None
             parent.remove(element)
     return diagnose("undeclared-prefixes", names=gone) if gone else None
-
-
-def leave_out_odd_materials(root: etree._Element) -> bool:
-    """Takes out a shape's materials without a name, and all but the first, in place.
-
-    Converters write one for each colour of a mesh, where parsers read the first; urdfdom reports
-    one without a name, and leaves out its shape. A colour has no effect, so no note tells of it.
-
-    Returns:
-        Whether there was any.
-    """
-    found = False
-    for visual in root.findall("link/visual"):
-        for number, material in enumerate(visual.findall("material")):
-            if number or not material.get("name"):
-                visual.remove(material)
-                found = True
-    return found
 
 
 def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:
@@ -452,7 +422,7 @@ def check_tree(
         raise refusal_at(path, links[roots[1]], problem)
 
 
-# URDFs as they are used, for readers that know less: capsules, and joints without limits.
+# URDFs as they are used, for readers that know less of joints without limits.
 
 ENDLESS_SLIDE = 1e3
 """Limit of a slide that has none (m): a URDF's must have two, which are 0 where left out. No robot
@@ -510,51 +480,9 @@ def taken_as_unlimited(root: etree._Element) -> Diagnostic | None:
 
 
 def for_engines(root: etree._Element) -> str:
-    """Writes a URDF as Pinocchio and PlaCo can read it; hinges without limits are continuous."""
-    known = without_capsules(root)
+    """Writes a URDF as it is understood here: hinges without limits are continuous."""
     if unlimited_joints(root):
-        known = deepcopy(root) if known is None else known
-        for joint in unlimited_joints(known):
+        root = deepcopy(root)
+        for joint in unlimited_joints(root):
             joint.element.set("type", "continuous")
-    return to_text(root if known is None else known)
-
-
-def without_capsules(root: etree._Element) -> etree._Element | None:
-    """Returns a copy with a cylinder and two spheres for each capsule: the same set of points.
-
-    None if there is no capsule. The reader leaves each out with a complaint, and the robot would be
-    thinner than it is.
-    """
-    if next(root.iter("capsule"), None) is None:
-        return None
-    root = deepcopy(root)
-    for shape in [capsule.getparent() for capsule in root.iter("capsule")]:
-        owner = None if shape is None else shape.getparent()
-        if owner is not None and owner.tag in ("visual", "collision"):
-            _take_apart(owner)
-    return root
-
-
-def _take_apart(owner: etree._Element) -> None:
-    """Makes three <visual> or <collision> of one."""
-    capsule = owner.find("geometry/capsule")
-    try:
-        radius, length = (float(capsule.get(name)) for name in ("radius", "length"))
-        placed = origin_of(owner)
-    except (TypeError, ValueError):
-        return  # no number: whoever reads it says so
-    link, at = owner.getparent(), owner.getparent().index(owner)
-    for number, side in enumerate((1.0, -1.0), start=1):
-        end = deepcopy(owner)
-        if end.get("name"):
-            end.set("name", f"{end.get('name')}_{number}")
-        geometry = end.find("geometry")
-        geometry.remove(geometry.find("capsule"))
-        etree.SubElement(geometry, "sphere", radius=repr(radius))
-        place = placed * np.array([0.0, 0.0, side * length / 2])
-        origin = end.find("origin")
-        if origin is None:
-            origin = etree.SubElement(end, "origin")
-        origin.set("xyz", " ".join(repr(float(value)) for value in place))
-        link.insert(at + number, end)
-    capsule.tag = "cylinder"
+    return to_text(root)

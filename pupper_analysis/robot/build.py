@@ -24,14 +24,18 @@ from pupper_analysis.base.units import DOWN
 from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.additions import Addition
 from pupper_analysis.models.attributes import BY_KIND
-from pupper_analysis.models.conversion import acting_gravity, joint_armature
+from pupper_analysis.models.conversion import (
+    acting_gravity,
+    joint_armature,
+    pinocchio_from_urdf,
+)
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import EffortLimit, EffortStatement, Motor, placeholder_efforts
 from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.multibody import joint_placements
-from pupper_analysis.models.places import one_line
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import is_at_one_joint
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.contact import foot_geoms, foot_site, stand_height
@@ -296,7 +300,7 @@ def _same_base(model: mujoco.MjModel, base: str, urdf: str) -> str:
     Where one file puts something before or after all of its names (``right_``, ``robot/``), the one
     whose name begins or ends with the root link's.
     """
-    root = _root_link(pin.buildModelFromXML(urdf))
+    root = UrdfTree.of(urdf).base.name
     body, carrying = model.body(base).id, list[str]()
     while body != 0:
         carrying.append(str(model.body(body).name))
@@ -330,13 +334,7 @@ def _pinocchio_model(
 ) -> pin.Model:
     """Builds the URDF's model, its base free or fixed where the MJCF has it."""
     source = description.urdf_source
-    try:
-        if floating:
-            model = pin.buildModelFromXML(description.urdf, pin.JointModelFreeFlyer())
-        else:
-            model = pin.buildModelFromXML(description.urdf)
-    except (ValueError, RuntimeError) as error:
-        raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
+    model = pinocchio_from_urdf(description.urdf, source, floating=floating)
     for joint in list(model.joints)[2 if floating else 1 :]:
         if joint.nv != 1:
             subject = "joint", model.names[joint.id]

@@ -18,6 +18,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.conversion import pinocchio_from_urdf
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place
@@ -90,9 +91,9 @@ def test_pinocchio_reads_numbers_with_line_breaks(tmp_path: Path) -> None:
     content = '<origin xyz="1\n\t2 3"/><limit effort=" 5 " velocity="1"/>'
     path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", content)))
     robot = read_urdf(path)
-    model = pin.buildModelFromXML(robot.text, pin.JointModelFreeFlyer())
+    model = pinocchio_from_urdf(robot.text, path, floating=True)
     assert model.jointPlacements[2].translation.tolist() == [1, 2, 3]
-    assert "white space" in str(robot.notes[0])
+    assert model.effortLimit[6] == 5
     assert robot.place("joint", "j", "limit").line == 5
 
 
@@ -109,22 +110,19 @@ def test_harmless_oddities_are_read(tmp_path: Path) -> None:
     assert pin.buildModelFromXML(robot.text, pin.JointModelFreeFlyer()).njoints == 2
 
 
-def test_a_shape_with_a_material_for_each_colour_of_its_mesh(tmp_path: Path) -> None:
-    """As in the Go2's URDF by its maker: materials weigh nothing, so the robot is not refused."""
-    colours = "".join(
-        f'<material name="{name}"><color rgba="0 0 0 1"/></material>' for name in "xy"
-    )
-    shape = '<geometry><sphere radius="1"/></geometry>'
+def test_shapes_that_pinocchio_does_not_know(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Capsules; and materials without a name, or one for each colour, as in the Go2's URDF."""
+    colours = "".join(f"<material{name}/>" for name in (' name="x"', ' name="y"', ""))
+    shape = '<geometry><capsule radius="1" length="2"/></geometry>'
     path = tmp_path / "r.urdf"
     parts = link("a", f"<visual>{colours}{shape}</visual>"), link("b", MASS)
     path.write_text(urdf(*parts, joint("j", "a", "b", LIMIT)))
     robot = read_urdf(path)
-    assert robot.notes == ()
-    assert [material.get("name") for material in robot.root.iter("material")] == ["x"]
-    assert mujoco.MjModel.from_xml_string(robot.text).njnt == 1
-    nameless = '<material><color rgba="0 0 0 1"/></material>'  # urdfdom leaves out its shape
-    path.write_text(urdf(link("a", f"<visual>{shape}{nameless}</visual>")))
-    assert "<material" not in read_urdf(path).text
+    assert (robot.notes, robot.text) == ((), path.read_text())
+    assert pinocchio_from_urdf(robot.text, path, floating=False).nv == 1
+    assert capfd.readouterr() == ("", "")  # it complains of each on standard error
     # Shapes are not as harmless: which of two is meant cannot be told.
     path.write_text(urdf(link("a", f"<visual>{shape}{shape}</visual>")))
     assert "<geometry> more than once" in refused(lambda: read_urdf(path))

@@ -20,12 +20,10 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models import multibody
-from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.models.conversion import pinocchio_from_mujoco, pinocchio_from_urdf
 from pupper_analysis.models.mjcf import free_joints
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import for_engines
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.coordinates import MujocoConvention
@@ -232,11 +230,7 @@ def urdf_tree(
     Raises:
         ModelError: If Pinocchio cannot read it.
     """
-    text = for_engines(root)
-    try:
-        model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
-    except (ValueError, RuntimeError) as error:
-        raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
+    model = pinocchio_from_urdf(for_engines(root), source, floating=True)
     names = list(model.names)[2:]
     return multibody.from_pinocchio(model, base, names, {name: name for name in frames})
 

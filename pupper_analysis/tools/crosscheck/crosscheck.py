@@ -465,14 +465,16 @@ def yourdfpy_evaluation(robot: Robot, states: States) -> Evaluation:
 def _with_unit_axes(text: str) -> bytes:
     """Returns a URDF whose axes are of length 1.
 
-    The engines take an axis for a direction; yourdfpy moves a slide by its length times q.
+    The engines take an axis for a direction; yourdfpy moves a slide by its length times q. Its
+    shapes are left out: yourdfpy knows no capsules.
     """
-    root = parse_text(text)
-    for axis in root.iter("axis"):
+    tree = UrdfTree.of(text)
+    tree.remove_shapes()
+    for axis in tree.root.iter("axis"):
         direction = np.array([float(word) for word in str(axis.get("xyz", "1 0 0")).split()])
         unit = direction / np.linalg.norm(direction)
         axis.set("xyz", " ".join(map(repr, unit.tolist())))
-    return to_text(root).encode()
+    return to_text(tree.root).encode()
 
 
 def _base(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.models.conversion import pinocchio_from_urdf
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.present.document import text
@@ -79,7 +80,8 @@ def draw_overlay(comparison: Comparison) -> dict[str, Any] | None:
 
 def _urdf_lines(path: str) -> list[Array]:
     """Returns lines (2, 3) to each joint from its parent, at zero angles, from the root (m)."""
-    model = pin.buildModelFromXML(read_urdf(path).text)
+    file = read_urdf(path)
+    model = pinocchio_from_urdf(file.text, file.path, floating=False)
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     places = [data.oMi[joint].translation.copy() for joint in range(model.njoints)]
