@@ -122,6 +122,11 @@ class UrdfLink(UrdfElement):
                 yield tag, shape, None if around is None else next(iter(around), None)
 
     @property
+    def touches(self) -> bool:
+        """Whether it has a collision shape."""
+        return self.element.find("collision/geometry/*") is not None
+
+    @property
     def mass(self) -> float | None:
         """What it weighs (kg); None if it states no mass."""
         element = self.element.find("inertial/mass")
@@ -336,6 +341,12 @@ class UrdfTree:
             if name in self.above:
                 self.root.remove(self.above[name].element)
             self.root.remove(self.links[name].element)
+        self._forget()
+
+    def remove(self, link: str) -> None:
+        """Takes a link out, with the joint that holds it."""
+        self.root.remove(self.above[link].element)
+        self.root.remove(self.links[link].element)
         self._forget()
 
     def remove_base(self) -> None:

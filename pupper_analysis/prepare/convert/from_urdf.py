@@ -24,8 +24,9 @@ from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.urdf_file import UrdfFile, states_no_limits
-from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, origin_of, set_origin
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree, set_origin
 from pupper_analysis.models.xml import (
+    DIGITS,
     add_element,
     free_name,
     is_zero,
@@ -35,6 +36,8 @@ from pupper_analysis.models.xml import (
 )
 from pupper_analysis.prepare.convert.meshes import Meshes
 from pupper_analysis.prepare.convert.repair import (
+    WORLD,
+    Bodies,
     Repair,
     carry_shapes,
     mend_inertials,
@@ -42,9 +45,6 @@ from pupper_analysis.prepare.convert.repair import (
     repaired_urdf,
 )
 from pupper_analysis.prepare.passes import Feet
-
-WORLD = "world"
-"""A root link of this name is the world itself, as in MuJoCo's own importer."""
 
 _ZERO = "0 0 0"
 
@@ -69,6 +69,9 @@ class UrdfBodies:
 
     Attributes:
         urdf: The file.
+        tree: Its links, as they are to be bodies.
+        floats: Whether the URDF has its base on a floating joint.
+        sites: {link that became a site: the body that has it, where it is in that}.
         meshes: Its meshes.
         armature: {joint: rotor inertia (kg m^2)}.
         notes: What an MJCF cannot say, or what was left out.
@@ -76,39 +79,29 @@ class UrdfBodies:
         mimics: {joint: what it follows, multiplier, offset}, as they are written.
         efforts: {joint: effort limit (N m or N)}, of those that follow no other and have one.
         root: The link that is the base.
-        floats: Whether the URDF has its base on a floating joint.
         frames: All links.
     """
 
     urdf: UrdfFile
+    tree: UrdfTree
+    floats: bool
+    sites: Mapping[str, tuple[str, pin.SE3]]
     meshes: Meshes
-    armature: dict[str, float]
+    armature: Mapping[str, float]
     notes: list[Diagnostic] = field(default_factory=list)
     materials: dict[str, str] = field(default_factory=dict)
     mimics: dict[str, tuple[str, str, str]] = field(default_factory=dict)
     efforts: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._tree = self.urdf.tree
-        self.root = self._tree.base.name
-        self.floats = self._take_floating()
+        self.root = self.tree.base.name
         self._colors = {
             str(material.get("name")): str(material.find("color").get("rgba"))
             for material in self.urdf.root.iter("material")
             if material.find("color") is not None and material.get("name")
         }
         self._geoms = {FLOOR}
-        self.frames: set[str] = set()
-
-    def _take_floating(self) -> bool:
-        """Makes the link on a floating joint below a root without mass the root."""
-        below = self._tree.below.get(self.root, [])
-        if [joint.kind for joint in below] != ["floating"]:
-            return False
-        if self._tree.base.inertial is None:
-            self.root = below[0].child
-            return True
-        return False
+        self.frames = {*self.tree.links, *self.sites}
 
     def add(self, mjcf: MjcfXml, *, free: bool) -> None:
         """Adds all bodies to an MJCF.
@@ -116,13 +109,10 @@ class UrdfBodies:
         Raises:
             ModelError: If a link cannot be a body of MuJoCo.
         """
-        links, worldbody = self._tree.links, mjcf.section("worldbody")
-        for link in links:
-            # One that carries the base's floating joint is the world, and no body.
-            above = link != self.root and self.floats and link not in self._tree.above
-            if link == WORLD and not above and (link != self.root or free):
-                problem = diagnose("link-named-world", subject=("link", WORLD))
-                raise refusal_at(self.urdf.path, links[link].element, problem)
+        links, worldbody = self.tree.links, mjcf.section("worldbody")
+        if WORLD in links and (self.root != WORLD or free):
+            problem = diagnose("link-named-world", subject=("link", WORLD))
+            raise refusal_at(self.urdf.path, links[WORLD].element, problem)
         guarded = len(self.urdf.root.findall("joint/safety_controller"))
         if guarded:
             self.notes.append(diagnose("safety-controllers-left", count=guarded))
@@ -133,12 +123,11 @@ class UrdfBodies:
             return
         body = add_element(worldbody, "body", name=self.root)
         if free:
-            add_element(body, "freejoint", name=free_name("root", set(self._tree.joints)))
+            add_element(body, "freejoint", name=free_name("root", set(self.tree.joints)))
         self._fill(body, links[self.root])
 
     def _fill(self, body: etree._Element, link: UrdfLink) -> None:
         """Adds to a body what its link has, and the links that it carries."""
-        self.frames.add(link.name)
         if link.inertial is not None and body.tag != "worldbody":
             _add_inertial(body, link.inertial)
         for kind, shape, geometry in link.shapes:
@@ -147,11 +136,17 @@ class UrdfBodies:
                 self.notes.append(diagnose("empty-shape-left", subject=subject, tag=kind))
             else:
                 self._add_shape(body, link.name, kind, shape, geometry)
-        for joint in self._tree.below.get(link.name, ()):
+        for joint in self.tree.below.get(link.name, ()):
             xyz, rpy = _origin(joint.element)
             inner = add_element(body, "body", name=joint.child, pos=xyz, euler=rpy)
             self._add_joint(inner, joint)
-            self._fill(inner, self._tree.links[joint.child])
+            self._fill(inner, self.tree.links[joint.child])
+        for name, (carrier, placement) in self.sites.items():
+            if carrier == link.name:
+                site = etree.Element("link")
+                set_origin(site, placement, DIGITS)
+                xyz, rpy = _origin(site)
+                add_element(body, "site", name=name, pos=xyz, euler=rpy)
 
     def _add_joint(self, body: etree._Element, stated: UrdfJoint) -> None:
         if stated.is_fixed:
@@ -208,7 +203,7 @@ class UrdfBodies:
                 leader = None
                 break
             passed.add(meant)
-            leader = self._tree.joints.get(meant)
+            leader = self.tree.joints.get(meant)
         if leader is None or leader.is_fixed:
             meant = str(joint.mimic.get("joint"))
             message = diagnose("mimic-leads-nowhere", subject=("joint", joint.name), leader=meant)
@@ -370,7 +365,6 @@ class BareMjcf:
         meshes: Its meshes.
         bodies: What is known of its bodies.
         free: Whether its base is free.
-        carried: Links whose shapes were moved to the bodies that carry them.
         notes: What was assumed.
         repairs: Inertials that were repaired.
     """
@@ -380,7 +374,6 @@ class BareMjcf:
     meshes: Meshes
     bodies: UrdfBodies
     free: bool
-    carried: tuple[str, ...]
     notes: tuple[Diagnostic, ...]
     repairs: tuple[Repair, ...]
 
@@ -389,28 +382,28 @@ class BareMjcf:
         """Makes it; whether its base is free is found, if it is not said."""
         if all(joint.kind in ("fixed", "floating") for joint in urdf.tree.joints.values()):
             raise ModelError(urdf.path, diagnose("no-joint-moves"))
-        meshes = Meshes(urdf, output, copied=options.copy_meshes)
-        bodies = UrdfBodies(urdf, meshes, dict(options.armature or {}))
-        mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
-        freed = _is_free(urdf, bodies) if free is None else free
-        bodies.add(mjcf, free=freed)
-        moved, repairs = mend_inertials(urdf, mjcf, repair=options.repair_inertia)
-        mended = repaired_urdf(urdf, mjcf, repairs)
+        tree = urdf.tree.copy()
+        floats = _take_floating(tree)
+        freed = _is_free(tree, floats=floats) if free is None else free
+        links = Bodies(tree, freed)
+        moved, repairs = mend_inertials(urdf, links, repair=options.repair_inertia)
+        mended = repaired_urdf(urdf, links, repairs)
         notes = [*urdf.notes, *moved, *(repair.diagnostic for repair in repairs)]
-        if options.merge_fixed:
-            merged = merge_fixed(mjcf)
-            if merged:
-                notes.append(diagnose("fixed-links-are-sites", links=merged))
-        carried = carry_shapes(mjcf)
+        merged = merge_fixed(links) if options.merge_fixed else {}
+        if merged:
+            notes.append(diagnose("fixed-links-are-sites", links=merged))
+        carried = carry_shapes(links)
         if carried:
             notes.append(diagnose("shapes-carried", links=carried))
+        meshes, rotors = Meshes(urdf, output, copied=options.copy_meshes), options.armature or {}
+        bodies = UrdfBodies(urdf, tree, floats, merged, meshes, rotors)
+        mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
+        bodies.add(mjcf, free=freed)
         for name, rgba in bodies.materials.items():
             add_element(mjcf.section("asset"), "material", name=name, rgba=rgba)
         for follower, mimic in bodies.mimics.items():
             mjcf.add_coupling(follower, *mimic)
-        return BareMjcf(
-            mended, mjcf, meshes, bodies, freed, tuple(carried), tuple(notes), tuple(repairs)
-        )
+        return BareMjcf(mended, mjcf, meshes, bodies, freed, tuple(notes), tuple(repairs))
 
     def file(self, *, visuals: bool = False) -> MjcfFile:
         """Returns the MJCF as far as it is made, as if it were read from the URDF's file.
@@ -434,23 +427,15 @@ class BareMjcf:
         What no body can weigh, which MuJoCo refuses, is where it was given to, and so are shapes of
         links without mass: the importer, too, makes them the body's that carries them.
         """
-        tree, assets = self.urdf.tree.copy(), dict[str, bytes]()
-        for body in self.mjcf.bodies:
-            link, mended = tree.links[body.name], body.inertia
-            link.remove("visual", *(("inertial",) if mended is None else ()))
-            if mended is not None and (link.inertia is None or mended != link.inertia):
-                link.set_inertia(mended)
+        tree, assets = self.bodies.tree.copy(), dict[str, bytes]()
+        for link in tree.links.values():
+            link.remove("visual")
             for _, shape, geometry in list(link.shapes):
                 if geometry is not None and geometry.tag == "mesh":
                     file = self.meshes.file_of(geometry, assets)
                     geometry.set("filename", file or "")
                     if file is None:
                         link.element.remove(shape)
-        for name in self.carried:
-            link, joint = tree.links[name], tree.above[name]
-            for shape in link.element.findall("collision"):
-                set_origin(shape, joint.origin * origin_of(shape))
-                tree.links[joint.parent].element.append(shape)
         return UrdfImport(self.urdf.path, to_text(tree.root), assets)
 
 
@@ -468,7 +453,7 @@ def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     """
     bare = BareMjcf.of(urdf, urdf.path, MjcfOptions(repair_inertia=True), free=False)
     made_up = {repair.link for repair in bare.repairs if not repair.mass > 0}
-    if {body.name for body in bare.mjcf.bodies if body.moves} <= made_up:
+    if {joint.child for joint in bare.bodies.tree.moving} <= made_up:
         # Whatever is said of its motors would be of masses that nobody stated.
         raise ModelError(urdf.path, diagnose("robot-without-mass", mass=Quantity(0.0, "kg")))
     stated = {shape.get("name") for shape in urdf.root.iter("collision")}
@@ -480,12 +465,20 @@ def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     return bare.urdf, made, bare.imported()
 
 
-def _is_free(urdf: UrdfFile, bodies: UrdfBodies) -> bool:
+def _take_floating(tree: UrdfTree) -> bool:
+    """Makes the link on a floating joint below a root without mass the root, in place."""
+    base = tree.base
+    below = tree.below.get(base.name, [])
+    floats = base.inertial is None and [joint.kind for joint in below] == ["floating"]
+    if floats:
+        tree.remove_base()
+    return floats
+
+
+def _is_free(tree: UrdfTree, *, floats: bool) -> bool:
     """Tells whether the base carries two limbs or more, and is not the world."""
-    if bodies.root == WORLD or bodies.floats:
-        return bodies.floats
-    tree = urdf.tree
-    carried = [
-        joint for link in tree.fixed_group(bodies.root) for joint in tree.below.get(link, ())
-    ]
+    base = tree.base.name
+    if base == WORLD or floats:
+        return floats
+    carried = [joint for link in tree.fixed_group(base) for joint in tree.below.get(link, ())]
     return sum(not joint.is_fixed for joint in carried) >= LIMBS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -13,13 +14,15 @@ from pupper_analysis.base.arrays import inertia_of
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.mjcf_xml import MjcfXml, XmlBody
 from pupper_analysis.models.places import refuse_file
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
+from pupper_analysis.models.xml import DIGITS, parse_text, to_text
 
 Array = NDArray[np.float64]
+
+WORLD: Final = "world"
+"""A root link of this name is the world itself, as in MuJoCo's own importer."""
 
 _TRIANGLE: Final = 1e-12
 """Slack of A + B >= C between principal moments, relative: rounding of the eigenvalues."""
@@ -68,8 +71,73 @@ class Repair(Result):
         return diagnose("inertia-repaired", subject=link, moments=moments, before=before)
 
 
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """The links of a URDF as the bodies of an MJCF.
+
+    Attributes:
+        tree: The links, to be changed.
+        free: Whether the base is free.
+    """
+
+    tree: UrdfTree
+    free: bool
+
+    @property
+    def names(self) -> list[str]:
+        """All bodies, parents first; the world is none."""
+        base = self.tree.base.name
+        return [name for name in self.tree.subtree(base) if name != base or base != WORLD]
+
+    def parent(self, body: str) -> str | None:
+        """Returns the body that carries one; None for the base, and a child of the world."""
+        above = self.tree.parent(body)
+        return None if above == self.tree.base.name == WORLD else above
+
+    def moves(self, body: str) -> bool:
+        """Tells whether a body can move against what carries it."""
+        joint = self.tree.above.get(body)
+        return self.free if joint is None else not joint.is_fixed
+
+    def inertia(self, body: str) -> pin.Inertia | None:
+        """Returns what a body states that it weighs, in its own frame; None if nothing."""
+        return self.tree.links[body].inertia
+
+    def carried(self, body: str) -> bool:
+        """Tells whether a body is fixed to one that carries it."""
+        return not self.moves(body) and self.parent(body) is not None
+
+    def fixed_group(self, body: str) -> Iterator[tuple[str, pin.SE3]]:
+        """Yields a body and all that are fixed to it, above and below, the nearest first.
+
+        Each with where the first one is in it.
+        """
+        known, waiting = {body}, [(body, pin.SE3.Identity())]
+        while waiting:
+            here, placement = waiting.pop(0)
+            yield here, placement
+            below = [joint for joint in self.tree.below.get(here, ()) if joint.is_fixed]
+            near = [(joint.child, joint.origin.inverse()) for joint in below]
+            if self.carried(here):
+                above = self.tree.above[here]
+                near.insert(0, (above.parent, above.origin))
+            for other, there in near:
+                if other not in known:
+                    known.add(other)
+                    waiting.append((other, there * placement))
+
+    def give_shapes(self, body: str, carrier: str, placement: pin.SE3, *tags: str) -> None:
+        """Gives shapes to a body that stands in a place; collision shapes are called as before."""
+        for tag, shape, _ in list(self.tree.links[body].shapes):
+            if tag in tags:
+                set_origin(shape, placement * origin_of(shape), DIGITS)
+                if tag == "collision" and not shape.get("name"):
+                    shape.set("name", f"{body}_collision")
+                self.tree.links[carrier].element.append(shape)
+
+
 def mend_inertials(
-    urdf: UrdfFile, mjcf: MjcfXml, *, repair: bool
+    urdf: UrdfFile, bodies: Bodies, *, repair: bool
 ) -> tuple[list[Diagnostic], list[Repair]]:
     """Makes inertials such that MuJoCo takes them.
 
@@ -79,7 +147,7 @@ def mend_inertials(
 
     Args:
         urdf: What was read.
-        mjcf: What was made of it.
+        bodies: Its bodies.
         repair: Whether to repair: moments become the nearest that a body can have, and what moves
             without any mass is given a gram.
 
@@ -91,41 +159,37 @@ def mend_inertials(
     """
     moved: list[Diagnostic] = []
     repairs: list[Repair] = []
-    for body in mjcf.bodies:
-        inertia = body.inertia
+    for body in bodies.names:
+        inertia = bodies.inertia(body)
+        if inertia is not None and not (inertia.mass or np.any(inertia.inertia)):
+            bodies.tree.links[body].remove("inertial")  # it states nothing
+    for body in bodies.names:
+        inertia = bodies.inertia(body)
         if inertia is None or is_possible(inertia):
             continue
-        said = _moved(body, inertia)
+        said = _moved(bodies, body, inertia)
         if said is not None:
             moved.append(said)
         elif repair and inertia.mass > 0:
-            repairs.append(_repaired(body))
+            repairs.append(_repaired(bodies, body))
         elif inertia.mass > 0:
-            raise _refusal(urdf, body.name, inertia)
-    for body in mjcf.bodies:
-        if body.moves and not _weighs(body):
+            raise _refusal(urdf, body, inertia)
+    for body in bodies.names:
+        if bodies.moves(body) and not _weighs(bodies, body):
             if not repair:
                 raise _weightless(urdf, body)
-            repairs.append(_repaired(body))
+            repairs.append(_repaired(bodies, body))
     return moved, repairs
 
 
-def repaired_urdf(urdf: UrdfFile, mjcf: MjcfXml, repairs: list[Repair]) -> UrdfFile:
-    """Returns a URDF with the inertials that were repaired: what the new MJCF is of.
-
-    Args:
-        urdf: What was read.
-        mjcf: What was made of it.
-        repairs: Which of them were repaired.
-    """
+def repaired_urdf(urdf: UrdfFile, bodies: Bodies, repairs: list[Repair]) -> UrdfFile:
+    """Returns a URDF with the inertials that were repaired: what the new MJCF is of."""
     if not repairs:
         return urdf
     root = parse_text(urdf.text)
     links = UrdfTree(root).links
     for repair in repairs:
-        inertia = mjcf.body(repair.link).inertia
-        assert inertia is not None
-        links[repair.link].set_inertia(inertia)
+        links[repair.link].set_inertia(bodies.tree.links[repair.link].inertia)
     return replace(urdf, text=to_text(root), root=root)
 
 
@@ -158,56 +222,71 @@ def nearest_moments(moments: Array, mass: float) -> Array:
     return np.maximum(result, 10 * _LEAST_INERTIA)
 
 
-def _moved(body: XmlBody, inertia: pin.Inertia) -> Diagnostic | None:
+def _moved(bodies: Bodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
     """Gives what a body cannot have to one that it is fixed to; says which, or None."""
-    moved, mass, moments = ("link", body.name), Quantity(inertia.mass, "kg"), _moments(inertia)
-    group = list(body.fixed_group())
+    moved, mass, moments = ("link", body), Quantity(inertia.mass, "kg"), _moments(inertia)
+    links, group = bodies.tree.links, list(bodies.fixed_group(body))
     for other, placement in group[1:]:
-        there, total = other.inertia, placement.act(inertia)
+        there, total = bodies.inertia(other), placement.act(inertia)
         if there is not None and is_possible(there + total):
-            other.set_inertia(there + total)
-            body.set_inertia(None)
-            return diagnose(
-                "inertia-moved", subject=moved, mass=mass, moments=moments, to=other.name
-            )
-    heavy = [(other, own, place) for other, place in group if (own := other.inertia) is not None]
+            links[other].set_inertia(there + total, DIGITS)
+            links[body].remove("inertial")
+            return diagnose("inertia-moved", subject=moved, mass=mass, moments=moments, to=other)
+    heavy = [
+        (other, own, place) for other, place in group if (own := bodies.inertia(other)) is not None
+    ]
     total = pin.Inertia.Zero()
     for _, own, placement in heavy:
         total += placement.inverse().act(own)
     if len(heavy) < 2 or not is_possible(total):
         return None
     for other, _, _ in heavy:
-        other.set_inertia(None)
-    body.set_inertia(total)
-    names = [other.name for other, _, _ in heavy[1:]]
+        links[other].remove("inertial")
+    links[body].set_inertia(total, DIGITS)
+    names = [other for other, _, _ in heavy[1:]]
     return diagnose("inertias-joined", subject=moved, mass=mass, moments=moments, links=names)
 
 
-def _weighs(body: XmlBody) -> bool:
+def _weighs(bodies: Bodies, body: str) -> bool:
     """Says whether a body, or one that is fixed to it, has a mass."""
-    inertias = (other.inertia for other, _ in body.fixed_group())
+    inertias = (bodies.inertia(other) for other, _ in bodies.fixed_group(body))
     return any(inertia is not None and inertia.mass > 0 for inertia in inertias)
 
 
-def _repaired(body: XmlBody) -> Repair:
+def _repaired(bodies: Bodies, body: str) -> Repair:
     """Gives a body the nearest inertia that it can have."""
-    stated = body.inertia
+    stated = bodies.inertia(body)
     old = pin.Inertia.Zero() if stated is None else stated
     moments, axes = np.linalg.eigh(np.array(old.inertia))
     mass = float(old.mass if old.mass > 0 else LIGHT)
     wanted = nearest_moments(moments, mass)
-    body.set_inertia(inertia_of(mass, old.lever, axes @ np.diag(wanted) @ axes.T))
-    moved = body
-    while not moved.moves and moved.parent is not None:
-        moved = moved.parent
+    new = inertia_of(mass, old.lever, axes @ np.diag(wanted) @ axes.T)
+    bodies.tree.links[body].set_inertia(new, DIGITS)
+    moved = _carrier(bodies, body)[0]
+    joint = bodies.tree.above.get(moved)
     return Repair(
-        link=body.name,
-        body=moved.mover or moved.name,
+        link=body,
+        body=moved if joint is None or joint.is_fixed else joint.name,
         mass=float(old.mass),
         moments=_three(moments),
         new_mass=mass,
         new_moments=_three(wanted),
     )
+
+
+def _carrier(bodies: Bodies, body: str, *, bare: bool = False) -> tuple[str, pin.SE3]:
+    """Returns the body that carries a fixed one, itself if none does, and where it is in that.
+
+    Args:
+        bodies: The bodies.
+        body: The fixed one.
+        bare: Whether to stop at a body that states an inertia, too.
+    """
+    placement = pin.SE3.Identity()
+    while bodies.carried(body) and not (bare and bodies.inertia(body) is not None):
+        above = bodies.tree.above[body]
+        body, placement = above.parent, above.origin * placement
+    return body, placement
 
 
 def _refusal(urdf: UrdfFile, name: str, inertia: pin.Inertia) -> ModelError:
@@ -216,9 +295,11 @@ def _refusal(urdf: UrdfFile, name: str, inertia: pin.Inertia) -> ModelError:
     return refuse_file(urdf.place("link", name, "inertial/inertia"), problem)
 
 
-def _weightless(urdf: UrdfFile, body: XmlBody) -> ModelError:
-    problem = diagnose("link-without-mass", subject=("link", body.name), joint=body.mover)
-    return refuse_file(urdf.place("link", body.name), problem)
+def _weightless(urdf: UrdfFile, body: str) -> ModelError:
+    above = urdf.tree.above.get(body)
+    joint = None if above is None else above.name
+    problem = diagnose("link-without-mass", subject=("link", body), joint=joint)
+    return refuse_file(urdf.place("link", body), problem)
 
 
 def _moments(inertia: pin.Inertia) -> tuple[float, float, float]:
@@ -230,24 +311,31 @@ def _three(values: Array) -> tuple[float, float, float]:
     return one, two, three
 
 
-def merge_fixed(mjcf: MjcfXml) -> list[str]:
-    """Merges bodies without joints into their parents; a site of its name stays of each.
+def merge_fixed(bodies: Bodies) -> dict[str, tuple[str, pin.SE3]]:
+    """Merges bodies without joints into those that carry them.
 
     Masses, coms and inertias add up, shapes and bodies go along.
 
     Returns:
-        The names of those that were merged.
+        {body: the one that it was merged into, where it is in that}: a site of its name stays.
     """
-    merged = []
-    # From the ends of the tree, so that a parent takes what its child has taken.
-    for body in reversed(mjcf.bodies):
-        if not body.moves and body.parent is not None:
-            merged.append(body.name)
-            body.merge()
-    return merged[::-1]
+    tree, merged = bodies.tree, {}
+    for body in filter(bodies.carried, bodies.names):
+        carrier, placement = merged[body] = _carrier(bodies, body)
+        inertia, own = bodies.inertia(body), bodies.inertia(carrier)
+        if inertia is not None:
+            moved = placement.act(inertia)
+            tree.links[carrier].set_inertia(moved if own is None else own + moved, DIGITS)
+        bodies.give_shapes(body, carrier, placement, "visual", "collision")
+    for body, (carrier, placement) in merged.items():
+        for joint in tree.below.get(body, ()):
+            set_origin(joint.element, placement * joint.origin, DIGITS)
+            joint.element.find("parent").set("link", carrier)
+        tree.remove(body)
+    return merged
 
 
-def carry_shapes(mjcf: MjcfXml) -> list[str]:
+def carry_shapes(bodies: Bodies) -> list[str]:
     """Moves collision shapes of bodies without joint and mass to the body that carries them.
 
     MuJoCo's ground is the softer under a shape the more lightly the shape's body can be pushed, at
@@ -257,11 +345,9 @@ def carry_shapes(mjcf: MjcfXml) -> list[str]:
     Returns:
         The names of the bodies whose shapes were moved.
     """
-    moved = []
-    # From the ends of the tree, so that a parent passes on what its child has passed on.
-    for body in reversed(mjcf.bodies):
-        bare = not body.moves and body.inertia is None and body.parent is not None
-        if bare and body.touching:
-            body.give_shapes()
-            moved.append(body.name)
-    return moved[::-1]
+    touching = {name for name, link in bodies.tree.links.items() if link.touches}
+    carriers = {name: _carrier(bodies, name, bare=True) for name in bodies.names}
+    moved = [name for name, (to, _) in carriers.items() if to != name and name in touching]
+    for name in moved:
+        bodies.give_shapes(name, *carriers[name], "collision")
+    return moved

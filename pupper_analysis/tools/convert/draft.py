@@ -36,12 +36,11 @@ from pupper_analysis.prepare.bare import Bare, place_as
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.prepare.convert.from_urdf import (
     LIMBS,
-    WORLD,
     BareMjcf,
     MjcfOptions,
     UrdfBodies,
 )
-from pupper_analysis.prepare.convert.repair import Repair
+from pupper_analysis.prepare.convert.repair import WORLD, Repair
 from pupper_analysis.prepare.convert.to_urdf import BareUrdf
 from pupper_analysis.prepare.drives import held_gains_of, servos_of
 from pupper_analysis.prepare.notes import describe_span
@@ -99,7 +98,7 @@ class NewMjcf(MjcfXml):
     @property
     def joints(self) -> list[etree._Element]:
         """All hinges and slides."""
-        return [joint for body in self.bodies for joint in body.joints if joint.tag == "joint"]
+        return list(self.section("worldbody").iter("joint"))
 
     @property
     def touches(self) -> bool:
@@ -138,7 +137,7 @@ class NewMjcf(MjcfXml):
     def add_imu(self, body: str, site: str) -> None:
         """Adds an IMU at a site of a body, which is added at its origin where there is none."""
         if all(node.get("name") != site for node in self.root.iter("site")):
-            add_element(self.body(body).element, "site", name=site)
+            add_element(self.body(body), "site", name=site)
         sensors = self.section("sensor")
         for kind in IMU_SENSORS:
             add_element(sensors, kind, name=kind, site=site)
@@ -183,7 +182,7 @@ class NewMjcf(MjcfXml):
     ) -> None:
         """Adds a sphere that touches, as all its shapes do, and weighs nothing."""
         add_element(
-            self.body(body).element,
+            self.body(body),
             "geom",
             name=name,
             class_=COLLISION,
@@ -477,7 +476,7 @@ def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None
         heights.append(float(home[2]))
     if heights and max(heights) > 0:
         height = write_numbers([0.0, 0.0, float(f"{max(heights):.{_KEY_DIGITS}f}")])
-        mjcf.body(bodies.root).element.set("pos", height)
+        mjcf.body(bodies.root).set("pos", height)
 
 
 def _retuned(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from pupper_analysis.models.mjcf_xml import MjcfXml
@@ -76,29 +75,3 @@ def test_a_coupling_holds_its_line_in_a_simulation() -> None:
         mujoco.mj_step(model, data)
     two, three = (data.joint(name).qpos[0] for name in ("two_joint", "three_joint"))
     assert three == pytest.approx(0.25 - 0.5 * two, abs=1e-3)
-
-
-def test_bodies_fixed_to_each_other_keep_their_mass_when_merged() -> None:
-    mjcf = robot()
-    two = mjcf.body("two")
-    assert [body.name for body, _ in two.fixed_group()] == ["two"]
-    for joint in two.joints:
-        two.element.remove(joint)
-    two.element.set("euler", "0.3 0 0.2")
-    before = mujoco.MjModel.from_xml_string(mjcf.text)
-    assert [body.name for body, _ in two.fixed_group()] == ["two", "one"]
-    placement = two.placement
-    assert two.inertia is not None
-    total = placement.act(two.inertia) + mjcf.body("one").inertia
-    two.merge()
-    after = mujoco.MjModel.from_xml_string(mjcf.text)
-    assert after.body_mass.sum() == pytest.approx(before.body_mass.sum())
-    assert pin.Inertia.isApprox(mjcf.body("one").inertia, total, 1e-9)
-    for model in (before, after):
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-    data = [mujoco.MjData(model) for model in (before, after)]
-    for model, state in zip((before, after), data, strict=True):
-        mujoco.mj_kinematics(model, state)
-    np.testing.assert_allclose(
-        data[0].geom("three_geom").xpos, data[1].geom("three_geom").xpos, atol=1e-11
-    )
