@@ -34,10 +34,12 @@ from pupper_analysis.present.verdict import verdict_word
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import with_payload
+from pupper_analysis.simulation.verify import verify_stand
+from pupper_analysis.stance.posture import held_stand
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.tools.hold.force import withstood
 from pupper_analysis.tools.hold.hold import Hold, hold_posture
 from pupper_analysis.tools.hold.motions import JointMotions
-from pupper_analysis.tools.hold.verify import verify_posture
 
 Array = NDArray[np.float64]
 
@@ -117,7 +119,8 @@ def carried(robot: Robot, held: Hold, share: float) -> str:
 
 def held_by(robot: Robot, held: Hold) -> str:
     """Tells whether a robot holds the posture in simulation."""
-    return "holds" if verify_posture(robot, held.posture, held.tool).passed else "fails"
+    stand = solve_stand_as_simulated(robot, held_stand(robot, held.posture))
+    return "holds" if verify_stand(robot, stand).passed else "fails"
 
 
 def pushed(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.prepare.causes import LIMITS, overloading_springs
-from pupper_analysis.prepare.own_run import as_loaded, import_refused
+from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
 from pupper_analysis.prepare.self_check import (
     as_published_in,
     makes_it_shake,
@@ -23,7 +23,6 @@ from pupper_analysis.robot.build import efforts_nobody_meant
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
-from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.trial import (
     NUDGE,
     NudgeTrial,
@@ -33,7 +32,6 @@ from pupper_analysis.simulation.trial import (
 from pupper_analysis.simulation.verdict import (
     Asked,
     Outcome,
-    Simulated,
     Verdict,
     beyond_limits,
     judge_stance,
@@ -47,8 +45,8 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 def judge(
     robot: Robot,
     stand: Stand,
-    fed: Simulated,
-    alone: Simulated | None = None,
+    fed: Outcome,
+    alone: Outcome | None = None,
     *,
     statics: GravityCompensation | None = None,
     asked: Asked = Asked.STANDS,
@@ -56,7 +54,7 @@ def judge(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Verdict:
-    """Weighs what was simulated of a stand, and what the robot's file does by itself.
+    """Weighs what was simulated of a stand or posture, and what the robot's file does by itself.
 
     Args:
         robot: The robot.
@@ -74,7 +72,10 @@ def judge(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     robot = stand.check(robot)
-    servos = servos_used(robot, kp, kd)
+    servos, loaded = servos_used(robot, kp, kd), as_loaded(robot)
+    own = own_run_explained(robot)
+    if not (loaded.floating or stand.stance_feet):
+        own = own_run_held(loaded, stand.qpos[-robot.nu :])
     if statics is not None and fed.passed:
         fed = _nudged(robot, stand, fed, statics, trial, kp, kd)
     published = as_published_in(robot, stand, servos)
@@ -90,12 +91,12 @@ def judge(
         servos,
         asked=asked,
         overloaded=() if statics is None else beyond_limits(statics),
-        own=own_run_explained(robot),
+        own=own,
         published=published,
         converted=robot.description.converted,
         remarks=(
             *structure(robot),
-            *robot.description.replaced_soles(),
+            *(robot.description.replaced_soles() if stand.stance_feet else ()),
             *remarks_of_files(robot),
             *_buried(robot, stand, statics),
         ),
@@ -120,12 +121,12 @@ def _buried(
 def _nudged(
     robot: Robot,
     stand: Stand,
-    fed: Simulated,
+    fed: Outcome,
     statics: GravityCompensation,
     trial: NudgeTrial | None,
     kp: ArrayLike | None,
     kd: ArrayLike | None,
-) -> Simulated:
+) -> Outcome:
     """Returns what was simulated of a stand; that it fails, if a nudge from some side upsets it."""
     if trial is None:
         held = solve_stand_as_simulated(robot, stand)
@@ -143,14 +144,7 @@ def _nudged(
         where=trial.where,
         time=Quantity(trial.time or 0.0, "s"),
     )
-    return Outcome(
-        passed=False,
-        failures=(upset,),
-        duration=fed.duration,
-        torque_error=fed.torque_error,
-        force_error=fed.force_error,
-        stability=fed.stability,
-    )
+    return replace(fed, passed=False, failures=(upset,))
 
 
 def _shaking(
@@ -236,8 +230,7 @@ def judge_stand(
     """
     held = solve_stand_as_simulated(robot, stand)
     fed, alone = (
-        verify_stand(robot, held, kp=kp, kd=kd, feedforward=ahead, duration=LASTING)
-        for ahead in (True, False)
+        verify_stand(robot, held, kp=kp, kd=kd, feedforward=ahead) for ahead in (True, False)
     )
     statics = stand_statics(robot, held)
     return judge(robot, stand, fed, alone, statics=statics, trial=trial, kp=kp, kd=kd)

@@ -22,6 +22,7 @@ from pupper_analysis.prepare.bare import (
     Hold,
     hold_of,
     imported_model,
+    place_held,
     place_published,
     published_model,
     self_controlled,
@@ -149,7 +150,7 @@ def own_run_of(bare: Bare, robot: Robot) -> OwnRun | None:
 
 def _keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) -> int | None:
     """Returns the keyframe to begin in: the wanted one, or one in which it stands, or ``home``."""
-    names = [model.key(key).name or f"keyframe {key + 1}" for key in range(model.nkey)]
+    names = [_name_of(model, key) for key in range(model.nkey)]
     if wanted is not None:
         return names.index(wanted) if wanted in names else None
     joints = [model.joint(name).id for name in robot.joint_names]
@@ -166,7 +167,7 @@ def _from_keyframe(bare: Bare, robot: Robot, key: int) -> OwnRun:
     """Simulates a file from a keyframe as a reset leaves it, and held at its angles."""
     model, data = bare.model, mujoco.MjData(bare.model)
     mujoco.mj_resetDataKeyframe(model, data, key)
-    name = model.key(key).name or f"keyframe {key + 1}"
+    name = _name_of(model, key)
     assert robot.published is not None
     stated = bool(model.key_ctrl[key].any()) or states_ctrl(robot, key)
     limp = is_limp(bare)
@@ -223,6 +224,42 @@ def joint_places(bare: Bare, robot: Robot) -> NDArray[np.intp]:
     """Returns where the robot's joints are in the file's qpos."""
     joints = [bare.model.joint(joint).id for joint in robot.joint_names]
     return np.asarray(bare.model.jnt_qposadr[joints])
+
+
+_THERE = 1e-6
+"""A posture that is so near to a keyframe's is its (rad, m)."""
+
+
+def own_run_held(robot: Robot, joints: Array) -> OwnRun | None:
+    """Returns what the file of a robot whose base is held does by itself in a posture (nu,).
+
+    With a keyframe's ctrl where it is that keyframe's posture, and the XML states one; else with
+    its servos told the posture.
+
+    Returns:
+        What it does; None where its base is free in the file, or commands of its own control it.
+    """
+    model = None if robot.floating else robot.once(raw_model)
+    if model is None:
+        return None
+    bare = Bare.of(model, robot)
+    if bare.floating or self_controlled(bare, robot):
+        return None
+    data, places = place_held(bare, robot, joints), joint_places(bare, robot)
+    hold = hold_of_angles(bare, robot, data, joints)
+    name, commands = "", OwnCommands.ANGLES
+    for key, qpos in enumerate(model.key_qpos):
+        if np.abs(qpos[places] - joints).max(initial=0.0) < _THERE and states_ctrl(robot, key):
+            mujoco.mj_resetDataKeyframe(model, data, key)
+            hold = Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {})
+            name, commands = _name_of(model, key), OwnCommands.STATED
+            break
+    run = run_alone(bare, robot, data, hold, standing=False)
+    return replace(run, keyframe=name, commands=commands, limp=is_limp(bare))
+
+
+def _name_of(model: mujoco.MjModel, key: int) -> str:
+    return model.key(key).name or f"keyframe {key + 1}"
 
 
 def run_alone(

@@ -51,14 +51,16 @@ from pupper_analysis.robot.as_published import (
     ServoSource,
     ServosUsed,
 )
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import foot_geoms, ground_contacts
 from pupper_analysis.robot.fall import body_moved, nudge_velocity
 from pupper_analysis.robot.robot import Robot, with_friction
 from pupper_analysis.robot.servos import own_servos, servo_gains
-from pupper_analysis.simulation.verify import JOINT_TOLERANCE
+from pupper_analysis.simulation.verify import JOINT_TOLERANCE, torque_scale
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.statics.equilibrium import gravity_compensation
 
 Array = NDArray[np.float64]
 
@@ -71,10 +73,6 @@ NUDGED = 4.0
 
 SAME = 0.01
 """Share of the largest torque within which the file does as predicted: a verified stand's."""
-
-LEVER = 1e-3
-"""The robot's weight on this lever (m) is what deviations of torques are measured by where less is
-predicted: joints about vertical axes hold nothing."""
 
 SUNK = 1e-3
 """By which feet may sink otherwise in what is mended (m)."""
@@ -99,8 +97,11 @@ def as_published_in(robot: Robot, stand: Stand, servos: ServosUsed) -> Published
         return None
     if robot.published.as_prepared:
         return None  # it is what is simulated
+    loaded = as_loaded(robot)
+    if not (loaded.floating or stand.stance_feet):  # in a posture
+        return _published_in(loaded, stand)
     if robot.published.loaded is not None or robot.welds or not stand.task.ground.level:
-        return as_loaded(robot).once(published_nominal)
+        return loaded.once(published_nominal)
     return _published_in(robot, stand)
 
 
@@ -112,41 +113,29 @@ def published_nominal(robot: Robot) -> Published | None:
 
 
 def _published_in(robot: Robot, stand: Stand) -> Published | None:
-    """Returns how the file differs in a stand, with the lines of what makes it differ."""
-    if not robot.floating or not robot.feet or robot.published is None:
+    """Returns how the file differs in a stand, with the lines of what makes it differ.
+
+    None if nothing is predicted of the stand, or the base of one in a posture is free in the file.
+    """
+    if robot.published is None or (robot.floating and not robot.feet):
         return None
     model = robot.once(raw_model)
-    if model is None and robot.published.file is None:
+    if model is None and (robot.published.file is None or not robot.floating):
         return None  # MuJoCo does not import it
-    if model is None:
+    bare = None if model is None else Bare.of(model, robot)
+    wanted = predict_stand(robot, stand) if bare is not None else []
+    if bare is not None and (not wanted or (bare.floating and not robot.floating)):
+        return None
+    if bare is None or bare.floating != robot.floating:
         return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
-    found = as_published(Bare.of(model, robot), robot, stand)
-    return found and replace(found, causes=with_lines(found.causes, robot))
+    found = compared_with_file(bare, robot, wanted)
+    return replace(found, causes=with_lines(found.causes, robot))
 
 
 def with_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
     """Returns causes with the lines where they stand in a robot's MJCF, if it has one."""
     file = None if robot.published is None else robot.published.file
     return tuple(cause if file is None else with_line(cause, file) for cause in causes)
-
-
-def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
-    """Simulates the MJCF as it was published from a stand, and finds what makes it differ.
-
-    Args:
-        bare: The MJCF as it was published.
-        robot: The robot.
-        stand: The stand, on level ground.
-
-    Returns:
-        What comes of it; None if nothing is predicted of the stand.
-    """
-    wanted = predict_stand(robot, stand)
-    if not wanted:
-        return None
-    if not bare.floating:
-        return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
-    return compared_with_file(bare, robot, wanted)
 
 
 def compared_with_file(bare: Bare, robot: Robot, wanted: Sequence[Predicted]) -> Published:
@@ -219,7 +208,14 @@ class Predicted:
 
 
 def predict_stand(robot: Robot, stand: Stand) -> list[Predicted]:
-    """Returns what is predicted of a stand, with feed-forward and on position commands alone."""
+    """Returns what is predicted of a stand, with feed-forward and on position commands alone.
+
+    Of a posture with feed-forward.
+    """
+    if not robot.floating:
+        joints = stand.qpos[-robot.nu :]
+        torques = gravity_compensation(Configuration(robot, joints), contacts=()).joint_torques
+        return [Predicted(True, joints, torques, joints)]
     try:
         held = solve_stand_on_soft_ground(robot, stand, explain=False)
     except PupperAnalysisError:
@@ -275,8 +271,7 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
         error, collapses = motion.end_height - motion.height, motion.collapses
         alike = abs(error) <= SAME_HEIGHT * motion.height
     else:
-        weight = robot.weight
-        largest = max(largest, LEVER * weight)
+        largest = torque_scale(robot, wanted.torques)
         collapses = not float(np.abs(moved).max()) <= LEFT
         rubbing = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index]
         off = np.maximum(off - rubbing[driven], 0.0)  # where it sticks after a nudge

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.base.units import EARTH
 from pupper_analysis.models.conversion import UrdfImport, acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import (
@@ -298,8 +299,15 @@ class Robot:
         )
 
     @property
+    def bolted(self) -> bool:
+        """Whether its base is fixed in the world: by its file, or by a task's weld."""
+        return not self.floating or None in self.welds.values()
+
+    @property
     def bearing(self) -> tuple[str, ...]:
         """The contact points by which something may touch: all but those of what is welded."""
+        if not self.floating:
+            return ()
         if not self.touching:
             return self.contact_points
         held = {point for name in self.welds for point in self.feet.get(name, ())}
@@ -339,6 +347,11 @@ class Robot:
     def weight(self) -> float:
         """Of the URDF's model, in its gravity (N)."""
         return self.total_mass * float(np.linalg.norm(self.gravity))
+
+    @property
+    def usual_weight(self) -> float:
+        """The same; of what floats in space that on Earth: a scale for what is off (N)."""
+        return self.weight or self.total_mass * EARTH
 
     @cached_property
     def structure(self) -> Structure:

@@ -32,6 +32,11 @@ _VIEWS = 8
 """Robots with contacts that are kept for later: as many as things that are lent."""
 
 
+_BOLTED = 1e4
+"""Masses of a robot by which a base that its file fixes is heavier when it is freed, and welded: as
+heavy as what it is bolted to. MuJoCo's welds are soft, and a light base shakes on one."""
+
+
 def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
     """Returns a robot that can make a task's contacts; most often itself.
 
@@ -126,7 +131,7 @@ def _freed(robot: Robot) -> Robot:
             body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
             body.pos, body.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
         body.pos, body.quat = pose[:3], pose[3:]
-        body.add_freejoint()
+        body.add_freejoint().armature = _BOLTED * robot.total_mass
         for key in spec.keys:
             key.qpos = np.insert(key.qpos, robot.mj_convention.qpos_index.min(), pose)
     built = with_knowledge_of(build_robot(replace(described, mjcf=spec)), robot)

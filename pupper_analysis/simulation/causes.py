@@ -119,7 +119,7 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
     for state in states[-_JOLTS:]:
         seen = watcher.look(state, ctrl)
         pushed.append(sum(float(force[2]) for force in seen.forces.values()))
-    share = float(np.std(pushed)) / (robot.weight)
+    share = float(np.std(pushed)) / robot.usual_weight
     if not share > _EVEN:
         return []
     option = drive.model.opt

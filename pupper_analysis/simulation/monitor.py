@@ -15,6 +15,7 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot import contact
+from pupper_analysis.robot.as_published import LEFT
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import (
     FALLEN_TILT,
@@ -36,7 +37,8 @@ FALLEN_HEIGHT = 0.5
 class Upright:
     """How a robot is to stand, against which a fall is seen.
 
-    What is watched is the point of its base at which its centre of mass is when it stands so.
+    What is watched is the point of its base at which its centre of mass is when it stands so; of
+    one whose base is fixed, its joints.
 
     Attributes:
         robot: The robot.
@@ -44,6 +46,7 @@ class Upright:
         place: (3,) where that point is to be (m).
         lever: (3,) where it is in the base's frame (m).
         size: Its height above the lowest of the feet's contacts (m).
+        joints: (nu,) where they are to be (rad, m).
     """
 
     robot: Robot
@@ -51,6 +54,7 @@ class Upright:
     place: Array
     lever: Array
     size: float
+    joints: Array
 
     @classmethod
     def of(cls, robot: Robot, qpos: Array, rotation: Array | None = None) -> Upright:
@@ -61,15 +65,18 @@ class Upright:
             qpos: (nq,) its configuration.
             rotation: (3, 3) which its base is to have; that of ``qpos`` by default.
         """
-        config = Configuration(robot, qpos)
-        com, turned = config.center_of_mass(), rotation_from_quaternion(qpos[3:7])
+        config, joints = Configuration(robot, qpos), qpos[robot.nq - robot.nu :]
+        com = config.center_of_mass()
+        if not robot.floating:
+            return cls(robot, np.eye(3), com, np.zeros(3), 1.0, joints)
+        turned = rotation_from_quaternion(qpos[3:7])
         feet = config.foot_positions()
         low = min((feet[foot][2] - robot.contact_radius[foot] for foot in feet), default=0.0)
         lever = turned.T @ (com - qpos[:3])
         size = float(com[2] - low)
         if robot.welds:  # it stands on what is bolted, which may be above it
             size = float(np.linalg.norm(com - qpos[:3])) + robot.stand_height
-        return cls(robot, turned if rotation is None else rotation, com, lever, size)
+        return cls(robot, turned if rotation is None else rotation, com, lever, size, joints)
 
     def lean(self, state: Array) -> float:
         """Returns how far the base of a state leans (rad)."""
@@ -82,11 +89,16 @@ class Upright:
 
     def has_fallen(self, state: Array) -> bool:
         """Tells whether a robot has fallen over in a state."""
+        if self.robot.bolted:
+            return False
         lost = self.place[2] - self._place(state)[2]
         return self.lean(state) > FALLEN_TILT or bool(lost > (1 - FALLEN_HEIGHT) * self.size)
 
     def has_collapsed(self, state: Array) -> bool:
-        """Tells whether a robot no longer stands in a state, in any way."""
+        """Tells whether a robot no longer stands in a state, or has left its posture."""
+        if self.robot.bolted:
+            joints = state[1 + self.robot.mj_convention.qpos_index[-self.robot.nu :]]
+            return not bool((np.abs(joints - self.joints) < LEFT).all())
         place = self._place(state)
         away = horizontal_distance(self.place, place)
         return has_collapsed(self.lean(state), float(self.place[2] - place[2]), away, self.size)
@@ -156,13 +168,17 @@ def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
 
 
 def base_heights(robot: Robot, states: Array) -> Array:
-    """Returns the base's height in every state of a rollout."""
+    """Returns the base's height in every state of a rollout; 0 of one that its file fixes."""
+    if not robot.floating:
+        return np.zeros(states.shape[:-1])
     heights: Array = states[..., 1 + robot.mj_convention.qpos_index[2]]
     return heights
 
 
 def turned_by(robot: Robot, rotation: Array, state: Array) -> float:
     """Returns the angle of the base's rotation against the given one (rad)."""
+    if not robot.floating:
+        return 0.0
     quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
     return float(np.linalg.norm(pin.log3(rotation.T @ rotation_from_quaternion(quaternion))))
 
@@ -238,7 +254,8 @@ class Watch:
     """What a close look at some states of a rollout shows.
 
     Attributes:
-        failures: What touches the ground, and should not; or should, and does not.
+        failures: What touches the ground, and should not; or should, and does not. Where nothing is
+            to touch anything, what does.
         touching: Pairs of its bodies that push on each other, settled.
         torques: (nu,) of motors, settled (N m).
         forces: Of each foot (3,) (N).
@@ -279,20 +296,24 @@ def watch_contacts(
     total = {foot: np.zeros(3) for foot in robot.feet}
     carrying = robot.feet_with(stand.stance_feet)
     feet = {foot: np.zeros(3) for foot in robot.contact_points}
-    count, touching = 0, set[tuple[str, str]]()
-    least = TOUCH * robot.weight
+    count, touching, pressed = 0, set[tuple[str, str]](), set[tuple[str, str]]()
+    alone = robot.bolted and not stand.stance_feet
+    least = TOUCH * robot.usual_weight
     last_second = range(settling - round(LAST / model.opt.timestep), settling)
     # Backwards: the first moment stays. Both parts end with their last state.
     for index in (*range(len(states) - 1, settling - 1, -step), *range(settling - 1, -1, -step)):
         seen = watcher.look(states[index], ctrl)
-        touched |= dict.fromkeys(seen.bodies, seen.time)
-        touched |= {foot: seen.time for foot in seen.forces if foot not in carrying}
+        if alone:
+            pressed |= pushing_bodies(model, watcher.data, least)
+        else:
+            touched |= dict.fromkeys(seen.bodies, seen.time)
+            touched |= {foot: seen.time for foot in seen.forces if foot not in carrying}
         lost |= {foot: seen.time for foot in seen.idle(carrying) if foot in loaded}
         if index in last_second:
             count += 1
             pushing = pushing_bodies(model, watcher.data, least)
             touching |= {pair for pair in pushing if _WORLD not in pair}
-            torques += watcher.data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
+            torques += watcher.data.qfrc_actuator[robot.mj_convention.qvel_index[-robot.nu :]]
             for foot in total:
                 total[foot] += seen.forces.get(foot, np.zeros(3))
             for foot, centre in watcher.foot_centres().items():
@@ -305,9 +326,10 @@ def watch_contacts(
         diagnose("foot-idle", subject=("foot", foot), time=Quantity(moment, "s"))
         for foot, moment in sorted(lost.items())
     ]
+    failures += [diagnose("parts-touch", bodies=pair) for pair in sorted(pressed)]
     return Watch(
         failures=tuple(failures),
-        touching=tuple(sorted(touching)),
+        touching=tuple(sorted(touching - pressed)),
         torques=torques / count,
         forces={foot: force / count for foot, force in total.items()},
         feet_settled={foot: position / count for foot, position in feet.items()},

@@ -135,10 +135,9 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         pushing = data.qfrc_constraint + data.qfrc_passive - data.qfrc_bias
         return float(normal @ pushing[robot.mj_convention.qvel_index[:3]])
 
-    # Deep enough, walls hold by friction alone; and what is welded cannot be let down.
-    if robot.welds or (apart and any(stand.depths.values())):
-        surplus(0.0)
-        return full_state(model, data)
+    # Deep enough, walls hold by friction alone; and what is fixed cannot be let down.
+    if robot.bolted or robot.welds or (apart and any(stand.depths.values())):
+        return rest_state(robot, drive, stand.qpos, data.ctrl)
     low, high = 0.0, _SHALLOW
     short, over = -math.inf, surplus(high)
     while over <= 0 and high < _DEEP:
@@ -147,6 +146,21 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     # Where nothing carries, however deep, it begins there and falls.
     surplus(_carried(surplus, low, high, short, over) if over > 0 else high)
     return full_state(model, data)
+
+
+def rest_state(robot: Robot, drive: Servos, qpos: Array, ctrl: Array) -> Array:
+    """Returns the state (mjSTATE_FULLPHYSICS) of a robot at rest in a configuration.
+
+    Args:
+        robot: The robot, on its ground.
+        drive: Its servos.
+        qpos: (nq,) where it rests.
+        ctrl: (model.nu,) what they are commanded.
+    """
+    data = mujoco.MjData(drive.model)
+    robot.mj_convention.set_state(data, qpos)
+    data.act[:] = settled_activations(drive.model, ctrl)
+    return full_state(drive.model, data)
 
 
 def settled_activations(model: mujoco.MjModel, ctrl: Array, slowest: float = math.inf) -> Array:
@@ -291,13 +305,14 @@ def check_stand(robot: Robot, stand: Stand, duration: float) -> Robot:
 
 
 def check_standing(robot: Robot, stand: Stand) -> Robot:
-    """Checks that a stand is the robot's, and its base free; returns it with its contacts.
+    """Checks that a stand is the robot's, its base free if it has feet; returns it with contacts.
 
     Raises:
         ConfigurationError: If not.
     """
-    if not stand.task.contacts:  # a weld frees a base
+    if stand.stance_feet and not stand.task.contacts:  # a weld frees a base
         robot.check_floating()
     robot = stand.check(robot)
-    robot.check_floating()
+    if stand.stance_feet:
+        robot.check_floating()
     return robot

@@ -21,8 +21,7 @@ from pupper_analysis.simulation.rollout import (
     STATE,
     begin_stand,
     check_standing,
-    full_state,
-    settled_activations,
+    rest_state,
     simulate,
 )
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
@@ -102,22 +101,6 @@ def rest_stability(
     drive = model_with_servos(robot, kp, kd, integrator)
     ctrl = drive.command(robot, stand.joint_positions(robot))
     return evaluate_stability(drive, rest_state(robot, drive, pose.qpos, ctrl), ctrl, MEETING)
-
-
-def rest_state(robot: Robot, drive: Servos, qpos: Array, ctrl: Array) -> Array:
-    """Returns the state (mjSTATE_FULLPHYSICS) of a robot at rest in a configuration.
-
-    Args:
-        robot: The robot, on its ground.
-        drive: Its servos.
-        qpos: (nq,) where it rests.
-        ctrl: (model.nu,) what they are commanded.
-    """
-    data = mujoco.MjData(drive.model)
-    robot.mj_convention.set_state(data, qpos)
-    data.ctrl[:] = ctrl
-    data.act[:] = settled_activations(drive.model, data.ctrl)
-    return full_state(drive.model, data)
 
 
 RESTING = 5e-3

@@ -199,7 +199,7 @@ def may_be_upset(robot: Robot, stand: Stand, statics: GravityCompensation) -> bo
         stand: How it stands on the ground that is simulated.
         statics: What its motors hold there.
     """
-    if statics.com_margin is None or None in robot.welds.values():  # a base that no nudge moves
+    if statics.com_margin is None or robot.bolted:  # a base that no nudge moves
         return False
     fall = NUDGE * math.sqrt(height_of_com(robot, stand) / float(np.linalg.norm(robot.gravity)))
     (lower, upper), angles = _limits(robot, stand), stand.qpos[7:]

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity
 from pupper_analysis.base.results import Result
@@ -65,41 +64,9 @@ class Ending(StrEnum):
     UNTRIED = "was not simulated"
 
 
-class Simulated(Protocol):
-    """What a verdict needs to know of a simulation: of a stand, or of a posture that is held."""
-
-    @property
-    def passed(self) -> bool:
-        """Whether it is verified."""
-
-    @property
-    def collapses(self) -> bool:
-        """Whether it has fallen, or is far from where it was."""
-
-    @property
-    def failures(self) -> tuple[Diagnostic, ...]:
-        """If it is not verified, why."""
-
-    @property
-    def duration(self) -> float:
-        """What was simulated (s)."""
-
-    @property
-    def torque_error(self) -> float:
-        """Largest deviation / largest predicted torque."""
-
-    @property
-    def force_error(self) -> float | None:
-        """Largest deviation of a foot's force / its prediction; None where no foot carries."""
-
-    @property
-    def stability(self) -> Stability | None:
-        """Of where it settled; None where that was not asked."""
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
-    """What a simulation was seen to do that predicts no torques: of a payload, of a path.
+    """What a verdict needs to know of a simulation; of a payload or a path no more is known.
 
     Attributes:
         passed: Whether it did what was asked.
@@ -169,8 +136,8 @@ class Verdict(Result):
 
 
 def judge_stance(
-    fed: Simulated,
-    alone: Simulated | None,
+    fed: Outcome,
+    alone: Outcome | None,
     servos: ServosUsed,
     *,
     asked: Asked = Asked.STANDS,
@@ -255,7 +222,7 @@ def beyond_limits(statics: GravityCompensation) -> tuple[str, ...]:
     return tuple(name for name, share in used if share > 1)
 
 
-def describe_ending(run: Simulated) -> Ending:
+def describe_ending(run: Outcome) -> Ending:
     """Tells how a simulation ended."""
     if run.passed:
         return Ending.HOLDS
@@ -263,8 +230,8 @@ def describe_ending(run: Simulated) -> Ending:
 
 
 def _code(
-    fed: Simulated,
-    alone: Simulated | None,
+    fed: Outcome,
+    alone: Outcome | None,
     servos: ServosUsed,
     overloaded: tuple[str, ...],
     own: OwnRun | None,

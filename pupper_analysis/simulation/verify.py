@@ -43,6 +43,8 @@ from pupper_analysis.simulation.stability import (
     simulate_nudge,
     stability_after,
 )
+from pupper_analysis.simulation.verdict import Outcome
+from pupper_analysis.stance.sag.steady_state import SteadyState
 from pupper_analysis.stance.soft_ground import open_loops
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -50,35 +52,21 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 Array = NDArray[np.float64]
 
 
-def load_by_mujoco(robot: Robot, qpos: Array) -> Array:
-    """Returns what motors and contacts hold at rest (nv,), by MuJoCo's dynamics of the MJCF.
-
-    It is ``Configuration.load`` of the other engine, from the other file.
-    """
-    data = _at(robot, qpos)
-    load: Array = (data.qfrc_bias - data.qfrc_passive)[robot.mj_convention.qvel_index]
-    return load
-
-
-def _at(robot: Robot, qpos: Array) -> mujoco.MjData:
-    data = mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_fwdPosition(robot.mj_model, data)
-    mujoco.mj_fwdVelocity(robot.mj_model, data)
-    return data
-
-
 def balance_by_mujoco(
     robot: Robot, stand: Stand, prediction: GravityCompensation
 ) -> tuple[float, float]:
     """Checks stand and statics with MuJoCo's kinematics and dynamics of the MJCF."""
-    model = robot.mj_model
-    data = _at(robot, stand.qpos)
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_fwdVelocity(model, data)
     remainder = data.qfrc_bias - data.qfrc_passive
     foot_error = 0.0
     jacobian = np.zeros((3, model.nv))
-    for foot, centre in monitor.foot_centres(robot, data).items():
-        foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
+    centres = monitor.foot_centres(robot, data)
+    for foot, target in stand.foot_targets.items():
+        centre = centres[foot]
+        foot_error = max(foot_error, float(np.linalg.norm(centre - target)))
         if foot in stand.stance_feet:
             radius, depth = robot.contact_radius[foot], stand.depths[foot]
             point = centre + contact_offset(radius, stand.normals[foot], depth)
@@ -86,7 +74,7 @@ def balance_by_mujoco(
             remainder -= jacobian.T @ prediction.contact_forces[foot]
     for push in weld_pushes(robot, stand, prediction).values() if robot.welds else ():
         remainder[robot.mj_convention.qvel_index] -= push
-    joints = robot.mj_convention.qvel_index[6:]
+    joints = robot.mj_convention.qvel_index[-robot.nu :]
     if robot.closure is not None:
         remainder[joints] -= robot.closure.push(stand.qpos) @ remainder[joints]
     remainder[joints] -= prediction.joint_torques
@@ -185,6 +173,10 @@ LIGHT = 0.05
 ANOTHER_ROBOT = 1e-3
 """Share of the weight by which MuJoCo's balance may be off; 1e-6 is what rounded files leave."""
 
+LEVER = 1e-3
+"""The robot's weight on this lever (m) is what deviations of torques are measured by where less is
+predicted: joints about vertical axes hold nothing."""
+
 SETTLED_DRIFT = 5e-4
 """A base whose height changes faster than this in the last second has not settled (m/s)."""
 
@@ -196,12 +188,12 @@ NUDGED = 7 / 12  # of the time by default: 5 s to settle, and 7 s in which 1e-3 
 _FRAME = 0.1  # s between those that are kept: an eye sees what it does, and results stay small
 
 
-@dataclass(frozen=True, eq=False)
-class StandVerification(SimulationSettings, Tabular):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StandVerification(Outcome, SimulationSettings, Tabular):
     """What a simulation made of a stand, against the prediction, and the ``SimulationSettings``.
 
     Settled values are means over the last second before the nudge. Predictions are Pinocchio's,
-    from the URDF.
+    from the URDF. Of a robot that its file fixes, heights, ways and tilts of the base are 0.
 
     Attributes:
         passed: Whether the stand is verified.
@@ -209,7 +201,7 @@ class StandVerification(SimulationSettings, Tabular):
         stays: Whether it stands still on its feet and does so again after the nudge, as predicted
             or not.
         collapses: Whether it has diverged, fallen over, sunk or been thrown up by 30 % of its
-            height at the end.
+            height at the end; of one whose base is fixed, whether a joint ends far from the stand.
         base_height: Settled (m).
         height_deviation: Standard deviation of the base's height in that second (m).
         height_drift: Rate of the base's height in that second (m/s): still sinking if negative.
@@ -220,14 +212,16 @@ class StandVerification(SimulationSettings, Tabular):
         foot_slip: {foot: horizontal distance from its target} at the end (m); of one on a plane of
             its own along that.
         joint_error: The largest deviation of a joint from the stand in that second (rad).
+        joint_positions: (nu,) settled (rad, m).
         joint_torques: (nu,) of the motors, settled (N m).
         predicted_torques: (nu,) (N m).
-        torque_error: Largest deviation / largest predicted torque.
+        torque_error: Largest deviation / largest predicted torque, or that of the weight on
+            ``LEVER``, if that is more.
         foot_forces: {foot: (3,)} of the ground on the foot, settled, in world axes (N).
         predicted_forces: {foot: (3,)} (N).
         force_error: Largest deviation of a vertical foot force / its prediction (or / ``LIGHT`` of
             the weight, where a foot is predicted to carry less than that); on a plane of its own
-            the force that presses counts.
+            the force that presses counts. None where no foot carries.
         mujoco_foot_error: Largest distance of a foot from its target at ``stand.qpos`` by MuJoCo's
             kinematics of the MJCF (m).
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
@@ -241,10 +235,7 @@ class StandVerification(SimulationSettings, Tabular):
         motion: (m, nq) the configurations at these, to six digits: to be looked at.
     """
 
-    passed: bool
-    failures: tuple[Diagnostic, ...]
     stays: bool
-    collapses: bool
     base_height: float
     height_deviation: float
     height_drift: float
@@ -254,12 +245,11 @@ class StandVerification(SimulationSettings, Tabular):
     tilt: float
     foot_slip: dict[str, float]
     joint_error: float
+    joint_positions: Array
     joint_torques: Array
     predicted_torques: Array
-    torque_error: float
     foot_forces: dict[str, Array]
     predicted_forces: dict[str, Array]
-    force_error: float
     mujoco_foot_error: float
     mujoco_residual: float
     stability: Stability
@@ -284,8 +274,11 @@ def verify_stand(
     integrator: str | None = None,
     duration: float = LASTING,
     nudged: float | None = None,
+    settled: SteadyState | None = None,
 ) -> StandVerification:
     """Simulates a stand on the floating base, and compares it with Pinocchio's prediction.
+
+    Or a posture of a robot whose base is fixed (``held_stand``).
 
     The prediction is ``gravity_compensation`` with minimum tangential forces: the equilibrium that
     lasts in a simulator whose friction creeps. MuJoCo's ground is soft: where the feet bear unequal
@@ -306,12 +299,14 @@ def verify_stand(
         duration: Simulated time (s), at least 2.
         nudged: The part of it after the nudge (s); 7 of 12 by default. 0: it is not nudged, and
             what it settles at is measured at the end.
+        settled: Where it is predicted to rest without feed-forward: what nothing but its fixed base
+            holds, so that nothing creeps, is to do so.
 
     Returns:
         The comparison; ``failures`` says why a stand is not verified.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ConfigurationError: If an argument is out of its range, or a stand's base is fixed.
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
@@ -342,6 +337,8 @@ def verify_stand(
     stays = not failures
     if feedforward:
         failures += _deviations(robot, stand, watch, found, prediction, alone=stays)
+    elif settled is not None and not settled.failures and robot.bolted and not stand.stance_feet:
+        failures += _off_rest(robot, found, settled)
     failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
     return replace(found, passed=not failures, failures=tuple(failures), stays=stays)
 
@@ -433,12 +430,11 @@ def _measured(
     states, settled, drops = run.states, run.last, watch.drops(stand)
     resting = monitor.base_heights(robot, settled)
     base_height = float(resting.mean())
-    height_loss = float(stand.qpos[2]) - base_height
+    height_loss = float(stand.qpos[2]) - base_height if robot.floating else 0.0
     contact_sag = stand.sunk(robot, drops)
-    joints = settled[:, 1 + robot.mj_convention.qpos_index[7:]]
+    joints = settled[:, 1 + robot.mj_convention.qpos_index[-robot.nu :]]
     joint_error = float(np.abs(joints - stand.joint_positions(robot)).max())
-    largest = np.abs(prediction.joint_torques).max()
-    torque_error = float(np.abs(watch.torques - prediction.joint_torques).max() / largest)
+    off = float(np.abs(watch.torques - prediction.joint_torques).max())
     predicted = robot.per_foot(prediction.contact_forces)
     out = stand.ways_out(robot)
     force_error = max(
@@ -447,7 +443,7 @@ def _measured(
             / max(float(force @ out[foot]), light)
             for foot, force in predicted.items()
         ),
-        default=0.0,
+        default=None,
     )
     step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE_TIME, _FRAME))
     foot_error, residual = balance_by_mujoco(robot, stand, prediction)
@@ -476,12 +472,13 @@ def _measured(
             for foot in robot.feet_with(drops)
         },
         joint_error=joint_error,
+        joint_positions=joints.mean(axis=0),
         joint_torques=watch.torques,
         predicted_torques=prediction.joint_torques,
-        torque_error=torque_error,
+        torque_error=off / torque_scale(robot, prediction.joint_torques),
         foot_forces=watch.forces,
         predicted_forces=predicted,
-        force_error=float(force_error),
+        force_error=force_error,
         mujoco_foot_error=foot_error,
         mujoco_residual=residual,
         stability=run.stability,
@@ -503,6 +500,8 @@ def _failures(
     if upright.has_fallen(states[-1]):
         height = float(monitor.base_heights(robot, states[-1]))
         failures.insert(0, monitor.tell_fall(upright.lean(states[-1]), height))
+    if robot.bolted and upright.has_collapsed(states[-1]):
+        failures.append(diagnose("posture-left"))
     if not found.height_deviation < STABLE_DEVIATION:
         deviation = Quantity(found.height_deviation, "m")
         failures.append(diagnose("height-deviates", deviation=deviation))
@@ -510,6 +509,23 @@ def _failures(
         drift = Quantity(found.height_drift, "m/s")
         failures.append(diagnose("height-drifts", drift=drift))
     return failures
+
+
+def torque_scale(robot: Robot, torques: Array) -> float:
+    """Returns what deviations of torques are measured by (N m): the largest; see ``LEVER``."""
+    return max(float(np.abs(torques).max()), LEVER * robot.usual_weight)
+
+
+def _off_rest(robot: Robot, found: StandVerification, settled: SteadyState) -> list[Diagnostic]:
+    """Says so if it rests elsewhere than predicted, by more than dry friction may hold it."""
+    rubbing = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index[-robot.nu :]]
+    way = np.divide(rubbing, found.kp, out=np.zeros(robot.nu), where=found.kp > 0).max()
+    scale, joints = torque_scale(robot, settled.joint_torques), settled.qpos[-robot.nu :]
+    torques = float(np.abs(found.joint_torques - settled.joint_torques).max()) / scale
+    moved = float(np.abs(found.joint_positions - joints).max())
+    off = deviations(moved, torques, way, rubbing.max() / scale)
+    limits = drive_limits(robot, found, found.joint_torques, settled.joint_torques, joints)
+    return [*off, *limits] if off else []
 
 
 def deviations(
@@ -577,9 +593,9 @@ def _deviations(
 ) -> list[Diagnostic]:
     """Says what is not as predicted; soft ground may be why, if that ``alone`` is wrong."""
     off = deviations(found.joint_error, found.torque_error)
-    if not found.force_error < FORCE_TOLERANCE:
+    if found.force_error is not None and not found.force_error < FORCE_TOLERANCE:
         off.append(diagnose("foot-force-off", error=found.force_error))
-    weight = robot.weight
+    weight = robot.usual_weight
     if off:
         torques = found.joint_torques, found.predicted_torques
         off += drive_limits(robot, found, *torques, stand.joint_positions(robot))

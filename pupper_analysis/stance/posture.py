@@ -14,10 +14,11 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.results import Result
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import check_in_range, joint_unit, named_positions
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tendons import tendon_ranges
+from pupper_analysis.stance.judge import Stand
+from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
 
@@ -180,20 +181,36 @@ def _within(robot: Robot, qpos: Array, ranges: Array, placed: NDArray[np.int64])
     return qpos + basis @ found.x if found.success else qpos
 
 
-def with_give(robot: Robot, qpos: Array) -> Array:
-    """Returns where joints that follow others are at rest (nu,): MuJoCo's couplings are soft.
+def held_stand(robot: Robot, posture: Posture) -> Stand:
+    """Returns a posture as a stand on no feet, which is simulated, sags and is judged as all are.
 
     Args:
         robot: A robot whose base is held.
-        qpos: (nu,) where its loops and couplings are closed.
+        posture: Where it is commanded to be.
+
+    Raises:
+        ConfigurationError: If the base is free.
     """
-    closure = robot.closure
-    if closure is None or not len(closure.following):
-        return qpos
-    give = closure.give(qpos, Configuration(robot, qpos).load())
-    moving = np.isin(np.arange(robot.nu), closure.following).astype(float)
-    opened = closure.closed(qpos, moving, give)
-    return qpos if opened is None else opened
+    check_held(robot)
+    nothing: dict[str, Array] = {}
+    return Stand(
+        task=StandTask(),
+        qpos=posture.qpos,
+        foot_targets=nothing,
+        depths={},
+        stance_feet=(),
+        normals=nothing,
+        contact_points=nothing,
+        foot_error=0.0,
+        orientation_error=0.0,
+        height_error=0.0,
+        com_error=0.0,
+        com_margin=np.inf,
+        ground_clearance=None,
+        self_clearance=None,
+        iterations=0,
+        robot=robot.fingerprint,
+    )
 
 
 def _others(robot: Robot, ranges: Array, keyframe: str | None) -> tuple[Array, PostureSource, str]:

@@ -118,7 +118,7 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 
     That is ``solve_stand_on_soft_ground``'s, which MuJoCo holds as predicted; or, where the legs do
     not reach down so far, or the ground does not settle under soft loops, the one on rigid ground,
-    without ``depths``.
+    without ``depths``. Of a posture (``held_stand``) the loops give way.
 
     Args:
         robot: A robot with a floating base and a ground.
@@ -132,6 +132,8 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
         NotSettlingError: If the depths do not settle, of a robot without loops.
     """
     stand = task if isinstance(task, Stand) else solve_stand(robot, task, explain=False)
+    if not stand.check(robot).floating:  # a posture
+        return replace(stand, qpos=_with_give(robot, stand.qpos))
     try:
         return solve_stand_on_soft_ground(robot, stand, explain=False)
     except StanceUnreachableError:
@@ -140,6 +142,17 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
         if robot.closure is None:
             raise
         return stand  # loops that are very soft open further and further: a simulation says so
+
+
+def _with_give(robot: Robot, qpos: Array) -> Array:
+    """Returns where joints that follow others are at rest (nu,): MuJoCo's couplings are soft."""
+    closure = robot.closure
+    if closure is None or not len(closure.following):
+        return qpos
+    give = closure.give(qpos, Configuration(robot, qpos).load())
+    moving = np.isin(np.arange(robot.nu), closure.following).astype(float)
+    opened = closure.closed(qpos, moving, give)
+    return qpos if opened is None else opened
 
 
 def solve_loaded_stand(

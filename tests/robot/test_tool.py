@@ -10,8 +10,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
-from pupper_analysis.simulation.verify import load_by_mujoco
-from tests.support.engines import mujoco_at
+from tests.support.engines import load_by_mujoco, mujoco_at
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
 

@@ -67,6 +67,12 @@ def mujoco_at(
     return data
 
 
+def load_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
+    """``Configuration.load`` of the other engine, from the other file."""
+    data = mujoco_at(robot, qpos)
+    return (data.qfrc_bias - data.qfrc_passive)[addresses(robot)[1]]
+
+
 def integrate(robot: pa.Robot, qpos: np.ndarray, qvel: np.ndarray, dt: float) -> np.ndarray:
     """The qpos after dt at constant qvel, by MuJoCo."""
     q, v = addresses(robot)

@@ -347,7 +347,9 @@ def there(**changes: Any) -> Any:
         failures=(),
     )
     fields = {"name": "stub", "passed": True, "stand": STAND, "path": path, "tracking": tracking}
-    verdict = judge_stance(Outcome(True, (), 3.0), None, SERVOS, asked=Asked.TRACKED)
+    verdict = judge_stance(
+        Outcome(passed=True, failures=(), duration=3.0), None, SERVOS, asked=Asked.TRACKED
+    )
     return Stub(**fields, **{"verdict": verdict, **changes})
 
 

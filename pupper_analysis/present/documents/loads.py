@@ -45,7 +45,7 @@ def proof_text(verification: StandVerification) -> doc.Text:
         "source-verified",
         seconds=f"{verification.duration:g}",
         torque=f"{verification.torque_error:.2%}",
-        force=f"{verification.force_error:.2%}",
+        force="" if verification.force_error is None else f"{verification.force_error:.2%}",
     )
 
 

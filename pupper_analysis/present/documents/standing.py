@@ -180,7 +180,9 @@ def simulated_table(run: StandVerification) -> doc.Table:
 SAG = ("loss-of-height", "of-it-servo-sag", "of-it-contact-softness")
 """Quantities of a run that are predicted, too."""
 
-_QUANTITIES: tuple[tuple[str, str, Callable[[StandVerification], float], str, float], ...] = (
+_QUANTITIES: tuple[
+    tuple[str, str, Callable[[StandVerification], float | None], str, float], ...
+] = (
     ("base-height", "mm", lambda run: run.base_height, ".2f", 1e3),
     ("loss-of-height", "mm", lambda run: run.height_loss, ".3f", 1e3),
     ("of-it-servo-sag", "mm", lambda run: run.servo_sag, ".3f", 1e3),

@@ -57,6 +57,8 @@ class Solution:
 
 def integrate_step(qpos: Array, step: Array) -> Array:
     """Returns the qpos (nq,) after a step (nv,) in the directions of qvel."""
+    if len(qpos) == len(step):  # the base is fixed
+        return qpos + step
     moved = qpos.copy()
     moved[:3] += step[:3]
     moved[7:] += step[6:]
@@ -176,18 +178,22 @@ class Units:
 
     Attributes:
         weight: N.
-        length: Of its com above the lowest foot that carries, in its stand (m).
+        length: Of its com above the lowest foot that carries, in its stand (m); of one that is
+            fixed a scale of it.
+        moves: How many of its coordinates move its base along an axis: three, or none.
     """
 
     weight: float
     length: float
+    moves: int = 3
 
     @staticmethod
     def of(robot: Robot, stand: Stand) -> Units:
         """Returns those of a robot in a stand."""
-        weight = robot.weight
-        if robot.welds:
-            return Units(weight, robot.stand_height)
+        weight = robot.usual_weight
+        if robot.bolted or robot.welds:
+            length = robot.stand_height or float(robot.mj_model.stat.extent)
+            return Units(weight, length, 3 if robot.floating else 0)
         lowest = min(float(stand.foot_targets[foot][2]) for foot in stand.stance_feet)
         com = Configuration(robot, stand.qpos).center_of_mass()
         return Units(weight, float(com[2]) - lowest)
@@ -216,14 +222,14 @@ class Units:
             forces: The feet whose equations of slip are of forces.
         """
         units = np.full(len(residual), self.length)
-        units[:3], units[3:nv] = self.weight, self.weight * self.length
+        units[: self.moves], units[self.moves : nv] = self.weight, self.weight * self.length
         units[nv:].reshape(-1, 3)[forces, :2] = self.weight
         return float(np.abs(residual / units).max())
 
     def is_too_far(self, step: Array) -> bool:
         """Tells whether a step (nv,) leaves the branch that it begins on."""
-        near = np.abs(step[3:]).max() < _TRUST[0]
-        return not (near and np.abs(step[:3]).max() < _TRUST[1] * self.length)
+        moved, turned = np.abs(step[: self.moves]), np.abs(step[self.moves :]).max()
+        return not (turned < _TRUST[0] and moved.max(initial=0.0) < _TRUST[1] * self.length)
 
 
 Feet = Literal["pinned", "sliding"]
@@ -268,19 +274,20 @@ class SagEquilibrium:
         used = servo_gains(robot, kp, None if kp is None else 0.0)
         self.lower, self.upper = robot.effort_ranges.T
         self.robot, self.stand, self.feet, self.kp = robot, stand, feet, used.kp
+        self._points = robot.contact_points if robot.floating else ()
         self.frames = {
             foot: pin.Quaternion.FromTwoVectors(normal, UP).matrix()
             for foot, normal in ground_normals(robot, stand.task.ground).items()
+            if foot in self._points
         }
+        under = ground_points(robot, stand)
         self._planes = [
-            (robot.contact_radius[foot], *frame[2].tolist(), on.tolist())
-            for (foot, frame), on in zip(
-                self.frames.items(), ground_points(robot, stand).values(), strict=True
-            )
+            (robot.contact_radius[foot], *frame[2].tolist(), under[foot].tolist())
+            for foot, frame in self.frames.items()
         ]
-        self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.contact_points}
+        self.laws = {foot: GroundLaw.of(robot, foot) for foot in self._points}
         self._commands = command_ranges(robot).T
-        self.command(stand.qpos[7:])
+        self.command(stand.joint_positions(robot))
         self._sole = {point: sole for sole, points in robot.feet.items() for point in points}
         config = Configuration(robot, stand.qpos)
         frames = robot.contact_frames
@@ -303,8 +310,10 @@ class SagEquilibrium:
         self.sliding_friction = {
             foot: contact.sliding_friction for foot, contact in robot.contacts.items()
         }
-        self._joints = np.arange(6, robot.nv)
-        self._welds = Welds(robot, stand) if robot.welds else None
+        self._joints = np.arange(robot.nv - robot.nu, robot.nv)
+        # Of a base alone that is welded the equations are left out.
+        self._still = 6 if [*robot.welds.values()] == [None] else 0
+        self._welds = Welds(robot, stand) if robot.welds and not self._still else None
 
     def depths(self, places: Array) -> dict[str, float]:
         """Returns how deep every foot is in the ground or its step; negative: above it (m).
@@ -338,7 +347,7 @@ class SagEquilibrium:
 
     def torques(self, qpos: Array) -> Array:
         """Returns the servos' torques (nu,)."""
-        asked = self.kp * (self.target - qpos[7:])
+        asked = self.kp * (self.target - qpos[-len(self.kp) :])
         torques: Array = np.minimum(np.maximum(asked, self.lower), self.upper)
         return torques
 
@@ -346,7 +355,7 @@ class SagEquilibrium:
         """Looks at the feet that touch, or has looked at them just now."""
         anchors, seen = tuple(self.anchors.items()), self._touch
         if seen is None or seen[0] != anchors or not (seen[1] == qpos).all():
-            config, feet = Configuration(self.robot, qpos), self.robot.contact_points
+            config, feet = Configuration(self.robot, qpos), self._points
             places = config.foot_places(feet)
             if self._under[0] != (held := tuple(self.anchors)):
                 frames = np.array([self.frames[foot] for foot in held]).reshape(-1, 3, 3)
@@ -380,9 +389,9 @@ class SagEquilibrium:
         """Returns the equations (nv + 3 n,): balance, and per foot two of slip, one of depth."""
         touch, places = self.touch(qpos), self.slips(qpos, forces)
         balance = touch.config.load() - touch.push(forces)
-        balance[6:] -= self.torques(qpos)
+        balance[self._joints] -= self.torques(qpos)
         if self.robot.closure is not None:
-            balance[6:] -= self.robot.closure.springs(qpos)
+            balance[self._joints] -= self.robot.closure.springs(qpos)
         if self.feet == "sliding":
             places[:, :2] = forces[:, :2] + self.units.weak * places[:, :2]
         slipping = self.slipping_rows(forces, places)
@@ -425,11 +434,12 @@ class SagEquilibrium:
         if self._welds is not None:
             held = self._welds.wrenches(touch.config, self.residual(qpos, forces)[:n])
         by_qpos[:n] = touch.balance_rates(forces, held)
-        servos = self.kp * (self.target - qpos[7:])
+        servos = self.kp * (self.target - qpos[-len(self.kp) :])
         moving = (servos > self.lower) & (servos < self.upper)
         by_qpos[self._joints, self._joints] += np.where(moving, self.kp, 0.0)
         if self.robot.closure is not None:
-            by_qpos[6:n, 6:] -= self.robot.closure.spring_rates(qpos)
+            first = self._joints[0]
+            by_qpos[first:n, first:] -= self.robot.closure.spring_rates(qpos)
         rates = by_qpos[n:].reshape(size, 3, n)  # a view
         rates[:] = touch.place_rates()
         if self.feet == "sliding":
@@ -541,15 +551,19 @@ class SagEquilibrium:
 
     def held(self, qpos: Array, equations: Array) -> Array:
         """Returns equations (nv + 3 n,), or their derivative, with those of welds among balance."""
-        return (
-            equations
-            if self._welds is None
-            else self._welds.among(self.touch(qpos).config, equations, self.units.weight)
-        )
+        if self._welds is not None:
+            return self._welds.among(self.touch(qpos).config, equations, self.units.weight)
+        if self._still:
+            equations = equations.copy()
+            equations[: self._still] = 0.0
+            if equations.ndim > 1:
+                np.fill_diagonal(equations[: self._still], 1.0)
+        return equations
 
     def weld_rows(self, qpos: Array) -> Array:
         """Returns the Jacobian (6 w, nv) of what is welded."""
-        assert self._welds is not None
+        if self._welds is None:
+            return np.eye(self._still, self.robot.nv)
         return self._welds.jacobian(self.touch(qpos).config)
 
     def against(self, solution: Solution) -> dict[str, float]:

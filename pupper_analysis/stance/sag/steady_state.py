@@ -28,8 +28,10 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead
 from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.robot.tendons import tendon_ranges
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.robot.touching import touching
+from pupper_analysis.stance.posture import AT_END, joint_ranges
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, Solution, Units
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
@@ -110,48 +112,10 @@ def find_idle_points(system: SagEquilibrium, depths: Array) -> set[str]:
     }
 
 
-@dataclass(frozen=True, eq=False)
-class Compliance:
-    """What holds an equilibrium against small motions that the feet allow.
-
-    Attributes:
-        hessian: (nv, nv) of the energy (N m/rad, N/m ...); not symmetric where feet slip.
-        mass: (nv, nv) the mass matrix.
-        free: (nv, k) a basis of the motions.
-    """
-
-    hessian: Array
-    mass: Array
-    free: Array
-
-    def reduced(self, without: Array | None = None) -> tuple[Array, Array]:
-        """Returns Hessian and mass matrix (k, k) of the motions.
-
-        Args:
-            without: (nv,) stiffness that is taken off the diagonal.
-        """
-        hessian = self.hessian if without is None else self.hessian - np.diag(without)
-        return self.free.T @ hessian @ self.free, self.free.T @ self.mass @ self.free
-
-    def stiffness(self, without: Array | None = None) -> float:
-        """Returns the least eigenvalue of the Hessian relative to the mass matrix (1/s^2)."""
-        if not self.free.shape[1]:
-            return math.inf
-        real, _, scale, *_ = lapack.dggev(*self.reduced(without), compute_vl=0, compute_vr=0)
-        values = np.divide(real, scale, out=np.full(len(real), np.inf), where=scale != 0)
-        return float(values.min())
-
-
 def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) -> float:
-    """Returns the least eigenvalue of the Hessian where the feet allow it to move.
+    """Returns the least eigenvalue of the energy's Hessian, relative to the mass matrix (1/s^2).
 
-    Args: as ``compliance_at``.
-    """
-    return compliance_at(system, solution, derivative).stiffness()
-
-
-def compliance_at(system: SagEquilibrium, solution: Solution, derivative: Array) -> Compliance:
-    """Returns what holds an equilibrium where the feet allow it to move.
+    Of motions that the feet allow; the Hessian is not symmetric where feet slip.
 
     Args:
         system: The equations.
@@ -188,7 +152,12 @@ def compliance_at(system: SagEquilibrium, solution: Solution, derivative: Array)
     _, lengths, rows = np.linalg.svd(held)
     least = max(held.shape) * np.finfo(float).eps * lengths.max(initial=0.0)
     free = rows[np.count_nonzero(lengths > least) :].T  # what nothing of it is held of
-    return Compliance(hessian, config.mass_matrix(), free)
+    if not free.shape[1]:
+        return math.inf
+    both = (free.T @ one @ free for one in (hessian, config.mass_matrix()))
+    real, _, scale, *_ = lapack.dggev(*both, compute_vl=0, compute_vr=0)
+    values = np.divide(real, scale, out=np.full(len(real), np.inf), where=scale != 0)
+    return float(values.min())
 
 
 _LEAST_STEP = 1 / 64  # of the feed-forward, in one step
@@ -231,7 +200,7 @@ class HomotopyPath:
     ) -> None:
         self.system, stand = system, system.stand
         self._looked_at: tuple[Solution, Array, float] | None = None
-        self.end: Array = stand.qpos[7:] if end is None else end
+        self.end: Array = stand.joint_positions(system.robot) if end is None else end
         self.balance: GravityCompensation = stand_statics(
             system.robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
         )
@@ -240,7 +209,7 @@ class HomotopyPath:
         forces = {f: system.frames[f] @ force for f, force in self.balance.contact_forces.items()}
         sunk = system.sunk(np.array(list(forces.values())).reshape(-1, 3))
         qpos = stand.qpos.copy()
-        if not system.robot.welds:
+        if not (system.robot.bolted or system.robot.welds):
             qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
         self._command(0.0)
         self.solution = self._settled(Solution(qpos, forces), diagnose("as-it-stands-fed"), exact)
@@ -344,7 +313,9 @@ class HomotopyPath:
 
     def _command(self, share: float) -> None:
         system = self.system
-        full = system.stand.qpos[7:] + command_lead(self.balance.joint_torques, system.kp)
+        full = system.stand.joint_positions(system.robot) + command_lead(
+            self.balance.joint_torques, system.kp
+        )
         system.command(full + share * (self.end - full))
 
     def _at(self, share: float) -> Solution | None:
@@ -443,12 +414,12 @@ radian: 2000 times v3's."""
 
 @dataclass(frozen=True, eq=False)
 class SteadyState(Result):
-    """An equilibrium of a servo-driven robot on its feet.
+    """An equilibrium of a servo-driven robot on its feet, or by its base that is fixed.
 
     Attributes:
         feet: What the feet do: ``pinned`` or ``sliding``.
         qpos: (nq,) the configuration.
-        base_height: m.
+        base_height: m; of one that its file fixes, this and what it loses is 0.
         height_loss: Stand's height less this one (m); the sum of the next two.
         servo_sag: The part lost in the joints (m).
         contact_sag: The part lost in the softness of feet and ground (m).
@@ -574,8 +545,8 @@ def let_creep(way: HomotopyPath, pose: SteadyState) -> float:
     Returns:
         How long the robot stands (s); infinite if longer.
     """
-    moves = abs(pose.height_drift) * LASTING > HARDLY * float(way.system.stand.qpos[2])
-    if pose.feet == "sliding" or not moves:
+    creeps = pose.feet != "sliding" and any(pose.foot_creep.values())
+    if not creeps or abs(pose.height_drift) * LASTING <= HARDLY * way.system.stand.qpos[2]:
         return math.inf
     begun = way.crept
     with contextlib.suppress(NoEquilibriumError):
@@ -599,7 +570,8 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
         ConfigurationError: If an argument is out of its range, or the robot cannot stand.
         UnknownNameError: If the stand is another robot's, with other feet.
     """
-    if not robot.floating or not (robot.contacts or robot.welds) or stand.qpos.shape != (robot.nq,):
+    stands = robot.bolted or robot.welds or (robot.floating and robot.contacts)
+    if not stands or (stand.stance_feet and not robot.floating) or len(stand.qpos) != robot.nq:
         raise ConfigurationError("robot", diagnose("robot-cannot-stand", robot=robot.name))
     for foot in stand.foot_targets:
         robot.check_foot(foot)
@@ -610,7 +582,7 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
         raise ConfigurationError("seconds", problem)
     if feet == "sliding" and (stand.task.ground.slope or stand.task.ground.planes):
         raise ConfigurationError("feet", diagnose("sliding-on-slope"))
-    slippery = [foot for foot in robot.contact_points if robot.contacts[foot].sliding_friction <= 0]
+    slippery = [foot for foot in robot.bearing if robot.contacts[foot].sliding_friction <= 0]
     if feet == "pinned" and slippery:
         raise ConfigurationError("feet", diagnose("feet-without-friction", feet=slippery))
 
@@ -643,7 +615,7 @@ def release_margin(way: HomotopyPath) -> float:
         robot.contacts[foot].sliding_friction * z - math.hypot(x, y)
         for foot, (x, y, z) in zip(feet, overshot.tolist(), strict=True)
     ]
-    return float(min(left, default=math.inf) / robot.weight)
+    return float(min(left, default=math.inf) / robot.usual_weight)
 
 
 @check_arguments
@@ -683,7 +655,7 @@ def minimum_stiffness(
             pose = steady_state(robot, stand, kp=kp, feet=feet)
         except NoEquilibriumError as error:
             return error.diagnostic
-        if pose.base_height <= 0.5 * float(stand.qpos[2]) and not robot.welds:
+        if pose.base_height <= 0.5 * float(stand.qpos[2]) and not (robot.bolted or robot.welds):
             return diagnose("base-sags", height=Quantity(pose.base_height, "m"))
         if len(pose.failures) > 1:
             return diagnose("failures-together", failures=pose.failures)
@@ -715,14 +687,17 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
     flow[robot.nv :].reshape(-1, 3)[:, :2] = creep
     reached = touch.config.foot_positions()
     drops = {foot: stand.foot_targets[foot] - reached[foot] for foot in stand.stance_feet}
-    loss = float(stand.qpos[2] - qpos[2])
+    height, drift = float(qpos[2]) if robot.floating else 0.0, 0.0
+    loss = float(stand.qpos[2]) - height if robot.floating else 0.0
+    if creep.any():
+        drift = float(np.linalg.solve(system.held(qpos, derivative), flow)[2])
     contact_sag = stand.sunk(robot, drops)
     torques = system.torques(qpos)
     names = np.array(robot.joint_names)
     return SteadyState(
         feet=system.feet,
         qpos=qpos,
-        base_height=float(qpos[2]),
+        base_height=height,
         height_loss=loss,
         servo_sag=loss - contact_sag,
         contact_sag=contact_sag,
@@ -733,7 +708,7 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
             foot: system.frames[foot].T @ solution.force(foot) for foot in robot.contact_points
         },
         foot_creep=dict(zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
-        height_drift=float(np.linalg.solve(system.held(qpos, derivative), flow)[2]),
+        height_drift=drift,
         iterations=way.iterations,
         residual=solution.residuals[-1],
         residuals=solution.residuals,
@@ -769,12 +744,13 @@ def _failures(
     ]
     idle = [f for f in robot.feet_with(stand.stance_feet) if touching.isdisjoint(robot.feet[f])]
     failures += [diagnose("foot-idle", subject=("foot", foot), time=None) for foot in idle]
-    qpos = solution.qpos
-    beyond = (qpos[7:] < robot.lower_limits) | (qpos[7:] > robot.upper_limits)
+    qpos, (low, high) = solution.qpos, joint_ranges(robot).T
+    joints = qpos[-robot.nu :]
     failures += [
         diagnose("joint-beyond-limit", subject=("joint", robot.joint_names[i]))
-        for i in np.flatnonzero(beyond)
+        for i in np.flatnonzero((joints < low - AT_END) | (joints > high + AT_END))
     ]
+    failures += tendon_ranges(robot).at_ends(joints, -AT_END)
     with lend(robot, _data_of) as data:  # what is asked of them depends on qpos alone
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_kinematics(robot.mj_model, data)

@@ -572,7 +572,7 @@ class ComparisonRow(Result):
     stands_without: bool
     contact_sag: float
     torque_error: float
-    force_error: float
+    force_error: float | None
     cross_check: float
     verified: bool
     converted: str = ""

@@ -35,13 +35,13 @@ from pupper_analysis.simulation.rollout import (
     check_stand,
     forced_commands,
     place_on_ground,
+    rest_state,
     roll_out,
 )
 from pupper_analysis.simulation.stability import (
     MEETING,
     RESTING,
     evaluate_stability,
-    rest_state,
 )
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics

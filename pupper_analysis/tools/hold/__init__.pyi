@@ -1,14 +1,11 @@
 from ...stance.posture import Posture as Posture
 from ...stance.posture import find_posture as find_posture
+from ...stance.posture import held_stand as held_stand
 from .force import ToolForce as ToolForce
 from .force import tool_force as tool_force
 from .hold import ReachLoad as ReachLoad
 from .hold import ToolPayload as ToolPayload
 from .hold import reach_load as reach_load
 from .hold import tool_payload as tool_payload
-from .sag import SaggedPosture as SaggedPosture
-from .sag import sag_posture as sag_posture
-from .verify import PostureVerification as PostureVerification
-from .verify import verify_posture as verify_posture
 from .worst import WorstPostures as WorstPostures
 from .worst import worst_postures as worst_postures

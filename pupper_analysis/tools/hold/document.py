@@ -59,8 +59,8 @@ def _torques(hold: Hold, limits: list[float]) -> doc.Table:
     """Returns what every motor holds, and how far its joint sags."""
     sag: list[float | None] = [None] * len(limits)
     scales = shown_scales(hold.units)
-    if hold.sagged is not None:
-        sag = (scales * hold.sagged.joint_sag).tolist()
+    if hold.settled is not None:
+        sag = (scales * (hold.settled.qpos - hold.posture.qpos)).tolist()
     simulated = (scales * (hold.sagging.joint_positions - hold.posture.qpos)).tolist()
     table = torque_table(
         hold.statics,
@@ -85,11 +85,10 @@ def _torques(hold: Hold, limits: list[float]) -> doc.Table:
 
 def _tool(hold: Hold) -> doc.Table:
     """Returns where the tool is, and how far it sags."""
-    sagged = None if hold.sagged is None else hold.sagged.tool_sag
     places = (
         ("tool-position", hold.tool_position, "+.1f"),
-        ("tool-sag", sagged, "+.2f"),
-        ("tool-sag-simulated", hold.sagging.tool_sag, "+.2f"),
+        ("tool-sag", hold.tool_sag, "+.2f"),
+        ("tool-sag-simulated", hold.simulated_tool_sag, "+.2f"),
     )
     rows = tuple((text(name), *_millimetres(place, form)) for name, place, form in places)
     columns = (
@@ -269,12 +268,12 @@ def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> 
 
 def _findings(hold: Hold) -> Iterable[doc.Words]:
     yield from hardest_motor(hold.statics, hold.limits)
-    if hold.sagged is not None:
+    if hold.tool_sag is not None:
         yield text(
             "tool-sags-by",
             tool=doc.Name(hold.tool.name),
-            predicted=f"{1e3 * float(np.linalg.norm(hold.sagged.tool_sag)):.2f}",
-            simulated=f"{1e3 * float(np.linalg.norm(hold.sagging.tool_sag)):.2f}",
+            predicted=f"{1e3 * float(np.linalg.norm(hold.tool_sag)):.2f}",
+            simulated=f"{1e3 * float(np.linalg.norm(hold.simulated_tool_sag)):.2f}",
         )
     elif hold.unsettled is not None:
         yield text("no-sag-predicted", why=doc.tell(hold.unsettled))

@@ -19,12 +19,22 @@ from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.mjcf import has_free_joint
+from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, servo_gains
 from pupper_analysis.robot.tool import Tool, find_tool, with_payload
 from pupper_analysis.simulation.verdict import Verdict
-from pupper_analysis.stance.posture import Posture, check_held, find_posture, joint_units
+from pupper_analysis.simulation.verify import StandVerification, verify_stand
+from pupper_analysis.stance.posture import (
+    Posture,
+    check_held,
+    find_posture,
+    held_stand,
+    joint_units,
+)
+from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.statics.equilibrium import (
     IDLE,
     GravityCompensation,
@@ -33,8 +43,6 @@ from pupper_analysis.statics.equilibrium import (
 )
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
 from pupper_analysis.tools.hold.motions import JointMotions, bound_in_common
-from pupper_analysis.tools.hold.sag import SaggedPosture, sag_posture
-from pupper_analysis.tools.hold.verify import PostureVerification, judge_held, verify_posture
 from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
 
 Array = NDArray[np.float64]
@@ -274,8 +282,10 @@ class Hold(Tabular):
         statics: What the motors hold.
         verification: The simulation, with feed-forward.
         sagging: The simulation without.
-        sagged: Where servos let it come to rest without; None where that is not predicted.
-        unsettled: Why ``sagged`` is None; None where it is not.
+        settled: Where servos let it come to rest without; None where that is not predicted.
+        unsettled: Why ``settled`` is None; None where it is not.
+        tool_sag: (3,) how far the tool then is from where the posture has it (m); likewise.
+        simulated_tool_sag: (3,) the same, simulated; not a number if that diverged.
         verdict: Whether it holds, and what that rests on.
         worst: The worst posture of each motor.
         carried: Mass at the tool, which all is of (kg).
@@ -295,15 +305,17 @@ class Hold(Tabular):
     limits: Array
     limit_origins: tuple[EffortStatement | None, ...]
     statics: GravityCompensation
-    verification: PostureVerification
-    sagging: PostureVerification
-    sagged: SaggedPosture | None
+    verification: StandVerification
+    sagging: StandVerification
+    settled: SteadyState | None
     unsettled: Diagnostic | None
+    tool_sag: Array | None
+    simulated_tool_sag: Array
     verdict: Verdict
     worst: WorstPostures
     carried: float
     payload: ToolPayload
-    payload_trial: PostureVerification | None
+    payload_trial: StandVerification | None
     force: ToolForce
     reach: ReachLoad
 
@@ -353,22 +365,28 @@ def hold_posture(
     """
     posture, point = find_posture(robot, joints, keyframe=keyframe), find_tool(robot, tool)
     robot = with_payload(robot, payload, point)
-    config = Configuration(robot, posture.qpos)
+    config, stand = Configuration(robot, posture.qpos), held_stand(robot, posture)
     statics = gravity_compensation(config, contacts=[])
-    sagged, unsettled = None, None
+    held = solve_stand_as_simulated(robot, stand)
+    settled, unsettled, sag = None, None, None
     try:
-        sagged = sag_posture(robot, posture, point, kp=kp)
+        settled = steady_state(robot, held, kp=kp)
+        sag = point.position(Configuration(robot, settled.qpos)) - point.position(config)
     except NoEquilibriumError as error:
         unsettled = error.diagnostic
-    fed = verify_posture(robot, posture, point, kp=kp, kd=kd)
-    alone = verify_posture(robot, posture, point, sagged=sagged, feedforward=False, kp=kp, kd=kd)
+    fed = verify_stand(robot, held, kp=kp, kd=kd)
+    alone = verify_stand(robot, held, feedforward=False, kp=kp, kd=kd, settled=settled)
+    rest, simulated = alone.joint_positions, np.full(3, np.nan)
+    if np.isfinite(rest).all():
+        simulated = point.position(Configuration(robot, rest)) - point.position(config)
     worst = worst_postures(robot, posture, point)
     more = tool_payload(robot, posture, point, worst, kp=kp)
     trial = None
     most = min(more.mass, more.servos)
     if 0 < most < math.inf:
         loaded = with_payload(robot, TRIED * most, point)
-        trial = verify_posture(loaded, posture, find_tool(loaded, point.name), kp=kp, kd=kd)
+        stood = solve_stand_as_simulated(loaded, held_stand(loaded, posture))
+        trial = verify_stand(loaded, stood, kp=kp, kd=kd)
     return Hold(
         name=robot.name,
         hangs=has_free_joint(robot.description.mjcf),
@@ -381,9 +399,11 @@ def hold_posture(
         statics=statics,
         verification=fed,
         sagging=alone,
-        sagged=sagged,
+        settled=settled,
         unsettled=unsettled,
-        verdict=judge_held(robot, posture, fed, alone, statics, kp=kp, kd=kd),
+        tool_sag=sag,
+        simulated_tool_sag=simulated,
+        verdict=judge(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd),
         worst=worst,
         payload=more,
         carried=float(payload),

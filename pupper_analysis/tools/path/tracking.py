@@ -273,9 +273,9 @@ def study_path(
     stability = stand_stability(robot, held, kp=kp, kd=kd)
     leaving = tuple(map(describe_growth, stability.leaving()[:1]))
     ran = Outcome(
-        tracking.passed and not leaving,
-        (*tracking.failures, *leaving),
-        float(path.time[-1]),
+        passed=tracking.passed and not leaving,
+        failures=(*tracking.failures, *leaving),
+        duration=float(path.time[-1]),
         torque_error=tracking.torque_error,
         stability=stability,
     )

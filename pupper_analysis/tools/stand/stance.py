@@ -24,7 +24,6 @@ from pupper_analysis.prepare.judge import judge
 from pupper_analysis.prepare.passes import PassRun, Request, prepare_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
@@ -146,6 +145,7 @@ def study_stance(
     """
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
     settled, unsettled, least = None, None, None
+    robot = stand.check(robot)
     held = solve_stand_as_simulated(robot, stand)
     try:
         settled = steady_state(robot, held, kp=kp)
@@ -155,8 +155,8 @@ def study_stance(
         with contextlib.suppress(NoStiffnessError):
             least = minimum_stiffness(robot, held)
     statics = stand_statics(robot, held)
-    fed = verify_stand(robot, held, kp=kp, kd=kd, duration=LASTING)
-    alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False, duration=LASTING)
+    fed = verify_stand(robot, held, kp=kp, kd=kd)
+    alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False, settled=settled)
     return Stance(
         name=robot.name,
         joint_positions=held.joint_positions(robot),

@@ -18,13 +18,13 @@ def test_torques_positions_and_sags_are_each_in_their_column() -> None:
     held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
     table = next(block for block in hold_document(held).blocks if isinstance(block, Table))
     columns = {str(getattr(one.name, "en", one.name)): at for at, one in enumerate(table.columns)}
-    assert held.sagged is not None
+    assert held.settled is not None
     slides = [name.endswith("slide") for name in held.posture.joint_names]
     shown_by = np.where(slides, 1e3, 180 / np.pi)
     for name, values in (
         ("torque", held.statics.joint_torques),
         ("position", shown_by * held.posture.qpos),  # mm of what slides, degrees of what turns
-        ("sag", shown_by * held.sagged.joint_sag),
+        ("sag", shown_by * (held.settled.qpos - held.posture.qpos)),
     ):
         shown = [float(row[columns[name]].text) for row in table.rows]
         assert shown == pytest.approx(values.tolist(), abs=5e-5 if name == "torque" else 5e-3)

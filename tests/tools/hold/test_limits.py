@@ -15,17 +15,17 @@ from scipy import optimize, spatial
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
-from pupper_analysis.simulation.verify import load_by_mujoco
-from pupper_analysis.stance.posture import find_posture, joint_ranges
+from pupper_analysis.simulation.verify import verify_stand
+from pupper_analysis.stance.posture import find_posture, held_stand, joint_ranges
+from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.statics.equilibrium import borne_by_motors
 from pupper_analysis.tools.hold.force import tool_force, withstood
 from pupper_analysis.tools.hold.hold import posture_payload, reach_load, servo_payload, tool_payload
 from pupper_analysis.tools.hold.motions import JointMotions
-from pupper_analysis.tools.hold.sag import sag_posture
-from pupper_analysis.tools.hold.verify import verify_posture
 from pupper_analysis.tools.hold.worst import worst_postures
 from tests.support import arm as by_hand
 from tests.support.arm import MASSES, ORDER, RANGES, G, arm, load_arm
+from tests.support.engines import load_by_mujoco
 
 POSTURE = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
 
@@ -141,7 +141,7 @@ def test_a_payload_is_at_its_limit_in_both_engines() -> None:
         loaded = with_payload(robot, share * payload.mass, find_tool(robot, "tip"))
         torques = Configuration(loaded, posture.qpos).load()
         assert (np.abs(torques) <= robot.effort_limits).all() == holds
-        assert verify_posture(loaded, posture, tool, duration=4.0).passed == holds
+        assert verify_stand(loaded, held_stand(loaded, posture), duration=4.0).passed == holds
     assert payload.somewhere < payload.mass
     # The slide stands upright, and carries itself and the payload.
     assert payload.weakest == "b_slide"
@@ -236,7 +236,8 @@ def test_soft_servos_are_turned_over_by_less_than_motors_hold() -> None:
     assert 0.1 < mass < posture_payload(robot, posture.qpos, tool)[0]
     for share, holds in ((0.97, True), (1.2, False)):
         loaded = with_payload(robot, share * mass, tool)
-        found = verify_posture(loaded, posture, tool, kp=kp, kd=kd, duration=3.0)
+        stand = held_stand(loaded, posture)
+        found = verify_stand(loaded, stand, kp=kp, kd=kd, duration=3.0)
         codes = {one.code for one in found.failures}
         assert ("mode-buckles" not in codes) is holds
 
@@ -372,11 +373,11 @@ def test_servos_that_sag_to_its_end_are_told_so(tmp_path: Path) -> None:
     """Gravity bends the finger down: the tendon gets longer."""
     robot = finger(tmp_path, text=FINGER.replace('kp="30"', 'kp="2"'))
     posture = find_posture(robot, {"root": 0.8, "mid": 0.3, "tip": -1.3})
-    assert sag_posture(robot, posture, find_tool(robot)).joint_sag.min() > 0
+    assert (steady_state(robot, held_stand(robot, posture)).qpos > posture.qpos).all()
     near = find_posture(robot, {"root": 0.8, "mid": 0.95, "tip": -1.32})
     assert cord(robot, near.qpos) < 2.0
-    with pytest.raises(pa.NoEquilibriumError, match="tendon cord is at the end"):
-        sag_posture(robot, near, find_tool(robot))
+    (failure,) = steady_state(robot, held_stand(robot, near)).failures
+    assert str(failure).startswith("tendon cord is at the end")
 
 
 @pytest.mark.parametrize(
