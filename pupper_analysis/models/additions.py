@@ -7,10 +7,9 @@ is simulated is what is written.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Final, Protocol
+from dataclasses import dataclass, fields
+from typing import ClassVar, Final
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.attributes import Number
@@ -21,57 +20,29 @@ MuJoCo's defaults (a pyramid, 1) feet creep: Go2 by 58 mm/s on a slope of 17 deg
 pyramid with an impratio of 10 shakes. The models of MuJoCo Menagerie have the same."""
 
 
-class Equipped(Protocol):
-    """An MJCF that is given things, in memory (`SpecTree`), or a new file."""
-
-    def add_floor(self) -> object:
-        """Adds light and a plane at z = 0."""
-
-    def set_options(self, **values: Number) -> None:
-        """States attributes of ``<option>``."""
-
-    def add_ball(
-        self, name: str, body: str, radius: float, place: tuple[float, ...], like: str | None
-    ) -> None:
-        """Adds a sphere that touches and weighs nothing."""
-
-    def turn_off_contact(self, geoms: tuple[str, ...]) -> None:
-        """Lets geoms touch nothing."""
-
-    def exclude_contact(self, one: str, two: str) -> None:
-        """Lets two bodies not touch each other."""
-
-    def add_position_servo(
-        self, joint: str, kp: float, kd: float, limits: tuple[float, float] | None
-    ) -> None:
-        """Adds a position servo at a joint, of its name."""
-
-    def set_home(self, qpos: tuple[float, ...], ctrl: tuple[float, ...]) -> None:
-        """Adds the keyframe to start from."""
-
-
 @dataclass(frozen=True)
-class Addition(ABC):
-    """Something that is added.
+class Addition:
+    """Something that is added, by a verb that an MJCF has in memory (`SpecTree`) and as a new file.
 
     Attributes:
+        verb: Of its kind: what is called with all that an addition says but for its reason.
         reason: Why, as it is reported.
     """
 
+    verb: ClassVar[str]
+
     reason: Diagnostic
 
-    @abstractmethod
-    def put(self, model: Equipped) -> None:
+    def put(self, model: object) -> None:
         """Puts it into a model."""
+        getattr(model, self.verb)(*(getattr(self, one.name) for one in fields(self)[1:]))
 
 
 @dataclass(frozen=True)
 class Floor(Addition):
     """A plane at z = 0 with MuJoCo's own contact."""
 
-    def put(self, model: Equipped) -> None:
-        """Puts it into a model."""
-        model.add_floor()
+    verb = "add_floor"
 
 
 @dataclass(frozen=True)
@@ -82,11 +53,9 @@ class Options(Addition):
         values: {attribute of ``<option>``: its value}.
     """
 
-    values: Mapping[str, Number]
+    verb = "set_options"
 
-    def put(self, model: Equipped) -> None:
-        """Puts it into a model."""
-        model.set_options(**self.values)
+    values: Mapping[str, Number]
 
 
 @dataclass(frozen=True)
@@ -101,15 +70,13 @@ class Ball(Addition):
         like: The geom whose contact parameters it has; None: MuJoCo's own.
     """
 
+    verb = "add_ball"
+
     name: str
     body: str
     radius: float
     place: tuple[float, ...]
     like: str | None
-
-    def put(self, model: Equipped) -> None:
-        """Puts it into a model."""
-        model.add_ball(self.name, self.body, self.radius, self.place, self.like)
 
 
 @dataclass(frozen=True)
@@ -120,11 +87,9 @@ class Untouching(Addition):
         geoms: Their names.
     """
 
-    geoms: tuple[str, ...]
+    verb = "turn_off_contact"
 
-    def put(self, model: Equipped) -> None:
-        """Puts it into a model."""
-        model.turn_off_contact(self.geoms)
+    geoms: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -136,12 +101,10 @@ class Apart(Addition):
         two: The other one.
     """
 
+    verb = "exclude_contact"
+
     one: str
     two: str
-
-    def put(self, model: Equipped) -> None:
-        """Puts it into a model."""
-        model.exclude_contact(self.one, self.two)
 
 
 @dataclass(frozen=True)
@@ -155,14 +118,12 @@ class Servo(Addition):
         limits: The least and the greatest that it can give (N m, N); None: any.
     """
 
+    verb = "add_position_servo"
+
     joint: str
     kp: float
     kd: float
     limits: tuple[float, float] | None
-
-    def put(self, model: Equipped) -> None:
-        """Puts it into a model."""
-        model.add_position_servo(self.joint, self.kp, self.kd, self.limits)
 
 
 @dataclass(frozen=True)
@@ -174,15 +135,13 @@ class Start(Addition):
         ctrl: (nu,) what its servos are commanded there, in their order; empty: nothing is.
     """
 
+    verb = "set_home"
+
     qpos: tuple[float, ...]
     ctrl: tuple[float, ...] = ()
 
-    def put(self, model: Equipped) -> None:
-        """Puts it into a model."""
-        model.set_home(self.qpos, self.ctrl)
 
-
-def put_all(added: Iterable[Addition], model: Equipped) -> None:
-    """Puts things into a model, in their order."""
+def put_all(added: Iterable[Addition], model: object) -> None:
+    """Puts things into a model (`SpecTree`, or a new file), in their order."""
     for each in added:
         each.put(model)

@@ -262,30 +262,35 @@ def _add_joint(
         return result.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name), (
             pin.SE3.Identity()
         )
-    axis = np.array(model.jnt_axis[index])
-    anchor = np.array(model.jnt_pos[index])
-    rest = float(model.qpos0[model.jnt_qposadr[index]])
-    if kind == JointKind.HINGE:
-        motion = pin.JointModelRevoluteUnaligned(axis)
-        at_zero = pin.SE3(pin.exp3(-rest * axis), np.zeros(3))
-    elif kind == JointKind.SLIDE:
-        motion = pin.JointModelPrismaticUnaligned(axis)
-        at_zero = pin.SE3(np.eye(3), -rest * axis)
-    else:
+    if kind == JointKind.BALL:
         raise ModelError(name, diagnose("ball-joint-not-analysed"))
+    hinge = kind == JointKind.HINGE
+    motion = pin.JointModelRevoluteUnaligned if hinge else pin.JointModelPrismaticUnaligned
+    at_zero, within = places_of_joint(model, index)
     limited = bool(model.jnt_limited[index])
     lower, upper = model.jnt_range[index] if limited else (-np.inf, np.inf)
     joint = result.addJoint(
         parent,
-        motion,
-        placement * pin.SE3(np.eye(3), anchor) * at_zero,
+        motion(np.array(model.jnt_axis[index])),
+        placement * at_zero,
         name,
         np.array([effort_limit(model, index)]),
         np.array([np.inf]),
         np.array([lower]),
         np.array([upper]),
     )
-    return joint, pin.SE3(np.eye(3), -anchor)
+    return joint, within
+
+
+def places_of_joint(model: mujoco.MjModel, joint: int) -> tuple[pin.SE3, pin.SE3]:
+    """Returns where a hinge or slide is in its body's frame, at zero, and that frame in its own."""
+    axis, anchor = np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
+    back = -float(model.qpos0[model.jnt_qposadr[joint]]) * axis
+    if int(model.jnt_type[joint]) == JointKind.HINGE:
+        at_zero = pin.SE3(pin.exp3(back), anchor)
+    else:
+        at_zero = pin.SE3(np.eye(3), anchor + back)
+    return at_zero, pin.SE3(np.eye(3), -anchor)
 
 
 def _add_frame(result: pin.Model, name: str, joint: int, placement: pin.SE3) -> None:

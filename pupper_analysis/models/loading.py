@@ -11,12 +11,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from lxml import etree
-
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
-from pupper_analysis.base.errors import InputError
-from pupper_analysis.base.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.runs import note_input
 from pupper_analysis.base.tools import format_of
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
@@ -127,10 +124,8 @@ def kind_of(path: Path) -> str | None:
     if path.suffix.lower() == ".urdf":
         return "urdf"
     try:
-        # Neither entities nor the network: what stands in a repository may be anybody's.
-        parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
-        root = etree.fromstring(read_input(path, MOST_TEXT), parser)
-    except (etree.XMLSyntaxError, InputError):
+        _, root = parse_xml(path)
+    except ModelError:
         return None
     if root.tag == "robot":
         return "urdf" if root.find("link") is not None else None

@@ -6,7 +6,7 @@ Among them: a base that is free by several joints gets a free one.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -203,7 +203,7 @@ class SpecTree:
             setattr(element, attribute.mjcf[0], values if len(values) > 1 else values[0])
         element.springdamper = (0.0, 0.0)
 
-    def set_options(self, **values: Number) -> None:
+    def set_options(self, values: Mapping[str, Number]) -> None:
         """States attributes of ``<option>``, by MuJoCo's words for them."""
         for name, value in values.items():
             setattr(self.spec.option, name, _OPTION_WORDS.get((name, value), value))

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -399,23 +400,16 @@ def check_tree(
         above[child] = joint.find("parent").get("link")
         through[child] = name
     depth: dict[str, int] = {}
-    for link in links:
-        chain: list[str] = []
-        at = link
-        while at in above and at not in depth:
-            depth[at] = -1
-            chain.append(at)
-            at = above[at]
-        if depth.get(at) == -1:
-            closing = through[at]
-            problem = diagnose("links-in-a-loop", subject=("joint", closing), link=at)
-            raise refusal_at(path, joints[closing], problem)
-        base = depth.setdefault(at, 0)
-        for steps, passed in enumerate(reversed(chain), start=1):
-            depth[passed] = base + steps
-        if depth[link] > MAX_DEPTH:
-            problem = diagnose("chain-too-long", subject=("link", link), most=MAX_DEPTH)
-            raise refusal_at(path, links[link], problem)
+    try:
+        for link in TopologicalSorter({link: [above[link]] for link in above}).static_order():
+            depth[link] = depth[above[link]] + 1 if link in above else 0
+            if depth[link] > MAX_DEPTH:
+                problem = diagnose("chain-too-long", subject=("link", link), most=MAX_DEPTH)
+                raise refusal_at(path, links[link], problem)
+    except CycleError as error:
+        link = next(name for name in links if name in error.args[1])
+        problem = diagnose("links-in-a-loop", subject=("joint", through[link]), link=link)
+        raise refusal_at(path, joints[through[link]], problem) from error
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
         problem = diagnose("several-roots", links=roots, count=len(roots))

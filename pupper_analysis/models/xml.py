@@ -37,6 +37,9 @@ LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/"
 NUMBER: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """A number as a model file writes it; what XML Schema calls a decimal or a double."""
 
+_DOCTYPE: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
+"""How a text with a DOCTYPE begins: it stands before the root element, and is not needed."""
+
 MAX_NUMBER: Final = 1e50
 """Largest mass, length or moment: products of six such are numbers still."""
 
@@ -49,7 +52,9 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
 
 def parse_file_text(path: Path, text: str) -> etree._Element:
     """Returns the root element of a file's text, without comments and default namespace."""
-    _refuse_doctype(path, text)
+    if found := _DOCTYPE.match(text):
+        line = text.count("\n", 0, found.end()) + 1
+        raise refuse_file(Place(path, line), diagnose("doctype-refused"))
     parser = _parser(recover=False)
     try:
         root = etree.fromstring(text.encode(), parser)
@@ -118,26 +123,6 @@ def _text(path: Path) -> str:
     if not text.strip():
         raise refuse_file(Place(path), diagnose("file-is-empty"))
     return text
-
-
-def _refuse_doctype(path: Path, text: str) -> None:
-    """Refuses a DOCTYPE, which can only stand before the root element; none is ever needed."""
-    at = 0
-    while True:
-        at = _SPACE.match(text, at).end()  # type: ignore[union-attr]
-        closing = "-->" if text.startswith("<!--", at) else "?>"
-        if closing == "?>" and not text.startswith("<?", at):
-            break
-        end = text.find(closing, at + len(closing) + 1 - (closing == "?>"))
-        if end < 0:
-            return
-        at = end + len(closing)
-    if text.startswith("<!", at):
-        line = text.count("\n", 0, at) + 1
-        raise refuse_file(Place(path, line), diagnose("doctype-refused"))
-
-
-_SPACE: Final = re.compile(r"\s*")
 
 
 def _parser(recover: bool) -> etree.XMLParser:

@@ -17,7 +17,7 @@ from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint, law_of
+from pupper_analysis.models.transmission import actuator_gear, drives_by_joint, law_of
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.configuration import Configuration
@@ -153,11 +153,7 @@ def one_at_each_joint(spec: mujoco.MjSpec, source: Path) -> list[Diagnostic]:
 
 def joints_of_several_motors(model: mujoco.MjModel) -> dict[int, list[int]]:
     """Returns {hinge or slide: its motors} of those that have several."""
-    found: dict[int, list[int]] = {}
-    for motor in range(model.nactuator):
-        if is_at_one_joint(model, motor):
-            found.setdefault(int(model.actuator_trnid[motor, 0]), []).append(motor)
-    return {joint: motors for joint, motors in found.items() if len(motors) > 1}
+    return {joint: motors for joint, motors in drives_by_joint(model).items() if len(motors) > 1}
 
 
 def _kept(model: mujoco.MjModel, drives: list[int]) -> int:

@@ -613,22 +613,6 @@ PASSES = tuple(_PASSES)
 """In the order in which they are run: that of their functions above."""
 
 
-def run_passes(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
-    """Runs the passes on two files.
-
-    Returns:
-        The robot, whose notes are what the passes did, and each pass that was run.
-
-    Raises:
-        ModelError: If no robot can be made of them.
-        UnknownNameError: If a foot, joint or keyframe is not there.
-    """
-    draft = _passed(Draft.of(urdf, mjcf, request))
-    messages = (note for run in draft.runs for note in run.done)
-    robot = draft.robot
-    return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes)))), list(draft.runs)
-
-
 def _passed(draft: Draft) -> Draft:
     """Runs the passes on a draft.
 
@@ -675,14 +659,20 @@ def robot_of(
 
 
 def prepare_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
-    """Makes two files a robot; returns the passes that were run, too: none if they are ready.
+    """Makes two files a robot, whose notes are what the passes did.
+
+    Returns:
+        The robot, and each pass that was run: none if the files are ready.
 
     Raises:
         ModelError: If no robot can be made of them.
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
     check_simulable(mjcf)
-    return run_passes(urdf, mjcf, request)
+    draft = _passed(Draft.of(urdf, mjcf, request))
+    messages = (note for run in draft.runs for note in run.done)
+    robot = draft.robot
+    return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes)))), list(draft.runs)
 
 
 def feet_frames(feet: Feet) -> dict[str, tuple[str, str]]:

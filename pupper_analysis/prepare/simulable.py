@@ -68,19 +68,6 @@ def check_simulable(mjcf: MjcfFile) -> None:
     _check_motors(mjcf, model)
 
 
-def _check_rotors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
-    for dof in range(model.nv):
-        armature, joint = (
-            float(model.dof_armature[dof]),
-            model.joint(int(model.dof_jntid[dof])).name,
-        )
-        if armature < 0:
-            problem = diagnose(
-                "rotor-inertia-negative", subject=("joint", joint), armature=armature
-            )
-            raise refuse_file(mjcf.place("joint", joint), problem)
-
-
 def _check_lengths(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
     for kind, field, numbers in (
         ("body", "pos", model.body_pos),
@@ -105,16 +92,22 @@ def _check_lengths(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
             raise refuse_file(place, problem)
 
 
+def _check_rotors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
+    of_joints = zip(model.dof_jntid.tolist(), model.dof_armature.tolist(), strict=True)
+    of_motors = enumerate(model.actuator_armature.tolist())
+    for kind, rotors in (("joint", of_joints), ("actuator", of_motors)):
+        for number, armature in rotors:
+            if armature >= 0:
+                continue
+            name = str(getattr(model, kind)(number).name)
+            unnamed = kind == "actuator" and not name
+            place = mjcf.numbered(kind, number) if unnamed else mjcf.place(kind, name)
+            problem = diagnose("rotor-inertia-negative", subject=(kind, name), armature=armature)
+            raise refuse_file(place, problem)
+
+
 def _check_motors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
     for motor in range(model.nactuator):
-        if model.actuator_armature[motor] < 0:
-            name = model.actuator(motor).name
-            place = mjcf.place("actuator", name) if name else mjcf.numbered("actuator", motor)
-            armature = float(model.actuator_armature[motor])
-            problem = diagnose(
-                "rotor-inertia-negative", subject=("actuator", name), armature=armature
-            )
-            raise refuse_file(place, problem)
         if not is_at_one_joint(model, motor):
             continue
         gear = float(actuator_gear(model, motor)[0])

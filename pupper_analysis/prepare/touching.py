@@ -43,18 +43,6 @@ def take_visuals_of(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
     return bool(before != spec.compiler.discardvisual)
 
 
-def geoms_by_id(spec: mujoco.MjSpec) -> dict[int, mujoco.MjsGeom]:
-    """Returns {geom's id in what MuJoCo compiles a spec to: that geom of the spec}."""
-    own, found = spec.copy(), {}
-    for number, geom in enumerate(own.geoms):
-        geom.name = geom.name or f"#{number}"
-    numbers = {geom.name: number for number, geom in enumerate(own.geoms)}
-    model, geoms = own.compile(), list(spec.geoms)
-    for index in range(model.ngeom):
-        found[index] = geoms[numbers[model.geom(index).name]]
-    return found
-
-
 Array = NDArray[np.float64]
 
 _BESIDE = 5e-3
@@ -75,8 +63,8 @@ def touch_with_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     }
     if not beside:
         return robot, []
-    named = geoms_by_id(robot.description.mjcf)  # all have names since feet were looked for
-    geoms = tuple(geom.name for index, geom in named.items() if index in beside)
+    # All have names since feet were looked for.
+    geoms = tuple(model.geom(geom).name for geom in sorted(beside))
     bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
     depth = Quantity(max(stand.depths.values()), "m")
     message = diagnose("shapes-beside-feet-do-not-touch", bodies=bodies, depth=depth)

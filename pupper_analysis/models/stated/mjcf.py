@@ -14,7 +14,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.base.arrays import inertia_tensor, rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.attributes import COMPILED, ELEMENT_ATTRIBUTES, IN_A_TREE
 from pupper_analysis.models.conversion import inertia_of_body
@@ -215,9 +215,11 @@ def _stated(
 def _inertial(model: mujoco.MjModel, body: int, stated: mujoco.MjsBody | None) -> Inertial | None:
     axes = rotation_from_quaternion(model.body_iquat[body])
     if stated is not None:
-        full = np.array(stated.fullinertia)
-        written = np.array(stated.inertia) if math.isnan(full[0]) else full
-        tensor = axes @ np.diag(written) @ axes.T if math.isnan(full[0]) else full_matrix(written)
+        written = np.array(stated.fullinertia)
+        tensor = inertia_tensor(written)
+        if math.isnan(written[0]):
+            written = np.array(stated.inertia)
+            tensor = axes @ np.diag(written) @ axes.T
         rounding = max(half_digit(repr(float(value))) for value in written)
         return Inertial(float(stated.mass), np.array(stated.ipos), tensor, True, rounding)
     if model.body_mass[body] == 0:
@@ -240,7 +242,7 @@ def repair_spec(original: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel 
         body.mass = max(body.mass, 0.0)
         body.inertia = np.maximum(body.inertia, 0.0)
         if not math.isnan(body.fullinertia[0]):
-            tensor = full_matrix(np.array(body.fullinertia))
+            tensor = inertia_tensor(np.array(body.fullinertia))
             moments = Inertial(1.0, np.zeros(3), tensor, stated=True).moments
             if not (moments[0] > 0 and moments[0] + moments[1] >= moments[2]):
                 body.fullinertia = np.full(6, np.nan)
@@ -264,12 +266,6 @@ def repair_spec(original: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel 
         except MUJOCO_ERRORS:
             continue
     return spec, None
-
-
-def full_matrix(full: Array) -> Array:
-    """Returns the (3, 3) matrix of MuJoCo's fullinertia (xx, yy, zz, xy, xz, yz)."""
-    xx, yy, zz, xy, xz, yz = full
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def switched_off_ranges(

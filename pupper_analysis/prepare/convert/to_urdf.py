@@ -23,7 +23,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.attributes import PASSIVE
-from pupper_analysis.models.conversion import inertia_of_body
+from pupper_analysis.models.conversion import inertia_of_body, places_of_joint
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, has_free_joint
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -129,13 +129,9 @@ class UrdfLinks:
                 moved = "body", model.body(body).name
                 problem = diagnose("joint-not-in-urdf", subject=moved, ball=kind == JointKind.BALL)
                 raise ModelError(self.file.path, problem)
-            anchor, axis = np.array(model.jnt_pos[joint]), np.array(model.jnt_axis[joint])
-            rest = float(model.qpos0[model.jnt_qposadr[joint]])
-            turn = pin.exp3(-rest * axis) if kind == JointKind.HINGE else np.eye(3)
-            slide = np.zeros(3) if kind == JointKind.HINGE else -rest * axis
-            placed = placement * pin.SE3(turn, anchor + slide)
-            self._movable(joint, parent, child, placed)
-            placement, parent = pin.SE3(np.eye(3), -anchor), child
+            at_zero, within = places_of_joint(model, joint)
+            self._movable(joint, parent, child, placement * at_zero)
+            placement, parent = within, child
             if not last:
                 self._frame(child)
         self._link(body, name, placement)

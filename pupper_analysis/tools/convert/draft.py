@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -111,7 +111,7 @@ class NewMjcf(MjcfXml):
             if node.tag != "worldbody" and not len(node) and not node.attrib:
                 self.root.remove(node)
 
-    def set_options(self, **values: Number) -> None:
+    def set_options(self, values: Mapping[str, Number]) -> None:
         """States attributes of ``<option>``."""
         option = self.root.find("option")
         if option is None:

@@ -34,7 +34,7 @@ def robot() -> NewMjcf:
 
 
 def edit(mjcf: NewMjcf | SpecTree) -> None:
-    mjcf.set_options(integrator="implicitfast", cone="elliptic", impratio=100.0)
+    mjcf.set_options({"integrator": "implicitfast", "cone": "elliptic", "impratio": 100.0})
     mjcf.add_imu("two", "imu")
     mjcf.add_coupling("three_joint", "two_joint", "-0.5", "0.25")
     mjcf.add_position_servo("one_joint", 40.0, 1.5, ("-3", "+7"))
