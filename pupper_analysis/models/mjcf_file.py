@@ -80,7 +80,7 @@ def leave_out_missing(
             )
     names = {geom.name for geom in geoms if geom.name}
     _refuse_wrapped(tree.root, names)
-    users = _users(spec, tree.root, names)
+    users = _users(spec, names)
     files = {"mesh": meshes, "height field": hfields, "texture": textures, "skin": skins}
     touching = dict.fromkeys(
         meshes[geom.meshname]
@@ -162,16 +162,9 @@ def _refuse_wrapped(root: Node, names: set[str]) -> None:
                     )
 
 
-def _users(spec: mujoco.MjSpec, root: Node, names: set[str]) -> list[Diagnostic]:
-    """Deletes the sensors, contact pairs and tuples that refer to geoms; returns what they are."""
+def _users(spec: mujoco.MjSpec, names: set[str]) -> list[Diagnostic]:
+    """Deletes the sensors and contact pairs that refer to geoms; returns what they are."""
     kind = mujoco.mjtObj.mjOBJ_GEOM
-    tuples = {
-        node.attributes.get("name")
-        for section in root.children
-        if section.tag == "custom"
-        for node in section.children
-        if any(part.attributes.get("objname") in names for part in node.children)
-    }
     users = [
         *(
             ("sensor", sensor)
@@ -180,7 +173,6 @@ def _users(spec: mujoco.MjSpec, root: Node, names: set[str]) -> list[Diagnostic]
             or (sensor.reftype == kind and sensor.refname in names)
         ),
         *(("contact pair", p) for p in spec.pairs if {p.geomname1, p.geomname2} & names),
-        *(("tuple", element) for element in spec.tuples if element.name in tuples),
     ]
     messages = [diagnose("named-element", subject=(what, user.name)) for what, user in users]
     for _, user in users:

@@ -26,7 +26,6 @@ from pupper_analysis.models.additions import Addition, Ball, Floor, Options, Ser
 from pupper_analysis.models.attributes import FLOOR, HOME, IMU_SENSORS, Number
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.mjcf_xml import COLLISION, MjcfXml, text_of
 from pupper_analysis.models.stated.mjcf import Value, element_values, touching_geoms
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -35,10 +34,13 @@ from pupper_analysis.models.xml import add_element, free_name, new_file_text, wr
 from pupper_analysis.prepare.bare import Bare, place_as
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.prepare.convert.from_urdf import (
+    COLLISION,
     LIMBS,
     BareMjcf,
     MjcfOptions,
+    MjcfXml,
     UrdfBodies,
+    text_of,
 )
 from pupper_analysis.prepare.convert.repair import WORLD, Repair
 from pupper_analysis.prepare.convert.to_urdf import BareUrdf

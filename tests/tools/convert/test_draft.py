@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.xml import add_element
+from pupper_analysis.prepare.convert.from_urdf import MjcfXml
 from pupper_analysis.tools.convert.draft import NewMjcf
 
 ARRAYS = (
