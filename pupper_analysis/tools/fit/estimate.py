@@ -140,6 +140,11 @@ class Posterior:
         return Posterior(table.parameters, table.stated, covariance, *known)
 
     @property
+    def kinds(self) -> NDArray[np.str_]:
+        """(n,) of each parameter."""
+        return np.array([one.kind for one in self.parameters], dtype=str)
+
+    @property
     def std(self) -> Array:
         """(n,) standard deviations."""
         return np.sqrt(np.diag(self.covariance))

@@ -290,21 +290,13 @@ class ParameterTable:
 
     def of_each_axis(self, vector: Array, link: str, stated: Array) -> Array:
         """Returns the com (3,) of a link's body, whose stated one is given (m)."""
-        return np.array(
-            [
-                self.value(vector, "com", link, axis, float(own))
-                for axis, own in zip(AXES, stated, strict=True)
-            ]
-        )
+        axes = zip(AXES, stated.tolist(), strict=True)
+        return np.array([self.value(vector, "com", link, axis, own) for axis, own in axes])
 
     def of_each(self, vector: Array, kind: str, subjects: Iterable[str], stated: Array) -> Array:
         """Returns the values (k,) of a kind for some subjects, whose stated ones are given."""
-        return np.array(
-            [
-                self.value(vector, kind, one, "", float(own))
-                for one, own in zip(subjects, stated, strict=True)
-            ]
-        )
+        each = zip(subjects, stated.tolist(), strict=True)
+        return np.array([self.value(vector, kind, one, "", own) for one, own in each])
 
 
 # The links that bodies are named by: of all that a joint moves, the one whose frame is its own.

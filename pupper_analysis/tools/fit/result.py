@@ -153,9 +153,7 @@ def kp_over_mass(posterior: Posterior, *, alone: bool = False) -> Estimate | Non
     """
     mean = posterior.mean
     stated = np.array([one.stated for one in posterior.parameters])
-    servos, masses = (
-        np.array([one.kind == kind for one in posterior.parameters]) for kind in ("kp", "mass")
-    )
+    servos, masses, loads = (posterior.kinds == kind for kind in ("kp", "mass", "load"))
     if not servos.any():
         return None
     factor = float(np.exp(np.log(mean[servos] / stated[servos]).mean()))
@@ -164,7 +162,6 @@ def kp_over_mass(posterior: Posterior, *, alone: bool = False) -> Estimate | Non
     if masses.any() and not alone:
         factor *= float(stated[masses].sum() / mean[masses].sum())
         line[masses] = -1 / mean[masses].sum()
-    loads = np.array([one.kind == "load" for one in posterior.parameters])
     if loads.any() and not alone:  # what no scale has shown is carried, too
         factor /= float(1 + mean[loads].sum())
         line[loads] = -1 / (1 + mean[loads].sum())

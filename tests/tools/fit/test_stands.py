@@ -6,6 +6,8 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pinocchio as pin
@@ -30,6 +32,7 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, quantum_of, read_stands
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, bodies_of, give_widths
+from pupper_analysis.tools.fit.result import Fit
 from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
 from pupper_analysis.tools.fit.stands.fit import (
     Logarithms,
@@ -40,6 +43,7 @@ from pupper_analysis.tools.fit.stands.fit import (
     suspect_surroundings,
     whole_com,
 )
+from pupper_analysis.tools.fit.stands.wiring import find_wiring
 from pupper_analysis.tools.fit.write import draw_samples
 from pupper_analysis.tools.study.parameters import scale_robot
 
@@ -256,6 +260,10 @@ def test_masses_and_kp_that_are_all_too_small_explain_no_more(
 def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: MeasuredStands) -> None:
     fit = fit_stands(robot, stands, priors=["kp=0"])
     assert fit.explained
+    assert abs(fit.joint_residuals[0].deviations) < 3.5  # of 120
+    # Nothing rubs here, and v3's file states a quarter of a per cent of weight times height.
+    rubs = fit.noise["friction"] * robot.joint_friction.mean()
+    assert rubs == pytest.approx(2.5e-3 * robot.weight * robot.stand_height)
     assert abs(fit.total_mass.mean - planted.total_mass) < 0.05
     assert fit.total_mass.low < planted.total_mass < fit.total_mass.high
     found = {one.name: one for one in fit.estimates}
@@ -346,7 +354,8 @@ def test_friction_of_one_sign_where_a_known_mass_is_on_is_within_what_is_said(
     assert settled.low < 0.8 < settled.high
     none = fit_stands(robot, stands, weight=planted.total_mass, priors=["settling=0"])
     assert none.kp_factor is not None
-    assert none.kp_factor.low > 1.1
+    assert none.kp_factor.low > 1.0
+    assert none.kp_factor.mean > 1.15
 
 
 def test_a_dead_band_is_found_and_kp_is_right_beside_it(
@@ -387,6 +396,28 @@ def test_joints_that_dry_friction_holds_have_the_right_kp_and_so_much_of_it_is_n
     assert found.low < -band.mean() < found.high < 0
     (said,) = (one for one in fit.failures if one.code == "torques-off")
     assert said.values["times"] == pytest.approx(times, rel=0.4)
+
+
+def test_friction_holds_joints_by_what_their_servos_give_as_it_does_in_mujoco(
+    robot: Robot, stands: MeasuredStands
+) -> None:
+    """What is held against the load, in parts of the friction, on average of 690 joints.
+
+    Of Go1 and MEVIUS, set down in ``benchmarks/fit_disturbed.py`` with a friction of 2 and 4 % of
+    weight times height, by what the servo gives, likewise. Where that is little, either sign is.
+    """
+    given = np.array([0.125, 0.375, 0.625, 0.875, 1.25, 1.75, 2.5])
+    held = np.array([0.38, 0.64, 0.69, 0.77, 0.92, 0.90, 0.96])
+    band, joints = 0.02, slice(6, 6 + len(given))
+    lead = stands.command.copy()
+    lead[0, : len(given)] = stands.position[0, : len(given)] + band * given
+    system, table = equations(robot, replace(stands, command=lead))
+    x = table.stated.copy()
+    without = system._look(0, system._numbers(x)).residual[joints]
+    x[table.place("deadband", "servos")] = -band
+    more = system._look(0, system._numbers(x)).residual[joints] - without
+    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])[: len(given)]
+    assert math.sqrt(np.mean((more / (kp * band) - held) ** 2)) < 0.12
 
 
 def test_a_weight_that_makes_all_servos_twice_as_stiff_is_asked_about(
@@ -492,17 +523,41 @@ def test_plugs_and_signs_that_are_wrong_are_named(
     assert sorted(joints) == sorted(robot.joint_names[joint] for joint in wrong)
 
 
-def test_the_joint_that_was_read_wrongly_is_named(robot: Robot, stands: MeasuredStands) -> None:
-    position = stands.position.copy()
-    position[3, 7] += 0.02
-    (worst, *_), name = (
-        fit_stands(robot, replace(stands, position=position), priors=["kp=0"]).joint_residuals,
-        robot.joint_names[7],
-    )
-    assert (worst.stand, worst.joint) == ("3", name)
-    # Measured less predicted; forces of four feet, of which equations leave one open, take up more.
-    assert 0.002 < worst.off < 0.02
-    assert worst.deviations > 3
+def test_plugs_that_explain_less_than_the_stands_as_they_are_are_not_doubted(
+    robot: Robot, stands: MeasuredStands
+) -> None:
+    """A longer calf, and friction, leave nothing where noise is made large for exchanged plugs."""
+    explains = cast("Fit", SimpleNamespace(explained=True))
+
+    def doubted(other: float) -> bool:
+        def evidence(given: MeasuredStands) -> float:
+            return 0.0 if given is stands else other
+
+        return find_wiring(robot, stands, evidence, lambda _: explains) is not None
+
+    assert [doubted(one) for one in (-1.0, 1.0, -math.inf)] == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("what", "stand", "joint", "off"), [("position", 3, 6, 0.02), ("command", 9, 2, -0.05)]
+)
+def test_a_reading_that_all_others_contradict_is_named_with_its_stand_and_joint(
+    robot: Robot, stands: MeasuredStands, what: str, stand: int, joint: int, off: float
+) -> None:
+    """One was read wrongly; in the last stand a servo is stuck where another command has led it.
+
+    That makes moments on feet 40 times as large as they were, and hides in them.
+    """
+    values = getattr(stands, what).copy()
+    values[stand, joint] += off
+    fit = fit_stands(robot, replace(stands, **{what: values}), priors=["kp=0"])
+    (said,) = (one for one in fit.failures if one.code == "reading-contradicted")
+    assert (said.values["stand"], said.values["joint"]) == (str(stand), robot.joint_names[joint])
+    # A servo that is asked for less than its position shows is read too far by so much.
+    assert said.values["off"].value == pytest.approx(abs(off), rel=0.15)
+    worst = fit.joint_residuals[0]
+    assert (worst.stand, worst.joint) == (str(stand), robot.joint_names[joint])
+    assert worst.off == pytest.approx(abs(off), abs=2 * worst.off / worst.deviations)
 
 
 @pytest.mark.longest

@@ -15,7 +15,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import leg_joints
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.estimate import Linearised
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
 from pupper_analysis.tools.fit.parameters import AXES, KINDS, ParameterTable, bodies_of
 
@@ -111,8 +111,8 @@ def readings_of(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
 _SHOWS = 1.0
 """Standard deviations that the robot's weight makes: forces that show less are within a sole."""
 
-_RANK = 1e-12
-"""Of the largest eigenvalue: directions of own unknowns that no row tells of."""
+_TOLD = 1e-4
+"""Of what an encoder's noise allows: a reading of which all others tell less contradicts none."""
 
 
 class StandRows:
@@ -219,29 +219,37 @@ class StandRows:
 
     def eliminate(self) -> tuple[Linearised, Array]:
         """Returns residuals, whitened, that no own unknown changes; and the own unknowns' step."""
-        factor = np.linalg.cholesky(self._covariance())
-        white = np.linalg.solve(factor, np.column_stack([self.residual, self.by_x, self.by_own]))
-        n = 1 + self.by_x.shape[1]
-        residual, by_x, by_own = white[:, 0], white[:, 1:n], white[:, n:]
-        left, lengths, right = np.linalg.svd(by_own, full_matrices=True)
+        rest, log_noise, step = self._without_own(np.column_stack([self.residual, self.by_x]))
+        return Linearised.of(rest[:, 0], rest[:, 1:], log_noise), step
+
+    def _without_own(self, columns: Array) -> tuple[Array, float, Array]:
+        """Returns columns of which the first is residuals: what is left of them, whitened.
+
+        And the logarithm of noise's determinant in it, and the own unknowns' step.
+        """
+        factor, n = np.linalg.cholesky(self._covariance()), columns.shape[1]
+        white = np.linalg.solve(factor, np.column_stack([columns, self.by_own]))
+        left, lengths, right = np.linalg.svd(white[:, n:], full_matrices=True)
         rank = int(np.count_nonzero(lengths > _SHOWS / self._scale))
-        step = right[:rank].T @ (left[:, :rank].T @ -residual / lengths[:rank])
-        rest = left[:, rank:].T
+        step = right[:rank].T @ (left[:, :rank].T @ -white[:, 0] / lengths[:rank])
         # The determinant of noise in the combinations that are left: det(P' C P) =
         # det(C) det(B' C^-1 B) / det(B' B), and the last depends on no noise.
         log_noise = 2 * float(np.log(np.diag(factor)).sum() + np.log(lengths[:rank]).sum())
-        return Linearised.of(rest @ residual, rest @ by_x, log_noise), step
+        return left[:, rank:].T @ white[:, :n], log_noise, step
 
-    def left(self) -> tuple[Array, Array]:
-        """Returns residuals of the joints at the best own unknowns, and what noise makes of them.
+    def contradictions(self, known: Array) -> tuple[Array, Array]:
+        """Returns by how much each joint was read beyond what all other readings say, and how sure.
 
-        As standard deviations: of the noise less the part of it that own unknowns take up.
+        (nu,) each (rad), the second as standard deviations: the error of that reading alone which
+        leaves least, whatever the parameters are, whose covariance (n, n) is known by all readings.
         """
-        covariance, own, joints = self._covariance(), self.by_own, slice(6, 6 + self._robot.nu)
-        weighted = np.linalg.solve(covariance, own)
-        taken = own @ np.linalg.pinv(own.T @ weighted, rcond=_RANK, hermitian=True) @ own.T
-        variance = np.diag(covariance - taken)[joints]
-        return self.residual[joints], np.sqrt(np.maximum(variance, 0.0))
+        columns = [self.residual, self.by_x, self.by_noise[:, : self._robot.nu]]
+        rest = self._without_own(np.column_stack(columns))[0]
+        by_x, moved = np.split(rest[:, 1:], [self.by_x.shape[1]], axis=1)
+        taken = by_x.T @ moved
+        told = (moved * moved).sum(axis=0) - (taken * (known @ taken)).sum(axis=0)
+        told = np.maximum(told, _TOLD / self._sources[0] ** 2)
+        return -(moved.T @ rest[:, 0]) / told, 1 / np.sqrt(told)
 
     def _put(self, rows: Array, by: Array | float, *name: str) -> None:
         """Adds what rows (k, n) change by with a parameter, if it is estimated."""
@@ -759,20 +767,14 @@ class StandEquations:
         left = [self.stand(stand, numbers) for stand in range(len(self._readings))]
         return [math.sqrt(one.chi2 / max(one.rows, 1)) for one in left]
 
-    def joint_residuals(self, x: Array) -> tuple[Array, Array]:
-        """Returns by how much measured positions are beyond predicted ones, and noise.
+    def contradictions(self, known: Posterior) -> tuple[Array, Array]:
+        """Returns by how much each joint in each stand was read beyond what all others say.
 
-        (m, nu) each (rad), the second as standard deviations; NaN of joints without a command.
+        (m, nu) (rad), and standard deviations; see ``StandRows``.
         """
-        numbers, nu = self._numbers(x), self.robot.nu
-        off, noise = np.full((2, len(self._readings), nu), np.nan)
-        for stand, reading in enumerate(self._readings):
-            left, deviation = self._look(stand, numbers).left()
-            # Rows of motors are torques: kp (command - position) less what is needed.
-            finding = np.isfinite(reading.command) & (numbers.stiff > 0)
-            off[stand, finding] = -left[finding] / numbers.stiff[finding]
-            noise[stand, finding] = deviation[finding] / numbers.stiff[finding]
-        return off, noise
+        found = [rows.contradictions(known.covariance) for rows in self.looks(known.mean)]
+        off, sure = np.moveaxis(np.array(found), 1, 0)
+        return off, sure
 
     def _move(self, stand: int, step: Array) -> None:
         base, forces = self._own[stand]

@@ -49,8 +49,8 @@ class JointResidual(Result):
     Attributes:
         stand: The stand.
         joint: The joint.
-        off: Measured position less predicted one (rad).
-        deviations: The same in standard deviations of what noise makes.
+        off: Measured position less the one by which all other readings agree best (rad).
+        deviations: The same in standard deviations of what noise, and what is not known, make.
     """
 
     stand: str
@@ -87,22 +87,19 @@ class StandFit(Fit):
 
 
 def _joint_residuals(
-    stands: MeasuredStands, equations: StandEquations, x: Array
+    stands: MeasuredStands, equations: StandEquations, known: Posterior
 ) -> tuple[JointResidual, ...]:
-    off, noise = equations.joint_residuals(x)
+    off, sure = equations.contradictions(known)
     found = [
-        JointResidual(
-            stand, joint, float(off[row, column]), float(off[row, column] / noise[row, column])
-        )
+        JointResidual(stand, joint, float(off[row, column]), float((off / sure)[row, column]))
         for row, stand in enumerate(stands.names)
         for column, joint in enumerate(stands.joints)
-        if noise[row, column] > 0
     ]
     return tuple(sorted(found, key=lambda one: -abs(one.deviations)))
 
 
 def _total_mass(robot: Robot, posterior: Posterior) -> Estimate:
-    line = np.array([float(one.kind == "mass") for one in posterior.parameters])
+    line = (posterior.kinds == "mass").astype(float)
     stated = np.array([one.stated for one in posterior.parameters])
     whole = Parameter("mass", robot.name, "", robot.total_mass, 0.0)
     mean = robot.total_mass + float(line @ (posterior.mean - stated))
@@ -161,19 +158,13 @@ def suspect_scale(
     """
     from scipy import stats  # slow to import
 
-    parameters = posterior.parameters
-    kp = np.array([float(one.kind == "kp") for one in parameters])
-    loaded = any(one.kind == "added" for one in parameters)  # then the load has its own test
-    asked = level and not loaded
-    load = np.array([float(one.kind == "load" and asked) for one in parameters])
-    mass = np.array(
-        [
-            # The width is that of the stated mass again: ``moved`` is of logarithms.
-            one.width * one.stated / (mean * robot.total_mass) if one.kind == "mass" else 0.0
-            for one, mean in zip(parameters, posterior.mean.tolist(), strict=True)
-        ]
-    )
-    lines = np.array([line for line in (kp, mass, load) if line.any()])
+    table, kinds = ParameterTable(posterior.parameters), posterior.kinds
+    masses, asked = kinds == "mass", level and "added" not in kinds  # then it has its own test
+    mass = np.zeros(len(table))
+    # The width is that of the stated mass again: ``moved`` is of logarithms.
+    mass[masses] = (table.width * table.stated)[masses] / posterior.mean[masses]
+    lines = np.array([kinds == "kp", mass / robot.total_mass, asked & (kinds == "load")])
+    lines = lines[lines.any(axis=1)]
     if not len(lines):
         return
     signs, freedom, _ = _surprise(posterior, lines)
@@ -221,7 +212,7 @@ def _findings(posterior: Posterior, stuck: float) -> Iterator[Diagnostic]:
         stuck: A servo's error that dry friction of one sign takes up (rad): what may be that is
             no dead band.
     """
-    loaded = any(one.kind == "added" for one in posterior.parameters)
+    loaded = "added" in posterior.kinds
     for place, one in enumerate(posterior.parameters):
         mean, half = float(posterior.mean[place]), float(NORMAL_95 * posterior.std[place])
         if abs(mean) < half or (one.kind == "load" and not loaded):
@@ -279,26 +270,19 @@ def suspect_stands(
         yield diagnose("residuals-too-large", times=math.sqrt(ratio))
     if found.flatness > _NOISY * expected.flatness:
         yield diagnose("feet-off-the-plane", off=Quantity(found.flatness, "m"))
-    bands = posterior.mean[[one.kind == "deadband" for one in posterior.parameters]]
+    kinds, stated = posterior.kinds, ParameterTable(posterior.parameters).stated
+    bands = posterior.mean[kinds == "deadband"]
     one_sign = -float(np.minimum(bands, 0.0).sum()) / max(stuck, _NOTHING**2)
     if (times := found.friction / expected.friction + one_sign) > _RUBS:
         yield diagnose("torques-off", times=times)
-    own = [at for at, one in enumerate(posterior.parameters) if one.kind not in OF_SURROUNDINGS]
     # What is known before and after differ in variance by what an estimate is surprised by, if the
     # parameter is as it was said to be: one by poor measurements stays near the stated value, and
     # tells as much by a smaller step.
     surprise = np.sqrt(np.maximum(1 - posterior.shares, _LEAST_DETERMINED))
     moved = posterior.moved / surprise
-    far = [
-        place
-        for place in own
-        if abs(moved[place]) > _FAR
-        or (
-            (posterior.parameters[place].kind in _NEVER_NOTHING and moved[place] < 0)
-            and posterior.mean[place] < _NOTHING * posterior.parameters[place].stated
-        )
-    ]
-    if far:
+    gone = np.isin(kinds, _NEVER_NOTHING) & (posterior.mean < _NOTHING * stated) & (moved < 0)
+    off = ~np.isin(kinds, OF_SURROUNDINGS) & (gone | (np.abs(moved) > _FAR))
+    if len(far := np.flatnonzero(off)):
         names, widths = [posterior.parameters[place].name for place in far], np.abs(moved[far])
         yield diagnose("far-from-the-file", names=names, widths=float(widths.max()))
     flatter = min(1.0, found.flatness / expected.flatness)
@@ -318,10 +302,10 @@ def suspect_surroundings(posterior: Posterior, flatter: float = 1.0) -> Iterator
     """
     from scipy import stats  # slow to import
 
-    loaded = any(one.kind == "added" for one in posterior.parameters)
+    kinds = posterior.kinds
     for kind in _SUSPECTED:
-        places = [at for at, one in enumerate(posterior.parameters) if one.kind == kind]
-        if not places or (kind == "load" and not loaded):
+        places = np.flatnonzero(kinds == kind)
+        if not len(places) or (kind == "load" and "added" not in kinds):
             continue
         chosen = [posterior.parameters[at] for at in places]
         width = np.array([one.width for one in chosen])
@@ -343,15 +327,12 @@ def suspect_surroundings(posterior: Posterior, flatter: float = 1.0) -> Iterator
             yield diagnose("ground-slopes", slope=slope, axis=most.component)
         else:
             for number in np.flatnonzero((each >= _ALSO) | (each == each.max())):
-                yield _suspect_one(chosen[number], float(free[number]))
-
-
-def _suspect_one(one: Parameter, off: float) -> Diagnostic:
-    """Returns what is said of a foot that is off by so much."""
-    foot = ("foot", one.subject)
-    if one.kind == "length":
-        return diagnose("leg-is-longer", subject=foot, longer=100 * off)
-    return diagnose("feet-sink-otherwise", subject=foot, times=max(0.0, one.stated + off))
+                foot, off = ("foot", chosen[number].subject), float(free[number])
+                if kind == "length":
+                    yield diagnose("leg-is-longer", subject=foot, longer=100 * off)
+                else:
+                    times = max(0.0, chosen[number].stated + off)
+                    yield diagnose("feet-sink-otherwise", subject=foot, times=times)
 
 
 _SAME_LENGTH = 0.005
@@ -442,7 +423,7 @@ def fit_stands(
     left_out = any(one.code == "stand-left-out" for one in found.diagnostics)
     searched = left_out or any(one.code not in _LEAVE_NONE for one in found.failures)
     wiring = find_wiring(robot, given, evidence, fit) if searched else None
-    return replace(found, failures=(wiring.found, *found.failures)) if wiring else found
+    return replace(found, failures=(wiring.found,)) if wiring else found  # it explains the others
 
 
 _LEAVE_NONE = ("scale-far-from-the-file", "known-mass-contradicts-the-scale", "ground-slopes")
@@ -534,6 +515,12 @@ class _Problem:
         held = self.stiffness > 0
         return float(self.friction[held].sum() / max(self.stiffness[held].sum(), _NOTHING))
 
+    @property
+    def rubs(self) -> float:
+        """Dry friction in parts of what is stated: files state it too small, if not too large."""
+        scale = self.robot.weight * self.robot.stand_height
+        return max(1.0, _UNMODELLED * scale / float(self.friction.mean()))
+
     def evidence(self) -> float:
         """Returns the logarithm of how likely the stands are, linear about the file's numbers."""
         message = self.equations()[0].linearise(self.table.stated, self.table.stated)
@@ -555,20 +542,28 @@ class _Problem:
         known = _estimate(robot, stands, equations, weighed, None)
         # With what is known of the encoders now, fewer joints may be at a stop.
         equations, notes = self.equations(known)
+
+        def by(noise: StandNoise) -> tuple[Posterior, float]:
+            """Returns what is known with a noise, and the logarithm of how likely stands are."""
+            equations.noise, equations.table = noise, alike(table, noise, self.noise)
+            found = _estimate(robot, stands, equations, weighed, known.mean)
+            left = equations.linearise(found.mean, found.mean) + weighed(found.mean)
+            return found, left.evidence(ParameterTable(found.parameters), found.moved)
+
         for _ in range(_PASSES):
             equations.weigh_at(before := known.mean)
             equations.noise, equations.table = self.noise, table
-            equations.noise = find_noise(equations, known, weighed)
-            equations.table = alike(table, equations.noise, self.noise)
-            known = _estimate(robot, stands, equations, weighed, known.mean)
+            noise = find_noise(equations, known, weighed, self.rubs)
+            known, likely = by(noise)
             at = table.place("deadband", "servos")
             if at is None or abs(known.mean[at] - before[at]) < known.std[at]:
                 break
         _check_feet(robot, stands, equations, known)
         equations.table = ParameterTable(known.parameters)
         x, weight = known.mean, self.weight
-        doubts = tuple(suspect_stands(known, equations.noise, self.noise, self.stuck))
+        doubts = tuple(suspect_stands(known, noise, self.noise, self.stuck))
         level = all(one.code != "ground-slopes" for one in doubts)
+        scale = suspect_scale(robot, known, weight, level=level)
         return StandFit(
             name=robot.name,
             source=stands.source,
@@ -580,13 +575,42 @@ class _Problem:
             kp_over_mass=kp_over_mass(known),
             weight=weight,
             residuals=dict(zip(stands.names, equations.residuals(x), strict=True)),
-            joint_residuals=_joint_residuals(stands, equations, x),
-            noise=dict(vars(equations.noise)),
-            failures=(*suspect_scale(robot, known, weight, level=level), *doubts),
+            joint_residuals=_joint_residuals(stands, equations, known),
+            noise=dict(vars(noise)),
+            failures=(*scale, *doubts, *self._contradicted(equations, noise, likely, by)),
             diagnostics=(*notes, *_findings(known, self.stuck)),
             posterior=known,
         )
 
+    def _contradicted(
+        self,
+        equations: StandEquations,
+        noise: StandNoise,
+        likely: float,
+        by: Callable[[StandNoise], tuple[Posterior, float]],
+    ) -> Iterator[Diagnostic]:
+        """Yields the reading that all others contradict, if that explains more than noise does.
+
+        One that is far off makes noise large, and hides in it. So what is asked is whether noise
+        that is as large as expected, and one reading off by anything, are more likely together.
+        """
+        expected = vars(replace(self.noise, friction=self.rubs))
+        less = {name: min(own, expected[name]) for name, own in vars(noise).items()}
+        try:
+            known, with_less = by(StandNoise(**less))
+        except (FitError, MeasurementError):  # that noise explains nothing
+            return
+        one, *others = _joint_residuals(self.stands, equations, known)
+        off, times = Quantity(one.off, "rad"), abs(one.deviations)
+        wide = math.hypot(1.0, _ELSEWHERE * times / max(abs(one.off), _NOTHING**2))
+        gain = times**2 / 2 - math.log((1 + len(others)) * wide)
+        if times > _FAR and with_less + gain > likely:
+            at, joint = one.stand, one.joint
+            yield diagnose("reading-contradicted", stand=at, joint=joint, off=off, times=times)
+
+
+_ELSEWHERE = 0.3
+"""rad: standard deviation of a reading that is of no such stand: of a servo that is stuck."""
 
 _PASSES = 5
 """In which friction that holds joints is noise by the last one's: two to four are enough."""
@@ -758,10 +782,7 @@ def _weighed(
     robot: Robot, table: ParameterTable, weight: float | None
 ) -> Callable[[Array], Linearised]:
     """Returns what a scale says of the masses: one residual, or none."""
-    places = [table.place("mass", link) for link, _ in bodies_of(robot)]
-    known = [place for place in places if place is not None]
-    line = np.zeros(len(table))
-    line[known] = 1.0
+    line = np.array([float(one.kind == "mass") for one in table])
     rest = robot.total_mass - float(line @ table.stated)  # of what is no parameter
 
     def residuals(x: Array) -> Linearised:
@@ -910,7 +931,10 @@ def alike(table: ParameterTable, noise: StandNoise, expected: StandNoise) -> Par
 
 
 def find_noise(
-    equations: StandEquations, known: Posterior, more: Callable[[Array], Linearised]
+    equations: StandEquations,
+    known: Posterior,
+    more: Callable[[Array], Linearised],
+    rubs: float,
 ) -> StandNoise:
     """Returns the noise with moments on feet, flatness and joints' friction that are most likely.
 
@@ -921,6 +945,7 @@ def find_noise(
         equations: Of the stands, with the noise that is expected.
         known: With that noise; about its parameters residuals are taken.
         more: Returns further residuals.
+        rubs: Factor on the stated friction that is expected.
     """
     from scipy import optimize  # slow to import
 
@@ -934,7 +959,7 @@ def find_noise(
             expected,
             moment=max(_LEAST_MOMENT, expected.moment * moment),
             flatness=max(_FLATTEST, expected.flatness * flatness),
-            friction=expected.friction * max(_ALIKE, friction),
+            friction=expected.friction * rubs * max(_ALIKE, friction),
         )
 
     def unlikely(levels: Array) -> float:

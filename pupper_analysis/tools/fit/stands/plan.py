@@ -181,11 +181,8 @@ def plan_stands(
 
 def _top(robot: Robot) -> float:
     """Returns how high shapes of the base reach above its frame's origin (m)."""
-    model, data, config = (
-        robot.mj_model,
-        mujoco.MjData(robot.mj_model),
-        Configuration(robot, robot.home),
-    )
+    model, config = robot.mj_model, Configuration(robot, robot.home)
+    data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, config.qpos)
     mujoco.mj_kinematics(model, data)
     geoms = np.flatnonzero(model.geom_bodyid == model.body(robot.mj_base).id)

@@ -84,8 +84,10 @@ def find_wiring(
 ) -> Wiring | None:
     """Returns the wiring with which the model explains stands that it does not explain as they are.
 
-    Wirings are ranked by the evidence of the measurements, linear about the file's numbers; the
-    first ones are fitted whole. None is named that leaves anything unexplained.
+    Wirings are ranked by the evidence of the measurements, linear about the file's numbers. Those
+    that are more likely than the stands as they are, the first ones, are fitted whole: what is
+    otherwise with the robot may leave less with plugs exchanged, and hardly anything leaves none.
+    None is named that leaves anything unexplained.
 
     Args:
         robot: The robot.
@@ -93,15 +95,16 @@ def find_wiring(
         evidence: Returns the logarithm of how likely stands are; raises where they cannot be.
         fit: Fits them.
     """
-    ranked = []
-    for wiring in possible_wirings(robot):
+
+    def likely(given: MeasuredStands) -> float:
         try:
-            likely = evidence(wiring.apply(stands))
+            return evidence(given)
         except (PupperAnalysisError, np.linalg.LinAlgError):  # out of reach, or of balance
-            continue
-        if math.isfinite(likely):
-            ranked.append((likely, wiring))
-    ranked.sort(key=lambda one: -one[0])
+            return -math.inf
+
+    as_is = likely(stands)
+    ranked = [(likely(wiring.apply(stands)), wiring) for wiring in possible_wirings(robot)]
+    ranked = sorted((one for one in ranked if one[0] > as_is), key=lambda one: -one[0])
     for _, wiring in ranked[:_TRIED]:
         try:
             if fit(wiring.apply(stands)).explained:
