@@ -56,15 +56,6 @@ class Foot:
     points: tuple[ContactPoint, ...]
 
 
-def pose_at_joints(robot: Robot, joints: Array) -> mujoco.MjData:
-    """Returns MuJoCo's data with the base upright at the origin, at joint positions (nu,)."""
-    data = mujoco.MjData(robot.mj_model)
-    qpos = robot.posed(joints)
-    robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_kinematics(robot.mj_model, data)
-    return data
-
-
 _DOWN = 0.7
 """Cosine of how far from downwards limbs end, on the whole, to be told: 45 deg."""
 
@@ -78,7 +69,7 @@ def limbs_aside(robot: Robot) -> list[Diagnostic]:
     With joints as near to zero as they come. A file of such a frame says nowhere what is up.
     """
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
-    data = pose_at_joints(robot, joints)
+    data = robot.placed(robot.posed(joints))
     ends: dict[int, list[int]] = {}  # an arm is one limb, however many fingers it has
     for limb in limbs_of(robot):
         ends.setdefault(limb.bodies[0], []).append(limb.bodies[-1])
@@ -136,7 +127,7 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
 
 
 def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
-    model, data = robot.mj_model, pose_at_joints(robot, joints)
+    model, data = robot.mj_model, robot.placed(robot.posed(joints))
     ends = {body: geoms_of(model, body) for body in limb_ends(model)}
     heights = {body: lowest_point(model, data, geoms) for body, geoms in ends.items() if geoms}
     base = float(data.xpos[model.body(robot.mj_base).id][2])
@@ -191,7 +182,7 @@ def named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) 
         UnknownNameError: If neither file has it.
         ModelError: If nothing there touches the ground.
     """
-    model, data = robot.mj_model, pose_at_joints(robot, joints)
+    model, data = robot.mj_model, robot.placed(robot.posed(joints))
     _, frame = frames
     places = [
         (kind, mujoco.mj_name2id(model, kind, frame))
@@ -267,7 +258,7 @@ def with_feet(
         replaced: {foot with balls in the place of its shape: why}.
     """
     model, spec = robot.mj_model, robot.description.mjcf.copy()
-    data = pose_at_joints(robot, np.zeros(robot.nu))
+    data = robot.placed(robot.posed(np.zeros(robot.nu)))
     still = Configuration(robot, robot.neutral())
     tree = UrdfTree.of(robot.description.urdf)
     bodies = {body.name: body for body in spec.bodies}
@@ -365,7 +356,7 @@ def apart_at(robot: Robot, foot: Foot) -> float:
     joint = _last_joint(robot, foot.body, turning=True)
     if joint is None:
         return 0.0
-    data = pose_at_joints(robot, np.zeros(robot.nu))
+    data = robot.placed(robot.posed(np.zeros(robot.nu)))
     still = Configuration(robot, robot.neutral())
     apart = still.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
     axis = still.joint_axis(joint)

@@ -244,9 +244,7 @@ def with_parts(matched: Match, spec: mujoco.MjSpec) -> tuple[Description | None,
     }
     if any(int(model.body_weldid[body]) not in carriers for body in bodies):
         return None, []
-    data, config = mujoco.MjData(model), Configuration(robot, robot.neutral())
-    robot.mj_convention.set_state(data, robot.neutral())
-    mujoco.mj_kinematics(model, data)
+    data, config = robot.placed(), Configuration(robot, robot.neutral())
     tree = UrdfTree.of(robot.description.urdf)
     for body in bodies:
         link = carriers[int(model.body_weldid[body])]

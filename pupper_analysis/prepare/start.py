@@ -383,10 +383,7 @@ def touching_geoms(robot: Robot, stand: Stand, deeper: float) -> set[int]:
     """
     qpos = stand.qpos.copy()
     qpos[2] -= deeper
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
+    model, data = robot.mj_model, robot.placed(qpos)
     mujoco.mj_collision(model, data)
     pairs = [pair for pair in data.contact.geom if 0 in model.geom_bodyid[pair]]
     return {

@@ -181,21 +181,6 @@ class BarPlot(Plot):
     legend: tuple[Words, Words | None, Words | None]
 
 
-@dataclass(frozen=True, eq=False)
-class DirectionPlot(Plot):
-    """Values by direction, as seen from above: forward is up, left is left.
-
-    Attributes:
-        axis: What their distances from the middle measure.
-        series: Per robot, ``x`` are the directions (rad) and ``y`` the values.
-        note: What the notes beside the lines' names are; None where there are none.
-    """
-
-    axis: Axis
-    series: Sequence[Series]
-    note: Words | None = None
-
-
 @dataclass(frozen=True)
 class Text:
     """A text of the report itself, in both languages; see ``words``.

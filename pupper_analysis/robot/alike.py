@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,7 +72,7 @@ class Limb:
 
 def limbs_of(robot: Robot) -> list[Limb]:
     """Returns the limbs of a robot, each to an end that carries nothing that moves."""
-    model, data = robot.mj_model, _placed(robot)
+    model, data = robot.mj_model, robot.placed()
     weld, base = model.body_weldid, int(model.body_weldid[model.body(robot.mj_base).id])
     found = []
     for end in limb_ends(model):
@@ -97,14 +96,6 @@ def limbs_of(robot: Robot) -> list[Limb]:
         own = tuple(bodies), tuple(joints.tolist()), kinds
         found.append(Limb(*own, np.array(masses), lengths, turns))
     return found
-
-
-def _placed(robot: Robot) -> mujoco.MjData:
-    """Returns data with everything where it is when all joints are at zero."""
-    data = mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, robot.neutral())
-    mujoco.mj_kinematics(robot.mj_model, data)
-    return data
 
 
 def structure(robot: Robot) -> tuple[Diagnostic, ...]:
@@ -219,7 +210,7 @@ def _displaced(robot: Robot, limb: Limb, alike: list[Limb]) -> tuple[str | None,
 
     Of all images of limbs that are alike the one that begins nearest counts.
     """
-    model, data = robot.mj_model, _placed(robot)
+    model, data = robot.mj_model, robot.placed()
     own = data.xpos[list(limb.bodies)]
     gaps = []
     for other in alike:

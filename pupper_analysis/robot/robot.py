@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
@@ -538,6 +538,14 @@ class Robot:
         qpos = self.neutral()
         qpos[self.nq - self.nu :] = joints
         return qpos
+
+    def placed(self, qpos: ArrayLike | None = None) -> mujoco.MjData:
+        """Returns MuJoCo's data with bodies and coms where they are at a qpos; by default zero."""
+        data = mujoco.MjData(self.mj_model)
+        self.mj_convention.set_state(data, np.asarray(self.neutral() if qpos is None else qpos))
+        mujoco.mj_kinematics(self.mj_model, data)
+        mujoco.mj_comPos(self.mj_model, data)
+        return data
 
     def neutral(self) -> Array:
         """Returns the qpos (nq,) with the base at the origin and every joint at zero."""

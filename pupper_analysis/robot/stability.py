@@ -139,7 +139,7 @@ _NAMED_SHARE = 0.5
 SLIDING_CONDIM = 3
 """Of a contact without torsional and rolling friction."""
 
-_MOST_NAMED_JOINTS = 4  # joints and contacts that are named
+_MOST_NAMED_JOINTS = 4  # that are named
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,6 @@ class Mode(Result):
         time_constant: In which it grows or decays by a factor of e (s).
         doubling_time: s; None if it decays.
         joints: Those that move most in it, the first most of all.
-        contacts: The bodies whose contacts do.
         freed: Whether it is of motion that has overcome the joints' dry friction, which holds or
             damps it till then.
     """
@@ -164,7 +163,6 @@ class Mode(Result):
     time_constant: float
     doubling_time: float | None
     joints: tuple[str, ...]
-    contacts: tuple[str, ...]
     freed: bool = False
 
     @property
@@ -193,29 +191,20 @@ class Stability(Result):
         timestep: s.
         radius: The greatest absolute eigenvalue of a step, with dry friction.
         unstable: The modes that grow, the fastest first.
-        drifts: How many modes neither grow nor decay: 3 of a base on level ground, which is alike
-            everywhere (x, y, yaw); each of a wheel's is one.
-        slowest: The mode that decays last, by drift apart. In MuJoCo it is often friction's creep,
-            over minutes.
         least_damped: The mode with the least damping ratio of those that swing and decay, with dry
             friction or once that is overcome.
         speed: The greatest element of qvel where it was judged (m/s, rad/s): a state that is not at
             rest is not judged by this.
         sticks: Whether friction sticks (``noslip_iterations``): it holds what would buckle until it
             slips, and what its iterations leave is no mode: only a simulation shows.
-        settled: Whether it settled before it was judged; what is thrown off is judged where it
-            begins.
     """
 
     timestep: float
     radius: float
     unstable: tuple[Mode, ...]
-    drifts: int
-    slowest: Mode | None
     least_damped: Mode | None
     speed: float
     sticks: bool
-    settled: bool
 
     @property
     def at_rest(self) -> bool:
@@ -288,23 +277,23 @@ def step_stability(
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)
     if not steps:
-        return _judged(model, data, settled=False)
+        return _judged(model, data)
     with silence_mujoco():
         mujoco.mj_step(model, data, steps)
     if data.time < start.time + (steps - 0.5) * model.opt.timestep:
         # It diverged, and MuJoCo began anew.
-        return _judged(model, copy_data(model, start), settled=False)
-    found = _judged(model, data, settled=True)
+        return _judged(model, copy_data(model, start))
+    found = _judged(model, data)
     if found.at_rest:
         return found
-    other = _judged(model, copy_data(model, start), settled=False)
+    other = _judged(model, copy_data(model, start))
     threw = (other.doubling_time or math.inf) < settle / _THROWN
     return other if other.at_rest and threw else found
 
 
-def _judged(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Stability:
+def _judged(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     """Judges a state with the joints' dry friction, and what grows or swings without."""
-    found = _judged_at_limits(model, data, settled=settled)
+    found = _judged_at_limits(model, data)
     rubs = model.dof_frictionloss.any() or model.tendon_frictionloss.any()
     rolls = (np.append(model.geom_condim, model.pair_dim) > SLIDING_CONDIM).any()
     if not (rubs or rolls) or any(mode.shakes for mode in found.unstable):
@@ -312,7 +301,7 @@ def _judged(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Sta
     kept = [(values, values.copy()) for values in _rubbing(model)]
     free_of_friction(model)
     try:
-        free = _judged_at_limits(model, copy_data(model, data), settled=settled)
+        free = _judged_at_limits(model, copy_data(model, data))
     finally:
         for values, before in kept:
             values[:] = before
@@ -346,7 +335,7 @@ def _rubbing(model: mujoco.MjModel) -> tuple[NDArray[Any], ...]:
     return model.dof_frictionloss, model.tendon_frictionloss, *contacts, model.opt.o_friction
 
 
-def _judged_at_limits(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Stability:
+def _judged_at_limits(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     """Judges a state; where joints are at their limits, both sides of these: the worse counts."""
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]
@@ -356,13 +345,13 @@ def _judged_at_limits(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bo
     limited = (scalar & (model.jnt_limited == 1))[:, None]
     edges = limited & (np.abs(ends - model.jnt_range) <= _EDGE)
     if not edges.any():
-        return _Modes(model, data).judged(settled=settled)
+        return _Modes(model, data).judged()
     ranges, found = model.jnt_range.copy(), []
     try:
         for apart in (-_EDGE, _EDGE):
             moved = ends + np.array([apart, -apart])
             model.jnt_range[:] = np.where(edges, moved, ranges)
-            found.append(_Modes(model, copy_data(model, data)).judged(settled=settled))
+            found.append(_Modes(model, copy_data(model, data)).judged())
     finally:
         model.jnt_range[:] = ranges
     return max(found, key=lambda one: one.radius)
@@ -389,7 +378,7 @@ class _Modes:
         # A pendulum without damping swings on, and rounding lets it grow by nothing.
         self._grows = (self._growth > still) & ~self._drifts
 
-    def judged(self, *, settled: bool) -> Stability:
+    def judged(self) -> Stability:
         """Returns what there is to say of them."""
         model, data = self._model, self._data
         single = self._values.imag >= 0  # of a pair of conjugates, one
@@ -399,17 +388,13 @@ class _Modes:
         decaying = single & ~self._grows & ~self._drifts & (self._growth > -1 + _NOISE)
         swinging = np.flatnonzero(decaying & (np.abs(np.angle(self._values)) > _NOISE))
         damped = [self._damping(mode) for mode in swinging.tolist()]
-        slow = np.flatnonzero(decaying)
         return Stability(
             timestep=float(model.opt.timestep),
             radius=1 + float(self._growth.max(initial=-1.0)),
             unstable=tuple(self._mode(mode) for mode in growing.tolist()),
-            drifts=int(self._drifts.sum()),
-            slowest=self._mode(int(slow[np.argmax(self._growth[slow])])) if slow.size else None,
             least_damped=self._mode(int(swinging[int(np.argmin(damped))])) if damped else None,
             speed=float(np.abs(data.qvel).max(initial=0.0)),
             sticks=bool(model.opt.noslip_iterations > 0),
-            settled=settled,
         )
 
     def _damping(self, mode: int) -> float:
@@ -427,7 +412,6 @@ class _Modes:
             time_constant=constant,
             doubling_time=math.log(2) * constant if self._grows[mode] else None,
             joints=_most(self._joints(mode)),
-            contacts=_most(self._contacts(mode)),
         )
 
     def _joints(self, mode: int) -> dict[str, float]:
@@ -439,24 +423,6 @@ class _Modes:
             for joint, end in enumerate(ends)
             if model.jnt_type[joint] != JointKind.FREE
         }
-
-    def _contacts(self, mode: int) -> dict[str, float]:
-        """Returns how far the bodies move where they touch others (m)."""
-        model, data = self._model, self._data
-        motion = self._vectors[: model.nv, mode]
-        found: dict[str, float] = {}
-        one, other = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-        for contact in data.contact:
-            if contact.efc_address < 0 or min(contact.geom) < 0:
-                continue
-            # The ground comes first, or belongs to the world: what moves is named.
-            bodies = sorted(model.geom_bodyid[contact.geom].tolist())
-            for body, jacobian in zip(bodies, (one, other), strict=True):
-                mujoco.mj_jac(model, data, jacobian, None, contact.pos, body)
-            name = model.body(bodies[1]).name
-            slip = float(np.linalg.norm((other - one) @ motion))
-            found[name] = max(slip, found.get(name, 0.0))
-        return found
 
 
 def _most(shares: dict[str, float]) -> tuple[str, ...]:

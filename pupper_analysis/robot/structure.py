@@ -127,15 +127,6 @@ class Structure:
             lent = self.model.createData(), {}
         return Workspace(lent, self._spare)
 
-    def share(self, spare: list[Lent]) -> None:
-        """Takes workspaces from a pool that others take theirs from, too.
-
-        Args:
-            spare: Data of models with the same joints, axes and frames, which may have other
-                numbers.
-        """
-        self._spare = spare
-
     def loaded(self) -> pin.Model:
         """Returns the model with the armature that the robot's has now: it may be changed."""
         self.model.armature = self._given.armature.take(self._order)

@@ -63,7 +63,7 @@ class Tool(Result):
 
     def in_mjcf(self, robot: Robot) -> tuple[str, Array]:
         """Returns the body of the MJCF that carries the point, and its place (3,) in it (m)."""
-        model, data = robot.mj_model, _at_zero(robot)
+        model, data = robot.mj_model, robot.placed()
         body = model.body(robot.mj_base).id
         if self.chain:
             body = int(model.jnt_bodyid[model.joint(self.chain[-1]).id])
@@ -105,7 +105,7 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
     link = _end(robot) if name is None else name
     if link in robot.structure.links:
         return Tool(link, link, np.zeros(3), _chain(robot, link))
-    model, data = robot.mj_model, _at_zero(robot)
+    model, data = robot.mj_model, robot.placed()
     for kind, places, bodies in (
         (mujoco.mjtObj.mjOBJ_SITE, data.site_xpos, model.site_bodyid),
         (mujoco.mjtObj.mjOBJ_BODY, data.xpos, range(model.nbody)),
@@ -159,13 +159,6 @@ def check_point(point: ArrayLike) -> Array:
     if place.shape != (3,) or not np.isfinite(place).all():
         raise ConfigurationError("point", diagnose("no-point", given=reprlib.repr(point)))
     return np.array([check_length("point", value) for value in place])
-
-
-def _at_zero(robot: Robot) -> mujoco.MjData:
-    data = mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, robot.neutral())
-    mujoco.mj_kinematics(robot.mj_model, data)
-    return data
 
 
 def _carried(robot: Robot, body: int, world: Array) -> tuple[str, Array]:

@@ -19,7 +19,6 @@ from pupper_analysis.present import document
 from pupper_analysis.present.document import (
     Axis,
     Column,
-    DirectionPlot,
     Document,
     LinePlot,
     Motion,
@@ -377,20 +376,6 @@ def test_a_line_is_where_its_values_are() -> None:
     }
     assert grid["1"] - 4 == pytest.approx(y0, abs=0.1)
     assert grid["3"] - 4 == pytest.approx(y1, abs=0.1)
-
-
-def test_directions_are_as_seen_from_above() -> None:
-    """Forward is up, left is left."""
-    around = Series(Name("a"), np.radians([0.0, 90.0, 180.0, 270.0]), [1.11, 2.22, 3.33, 4.44])
-    drawing = plots.draw_svg(
-        DirectionPlot(Name("t"), Axis(Name("impulse"), "N s", ".2f"), [around])
-    )
-    drawn = next(mark for mark in drawing.marks if mark["tag"] == "polygon" and "labels" in mark)
-    ahead, left, back, right = drawn["points"]
-    assert ahead[1] < left[1] == pytest.approx(right[1])
-    assert back[1] > right[1]
-    assert left[0] < ahead[0] == pytest.approx(back[0])
-    assert right[0] > back[0]
 
 
 # Files and commands

@@ -75,9 +75,6 @@ def test_an_inverted_pendulum_buckles_at_its_rate(integrator: str) -> None:
     assert mode.frequency == 0
     assert not mode.shakes
     assert mode.joints == ("hinge",)
-    assert found.slowest is not None
-    assert found.slowest.time_constant == pytest.approx(-1 / min(exponents(kp, kd)), rel=2e-2)
-    assert found.drifts == 0
 
 
 def test_a_servo_that_holds_it_has_the_damping_of_its_oscillator() -> None:
@@ -104,7 +101,6 @@ def test_a_servo_beyond_its_discrete_limit_shakes(kd: float, integrator: str) ->
     assert found.radius == pytest.approx(max(abs(values)), rel=1e-6)
     assert found.stable == (max(abs(values)) <= 1)
     if not found.stable:
-        assert not found.settled  # it is judged where it begins: settling would throw it away
         (mode,) = found.unstable
         assert mode.shakes
         assert mode.frequency == pytest.approx(1 / (2 * step))
@@ -138,12 +134,10 @@ def test_what_still_sags_is_not_judged() -> None:
     assert rest.lasts()
 
 
-def test_a_base_on_level_ground_drifts_in_three_ways(variant: str) -> None:
+def test_that_a_base_drifts_on_level_ground_is_no_growth(variant: str) -> None:
     found = pa.simulation.stand_stability(load(variant), stand_of(variant))
-    assert found.drifts == 3
     assert found.stable
     assert found.lasts()
-    assert found.settled
     assert found.speed < 1e-3
 
 
@@ -156,9 +150,7 @@ def test_a_wheel_that_rolls_freely_is_drift() -> None:
         xml = f"""<mujoco><option integrator="{integrator}"/><worldbody>
           <geom type="plane" size="5 5 .1"/><body pos="0 0 .1"><freejoint/>
           <geom type="box" size=".2 .1 .05" pos="0 0 .05"/>{wheels}</body></worldbody></mujoco>"""
-        found = judged(xml, settle=1.0)
-        assert found.stable
-        assert found.drifts >= 4
+        assert judged(xml, settle=1.0).stable
 
 
 def test_dry_friction_hides_what_shakes_until_it_is_overcome() -> None:
@@ -313,7 +305,7 @@ def test_shaking_swings_sooner_than_it_grows_and_than_a_stand_lasts(
     frequency: float, time_constant: float, shakes: bool
 ) -> None:
     """Faster than once in 12 s, and by more than a radian of its phase while it grows by e."""
-    mode = Mode(0.01, frequency, -0.1, time_constant, 0.7 * time_constant, ("knee",), ())
+    mode = Mode(0.01, frequency, -0.1, time_constant, 0.7 * time_constant, ("knee",))
     assert mode.shakes == shakes
     assert mode.grows_within(12.0) == (shakes or time_constant < 1)
 

@@ -64,10 +64,7 @@ def draw_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
         robot: The robot.
         qpos: (nq,) where it is.
     """
-    model = robot.mj_model
-    data = mujoco.MjData(model)
-    robot.mj_convention.set_state(data, np.asarray(qpos, dtype=float))
-    mujoco.mj_kinematics(model, data)
+    model, data = robot.mj_model, robot.placed(qpos)
     base = model.body(robot.mj_base).id
     legs: dict[str, Array] = {}
     for foot, (_, frame) in robot.description.contact_points.items():

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from pupper_analysis.present.document import (
     Axis,
     BarPlot,
-    DirectionPlot,
     LinePlot,
     Name,
     Plot,
@@ -137,8 +136,8 @@ def _lines(plot: LinePlot) -> Drawing:
     ]
     for index, (one, line) in enumerate(zip(series, lines, strict=True)):
         labels = [f"{draw_label(x, across)}, {draw_label(y, up)}" for across, up in line]
-        marks += _series(place(line), labels, one, index)
-    return Drawing(plot.title, WIDTH, HEIGHT, tuple(marks), _legend(series), plot.note)
+        marks += draw_series(place(line), labels, one, index)
+    return Drawing(plot.title, WIDTH, HEIGHT, tuple(marks), draw_legend(series), plot.note)
 
 
 @draw_svg.register
@@ -180,43 +179,7 @@ def _bars(plot: BarPlot) -> Drawing:
     return Drawing(plot.title, WIDTH, TOP + tall + BOTTOM, tuple(marks), legend)
 
 
-@draw_svg.register
-def _directions(plot: DirectionPlot) -> Drawing:
-    axis, series = plot.axis, plot.series
-    size = 420.0
-    middle = size / 2
-    reach = max(float(np.max(np.asarray(one.y, dtype=float))) for one in series) or 1.0
-    scale = (middle - 46) / reach
-
-    def place(directions: Array, values: Array) -> Array:
-        turned = np.column_stack([-np.sin(directions), -np.cos(directions)])
-        places: Array = middle + scale * values[:, None] * turned
-        return places
-
-    marks: list[Mark] = []
-    for value in round_ticks(0.0, reach, 4)[1:]:
-        ring = {"tag": "circle", "class": "grid", "cx": middle, "cy": middle, "r": scale * value}
-        marks.append(ring)
-        marks.append(word_at(middle + 4, middle - scale * value - 3, Name(f"{value:g}"), "start"))
-    for degrees in range(0, 360, 45):
-        angle = np.array([math.radians(degrees)])
-        end = place(angle, np.array([reach]))[0]
-        marks.append(draw_line(middle, middle, end[0], end[1], "grid"))
-        text = place(angle, np.array([reach + 20 / scale]))[0]
-        marks.append(word_at(text[0], text[1] + 4, Name(f"{degrees}°"), "middle"))
-    for index, one in enumerate(series):
-        directions, values = (np.asarray(one.x, dtype=float), np.asarray(one.y, dtype=float))
-        labels = [
-            f"{math.degrees(angle):.0f}°, {draw_label(axis, value)}"
-            for angle, value in zip(directions, values, strict=True)
-        ]
-        places = place(directions, values)
-        marks += _series(places, labels, one, index, closed=True)
-    marks.append(word_at(middle, size - 4, axis.name, "middle", axis.unit))
-    return Drawing(plot.title, size, size, tuple(marks), _legend(series), plot.note)
-
-
-def _legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
+def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
     """Returns each line's name, with what it comes to, and its style."""
     return tuple(
         (
@@ -294,9 +257,10 @@ def draw_axes(
     ]
 
 
-def _series(
+def draw_series(
     places: Array, labels: Sequence[str], one: Series, index: int, *, closed: bool = False
 ) -> list[Mark]:
+    """Returns a line through places (n, 2), which have labels, and its points."""
     rounded = np.round(places, 1).tolist()
     style = f"s{index % STYLES}"
     marks: list[Mark] = [

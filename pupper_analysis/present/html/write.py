@@ -148,9 +148,7 @@ def _robot(
     robot: Robot, qpos: Array, motions: Iterable[Motion], axes: Iterable[JointAxis]
 ) -> dict[str, Any]:
     """Returns a robot's bodies, shapes, joints and motions, and where it is at a configuration."""
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_kinematics(model, data)
+    model, data = robot.mj_model, robot.placed(qpos)
     low, high = extent_of(model, data)
     geoms, meshes = geoms_of(model)
     kinds = joint_motions(robot)

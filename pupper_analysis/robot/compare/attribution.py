@@ -7,8 +7,9 @@ leg.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,6 @@ from pupper_analysis.robot.compare.behaviour import (
     still_acting,
 )
 from pupper_analysis.robot.compare.differences import (
-    Armature,
     Difference,
     Effect,
     Explanation,
@@ -35,7 +35,6 @@ from pupper_analysis.robot.compare.differences import (
     convention_changes,
 )
 from pupper_analysis.robot.compare.mjcf_only import (
-    MjcfOnlyEffect,
     as_it_is,
     mjcf_only_effects,
     split_mimics,
@@ -43,7 +42,6 @@ from pupper_analysis.robot.compare.mjcf_only import (
 )
 from pupper_analysis.robot.matching.alignment import Alignment, align_frames
 from pupper_analysis.robot.matching.conventions import Conventions
-from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Mimics, Reference, kinematic_trees
 from pupper_analysis.robot.robot import Robot
@@ -68,15 +66,15 @@ def explain_differences(
     mimics: Mimics | None = None,
     alignment: Alignment | None = None,
     conventions: Conventions | None = None,
-    undamped: Collection[str] = (),
+    unstated: Mapping[str, Collection[str]] | None = None,
 ) -> Explanation:
     """Finds every number in which a robot's URDF and MJCF differ, and proves that none is missing.
 
     The parameters of both models are compared body by body, and what the MJCF alone can state is
     found. Each difference is put into the URDF's model alone (or into a MuJoCo model that has
     nothing else that a URDF cannot state), to see its effect. Then all are put into the URDF's
-    model in Pinocchio, and it must behave as MuJoCo's model of the MJCF, as it is but for what was
-    found that a URDF cannot state.
+    model, made of its numbers as Pinocchio reads them, and it must behave as MuJoCo's model of the
+    MJCF, as it is but for what was found that a URDF cannot state.
 
     Args:
         robot: The robot.
@@ -85,7 +83,8 @@ def explain_differences(
         mimics: The joints that follow others in the URDF.
         alignment: The MJCF's tree in the URDF's link frames, if known.
         conventions: In what the URDF's coordinates were, before it was given the MJCF's.
-        undamped: The joints whose damping the URDF does not state, and was given the MJCF's.
+        unstated: {damping or friction: joints for which the URDF does not state it, and was given
+            the MJCF's}, as it is given the armature.
     """
     tolerances = tolerances or Tolerances()
     reference = reference or Reference(
@@ -122,7 +121,7 @@ def explain_differences(
         extra.switch(bare, whole)
         effects = judge.effects(stripped, mujoco_sees(bare)) if extra.slots else {}
         extra.switch(bare, None)
-        differences.append(_extra(extra, effects))
+        differences.append(extra.difference(effects))
     differences += [_mimic(name, (mimics or {})[name]) for name in uncoupled]
     patched = behaviour(apply_changes(first, second))
     left = _left(judge, patched, stripped)
@@ -133,8 +132,13 @@ def explain_differences(
         residual=left,
         complete=all(value <= EXPLAINED for value in left.values()),
         remains=tuple(still_acting(reference, bare, states)),
-        armature=armature_of(robot.joint_names, first, behaviour, judge),
-        damping=judge.effects(urdf, behaviour(_undamped(first, undamped))),
+        notes=tuple(
+            _given_notes(
+                {"armature": robot.joint_names, **(unstated or {})},
+                first,
+                lambda values: judge.effects(urdf, behaviour(values)),
+            )
+        ),
     )
 
 
@@ -158,11 +162,6 @@ def _left(
     return left
 
 
-def _undamped(values: MultibodyTree, names: Collection[str]) -> MultibodyTree:
-    bare = {name: replace(values.joints[name], damping=0.0) for name in names}
-    return replace(values, joints={**values.joints, **bare})
-
-
 def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
     """Puts the MJCF's link frames to the URDF's."""
     urdf, mjcf = kinematic_trees(robot)
@@ -172,12 +171,6 @@ def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
     # MuJoCo tells the axes of a body, which later joints turn.
     still = [j for j in joints if last[model.jnt_bodyid[j]] != j]
     return align_frames(mjcf, urdf, tolerances, {model.joint(joint).name for joint in still})
-
-
-def _extra(extra: MjcfOnlyEffect, effects: dict[str, Effect]) -> Difference:
-    return Difference(
-        extra.kind, extra.element, None, extra.value, extra.unit, extra.diagnostic, effects
-    )
 
 
 def _mimic(name: str, said: tuple[str, float, float]) -> Difference:
@@ -291,51 +284,38 @@ def _alike(
         yield group
 
 
-def armature_of(
-    names: Iterable[str], values: MultibodyTree, behaviour: Behaviour, judge: RelativeError
-) -> Armature:
-    """Returns every joint's armature, and what leaving it out of the URDF's model does."""
-    without_it = {name: replace(joint, armature=0.0) for name, joint in values.joints.items()}
-    bare = behaviour(replace(values, joints=without_it))
-    armature = {name: values.joints[name].armature for name in names}
-    return Armature(armature, judge.effects(judge.one, bare))
-
-
 _VALUES = 6
 """Different values that are listed; of more, the least and the greatest."""
-
 
 _NAMED = 3
 """Joints that are named; more are counted."""
 
-
-def unstated_notes(matched: Match, explanation: Explanation) -> Iterator[Diagnostic]:
-    """Yields what the damping and the dry friction do that the URDF does not state."""
-    model = matched.robot.pin_model
-
-    def of_joints(values: Sequence[float], word: str) -> dict[str, float]:
-        places = {n: model.joints[model.getJointId(n)].idx_v for n in matched.unstated[word]}
-        return {name: float(values[place]) for name, place in places.items()}
-
-    if matched.unstated.get("damping"):
-        damping = _by_value(of_joints(model.damping, "damping"), "N m s/rad")
-        forward = explanation.damping.get("forward dynamics", Effect(0.0, 0.0, 0.0)).relative
-        yield diagnose("damping-of-the-mjcf-alone", values_are=damping, forward=forward)
-    if matched.unstated.get("friction"):
-        friction = _by_value(of_joints(model.friction, "friction"), "N m")
-        yield diagnose("friction-of-the-mjcf-alone", values_are=friction)
+_GIVEN = {
+    "armature": "armature-of-the-mjcf-alone",
+    "damping": "damping-of-the-mjcf-alone",
+    "friction": "friction-of-the-mjcf-alone",
+}
+_UNITS = {"armature": "kg m^2", "damping": "N m s/rad", "friction": "N m"}
 
 
-def armature_notes(explanation: Explanation) -> Iterator[Diagnostic]:
-    """Yields what the armature does, which the URDF cannot state, for who builds models of it."""
-    effects = explanation.armature
-    if any(effects.values.values()):
-        yield diagnose(
-            "armature-of-the-mjcf-alone",
-            values_are=_by_value(effects.values, "kg m^2"),
-            mass_matrix=effects.effects.get("mass matrix", Effect(0.0, 0.0, 0.0)).relative,
-            forward=effects.effects.get("forward dynamics", Effect(0.0, 0.0, 0.0)).relative,
-        )
+def _given_notes(
+    given: Mapping[str, Collection[str]],
+    values: MultibodyTree,
+    effects_of: Callable[[MultibodyTree], Mapping[str, Effect]],
+) -> Iterator[Diagnostic]:
+    """Yields what the URDF was given of the MJCF's, and what leaving it out of its model does."""
+    for kind in _GIVEN:
+        own = {name: float(getattr(values.joints[name], kind)) for name in given.get(kind, ())}
+        if any(own.values()):
+            none: dict[str, Any] = {kind: 0.0}
+            bare = {name: replace(values.joints[name], **none) for name in own}
+            effects = effects_of(replace(values, joints={**values.joints, **bare}))
+            of_mass, forward = (
+                effects[name].relative if name in effects else 0.0
+                for name in ("mass matrix", "forward dynamics")
+            )
+            listed = _by_value(own, _UNITS[kind])
+            yield diagnose(_GIVEN[kind], values_are=listed, mass_matrix=of_mass, forward=forward)
 
 
 def _by_value(values: Mapping[str, float], unit: str) -> list[Diagnostic]:

@@ -11,16 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import MujocoTree, joint_damping
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import foot_site
-from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.matching.trees import Reference
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.structure import Lent
 
 Array = NDArray[np.float64]
 
@@ -156,10 +152,10 @@ def still_acting(
 
 
 class Behaviour:
-    """Evaluates trees of parameters of one robot, all at the same states.
+    """Evaluates trees of parameters of one robot, all at the same states, in MuJoCo.
 
-    In Pinocchio; if the robot is large, in MuJoCo. What takes long to make, Pinocchio's data or
-    MuJoCo's model, serves all trees that differ in numbers alone.
+    A model of one structure serves all trees that differ in numbers alone. Whether Pinocchio makes
+    the same of them, who asks both engines shows (``tools/crosscheck``).
 
     Attributes:
         states: The states.
@@ -168,15 +164,11 @@ class Behaviour:
     def __init__(self, robot: Robot, states: States) -> None:
         """Keeps what the evaluations share."""
         self.states, self._robot = states, robot
-        self._spare: dict[object, list[Lent]] = {}
         self._tree: MujocoTree | None = None
         self._in_tree: MujocoBehaviour | None = None
 
     def __call__(self, values: MultibodyTree) -> dict[str, Array]:
         """Evaluates the quantities that differences are judged by, at all states."""
-        return self._in_mujoco(values) if is_large(self._robot) else self._in_pinocchio(values)
-
-    def _in_mujoco(self, values: MultibodyTree) -> dict[str, Array]:
         if self._tree is None or self._in_tree is None or not self._tree.fits(values):
             self._tree = MujocoTree(values)
             model = self._tree.model
@@ -188,51 +180,6 @@ class Behaviour:
         else:
             self._tree.take(values)
         return self._in_tree(self._tree.model)
-
-    def _in_pinocchio(self, values: MultibodyTree) -> dict[str, Array]:
-        model = multibody.to_pinocchio(values)
-        robot = replace(
-            self._robot,
-            pin_model=model,
-            pin_convention=PinocchioConvention.of(model, self._robot.joint_names),
-            contact_frames={},
-        )
-        robot.structure.share(self._spare.setdefault(_alike(values), []))
-        base_rows = robot.nv - robot.nu
-        damping = np.full(robot.nv, values.base_damping)
-        damping[base_rows:] = [values.joints[name].damping for name in robot.joint_names]
-        rows: dict[str, list[Array]] = {}
-        states = zip(self.states.qpos, self.states.qvel, self.states.torques, strict=True)
-        for qpos, qvel, torques in states:
-            config = Configuration(robot, qpos, qvel)
-            force = -damping * qvel
-            force[base_rows:] += torques
-            result = {
-                "mass matrix": config.mass_matrix(),
-                "gravity": config.gravity(),
-                "bias forces": config.bias_forces(),
-                "com": config.center_of_mass(),
-                "forward dynamics": config.forward_dynamics(force),
-                "joint positions": np.array([config.joint_position(n) for n in robot.joint_names]),
-            }
-            if values.frames:
-                positions = [config.frame_position(name) for name in values.frames]
-                result["foot positions"] = np.array(positions)
-            for name, value in result.items():
-                rows.setdefault(name, []).append(value)
-            del config  # its data serve the next
-        return {name: np.array(values) for name, values in rows.items()}
-
-
-def _alike(values: MultibodyTree) -> object:
-    """Returns what is the same for trees whose models can share Pinocchio's data.
-
-    The data hold the joints' axes, and who is whose parent; all other numbers stay in the model.
-    """
-    return tuple(
-        (name, joint.parent, joint.slides, joint.axis.tobytes())
-        for name, joint in values.joints.items()
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +228,7 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
 
 
 MOST_IN_PINOCCHIO: Final = 200
-"""Degrees of freedom of the largest robot that is evaluated in Pinocchio.
+"""Degrees of freedom of the largest robot whose engines are compared in Pinocchio, too.
 
 Pinocchio's data hold four tensors of second derivatives, nv x nv x nv each, that nothing here asks
 for: 32 nv^3 bytes, 0.26 GB at 200 and 256 GB at 2000, and as long as it takes to write them.

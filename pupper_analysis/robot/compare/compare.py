@@ -19,6 +19,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
@@ -35,7 +36,7 @@ from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.loading import reader_of
 from pupper_analysis.models.mjcf import silence_mujoco, start_data
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
-from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.models.multibody import MultibodyTree, to_pinocchio
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import DIRECTIONS, Pose, Shape, read_shape
 from pupper_analysis.models.sides import OF_LEGS
@@ -47,9 +48,7 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.attribution import (
     EXPLAINED,
     align_robot,
-    armature_notes,
     explain_differences,
-    unstated_notes,
 )
 from pupper_analysis.robot.compare.differences import (
     CONVENTIONS,
@@ -70,7 +69,7 @@ from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees, poses_at_zero
+from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.robot.shapes import may_touch
 
@@ -377,20 +376,9 @@ def gravity_torques(tree: MultibodyTree, gravity: Array) -> dict[str, float]:
         tree: A robot on a fixed base.
         gravity: (3,) in the base's frame (m/s^2).
     """
-    poses = poses_at_zero(tree)
-    carried = {name: np.zeros(4) for name in tree.bodies}  # mass, and first moments
-    torques = {}
-    for name in reversed(tree.parents_first()):
-        body, joint, pose = tree.bodies[name], tree.joints[name], poses[name]
-        carried[name] += body.mass * np.array([1.0, *pose.act(body.com)])
-        mass, moment = carried[name][0], carried[name][1:]
-        axis = pose.rotation @ joint.axis
-        lever = moment - mass * pose.translation
-        torques[name] = -float(
-            axis @ (mass * gravity if joint.slides else np.cross(lever, gravity))
-        )
-        carried[joint.parent] += carried[name]
-    return torques
+    model = to_pinocchio(replace(tree, gravity=gravity))
+    held = pin.computeGeneralizedGravity(model, model.createData(), pin.neutral(model))
+    return {name: float(held[model.joints[model.getJointId(name)].idx_v]) for name in tree.joints}
 
 
 def _in_root(urdf: etree._Element, link: str) -> Array:
@@ -494,12 +482,14 @@ class Compared:
         matched: Both as one robot.
         alignment: The MJCF's tree in the URDF's link frames.
         explanation: Every number in which they differ, and the proof that none is missing.
+        sources: Where the numbers of both stand.
     """
 
     result: FilesCompared
     matched: Match
     alignment: Alignment
     explanation: Explanation
+    sources: tuple[Sources, Sources]
 
 
 @silence_mujoco()
@@ -544,10 +534,14 @@ def compare_files(
         mimics=matched.mimics,
         alignment=alignment,
         conventions=matched.conventions,
-        undamped=matched.unstated.get("damping", ()),
+        unstated=matched.unstated,
     )
     names_too = matched.guessed if strict_names else {}
-    placed = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file, tolerances))
+    sources = matched.sources(urdf_file, mjcf_file)
+    servos = _servo_gains(matched, urdf_file, mjcf_file, tolerances)
+    renamed = (_name(*pair) for pair in names_too.items())
+    found = (*explanation.differences, *renamed, *servos)
+    placed = tuple(_placed(found, sources, urdf_file, mjcf_file))
     touching, untold = _touching(matched, urdf_file, mjcf_file, placed)
     differences = tuple(sorted((*placed, *touching), key=lambda difference: difference.rank))
     unmatched = matched.only_urdf or matched.only_mjcf
@@ -565,8 +559,7 @@ def compare_files(
         parts=matched.parts,
         notes=(
             *matched.notes,
-            *armature_notes(explanation),
-            *unstated_notes(matched, explanation),
+            *explanation.notes,
             *untold,
         ),
         differences=differences,
@@ -582,7 +575,7 @@ def compare_files(
         agree=not (differences or unmatched or objections),
         same_robot=not (_mechanical(differences) or unmatched or objections),
     )
-    return Compared(result, matched, alignment, explanation)
+    return Compared(result, matched, alignment, explanation, sources)
 
 
 def _causes(*of: object) -> tuple[PatternCause, ...]:
@@ -649,68 +642,21 @@ def _mechanical(differences: Iterable[Difference]) -> bool:
 
 
 def _placed(
-    explanation: Explanation,
-    names: Mapping[str, str],
-    matched: Match,
+    differences: Iterable[Difference],
+    sources: tuple[Sources, Sources],
     urdf: UrdfFile,
     mjcf: MjcfFile,
-    tolerances: Tolerances,
 ) -> Iterator[Difference]:
-    """Yields the differences, names that are another, and gains, with where they stand."""
-    one, two = matched.sources(urdf, mjcf)
+    """Yields differences with where they stand, and in the names of what stands for the files."""
     others = {
         term: Term(file.stands_for)
         for term, file in (("the URDF", urdf), ("the MJCF", mjcf))
         if file.stands_for
     }
-    servos = _servo_gains(matched, urdf, mjcf, tolerances)
-    renamed = (_name(*pair) for pair in names.items())
-    for difference in (*explanation.differences, *renamed, *servos):
-        yield replace(
-            difference,
-            diagnostic=with_names_of_models(difference.diagnostic, others),
-            urdf_place=one.place(difference.kind, difference.element).path,
-            mjcf_place=two.place(difference.kind, difference.element).path,
-            made_of=mass_shares(difference, one, two),
-        )
-
-
-def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[Diagnostic, ...]:
-    """Says of which links or bodies a mass, a com or an inertia is made, with their lines."""
-    if difference.kind not in ("mass", "com", "inertia"):
-        return ()
-    messages = []
-    for file, sources in (("URDF", urdf), ("MJCF", mjcf)):
-        heavy = [(name, mass) for name, mass in sources.members(difference.element) if mass]
-        if len(heavy) < 2:
-            continue
-        total = sum(mass for _, mass in heavy)
-        heavy.sort(key=lambda member: -member[1])
-        listed_members = [
-            diagnose(
-                "share-of-a-body",
-                subject=("body", name),
-                mass=Quantity(mass, "kg"),
-                share=Quantity(mass / total, "1"),
-                place=str(sources.weight(difference.kind, name)),
-            )
-            for name, mass in heavy[:_LISTED]
-        ]
-        rest = total - sum(mass for _, mass in heavy[:_LISTED])
-        messages.append(
-            diagnose(
-                "body-is-made-of",
-                file=file,
-                members=listed_members,
-                more=len(heavy[_LISTED:]),
-                rest=Quantity(rest, "kg"),
-            )
-        )
-    return tuple(messages)
-
-
-_LISTED = 6
-"""Links of a body that are listed, the heaviest first."""
+    for one in differences:
+        here, there = (source.place(one.kind, one.element).path for source in sources)
+        told = with_names_of_models(one.diagnostic, others)
+        yield replace(one, diagnostic=told, urdf_place=here, mjcf_place=there)
 
 
 def _explained(explanation: Explanation) -> float:

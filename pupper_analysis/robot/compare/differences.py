@@ -121,7 +121,7 @@ class Stated:
             differs from that of the joints at the same place of other legs); ``mimic``, that the
             URDF alone has; ``servo stiffness`` or ``servo damping``, of another format;
             ``name``, where names count; or what the MJCF alone has, the kinds of
-            `mjcf_only.effect.MjcfOnlyEffect`. Of two versions of a file also ``joint``, that one
+            `mjcf_only.MjcfOnlyEffect`. Of two versions of a file also ``joint``, that one
             of them lacks, and ``motor``.
         element: The joint, the body (named by the joint that moves it, or the base) or the frame;
             of what the MJCF alone has, its name there, or ``#3``.
@@ -142,6 +142,12 @@ class Stated:
     def message(self) -> str:
         """The difference in a sentence."""
         return str(self.diagnostic)
+
+    def difference(self, effects: dict[str, Effect]) -> Difference:
+        """Returns it as a result, with what it does."""
+        return Difference(
+            self.kind, self.element, self.urdf, self.mjcf, self.unit, self.diagnostic, effects
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,19 +258,6 @@ class PatternCause(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Armature(Result):
-    """The rotors' inertia, which an MJCF states and a URDF cannot.
-
-    Attributes:
-        values: {joint: kg m^2}.
-        effects: {quantity: what leaving it out of the URDF's model does}.
-    """
-
-    values: dict[str, float]
-    effects: dict[str, Effect]
-
-
-@dataclass(frozen=True, eq=False)
 class Explanation(Result):
     """Why two models disagree.
 
@@ -276,8 +269,8 @@ class Explanation(Result):
         complete: Whether nothing is left.
         remains: What acts in MuJoCo when all that was found is taken away, and has no part in a
             tree of joints, by MuJoCo's names.
-        armature: What the armature does; both models were given the MJCF's.
-        damping: What leaving out the damping that the URDF does not state does to it.
+        notes: What the URDF was given of the MJCF's, and what it does: armature, and what it does
+            not state of damping and dry friction.
     """
 
     differences: tuple[Difference, ...]
@@ -285,8 +278,7 @@ class Explanation(Result):
     residual: dict[str, float]
     complete: bool
     remains: tuple[Diagnostic, ...]
-    armature: Armature
-    damping: dict[str, Effect]
+    notes: tuple[Diagnostic, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -464,12 +456,6 @@ class Change(Stated):
     def apply(self, one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
         """Returns the first robot with the second's value."""
         return with_value_of(one, two, self.kind, self.element)
-
-    def difference(self, effects: dict[str, Effect]) -> Difference:
-        """Returns it as a result, with what it does."""
-        return Difference(
-            self.kind, self.element, self.urdf, self.mjcf, self.unit, self.diagnostic, effects
-        )
 
 
 NOTHING = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -29,6 +29,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.mjcf import JointKind, equality_ends, equality_name
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint, motor_targets
+from pupper_analysis.robot.compare.differences import Stated
 from pupper_analysis.robot.matching.trees import Mimics, Reference
 
 Slot = tuple[str, int | slice]
@@ -36,26 +37,15 @@ Slot = tuple[str, int | slice]
 
 
 @dataclass(frozen=True, eq=False)
-class MjcfOnlyEffect:
-    """An element of an MJCF that a URDF cannot state.
+class MjcfOnlyEffect(Stated):
+    """An element of an MJCF that a URDF cannot state; its first attributes are `Stated`'s.
 
     Attributes:
-        kind: ``spring``, ``damping polynomial``, ``gravity compensation``, ``dry friction`` (of the
-            free joint), ``tendon``, ``fluid``, ``actuator``, ``equality`` or ``flag``.
-        element: The joint, body, tendon ... by name; ``#3`` where it has none.
-        value: Its numbers.
-        unit: Of the numbers, where they have one in common.
-        diagnostic: What it is, with its numbers.
         slots: What has to be zero for it to be gone; none if it does not act on the unconstrained
             robot, or cannot be taken away.
     """
 
-    kind: str
-    element: str
-    value: object
-    unit: str
-    diagnostic: Diagnostic
-    slots: tuple[Slot, ...] = field(default=())
+    slots: tuple[Slot, ...] = ()
 
     def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
         """Takes it away in a model (of `as_it_is`), in place; or takes another's numbers again."""
@@ -181,6 +171,7 @@ def find_springs(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         yield MjcfOnlyEffect(
             "spring",
             name,
+            None,
             value,
             f"{force}/{length}",
             message,
@@ -201,7 +192,7 @@ def find_damping_polynomials(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             powers = Vector(tuple(values), "1")
             message = diagnose("damping-in-higher-powers", subject=("joint", name), powers=powers)
             slots = (("dof_dampingpoly", dofs),)
-            yield MjcfOnlyEffect("damping polynomial", name, values, "", message, slots)
+            yield MjcfOnlyEffect("damping polynomial", name, None, values, "", message, slots)
 
 
 def find_gravity_compensation(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
@@ -217,7 +208,7 @@ def find_gravity_compensation(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
                 share=Quantity(share, "1"),
             )
             slots = (("body_gravcomp", body),)
-            yield MjcfOnlyEffect("gravity compensation", name, share, "", message, slots)
+            yield MjcfOnlyEffect("gravity compensation", name, None, share, "", message, slots)
 
 
 def free_joint_friction(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
@@ -229,7 +220,7 @@ def free_joint_friction(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             name = scene.joint_name(joint)
             friction = Quantity(value, "N and N m")
             message = diagnose("free-joint-friction", subject=("body", name), friction=friction)
-            yield MjcfOnlyEffect("dry friction", name, value, "", message)
+            yield MjcfOnlyEffect("dry friction", name, None, value, "", message)
 
 
 def find_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
@@ -246,7 +237,7 @@ def find_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         arrays = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature")
         slots = tuple((f"tendon_{array}", tendon) for array in arrays) if acts else ()
         message = diagnose("tendon-of-the-mjcf-alone", subject=("tendon", name), terms=terms)
-        yield MjcfOnlyEffect("tendon", name, value, "", message, slots)
+        yield MjcfOnlyEffect("tendon", name, None, value, "", message, slots)
 
 
 def _tendon_terms(
@@ -325,7 +316,7 @@ def find_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         if acts_without_command(model, motor) and not scene.off(DISABLE.mjDSBL_ACTUATION):
             message = diagnose("dc-motor-of-the-mjcf-alone", subject=("actuator", name))
             group = ("actuator_group", motor)  # 0 is off in `as_it_is`
-            yield MjcfOnlyEffect("actuator", name, "DC motor", "", message, (group,))
+            yield MjcfOnlyEffect("actuator", name, None, "DC motor", "", message, (group,))
         if value:
             message = diagnose(
                 "actuator-terms-of-the-mjcf-alone",
@@ -335,7 +326,7 @@ def find_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
                 higher=Vector(tuple(higher), "1") if higher.any() else None,
                 gear=Vector(tuple(actuator_gear(model, motor)), "1"),
             )
-            yield MjcfOnlyEffect("actuator", name, value, "", message, tuple(slots))
+            yield MjcfOnlyEffect("actuator", name, None, value, "", message, tuple(slots))
 
 
 EQUALITY = mujoco.mjtEq
@@ -398,7 +389,7 @@ def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             wind=Vector(tuple(wind), "m/s"),
         )
         slots: tuple[Slot, ...] = (("opt.density", 0), ("opt.viscosity", 0))
-        yield MjcfOnlyEffect("fluid", "option", value, "", message, slots)
+        yield MjcfOnlyEffect("fluid", "option", None, value, "", message, slots)
 
 
 def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
@@ -419,6 +410,7 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         yield MjcfOnlyEffect(
             "equality",
             name,
+            None,
             [float(each) for each in model.eq_data[index]],
             "",
             diagnose(
@@ -440,7 +432,7 @@ def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     for bit, word, what in _FLAGS:
         if scene.off(bit):
             message = diagnose("flag-of-the-mjcf-alone", subject=("flag", word), what=Term(what))
-            yield MjcfOnlyEffect("flag", word, "disable", "", message)
+            yield MjcfOnlyEffect("flag", word, None, "disable", "", message)
 
 
 _FLAGS = (

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -108,108 +108,78 @@ def tell_lacking(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
     )
 
 
-def best_parts(candidates: list[list[RemovablePart]], short: float) -> list[RemovablePart]:
-    """Chooses how much to take off a carrier, so that its mass becomes the other file's.
+Ways = list[tuple[str, list[list[RemovablePart]]]]
+"""Carriers, and what may be taken off each, the least first."""
 
-    Args:
-        candidates: Ways to take off the joints that one file lacks, the least first.
-        short: How much heavier the carrier is than in the other file with all of it left on (kg).
 
-    Returns:
-        The parts to be taken off; none if the mass fits best with them left on, at rest.
+def ways_off(tree: ModelTree, extra: Collection[str]) -> Ways:
+    """Returns each carrier of joints that the other file lacks, and the ways to take these off it.
+
+    The parts as they move come first, and then with more and more of what holds them.
     """
-    best: list[RemovablePart] = []
-    least = abs(short)
-    for parts in candidates:
-        off = abs(short - sum(part.mass for part in parts))
-        if off < least - 1e-6:
-            best, least = parts, off
-    return best
+    chains: dict[str, list[list[RemovablePart]]] = {}
+    for name in tree.names:
+        link: str | None = name if set(tree.movers(name)) & set(extra) else None
+        chain: list[RemovablePart] = []
+        while link is not None and (part := _part(tree, link, extra)) is not None:
+            chain.append(part)
+            up = tree.parent(link)
+            link = up if up is not None and not tree.movers(up) and tree.parent(up) else None
+        if chain and chain[0].carrier not in extra:  # else it goes with that
+            chains.setdefault(chain[0].carrier, []).append(chain)
+    ways = []
+    for carrier, those in chains.items():
+        listed = []
+        for level in range(max(map(len, those))):
+            parts = dict.fromkeys(each[min(level, len(each) - 1)] for each in those)
+            listed.append(
+                [one for one in parts if not any(set(one.joints) < set(o.joints) for o in parts)]
+            )
+        ways.append((carrier, listed))
+    return ways
 
 
-def parts_of(tree: ModelTree, extra: Collection[str]) -> dict[str, list[list[RemovablePart]]]:
-    """Returns {carrier: ways to take off the joints of a file that the other one lacks}."""
-
-    def part(link: str) -> RemovablePart | None:
-        inside = list(tree.subtree(link))
-        joints = tuple(joint for name in inside for joint in tree.movers(name))
-        if any(joint not in extra for joint in joints):
-            return None
-        carrier = tree.parent(link)
-        while carrier is not None and not tree.movers(carrier):
-            carrier = tree.parent(carrier)
-        mover = tree.movers(carrier)[-1] if carrier is not None else ""
-        return RemovablePart(link, mover, joints, sum(map(tree.weight, inside)))
-
-    def holder(link: str) -> str | None:
-        up = tree.parent(link)
-        return up if up is not None and not tree.movers(up) and tree.parent(up) else None
-
-    tops = [part(link) for link in tree.names if set(tree.movers(link)) & set(extra)]
-    return _removals([top for top in tops if top is not None], part, holder)
-
-
-def _removals(
-    tops: list[RemovablePart],
-    part: Callable[[str], RemovablePart | None],
-    parent: Callable[[str], str | None],
-) -> dict[str, list[list[RemovablePart]]]:
-    """Returns {carrier: the parts as they move, and then with more and more of what holds them}."""
-    largest = [
-        top for top in tops if not any(set(top.joints) < set(other.joints) for other in tops)
-    ]
-    removals: dict[str, list[list[RemovablePart]]] = {}
-    for carrier in dict.fromkeys(top.carrier for top in largest):
-        level = [top for top in largest if top.carrier == carrier]
-        removals[carrier] = [level]
-        while True:
-            higher: dict[str, RemovablePart] = {}
-            for each in level:
-                up = parent(each.root)
-                found = part(up) if up is not None else None
-                higher[found.root if found else each.root] = found or each
-            if set(higher) == {each.root for each in level}:
-                break
-            level = [
-                each
-                for each in higher.values()
-                if not any(set(each.joints) < set(other.joints) for other in higher.values())
-            ]
-            removals[carrier].append(level)
-    return removals
-
-
-Removals = Mapping[str, list[list[RemovablePart]]]
-
-
-def removable_subtrees(
-    trees: tuple[UrdfTree, SpecTree], only_urdf: Collection[str], only_mjcf: Collection[str]
-) -> tuple[Removals, Removals]:
-    """Returns the ways to take off the joints that one file lacks, of the URDF and of the MJCF."""
-    return parts_of(trees[0], only_urdf), parts_of(trees[1], only_mjcf)
+def _part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
+    """Returns what is on a link with the link itself, if none of its joints is the other file's."""
+    inside = list(tree.subtree(link))
+    joints = tuple(joint for name in inside for joint in tree.movers(name))
+    if any(joint not in extra for joint in joints):
+        return None
+    carrier = tree.parent(link)
+    while carrier is not None and not tree.movers(carrier):
+        carrier = tree.parent(carrier)
+    mover = tree.movers(carrier)[-1] if carrier is not None else ""
+    return RemovablePart(link, mover, joints, sum(map(tree.weight, inside)))
 
 
 def take_off(
     trees: tuple[UrdfTree, SpecTree],
     files: tuple[Path, Path],
-    removals: tuple[Removals, Removals],
+    ways: tuple[Ways, Ways],
     pairs: Mapping[str, str],
 ) -> list[Diagnostic]:
-    """Takes off what one file has and the other lacks, where masses say so; returns what it is."""
-    if not any(removals):
+    """Takes off what one file has and the other lacks, where masses say so; returns what it is.
+
+    So much goes that the carrier's mass comes nearest to the other file's: nothing, if that is
+    nearest with all of it left on, at rest.
+    """
+    if not any(ways):
         return []
     one, two = urdf_tree(trees[0].root, files[0]), mjcf_tree(trees[1].spec, files[1])
     said = []
-    for tree, candidates, here, there, words in (
-        (trees[0], removals[0], one, two, ("URDF", "MJCF")),
-        (trees[1], removals[1], two, one, ("MJCF", "URDF")),
+    for tree, of_carriers, here, there, words in (
+        (trees[0], ways[0], one, two, ("URDF", "MJCF")),
+        (trees[1], ways[1], two, one, ("MJCF", "URDF")),
     ):
-        for carrier, way in candidates.items():
+        for carrier, listed in of_carriers:
             name = pairs.get(carrier, carrier) if words[0] == "URDF" else carrier
             if name not in here.bodies or name not in there.bodies:
                 continue
             short = here.bodies[name].mass - there.bodies[name].mass
-            for part in best_parts(way, short):
+            left = [abs(short - sum(part.mass for part in parts)) for parts in ([], *listed)]
+            # The least that does as well, to a milligram.
+            best = next(number for number, off in enumerate(left) if off <= min(left) + 1e-6)
+            for part in ([], *listed)[best]:
                 said.append(tell_lacking(part, *words))
                 tree.remove_subtree(part.root)
     return said
@@ -354,10 +324,10 @@ def match_models(
         spec.delete(key)  # its size may no longer fit
     opened, freed = open_loops(spec, at_bodies, only_mjcf) if complete else ((), [])
     sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
-    removals = removable_subtrees(sides, only_urdf, only_mjcf)
+    ways = ways_off(sides[0], only_urdf), ways_off(sides[1], only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
-    parts = [] if complete else take_off(sides, paths, removals, pairs)
+    parts = [] if complete else take_off(sides, paths, ways, pairs)
     own = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # as long as compiling
     models = whole, whole if joined else own
     notes += take_unknown(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.arrays import rotation_from_quaternion
-from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import EARTH
@@ -62,7 +62,7 @@ from pupper_analysis.robot.compare.behaviour import (
     random_states,
 )
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
-from pupper_analysis.robot.compare.differences import Explanation
+from pupper_analysis.robot.compare.differences import Difference, Explanation
 from pupper_analysis.robot.compare.mjcf_only import (
     as_it_is,
     mjcf_only_effects,
@@ -72,6 +72,7 @@ from pupper_analysis.robot.compare.mjcf_only import (
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import foot_site
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Mimics, Reference, urdf_mimics
 from pupper_analysis.robot.robot import Robot
@@ -160,7 +161,48 @@ def compare_models(
         moved=compared.alignment.moved,
     )
     own = {one.name: getattr(compared.result, one.name) for one in fields(compared.result)}
+    own["differences"] = tuple(
+        replace(one, made_of=mass_shares(one, *compared.sources)) for one in own["differences"]
+    )
     return Comparison(**own, check=check, engines=_engines(check, compared.explanation))
+
+
+def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[Diagnostic, ...]:
+    """Says of which links or bodies a mass, a com or an inertia is made, with their lines."""
+    if difference.kind not in ("mass", "com", "inertia"):
+        return ()
+    messages = []
+    for file, sources in (("URDF", urdf), ("MJCF", mjcf)):
+        heavy = [(name, mass) for name, mass in sources.members(difference.element) if mass]
+        if len(heavy) < 2:
+            continue
+        total = sum(mass for _, mass in heavy)
+        heavy.sort(key=lambda member: -member[1])
+        listed_members = [
+            diagnose(
+                "share-of-a-body",
+                subject=("body", name),
+                mass=Quantity(mass, "kg"),
+                share=Quantity(mass / total, "1"),
+                place=str(sources.weight(difference.kind, name)),
+            )
+            for name, mass in heavy[:_LISTED]
+        ]
+        rest = total - sum(mass for _, mass in heavy[:_LISTED])
+        messages.append(
+            diagnose(
+                "body-is-made-of",
+                file=file,
+                members=listed_members,
+                more=len(heavy[_LISTED:]),
+                rest=Quantity(rest, "kg"),
+            )
+        )
+    return tuple(messages)
+
+
+_LISTED = 6
+"""Links of a body that are listed, the heaviest first."""
 
 
 def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:

@@ -128,7 +128,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     carriers = {base: base, **carriers}
     reference = Reference(whole if joined else file.model, whole, names, base)
     others: dict[tuple[str, str], Any] = {
-        (extra.kind, extra.element): extra.value
+        (extra.kind, extra.element): extra.mjcf
         for extra in mjcf_only_effects(reference)
         if extra.kind != "flag"  # it is among the elements
     }

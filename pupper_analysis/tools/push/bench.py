@@ -227,9 +227,7 @@ class Bench:
 
     def point(self) -> Array:
         """Returns where MuJoCo applies the push (3,), at the com of the base's body (m)."""
-        data = mujoco.MjData(self.robot.mj_model)
-        self.robot.mj_convention.set_state(data, self.stand.qpos)
-        mujoco.mj_kinematics(self.robot.mj_model, data)
+        data = self.robot.placed(self.stand.qpos)
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 
     def fields(self) -> dict[str, Any]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.base.results import Result
 from pupper_analysis.present import document as doc
@@ -19,10 +21,23 @@ from pupper_analysis.present.documents.standing import (
     robot_notes,
     task_text,
 )
+from pupper_analysis.present.html.plots import (
+    Drawing,
+    Mark,
+    draw_label,
+    draw_legend,
+    draw_line,
+    draw_series,
+    draw_svg,
+    round_ticks,
+    word_at,
+)
 from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.push.bench import PushTrial
 from pupper_analysis.tools.push.recovery import PushedStance, PushRecovery
+
+Array = NDArray[np.float64]
 
 
 @build_document.register(PushedStance)
@@ -95,7 +110,60 @@ def _table(pushed: PushedStance) -> doc.Table:
     )
 
 
-def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.DirectionPlot:
+@dataclass(frozen=True, eq=False)
+class DirectionPlot(doc.Plot):
+    """Values by direction, as seen from above: forward is up, left is left.
+
+    Attributes:
+        axis: What their distances from the middle measure.
+        series: Per robot, ``x`` are the directions (rad) and ``y`` the values.
+        note: What the notes beside the lines' names are; None where there are none.
+    """
+
+    axis: doc.Axis
+    series: Sequence[doc.Series]
+    note: doc.Words | None = None
+
+
+@draw_svg.register
+def _directions(plot: DirectionPlot) -> Drawing:
+    axis, series = plot.axis, plot.series
+    size = 420.0
+    middle = size / 2
+    reach = max(float(np.max(np.asarray(one.y, dtype=float))) for one in series) or 1.0
+    scale = (middle - 46) / reach
+
+    def place(directions: Array, values: Array) -> Array:
+        turned = np.column_stack([-np.sin(directions), -np.cos(directions)])
+        places: Array = middle + scale * values[:, None] * turned
+        return places
+
+    marks: list[Mark] = []
+    for value in round_ticks(0.0, reach, 4)[1:]:
+        ring = {"tag": "circle", "class": "grid", "cx": middle, "cy": middle, "r": scale * value}
+        marks.append(ring)
+        marks.append(
+            word_at(middle + 4, middle - scale * value - 3, doc.Name(f"{value:g}"), "start")
+        )
+    for degrees in range(0, 360, 45):
+        angle = np.array([math.radians(degrees)])
+        end = place(angle, np.array([reach]))[0]
+        marks.append(draw_line(middle, middle, end[0], end[1], "grid"))
+        end = place(angle, np.array([reach + 20 / scale]))[0]
+        marks.append(word_at(end[0], end[1] + 4, doc.Name(f"{degrees}°"), "middle"))
+    for index, one in enumerate(series):
+        directions, values = (np.asarray(one.x, dtype=float), np.asarray(one.y, dtype=float))
+        labels = [
+            f"{math.degrees(angle):.0f}°, {draw_label(axis, value)}"
+            for angle, value in zip(directions, values, strict=True)
+        ]
+        places = place(directions, values)
+        marks += draw_series(places, labels, one, index, closed=True)
+    marks.append(word_at(middle, size - 4, axis.name, "middle", axis.unit))
+    return Drawing(plot.title, size, size, tuple(marks), draw_legend(series), plot.note)
+
+
+def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> DirectionPlot:
     """Returns the largest pushes by direction, of one robot or several.
 
     Args:
@@ -117,7 +185,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.DirectionPl
     if np.isfinite(tips.tipping_estimate).all():
         name = text("tipping-estimate", name=doc.Name(rigid))
         series.append(doc.Series(name, tips.directions, tips.tipping_estimate, reference=True))
-    return doc.DirectionPlot(
+    return DirectionPlot(
         text("largest-push-that-the-stand-survives"),
         doc.Axis(text("impulse"), "N s", ".2f"),
         series,

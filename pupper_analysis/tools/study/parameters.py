@@ -305,10 +305,7 @@ def _weights(robot: Robot, joint: str, body: str) -> Iterator[tuple[float, Array
     own, data = robot.pin_model.inertias[number], robot.pin_model.createData()
     pin.forwardKinematics(robot.pin_model, data, robot.pin_convention.q(robot.neutral()))
     yield float(own.mass), data.oMi[number].act(own.lever)
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, robot.neutral())
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
+    model, data = robot.mj_model, robot.placed()
     welded = model.body_weldid == model.body_weldid[model.body(body).id]
     mass = model.body_mass[welded]
     yield float(mass.sum()), mass @ data.xipos[welded] / mass.sum()

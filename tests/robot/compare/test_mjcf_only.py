@@ -165,88 +165,135 @@ def test_a_motor_at_a_joint_has_the_joints_armature_and_damping(tmp_path: Path) 
 # ------------------------------------------------------------------------------------- the verdict
 
 PASSIVE = {
-    "spring": ('<joint name="knee1"', '<joint name="knee1" stiffness="{}" springref="-1.2"'),
-    "free spring": ("<freejoint/>", '<joint type="free" stiffness="{}"/>'),
-    "stiffness polynomial": ('<joint name="hip2"', '<joint name="hip2" stiffness="0 {} 0"'),
-    "damping polynomial": ('damping="0.1"', 'damping="0.1 0 {}"'),
-    "gravity compensation": ('<body name="shank3"', '<body name="shank3" gravcomp="{}"'),
+    "spring": (
+        "spring",
+        '<joint name="knee1"',
+        '<joint name="knee1" stiffness="{}" springref="-1.2"',
+    ),
+    "free spring": ("spring", "<freejoint/>", '<joint type="free" stiffness="{}"/>'),
+    "stiffness polynomial": (
+        "spring",
+        '<joint name="hip2"',
+        '<joint name="hip2" stiffness="0 {} 0"',
+    ),
+    "damping polynomial": ("damping polynomial", 'damping="0.1"', 'damping="0.1 0 {}"'),
+    "gravity compensation": (
+        "gravity compensation",
+        '<body name="shank3"',
+        '<body name="shank3" gravcomp="{}"',
+    ),
     "tendon spring": (
+        "tendon",
         "<actuator>",
         '<tendon><fixed stiffness="{}"><joint joint="hip0" coef="1"/>'
         '<joint joint="knee2" coef="2"/></fixed></tendon><actuator>',
     ),
     "spatial spring": (
+        "tendon",
         "<actuator>",
         '<tendon><spatial stiffness="{}"><site site="foot0"/><site site="foot3"/></spatial>'
         "</tendon><actuator>",
     ),
     "spatial damping": (
+        "tendon",
         "<actuator>",
         '<tendon><spatial damping="{}"><site site="foot1"/><site site="foot3"/></spatial>'
         "</tendon><actuator>",
     ),
     "spatial armature": (
+        "tendon",
         "<actuator>",
         '<tendon><spatial armature="{}"><site site="foot1"/><site site="foot2"/></spatial>'
         "</tendon><actuator>",
     ),
-    "density": ("<worldbody>", '<option density="{}"/><worldbody>'),
-    "viscosity": ("<worldbody>", '<option viscosity="{}"/><worldbody>'),
-    "motor damping": ('joint="hip3"', 'joint="hip3" damping="{}"'),
-    "motor damping polynomial": ('name="m_knee3"', 'name="m_knee3" damping="0 {}"'),
-    "motor armature": ('name="m_knee0"', 'name="m_knee0" armature="{}"'),
+    "density": ("fluid", "<worldbody>", '<option density="{}"/><worldbody>'),
+    "viscosity": ("fluid", "<worldbody>", '<option viscosity="{}"/><worldbody>'),
+    "motor damping": ("damping", 'joint="hip3"', 'joint="hip3" damping="{}"'),
+    "motor damping polynomial": ("actuator", 'name="m_knee3"', 'name="m_knee3" damping="0 {}"'),
+    "motor armature": ("armature", 'name="m_knee0"', 'name="m_knee0" armature="{}"'),
     "wrapped spring": (
+        "tendon",
         "<worldbody>",
         '<tendon><spatial stiffness="{}" springlength="0.3"><site site="foot0"/><geom geom="drum"/>'
         '<site site="foot3"/></spatial></tendon><worldbody>'
         '<geom name="drum" size="0.1" contype="0" conaffinity="0"/>',
     ),
     "wrapped damping": (
+        "tendon",
         "<worldbody>",
         '<tendon><spatial damping="{}"><site site="foot0"/><geom geom="reel"/>'
         '<site site="foot2"/></spatial></tendon><worldbody>'
         '<geom name="reel" type="cylinder" size="0.1 0.2" contype="0" conaffinity="0"/>',
     ),
     "pulley armature": (
+        "tendon",
         "<actuator>",
         '<tendon><spatial armature="{}"><site site="foot1"/><site site="foot2"/><pulley '
         'divisor="2"/><site site="foot0"/><site site="foot3"/></spatial></tendon><actuator>',
     ),
     "tendon damping polynomial": (
+        "tendon",
         "<actuator>",
         '<tendon><fixed damping="0 {}"><joint joint="hip1" coef="3"/></fixed></tendon><actuator>',
     ),
     "damping of a tendon's motor": (
+        "actuator",
         "<actuator>",
         '<tendon><fixed name="pair"><joint joint="hip1" coef="1"/><joint joint="hip2" coef="-2"/>'
         '</fixed></tendon><actuator><motor tendon="pair" gear="3" damping="{}"/>',
     ),
     "armature of a tendon's motor": (
+        "actuator",
         "<actuator>",
         '<tendon><spatial name="cord"><site site="foot1"/><site site="foot3"/></spatial></tendon>'
         '<actuator><motor tendon="cord" gear="2" armature="{}"/>',
     ),
     "weld": (
+        "equality",
         "</worldbody>",
         '</worldbody><equality><weld body1="base" solref="-{} -1"/></equality>',
     ),
     "connect": (
+        "equality",
         "</worldbody>",
         '</worldbody><equality><connect body1="shank0" body2="shank1" anchor="0 0 0" '
         'solref="-{} -1"/></equality>',
     ),
     "joint equality": (
+        "equality",
         "</worldbody>",
         '</worldbody><equality><joint joint1="hip0" joint2="hip1" polycoef="0.1 1 0.2 0 0" '
         'solref="-{} -1"/></equality>',
     ),
     "tendon equality": (
+        "equality",
         "</worldbody>",
         '</worldbody><tendon><fixed name="both"><joint joint="knee1" coef="1"/>'
         '<joint joint="knee3" coef="-1"/></fixed></tendon>'
         '<equality><tendon tendon1="both" solref="-{} -1"/></equality>',
     ),
+    "wind": ("fluid", "<worldbody>", '<option density="{}" wind="5 0 1"/><worldbody>'),
+    "fluid around ellipsoids": (
+        "fluid",
+        "<worldbody>",
+        '<option density="{}"/><default><geom fluidshape="ellipsoid"/></default><worldbody>',
+    ),
+    "slack": (
+        "tendon",
+        "<actuator>",
+        '<tendon><fixed stiffness="{}" springlength="-0.1 0.1"><joint joint="hip0" coef="1"/>'
+        '<joint joint="knee2" coef="-0.5"/></fixed></tendon><actuator>',
+    ),
 }
+"""{what acts: the kind of the difference, what it takes the place of, what is put there}."""
+
+_PAIR = '<tendon><fixed {}><joint joint="hip0" coef="1"/></fixed></tendon><actuator>'
+_OFF = '<option><flag {}="disable"/></option><worldbody>'
+UNFELT = {
+    "tendon": [("<actuator>", _PAIR.format(one)) for one in ('frictionloss="1"', 'range="-1 1"')],
+    "flag": [("<worldbody>", _OFF.format(one)) for one in ("limit", "frictionloss", "actuation")],
+}
+"""{kind of difference: edits} that no acceleration of the unconstrained robot feels."""
 
 SILENT = {
     "exclude": (
@@ -305,7 +352,7 @@ def test_never_agree_while_mujoco_accelerates_otherwise(
 ) -> None:
     text = MJCF
     for kind, size in chosen.items():
-        old, new = PASSIVE[kind]
+        _, old, new = PASSIVE[kind]
         text = with_(text, **{old: new.format(repr(size))})
     for kind in sorted(silent):
         old, new = SILENT[kind]
@@ -323,17 +370,28 @@ def test_never_agree_while_mujoco_accelerates_otherwise(
 
 
 @pytest.mark.parametrize("kind", PASSIVE)
-def test_the_engines_are_not_blamed(kind: str, tmp_path: Path) -> None:
-    old, new = PASSIVE[kind]
+def test_it_is_named_first_and_the_engines_are_not_blamed(kind: str, tmp_path: Path) -> None:
+    named, old, new = PASSIVE[kind]
     comparison = pair(tmp_path, with_(MJCF, **{old: new.format("0.5")}))
     assert comparison.engines == ()
     assert not comparison.agree
+    assert comparison.complete
+    assert found(comparison)[0][0] == named
     edges = {q.name: q.edges for q in comparison.check.quantities}["forward dynamics"]
     assert edges["engines (MJCF)"] < 1e-12
     assert edges["engines (URDF)"] < 1e-12
     # What is a joint's is a difference of the models; what a URDF cannot state has its own side.
     side = EXTRAS if kind not in ("motor damping", "motor armature") else "models (MuJoCo)"
     assert edges[side] > 1e-6 or kind == "motor armature"
+
+
+@pytest.mark.parametrize("kind", UNFELT)
+def test_what_no_acceleration_feels_is_a_difference_all_the_same(kind: str, tmp_path: Path) -> None:
+    for old, new in UNFELT[kind]:
+        comparison = pair(tmp_path, with_(MJCF, **{old: new}))
+        assert [one for one, _ in found(comparison)] == [kind], new
+        assert comparison.complete
+        assert comparison.differences[0].effects == {}
 
 
 def test_small_differences_that_add_up_are_no_agreement(tmp_path: Path) -> None:
@@ -354,6 +412,7 @@ def test_small_differences_that_add_up_are_no_agreement(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- couplings
 
 
+SAME = '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2 0 0 0"/>'
 OTHER = {
     "another factor": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2.01 0 0 0"/>',
     "another offset": '<joint joint1="knee0" joint2="hip0" polycoef="-0.1 2 0 0 0"/>',
@@ -362,6 +421,21 @@ OTHER = {
     "a parabola": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2 0.1 0 0"/>',
     "a curve of the fourth order": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2 0 0 0.1"/>',
 }
+
+
+KNEE = '<joint name="knee0" type="revolute">'
+MIMIC = {KNEE: f'{KNEE}<mimic joint="hip0" multiplier="2" offset="0.1"/>'}
+
+
+def test_a_mimic_without_its_equality_is_named_and_an_equality_that_says_otherwise(
+    tmp_path: Path,
+) -> None:
+    urdf = with_(URDF, **MIMIC)
+    assert found(pair(tmp_path, MJCF, urdf)) == [("mimic", "knee0")]
+    for name, equality in {"": SAME, **OTHER}.items():
+        text = with_(MJCF, **{"</worldbody>": f"</worldbody><equality>{equality}</equality>"})
+        kinds = {kind for kind, _ in found(pair(tmp_path, text, urdf))}
+        assert kinds == ({"mimic", "equality"} if name else set()), name
 
 
 def test_the_offset_of_an_equality_is_about_the_rest_position(tmp_path: Path) -> None:
