@@ -1,9 +1,8 @@
 """Documents on a terminal: a verdict, what it rests on, and tables that fit its width.
 
 The short view leaves out what is marked as detail; what it has left out is named in its last line.
-A table that is too wide has its sentences wrapped; if that is not enough, it is turned over, where
-its rows are few; or else it is printed in parts, each with its first column. No name and no number
-is ever cut.
+A table that is too wide has its sentences wrapped; if that is not enough, it is printed in parts,
+each with its first column. No name and no number is ever cut.
 """
 
 from __future__ import annotations
@@ -336,10 +335,6 @@ def laid_out(table: Table, chosen: Sequence[int], width: int) -> list[Text]:
     columns = [table.columns[index] for index in chosen]
     rows = [tuple(row[index] for index in chosen) for row in table.rows]
     made = _fitted(columns, rows, width)
-    if _wide(made) > width and len(rows) < len(columns) - 1:
-        turned = _fitted(*_turned(columns, rows), width)
-        if _wide(turned) <= width:
-            return _lines(turned)
     lines: list[Text] = []
     for part in _parts(made, width):
         lines += ([Text("")] if lines else []) + _lines(part)
@@ -394,19 +389,6 @@ def _column(column: Column, cells: Sequence[Cell]) -> _Column:
         shares if any(share is not None for share in shares) else [],
         max([wide, *map(cell_len, head)]),
     )
-
-
-def _turned(
-    columns: Sequence[Column], rows: Sequence[tuple[Cell, ...]]
-) -> tuple[list[Column], list[tuple[Cell, ...]]]:
-    """Returns a table with its rows as columns: a column's name and unit begin its row."""
-    heads = [Column(Name(_shown(row[0]))) for row in rows]
-    turned: list[tuple[Cell, ...]] = []
-    for index, column in enumerate(columns[1:], start=1):
-        unit = f" ({column.unit})" if column.unit not in ("", "1") else ""
-        name = Name(f"{in_english(column.name)}{unit}")
-        turned.append((name, *(row[index] for row in rows)))
-    return [Column(columns[0].name, left=True), *heads], turned
 
 
 def _parts(columns: list[_Column], width: int) -> list[list[_Column]]:
