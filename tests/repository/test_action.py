@@ -126,8 +126,8 @@ def test_the_action_installs_what_checking_needs(checkout: Path) -> None:
 
 def test_what_is_fetched_is_known_by_its_hash() -> None:
     """It runs in repositories of others: a tag could be moved, and a package's file replaced."""
-    for file in ("action.yml", ".github/workflows/ci.yml"):
-        used = re.findall(r"uses: (\S+)", (ROOT / file).read_text())
+    for file in (ROOT / "action.yml", *(ROOT / ".github/workflows").glob("*.yml")):
+        used = re.findall(r"uses: (\S+)", file.read_text())
         assert used, file
         assert all(one == "./" or re.search(r"@[0-9a-f]{40}$", one) for one in used), file
     assert "--require-hashes" in STEPS["Install"]["run"]

@@ -106,17 +106,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_page_of_robots_counts_its_rows(generated: Path) -> None:
-    """Four rows by hand, then the page: at least 80 robots, each with its defect's line or none."""
-    rows = [
-        {"crosscheck": "AGREE", "stand or hold": "holds", "first defect": "-"},
-        {"crosscheck": "3 differences", "stand or hold": "fails", "first defect": "a.urdf:3: mass"},
-        {"crosscheck": "-", "stand or hold": "holds", "first defect": "b.xml:4: mesh"},
-        {"crosscheck": "-", "stand or hold": "holds, made one", "first defect": "-"},
-    ]
-    found = script("docs/pages.py").robots_summary(rows)
-    assert found.startswith("4 robots, 2 of them with a defect")
-    assert "Of 2 pairs of a URDF and an MJCF 1 agree" in found
-    assert "3 holds; 1 fails" in found
+    """At least 80 robots, each with its defect's line or none."""
     page = (generated / "en/reference/generated/tables/robots.md").read_text()
     with (DATA / "robots-of-packages.csv").open(encoding="utf-8", newline="") as file:
         table = list(csv.DictReader(file))
@@ -187,6 +177,3 @@ def test_workflows_call_targets_that_are_there() -> None:
             word for line in re.findall(r"run: make (.+)$", text, re.M) for word in line.split()
         }
         assert {name for name in named if re.fullmatch(r"[a-z][a-z-]+", name)} <= targets, path.name
-        for action in re.findall(r"uses: (\S+)", text):  # what runs is what was looked at
-            pinned = action == "./" or re.fullmatch(r"[\w./-]+@[0-9a-f]{40}", action)
-            assert pinned, f"{path.name}: {action}"

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import ast
-import csv
 import re
 import runpy
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-import pupper_analysis as pa
 from tests.support.repository import ROOT
-from tests.support.variants import load, stand_of
 
 EXAMPLES = ROOT / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -85,13 +81,6 @@ def shown(
     return Shown(capsys, monkeypatch)
 
 
-def number(pattern: str, text: str) -> float:
-    """The number in a text that follows a pattern."""
-    found = re.search(pattern + r"\s*(-?[\d.]+)", text)
-    assert found is not None, f"no {pattern!r} in {text}"
-    return float(found[1])
-
-
 def test_every_example_is_run_here_and_in_the_list() -> None:
     readme = (EXAMPLES / "README.md").read_text()
     listed = re.findall(r"^\| \[(\w+)\.py\]\(\1\.py\) \|", readme, re.M)
@@ -116,33 +105,3 @@ def test_a_file_with_a_slip_is_annotated_at_its_line(shown: Shown, tmp_path: Pat
     text = shown("audit_in_ci", V3, bad)
     assert shown.status == 1
     assert re.search(rf"^::error file={bad},line=\d+::.*-1 kg", text, re.M)
-
-
-def test_a_path_is_written_with_its_joints_and_torques(shown: Shown, tmp_path: Path) -> None:
-    text = shown("path_to_csv")
-    with (tmp_path / "squat.csv").open(newline="") as file:
-        header, *rows = csv.reader(file)
-    joints = load("v3").joint_names
-    assert header == ["time (s)", *(f"q {one} (rad)" for one in joints),
-                      *(f"tau {one} (N m)" for one in joints)]  # fmt: skip
-    table = np.array(rows, dtype=float)
-    still = pa.stance.stand_statics(load("v3"), stand_of("v3"))
-    np.testing.assert_allclose(table[0, 13:], still.joint_torques, atol=1e-6)
-    used = abs(table[:, 13:]) / load("v3").effort_limits
-    assert number("motors:", text) == pytest.approx(100 * used.max(), abs=0.06)
-
-
-def test_what_is_carried_is_what_the_docstring_says(shown: Shown) -> None:
-    text = shown("payload")
-    mass = number("limit", text)
-    assert mass == number("servos", text) == pytest.approx(5.4, abs=0.05)
-    assert number("motors", text) == pytest.approx(16, abs=0.5)
-
-
-def test_what_sags_is_lost_in_servos_and_ground(shown: Shown) -> None:
-    text = shown("steady_state")
-    commanded, predicted = number("commanded", text), number("predicted", text)
-    lost = number("lost in the servos", text), number("lost in the ground", text)
-    assert commanded - predicted == pytest.approx(sum(lost), abs=0.02)
-    # What is between them is dry friction, which the prediction leaves out.
-    assert number("simulated", text) == pytest.approx(predicted, abs=0.3)

@@ -1,4 +1,4 @@
-"""Modules that import each other in no circle, and need no banners.
+"""Few folders, that import each other in no circle, as the picture of the architecture has them.
 
 import-linter keeps the rooms apart (`make lint`), and ruff functions simple.
 """
@@ -12,9 +12,12 @@ from itertools import chain
 
 import pytest
 
+from tests.support.repository import script
 from tests.support.rooms import trees
 
 pytestmark = pytest.mark.usefixtures("syntax")
+
+drawing = script("docs/draw_architecture.py")
 
 
 def imported(tree: ast.Module) -> Iterator[str]:
@@ -37,4 +40,24 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     for name, those in graph.items():
         those.intersection_update(graph)
         those -= {one for one in those if f"{name}.".startswith(f"{one}.")}
+    graphlib.TopologicalSorter(graph).prepare()
+
+
+def test_committed_picture_is_current() -> None:
+    assert drawing.embedded() == drawing.facts(drawing.folder_graph(), drawing.tool_graph()), (
+        "draw it again: python docs/draw_architecture.py"
+    )
+
+
+def test_the_house_has_few_folders_and_arrows() -> None:
+    graph = drawing.folder_graph()
+    assert len(graph) <= 11
+    assert sum(map(len, graph.values())) <= 70
+    loose = {path.name for path in drawing.PACKAGE.glob("*.py")}
+    assert loose == {"__init__.py", "__main__.py"}
+
+
+def test_tools_know_each_other_at_few_places_and_in_no_circle() -> None:
+    graph = drawing.tool_graph()
+    assert sum(map(len, graph.values())) <= 12
     graphlib.TopologicalSorter(graph).prepare()

@@ -140,47 +140,6 @@ def test_a_pickled_robot_stands_the_same(variant: str) -> None:
         assert again == pytest.approx(simulated, rel=1e-9)
 
 
-DIGITS = """
-<mujoco model="digits">
-  <compiler angle="radian"/>
-  <option timestep="0.00123456789" gravity="0 0 -9.80665123"/>
-  <default><joint armature="0.0123456789"/></default>
-  <worldbody>
-    <geom name="floor" type="plane" size="1 1 1" friction="0.87654321 0.01 0.001"/>
-    <body name="base" pos="0 0 0.512345678">
-      <freejoint/>
-      <geom type="box" size="0.123456789 0.1 0.1" mass="2.3456789" rgba="0.123456789 0 0 1"/>
-      <frame pos="0.0123456789 0 0" euler="0.123456789 0 0">
-        <body name="tail" euler="0.3 0.2 0.1">
-          <inertial pos="0 0 0" mass="0.1" diaginertia="1e-3 2e-3 2.5e-3" euler="0 0.3333333 0"/>
-          <joint name="wag" axis="1 2 3"/>
-        </body>
-      </frame>
-      <body name="arm" pos="0.123456789 0 0">
-        <inertial pos="0 0 0" mass="0.1" fullinertia="1e-3 2e-3 2.5e-3 1e-4 1e-5 2e-4"/>
-        <joint name="turn" axis="0 0.6 0.8" range="-1.23456789 1" damping="0.0123456789"/>
-        <geom type="sphere" size="0.0212345678" mass="0.345678912" solref="0.0123456789 1"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <position joint="turn" kp="12.3456789" kv="0.123456789" forcerange="-1.23456789 1.23456789"/>
-  </actuator>
-  <sensor><jointpos joint="turn" noise="0.00123456789"/></sensor>
-  <keyframe><key name="home" qpos="0 0 0.5123456789 1 0 0 0 0.1 0.123456789"/></keyframe>
-</mujoco>
-"""
-
-
-@pytest.mark.parametrize("angle", ["radian", "degree"])
-def test_a_spec_keeps_all_its_digits(angle: str) -> None:
-    spec = mujoco.MjSpec.from_string(DIGITS.replace("radian", angle))
-    back = spec_from(pickled(state_of(spec)))
-    assert_same_model(spec.copy().compile(), back.copy().compile(), REBUILT)
-    again = spec_from(pickled(state_of(back)))
-    assert_same_model(spec.copy().compile(), again.compile(), REBUILT)
-
-
 WEIGHTLESS = """<mujoco><default><default class="shape"><geom group="3" mass="0" density="0"/>
 </default></default><worldbody><body><freejoint/><geom size="0.1"/>
 <body><geom class="shape" size="0.1" mass="0"/></body></body></worldbody></mujoco>"""

@@ -26,12 +26,6 @@ PAGES = [
 ]
 
 
-def shell(page: Path) -> list[str]:
-    """The lines of a page's shell blocks, as a user pastes them."""
-    blocks = re.findall(r"```sh\n(.*?)```", page.read_text(), flags=re.DOTALL)
-    return [line.partition("  #")[0].strip() for line in "".join(blocks).splitlines()]
-
-
 def test_the_table_of_variants_is_true() -> None:
     rows = re.findall(r"^\| ([\w-]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| (.*) \|$", README, re.M)
     assert [row[0] for row in rows] == list(pa.VARIANTS)

@@ -1,7 +1,8 @@
-"""The tool of the guide *Write a tool*, installed beside the package, is a command like others."""
+"""Tools, formats and readers of the guides, installed beside the package, are used like ours."""
 
 from __future__ import annotations
 
+import fnmatch
 import gzip
 import json
 import os
@@ -9,53 +10,54 @@ import re
 import subprocess
 import sys
 import tomllib
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
 
 from tests.support.repository import ROOT
 
-PAGE = ROOT / "docs/how-to/write-a-tool.md"
-PARTS = dict(
-    re.findall(r"```(?:python|toml)\n# ([a-z_]+\.\w+)\n(.*?)```", PAGE.read_text("utf-8"), re.S)
-)
+PAGE = (ROOT / "docs/how-to/write-a-tool.md").read_text("utf-8")
+PARTS = dict(re.findall(r"```(?:python|toml)\n# ([a-z_]+\.\w+)\n(.*?)```", PAGE, re.S))
+CONTRACT = (ROOT / "docs/how-to/contract.md").read_text("utf-8")
+
+
+def install(folder: Path, package: str, files: dict[str, str], stated: str) -> Path:
+    """Writes what pip installs of a package: its files, and the entry points of its project."""
+    (folder / package).mkdir()
+    for name, text in ({"__init__.py": ""} | files).items():
+        (folder / package / name).write_text(text, encoding="utf-8")
+    about = folder / f"{package}-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    ((group, points),) = tomllib.loads(stated)["project"]["entry-points"].items()
+    lines = [f"[{group}]", *(f"{name} = {module}" for name, module in points.items())]
+    (about / "entry_points.txt").write_text("\n".join(lines) + "\n")
+    return folder
 
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what pip installs of it: the package, and its entry point."""
-    folder = tmp_path_factory.mktemp("site")
-    package = folder / "inertia_tool"
-    package.mkdir()
+    """A folder with the tool of the page."""
     stated = tomllib.loads(PARTS["pyproject.toml"])
     data = stated["tool"]["setuptools"]["package-data"]["inertia_tool"]
-    for name in PARTS.keys() - {"pyproject.toml"}:
-        if any(fnmatchcase(name, one) for one in ("*.py", *data)):
-            (package / name).write_text(PARTS[name], encoding="utf-8")
-    project = stated["project"]
-    about = folder / "inertia_tool-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
-    )
-    ((group, points),) = project["entry-points"].items()
-    lines = [f"{name} = {package}" for name, package in points.items()]
-    (about / "entry_points.txt").write_text("\n".join([f"[{group}]", *lines]) + "\n")
-    return folder
+    files = {name: PARTS[name] for one in ("*.py", *data) for name in fnmatch.filter(PARTS, one)}
+    return install(tmp_path_factory.mktemp("site"), "inertia_tool", files, PARTS["pyproject.toml"])
 
 
-def run(installed: Path, folder: Path, *words: str) -> str:
+def run(site: Path | None, folder: Path, *words: object, status: int = 0) -> str:
+    """Runs a command where what is in a folder is installed; returns what it prints."""
+    paths = os.pathsep.join(str(path) for path in (site, ROOT) if path is not None)
     done = subprocess.run(
-        [sys.executable, "-m", "pupper_analysis", *words],
+        [sys.executable, "-m", "pupper_analysis", *map(str, words)],
         capture_output=True,
         text=True,
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": f"{installed}{os.pathsep}{ROOT}", "NO_COLOR": "1"},
+        env={**os.environ, "PYTHONPATH": paths, "NO_COLOR": "1", "COLUMNS": "200"},
         check=False,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    said = done.stdout + done.stderr
+    assert done.returncode == status, said
+    return said
 
 
 def test_it_is_short() -> None:
@@ -94,14 +96,8 @@ def test_it_has_options_a_page_json_and_markdown(installed: Path, tmp_path: Path
 
 
 def test_a_format_from_outside_is_audited_and_compared(tmp_path: Path) -> None:
-    package, about = tmp_path / "urdfz_format", tmp_path / "urdfz-1.0.dist-info"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    for name in ("format.toml", "reader.py"):
-        (package / name).write_text(PARTS[name], encoding="utf-8")
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: urdfz\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[pupper_analysis.formats]\nurdfz = urdfz_format\n")
+    stated = '[project.entry-points."pupper_analysis.formats"]\nurdfz = "urdfz_format"'
+    install(tmp_path, "urdfz_format", {n: PARTS[n] for n in ("format.toml", "reader.py")}, stated)
     sound = (ROOT / "urdf/pupper_v3.urdf").read_bytes()
     heavy = re.sub(rb'<mass value="[^"]*"', b'<mass value="-1"', sound, count=1)
     for name, text in (("sound", sound), ("heavy", heavy)):
@@ -109,5 +105,24 @@ def test_a_format_from_outside_is_audited_and_compared(tmp_path: Path) -> None:
     mjcf = str(ROOT / "mjcf/pupper_v3.xml")
     run(tmp_path, tmp_path, "audit", "sound.urdfz")
     assert "AGREE" in run(tmp_path, tmp_path, "crosscheck", "sound.urdfz", mjcf)
-    with pytest.raises(AssertionError, match="mass-not-positive"):
-        run(tmp_path, tmp_path, "audit", "heavy.urdfz")
+    assert "mass-not-positive" in run(tmp_path, tmp_path, "audit", "heavy.urdfz", status=1)
+
+
+def test_a_reader_of_the_guide_is_short_and_what_it_reads_is_compared(tmp_path: Path) -> None:
+    """With it a file of limits is held against the URDF; without it, it is of no kind."""
+    reader = re.search(r"```python\n(# our_firmware/limits.py.*?)```", CONTRACT, re.S)
+    project = re.search(r"```toml\n(\[project.entry-points.*?)```", CONTRACT, re.S)
+    assert reader is not None
+    assert project is not None
+    assert len([line for line in reader[1].splitlines() if line.strip()]) <= 60
+    site = tmp_path / "site"
+    site.mkdir()
+    install(site, "our_firmware", {"limits.py": reader[1]}, project[1])
+    (tmp_path / "motors.limits").write_text("leg_front_r_1,3.0\nleg_front_r_2,4.5\n")
+    words = ("contract", ROOT / "urdf/pupper_v3.urdf", "motors.limits", "--no-stand")
+    said = run(site, tmp_path, *words, status=1)
+    assert "motors.limits:2" in said
+    assert "leg_front_r_1" not in said
+    assert re.search(r"effort of joint leg_front_r_2: 4.5 .* 3 N m", said)
+    said = run(None, tmp_path, *words, status=2)
+    assert "motors.limits: it is of no kind that is read" in said
