@@ -1,7 +1,5 @@
 """What the pages and `--help` tell a reader to run: blocks of shell and Python, and their output.
 
-`python -m tests.support.pages` prints how many there are of each page, and which are not run, why.
-
 A block that cannot run is marked in its page, with the reason: `<!-- not run: REASON -->` on the
 line above it; `<!-- not run 'WORDS': REASON -->` means those of its lines that hold these words.
 What takes minutes has `<!-- longest -->`, or `<!-- longest 'WORDS' -->`: the longest tests run it.
@@ -299,25 +297,3 @@ def run_page(blocks: list[Block], folder: Path, *, late: bool = False) -> Counte
             missing = misses(shown, printed)
             assert not missing, f"{where} does not print {missing}, but:\n{printed}"
     return count
-
-
-def main() -> None:
-    """Prints how many blocks there are, and which are not run."""
-    whole = {page.relative_to(ROOT).as_posix(): blocks_of(page) for page in pages()}
-    whole |= {f"{name} --help": blocks_of_help(name) for name in cli.COMMANDS}
-    commands = python = late = left = 0
-    for name, blocks in whole.items():
-        run = sum(len(list(block.lines())) for block in blocks if block.language == "sh")
-        codes = sum(block.language == "python" and not block.reason() for block in blocks)
-        late += sum(map(late_lines, blocks))
-        unrun = [each for block in blocks for each in block.left.items()]
-        commands, python, left = commands + run, python + codes, left + len(unrun)
-        print(f"{name}: {run} commands, {codes} blocks of Python")
-        for line, why in unrun:
-            print(f"    not run: {' '.join(line.split())} ({why})")
-    print(f"{commands} commands and {python} blocks of Python are run", end=" ")
-    print(f"({late} of them by the longest tests), {left} are not")
-
-
-if __name__ == "__main__":
-    main()
