@@ -30,13 +30,13 @@ from typing import Any
 import click
 from corpus import DATA
 from lxml import etree
+from symmetric_slips import SLIPS, written
 from tables import write_csv
 
 import pupper_analysis as pa
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from pupper_analysis.models.urdf_tree import UrdfTree
-from tests.support.symmetric_slips import SLIPS, written
 
 ROBOTS = {
     "a1": "a1_description/urdf/a1.urdf",

@@ -33,10 +33,10 @@ from pupper_analysis.tools.stand.stance import study_stance
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
+from bases import BASES, FALLS, by_itself, standing
 from slip_generator import draw_slip
 from tables import write_csv
 
-from tests.support.bases import BASES, FALLS, by_itself, standing
 from tests.support.legged import Pair
 
 WHOLE = 60

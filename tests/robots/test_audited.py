@@ -13,7 +13,9 @@ from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.tools.audit.audit import Audit, audit_model
 from pupper_analysis.tools.audit.registry import CHECKS
 from tests.robots.test_real_robots import URDF, file
-from tests.support.symmetric_slips import SLIPS, written
+from tests.support.repository import benchmark
+
+symmetric = benchmark("symmetric_slips")
 
 PLACEHOLDERS = (
     "so_arm_description/urdf/so100",
@@ -79,8 +81,10 @@ def _found(audit: Audit) -> Counter[tuple[str, str]]:
 def test_slips_that_all_legs_share_are_found(name: str, tmp_path: Path) -> None:
     source = file(URDF, f"{name}.urdf")
     packages = {"example-robot-data": file(URDF, "").parent}
-    slips = {slip: written(source, slip, tmp_path / f"{slip}.urdf") for slip in SLIPS}
+    slips = {
+        slip: symmetric.written(source, slip, tmp_path / f"{slip}.urdf") for slip in symmetric.SLIPS
+    }
     sound = _found(audit_model(shutil.copy(source, tmp_path / "sound.urdf"), packages=packages))
     found = {slip: _found(audit_model(path, packages=packages)) for slip, path in slips.items()}
-    unseen = {slip for slip in SLIPS if not found[slip] - sound}
+    unseen = {slip for slip in slips if not found[slip] - sound}
     assert unseen == {FLIPPED}

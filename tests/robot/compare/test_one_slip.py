@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.bases import BASES
 from tests.support.repository import ROOT
 
 sys.path.append(str(ROOT / "benchmarks"))
@@ -20,7 +19,7 @@ sys.path.append(str(ROOT / "benchmarks"))
 import attributes
 import one_slip
 
-OWN = [name for name in BASES if name not in ("go1", "anymal", "hyq")]
+OWN = [name for name in one_slip.BASES if name not in ("go1", "anymal", "hyq")]
 """Robots whose files need nothing that may not be installed."""
 
 
