@@ -2,9 +2,7 @@
 
 What `diff` says of each is compared with bare MuJoCo: both files are simulated from the first
 keyframe, and every step is looked at; a robot without a ground is put on a plane, as its scenes
-have it. What `crosscheck` says of it, beside a URDF that agrees, is compared with what bare MuJoCo
-makes of all that a URDF states too: how low what touches the ground reaches, and how the robot
-accelerates.
+have it.
 """
 
 from __future__ import annotations
@@ -41,7 +39,7 @@ class Edit(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What bare MuJoCo, `diff` and `crosscheck` make of an edit.
+    """What bare MuJoCo and `diff` make of an edit.
 
     Attributes:
         edit: What was edited.
@@ -49,9 +47,6 @@ class Answer(NamedTuple):
         felt: Whether `diff` says that a simulation changes.
         same: Whether it says that the files are the same.
         placed: Whether it names the line.
-        stated: Whether what both formats state is another robot in bare MuJoCo; None between
-            the two bounds.
-        agree: Whether `crosscheck` says that the files agree; None if it was not asked.
     """
 
     edit: str
@@ -59,17 +54,9 @@ class Answer(NamedTuple):
     felt: bool
     same: bool
     placed: bool
-    stated: bool | None = None
-    agree: bool | None = None
 
     @property
     def right(self) -> bool:
-        """Whether both commands are right."""
-        wrong = None not in (self.stated, self.agree) and self.stated == self.agree
-        return self.right_of_diff and not wrong
-
-    @property
-    def right_of_diff(self) -> bool:
         """Whether what moves a rollout is said to, at its line, and what does not is not."""
         if self.truth > FELT * BAND:
             return self.felt and self.placed
@@ -419,50 +406,6 @@ def apart(one: np.ndarray, two: np.ndarray) -> float:
     return float(gaps.max(initial=0.0)) if same.any() else float("inf")
 
 
-SURFACE = (1e-4, 4e-4)
-"""Feet that reach lower by less than the first are the same, by more than the second others (m)."""
-
-_UNSTATED = mujoco.mjtDisableBit
-_ACT = sum(
-    int(bit)
-    for bit in (
-        _UNSTATED.mjDSBL_CONSTRAINT, _UNSTATED.mjDSBL_LIMIT, _UNSTATED.mjDSBL_FRICTIONLOSS,
-        _UNSTATED.mjDSBL_ACTUATION, _UNSTATED.mjDSBL_CONTACT,
-    )
-)  # fmt: skip
-"""Flags that switch off what a URDF states: limits, dry friction, motors, shapes that touch."""
-
-
-_LIMITS = (
-    "jnt_range", "jnt_limited", "actuator_forcerange", "actuator_ctrlrange", "actuator_gear",
-    "jnt_actfrcrange",
-)  # fmt: skip
-"""What a URDF has of limits; how a torque's bounds follow is for others to prove."""
-
-
-def as_a_urdf_states(one: Path, two: Path) -> bool | None:
-    """Says whether two MJCFs are another robot in what a URDF states, too; None at the bounds."""
-    models = [_on_ground(path) for path in (one, two)]
-    if models[0].nq != models[1].nq:
-        return True
-    flags = [model.opt.disableflags & _ACT for model in models]
-    pushes = [_accelerations(model) for model in models]
-    if flags[0] != flags[1] or not np.allclose(*pushes, rtol=1e-3, atol=1e-3):
-        return True
-    if not np.allclose(*pushes, rtol=1e-6, atol=1e-6):
-        return None
-    data = mujoco.MjData(models[0])
-    if models[0].nkey:  # both in one pose, which a URDF does not state
-        mujoco.mj_resetDataKeyframe(models[0], data, 0)
-    if any(not np.array_equal(*(getattr(model, name) for model in models)) for name in _LIMITS):
-        return None if np.array_equal(models[0].jnt_range, models[1].jnt_range) else True
-    heights = [_feet(model, data.qpos) for model in models]
-    if heights[0].keys() != heights[1].keys():
-        return True
-    gap = max((abs(heights[0][body] - heights[1][body]) for body in heights[0]), default=0.0)
-    return None if SURFACE[0] < gap < SURFACE[1] else gap >= SURFACE[1]
-
-
 def _on_ground(path: Path) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(path))
     if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
@@ -477,52 +420,11 @@ def _on_ground(path: Path) -> mujoco.MjModel:
         return spec.compile()
 
 
-def _accelerations(model: mujoco.MjModel) -> np.ndarray:
-    """Returns (4, nv) accelerations at states of no choice, with nothing but smooth forces."""
-    model, random = copy.copy(model), np.random.default_rng(0)
-    model.opt.disableflags |= _ACT
-    data, found = mujoco.MjData(model), []
-    for _ in range(4):
-        mujoco.mj_integratePos(model, data.qpos, random.normal(size=model.nv), 0.3)
-        data.qvel = random.normal(size=model.nv)
-        mujoco.mj_forward(model, data)
-        found.append(data.qacc.copy())
-    return np.array(found)
-
-
-def _feet(model: mujoco.MjModel, qpos: np.ndarray) -> dict[str, float]:
-    """Returns how low each foot reaches: MuJoCo's contacts, with all of it far below the ground."""
-    data = mujoco.MjData(model)
-    data.qpos = qpos
-    free = int(np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
-    data.qpos[model.jnt_qposadr[free] + 2] -= 10.0
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_collision(model, data)
-    found: dict[str, float] = {}
-    for number in range(data.ncon):
-        contact = data.contact[number]
-        bodies = model.body_weldid[model.geom_bodyid[contact.geom]]
-        if 0 in bodies and contact.dist < -5.0:  # not among each other
-            name = model.body(int(bodies.max())).name
-            found[name] = min(found.get(name, np.inf), float(contact.dist))
-    com = float(data.subtree_com[0][2])
-    return {name: low for name, low in found.items() if low < com and _ends(model, name)}
-
-
-def _ends(model: mujoco.MjModel, name: str) -> bool:
-    """Says whether no joint moves anything against a body."""
-    body = model.body(name).id
-    below = np.flatnonzero(model.body_weldid[model.body_parentid] == body)
-    return all(model.body_weldid[each] == body for each in below)
-
-
 def answers(
     source: Path,
     count: int,
     first: int,
     scratch: Path,
-    urdf: Path | None = None,
     *,
     structure: bool = False,
 ) -> list[Answer]:
@@ -533,7 +435,6 @@ def answers(
         count: How many edits that MuJoCo takes.
         first: The first seed.
         scratch: A folder for what is edited.
-        urdf: One that agrees with the file, beside which `crosscheck` is asked.
         structure: Whether what the file is built from is edited; see `edit_structure`.
     """
     folder = scratch / "robot"
@@ -562,11 +463,7 @@ def answers(
         felt = bool(messages) or any(each.code == "simulation-changes" for each in diff.combined)
         places = [change.new_place.rpartition(":")[2] for change in diff.changes]
         placed = made.element is None or str(_line(tree, made.element, edited)) in places
-        memory = made.what.startswith("size")  # no robot's
-        stated = as_a_urdf_states(original, edited) if urdf and not memory else None
-        agree = pa.compare_models(urdf, edited).agree if urdf else None
-        what = f"{made.what}, seed {seed}"
-        found.append(Answer(what, truth, felt, diff.same, placed, stated, agree))
+        found.append(Answer(f"{made.what}, seed {seed}", truth, felt, diff.same, placed))
     return found
 
 

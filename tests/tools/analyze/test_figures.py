@@ -70,15 +70,6 @@ def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
         assert all(is_background(edge).all() for edge in edges)
 
 
-def test_the_shadow_is_below_the_robot_and_soft(tmp_path: Path) -> None:
-    picture = render_with_opengl(pairs("v3"), tmp_path / "a.png", width=WIDTH)
-    image = pixels(picture.path)
-    grey = (np.ptp(image, axis=-1) < 0.06) & (image.mean(axis=-1) > 0.5) & ~is_background(image)
-    rows = np.flatnonzero(grey.mean(axis=1) > 0.1)
-    assert rows.min() > 0.4 * len(image)
-    assert len(np.unique(image[grey].round(2), axis=0)) > 10
-
-
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_the_projection_is_that_of_the_camera(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -170,32 +161,6 @@ def test_the_next_backend_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     assert picture.note is not None
     assert "glGetError" in picture.note
     assert "PYOPENGL_PLATFORM" not in os.environ
-
-
-@pytest.mark.parametrize(
-    ("variables", "system", "expected"),
-    [
-        ({}, "Linux", ("egl", "osmesa")),
-        ({"DISPLAY": ":0"}, "Linux", ("egl", "osmesa", "glfw")),
-        ({"MUJOCO_GL": " EGL "}, "Linux", ("egl",)),
-        ({"MUJOCO_GL": "osmesa", "DISPLAY": ":0"}, "Linux", ("osmesa",)),
-        ({"MUJOCO_GL": "off"}, "Linux", ()),
-        ({}, "Darwin", ("cgl", "glfw")),
-        ({}, "Windows", ("glfw",)),
-    ],
-)
-def test_rendering_backends_depend_on_system_and_environment(
-    variables: dict[str, str],
-    system: str,
-    expected: tuple[str, ...],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setattr(render.platform, "system", lambda: system)
-    assert render._backends() == expected
 
 
 # ------------------------------------------------------------------------------------- errors

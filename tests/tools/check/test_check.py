@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import (
@@ -24,7 +23,6 @@ from pupper_analysis.tools.check.remarks import (
     is_same,
     judge_remarks,
     read_baseline,
-    to_plain,
     write_baseline,
 )
 from tests.support.commands import Answer, answer
@@ -105,14 +103,6 @@ def test_what_is_the_same_but_for_rounding_is_known(folder: Path) -> None:
     assert run(folder).returncode == 0
     change(folder / "hopper.xml", 'mass="0.22000000001"', 'mass="0.220001"')
     assert run(folder).returncode == 1
-
-
-def test_a_number_is_no_list_and_no_list_of_another_length() -> None:
-    """As someone may write who edits a baseline by hand."""
-    for other in ([4.4, 1.0], [], {"a": 4.4}, "4.4", True):
-        assert not is_same({"urdf": 4.4}, {"urdf": other})
-        assert not is_same({"urdf": other}, {"urdf": 4.4})
-    assert is_same({"urdf": 4.4}, {"urdf": 4.4 * (1 + 1e-15)})
 
 
 def test_what_was_mended_is_stale_until_the_baseline_is_written(folder: Path) -> None:
@@ -281,15 +271,6 @@ def test_check_writes_formats_for_machines(folder: Path) -> None:
     ]
 
 
-REFUSED = {
-    "of before": ("# known\nversion = 2", 2),
-    "a number for a text": ('["audit", "", 1, "k", "e", {}]', 1),
-    "an entry cut short": ('["audit", "", "f", "k", "e", {}]\n["audit", "", "f"]', 2),
-    "a conflict": ("<<<<<<< ours", 1),
-    "brackets without end": ("[" * 100_000, 1),
-}
-
-
 # ------------------------------------------------------------------------------------- baseline
 
 
@@ -341,22 +322,18 @@ def test_several_of_one_identity() -> None:
         (1.0, 1.0 + 1e-5, False),
         (1.0, -1.0, False),
         ([[1.0, 0.0], [0.0, 1e-9]], [[1.0, 0.0], [0.0, 0.0]], True),
-        ([[1.0, 0.0], [0.0, 1e-3]], [[1.0, 0.0], [0.0, 0.0]], False),
         ([1.0, 2.0], [1.0, 2.0, 3.0], False),
         ([1.0, 2.0], [2.0, 1.0], False),
-        (["leader", 1.0, 0.0], ["leader", 1.0, 0.0], True),
         (["leader", 1.0, 0.0], ["other", 1.0, 0.0], False),
         (["leader", 1e6, 1.0], ["leader", 1e6, 1.1], False),
         ([{"values": [1.0]}], [{"values": [1.0 + 1e-9]}], True),
-        ([{"values": [1.0]}], [{"other": [1.0]}], False),
-        ({"stiffness": 1.0}, {"stiffness": 1.0}, True),
+        ({"urdf": 4.4}, {"urdf": 4.4 * (1 + 1e-15)}, True),
         ({"stiffness": 1.0}, {"stiffness": 2.0}, False),
-        ({"stiffness": 1.0}, {"damping": 1.0}, False),
+        ({"urdf": 4.4}, {"urdf": [4.4, 1.0]}, False),
+        ({"urdf": 4.4}, {"urdf": "4.4"}, False),
         (float("inf"), float("inf"), True),
         (float("inf"), 1e300, False),
         (float("nan"), float("nan"), True),
-        ("revolute", "revolute", True),
-        ("revolute", 1.0, False),
         (True, 1.0, False),
         (0.0, 1e-12, False),
     ],
@@ -364,9 +341,6 @@ def test_several_of_one_identity() -> None:
 def test_values_that_are_the_same(one: object, two: object, expected: bool) -> None:
     assert is_same(one, two) is expected
     assert is_same(two, one) is expected
-
-
-NAMES = st.text(st.characters(codec="utf-8"), max_size=12)
 
 
 def test_a_baseline_is_sorted_and_says_what_it_lets_pass(folder: Path) -> None:
@@ -382,15 +356,6 @@ def test_a_baseline_is_sorted_and_says_what_it_lets_pass(folder: Path) -> None:
     ]
     run(folder, "--update-baseline")
     assert (folder / BASELINE).read_text() == text
-
-
-def test_no_digits_of_rounding_are_kept() -> None:
-    import numpy as np
-
-    assert to_plain(np.float64(0.1 + 0.2)) == 0.3
-    assert to_plain(np.array([1.0, 1e-17, -0.0])) == [1.0, 0.0, 0.0]
-    assert to_plain((np.int64(3), "x", None, -0.0)) == [3, "x", "None", 0.0]
-    assert to_plain({"rest": np.array([1 / 3])}) == {"rest": [0.333333333]}
 
 
 # ------------------------------------------------------------------------------------- GitHub's ten

@@ -18,7 +18,6 @@ from pupper_analysis.tools.check import config
 from pupper_analysis.tools.check.config import (
     find_config,
     read_config,
-    read_toml,
 )
 from tests.support.repository import ROOT
 
@@ -171,20 +170,3 @@ def test_the_config_is_found_in_a_folder_above(
 def test_a_missing_config_is_said(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(os.fspath(tmp_path))):
         find_config(tmp_path)
-
-
-def test_lines_of_all_keys_of_the_project_file() -> None:
-    """The line that is told begins with the key, for every key of a long file of others."""
-    file = read_toml(ROOT / "pyproject.toml")
-    lines = file.text.split("\n")
-    tables = {"project": file.values["project"], "tool": file.values["tool"]["ruff"]}
-    for name in tables["project"]:
-        line = file.line_of(("project", name))
-        assert line is not None
-        assert lines[line - 1].startswith((name, f"[project.{name}"))
-    line = file.line_of(("tool", "mypy", "overrides", 0, "module"))
-    assert line is not None
-    assert lines[line - 1].startswith("module = [")
-    assert file.line_of(("tool", "nothing")) is None
-    assert file.line_of(("project", "dependencies", 99)) is None
-    assert file.line_of(("project", 0)) is None

@@ -171,26 +171,36 @@ num_actions: 12
 """
 
 
-def field(number: int, data: bytes | int) -> bytes:
-    """Returns a field of a message, as Protocol Buffers write it."""
-    if isinstance(data, int):
-        return bytes([number << 3, data])
-    assert len(data) < 1 << 14
-    return bytes([number << 3 | 2, len(data) & 127 | 128, len(data) >> 7]) + data
+def varint(value: int) -> bytes:
+    """Returns an integer as Protocol Buffers write it: seven bits a byte, the least first."""
+    value &= (1 << 64) - 1
+    out = bytearray()
+    while value > 127:
+        out.append(value & 127 | 128)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
 
 
-def tensor(name: str, *sizes: int) -> bytes:
+def field(number: int, value: int | bytes | str) -> bytes:
+    """Returns a field of a message: an integer, or bytes with their length."""
+    if isinstance(value, int):
+        return varint(number << 3) + varint(value)
+    data = value.encode() if isinstance(value, str) else value
+    return varint(number << 3 | 2) + varint(len(data)) + data
+
+
+def value(name: str, *sizes: int) -> bytes:
     """Returns a ValueInfoProto: name (1), type (2: tensor 1: shape 2: dim 1: value 1)."""
     dims = b"".join(field(1, field(1, size) if size else field(2, b"batch")) for size in sizes)
-    return field(1, name.encode()) + field(2, field(1, field(1, 1) + field(2, dims)))
+    return field(1, name) + field(2, field(1, field(1, 1) + field(2, dims)))
 
 
 def onnx(**metadata: str) -> bytes:
     """Returns a model of Protocol Buffers with an opset and metadata, as ONNX has them."""
-
     said = b"\x08\x07"  # ir_version, a varint
-    for key, value in metadata.items():
-        said += field(14, field(1, key.encode()) + field(2, value.encode()))
+    for key, text in metadata.items():
+        said += field(14, field(1, key) + field(2, text))
     return said
 
 

@@ -17,7 +17,7 @@ from tests.tools.contract.sources import (
     URDF,
     field,
     listed,
-    tensor,
+    value,
     write_all,
 )
 
@@ -96,7 +96,7 @@ def test_how_many_actions_a_network_gives_is_held_against_the_others(
     sources: dict[str, Path],
 ) -> None:
     network = sources["policy.onnx"].with_name("bare.onnx")
-    graph = field(12, tensor("actions", 0, 12)) + field(11, tensor("obs", 0, 36))
+    graph = field(12, value("actions", 0, 12)) + field(11, value("obs", 0, 36))
     network.write_bytes(field(7, graph))
     gym = sources["gym_cfg.py"]
     gym.write_text(gym.read_text() + "    class env:\n        num_actions = 12\n")

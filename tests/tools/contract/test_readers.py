@@ -13,13 +13,13 @@ from pupper_analysis.tools.contract.readers import (
     read_onnx,
     text_of,
 )
-from tests.tools.contract.sources import field, onnx, tensor
+from tests.tools.contract.sources import field, onnx, value
 
 
 def test_an_onnx_files_metadata_and_ends_are_read(tmp_path: Path) -> None:
     path = tmp_path / "policy.onnx"
-    graph = field(5, field(8, b"weights")) + field(11, tensor("obs", 0, 45))
-    graph += field(11, tensor("weights", 45, 12)) + field(12, tensor("actions", 0, 12))
+    graph = field(5, field(8, b"weights")) + field(11, value("obs", 0, 45))
+    graph += field(11, value("weights", 45, 12)) + field(12, value("actions", 0, 12))
     path.write_bytes(field(7, graph) + onnx(joint_names="a,b"))
     file = read_onnx(path)
     assert file.metadata == {"joint_names": "a,b"}

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.robot.compare.test_mutations import sources
 from tests.support.robots import (
     Files,
     Parts,
@@ -63,19 +62,6 @@ def test_another_euler_sequence(tmp_path: Path) -> None:
     assert 'the MJCF\'s angles are meant otherwise: with eulerseq="XYZ" in place of "xyz"' in line
 
 
-def test_feet_turned_by_a_quarter_by_an_euler_sequence(tmp_path: Path) -> None:
-    """Ankles that are turned twice by 90 degrees: the order is all that is wrong."""
-    turn = Rotation.from_euler("xyz", [math.pi / 2, 0.0, math.pi / 2])
-    quaternion = tuple(turn.as_quat(scalar_first=True))
-    parts = {
-        name: replace(part, quaternion=quaternion) if name.startswith("shank") else part
-        for name, part in quadruped().items()
-    }
-    text = with_euler(mjcf_text(parts), "XYZ", 'angle="radian"')
-    line = first_line(write(tmp_path, urdf_text(parts), text))
-    assert 'with eulerseq="XYZ" in place of "xyz"' in line
-
-
 def test_degrees_for_radians(tmp_path: Path) -> None:
     text = mjcf_text(quadruped()).replace('angle="radian"', 'angle="degree"')
     line = first_line(write(tmp_path, urdf_text(quadruped()), text))
@@ -125,17 +111,6 @@ def test_limits_in_degrees(tmp_path: Path) -> None:
     }
     line = first_line(write(tmp_path, urdf_text(urdf), mjcf_text(quadruped())))
     assert line.endswith("0.0174533 times those of the URDF: degrees for radians in the URDF?")
-
-
-def test_left_and_right_of_pupper_are_exchanged(tmp_path: Path) -> None:
-    urdf, mjcf = sources("v3")
-    for end in ("front", "back"):
-        for joint in (1, 2, 3):
-            left, right = (f'"leg_{end}_{side}_{joint}"' for side in "lr")
-            urdf = urdf.replace(left, "@").replace(right, left).replace("@", right)
-    line = first_line(write(tmp_path, urdf, mjcf))
-    assert "leg_back_l_1 and leg_back_r_1, leg_front_l_1 and leg_front_r_1" in line
-    assert line.endswith("44 of the 44 differences are gone")
 
 
 def test_one_mass_ten_times_too_large(tmp_path: Path) -> None:

@@ -50,56 +50,26 @@ def test_strict_minds_names(models: Path, tmp_path: Path) -> None:
 
 BAD: dict[str, tuple[list[str], str]] = {
     "missing URDF": (["nobody.urdf", "robot.xml"], "nobody.urdf: there is no such file"),
-    "missing MJCF": (["robot.urdf", "nobody.xml"], "nobody.xml: there is no such file"),
     "a folder": (["folder", "robot.xml"], "folder: it is a folder"),
     "no XML": (["text.urdf", "robot.xml"], "text.urdf:1: not well-formed XML"),
-    "cut off": (["robot.urdf", "cut.xml"], "not well-formed XML"),
     "swapped": (["robot.xml", "robot.urdf"], "robot.xml:1: a URDF's root element is <robot>"),
-    "two URDFs": (["robot.urdf", "robot.urdf"], "an MJCF's root element is <mujoco>"),
     "one file": (["robot.urdf"], "Missing argument 'MJCF'"),
     "map without =": (["robot.urdf", "robot.xml", "--map", "hip0"], "map: 'hip0' is not of the"),
-    "map to nothing": (["robot.urdf", "robot.xml", "--map", "hip0="], "map: 'hip0=' is not of"),
     "map of an unknown name": (
         ["robot.urdf", "robot.xml", "--map", "hop=hip0"],
-        "'hop'; there are: hip0, knee0,",
-    ),
-    "map to an unknown name": (
-        ["robot.urdf", "robot.xml", "--map", "hip0=hop"],
         "'hop'; there are: hip0, knee0,",
     ),
     "map of two to one": (
         ["robot.urdf", "robot.xml", "--map", "hip0=hip1", "--map", "hip1=hip1"],
         "hip1",
     ),
-    "map twice": (
-        ["robot.urdf", "robot.xml", "--map", "hip0=hip0", "--map", "hip0=hip1"],
-        "hip0",
-    ),
-    "no map file": (
-        ["robot.urdf", "robot.xml", "--map-file", "no.toml"],
-        "no.toml: there is no such file",
-    ),
     "bad map file": (["robot.urdf", "robot.xml", "--map-file", "bad.toml"], "bad.toml: lf = 1"),
-    "noise map file": (["robot.urdf", "robot.xml", "--map-file", "noise.toml"], "not a TOML file"),
-    "tolerance without =": (["robot.urdf", "robot.xml", "--tolerance", "1"], "tolerance: '1'"),
-    "tolerance text": (
-        ["robot.urdf", "robot.xml", "--tolerance", "mass=low"],
-        "'low' in 'mass=low' is not a number",
-    ),
     "tolerance of nothing": (
         ["robot.urdf", "robot.xml", "--tolerance", "weight=1"],
         "no kind 'weight'; valid: mass, com,",
     ),
-    "tolerance negative": (
-        ["robot.urdf", "robot.xml", "--tolerance", "mass=-1"],
-        "mass=-1.0 is not positive",
-    ),
     "tolerance nan": (["robot.urdf", "robot.xml", "--tolerance", "mass=nan"], "is not positive"),
-    "package without =": (["robot.urdf", "robot.xml", "--package", "parts"], "package: 'parts'"),
     "package nowhere": (["robot.urdf", "robot.xml", "--package", "parts=nowhere"], "nowhere"),
-    "foot": (["robot.urdf", "robot.xml", "--frame", "toe"], "'toe'; there are: foot0, foot1"),
-    "format": (["robot.urdf", "robot.xml", "--format", "html"], "'html' is not one of"),
-    "option": (["robot.urdf", "robot.xml", "--frobnicate"], "No such option"),
     "JSON in a folder": (["robot.urdf", "robot.xml", "--json", "folder"], "it is a folder"),
     "JSON below a file": (["robot.urdf", "robot.xml", "--json", "robot.xml/x"], "not a folder"),
 }

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.models.multibody import TreeBody
-from pupper_analysis.tools.crosscheck.causes import body_moments, by_pattern, fold_bodies
+from pupper_analysis.tools.crosscheck.causes import body_moments, fold_bodies
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.robots import (
     Part,
@@ -79,15 +79,6 @@ def test_links_that_one_file_lacks_are_told_once_and_first(lacks: str, folder: P
     assert headline(comparison) == f"DISAGREE: {message}"
     (cause,) = comparison.causes
     assert len(cause.differences) == len(comparison.differences)
-
-
-def test_the_mended_file_agrees(folder: Path) -> None:
-    """What is named is what is missing: with the sensor, too, nothing is left of any body."""
-    bare = without(geared(), "_rotor", "lidar")
-    comparison = compared(write(folder, urdf_text(geared()), mjcf_text(bare)))
-    message = the_cause(comparison, "links")
-    assert "8 *_rotor of 0.089 kg each, lidar of 0.02 kg" in message
-    assert compared(write(folder, urdf_text(geared()), mjcf_text(geared()))).agree
 
 
 def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
@@ -219,12 +210,3 @@ def test_moments_add_up_as_in_mujoco() -> None:
     turn = turn.reshape(3, 3)
     assert both.inertia == pytest.approx(turn @ np.diag(model.body_inertia[1]) @ turn.T)
     assert body_moments(both)[0] == 5.0
-
-
-def test_names_are_grouped_by_what_they_share() -> None:
-    names = ["FL_hip_rotor", "RR_thigh_rotor", "Head_upper", "Head_lower", "imu"]
-    assert by_pattern(names) == {
-        "*_rotor": ["FL_hip_rotor", "RR_thigh_rotor"],
-        "Head_*": ["Head_upper", "Head_lower"],
-        "imu": ["imu"],
-    }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import mujoco
@@ -77,26 +76,6 @@ def test_what_no_change_explains_is_no_same_model(
     assert not diff.changes
     assert not diff.same
     assert [message.code for message in diff.combined] == ["simulation-changes"]
-
-
-def test_shapes_of_a_urdf_that_touch_are_compared(tmp_path: Path) -> None:
-    text = (ROOT / "urdf/pupper_v3.urdf").read_text()
-    folder = tmp_path / "urdf"
-    shutil.copytree(ROOT / "urdf", folder)
-    shutil.copytree(ROOT / "mjcf/meshes", tmp_path / "mjcf/meshes")
-    assert 'radius="0.01995"' in text
-    (folder / "pupper_v3.urdf").write_text(text.replace('radius="0.01995"', 'radius="0.09"'))
-    diff = pa.diff_models(ROOT / "urdf/pupper_v3.urdf", folder / "pupper_v3.urdf")
-    feet = [
-        name
-        for change in diff.changes
-        for name in (change.element, *change.diagnostic.values["others"])
-    ]
-    assert len(feet) == 4
-    moved = [message for change in diff.changes for message in change.consequences]
-    assert all(
-        message.values["distance"].value == pytest.approx(0.09 - 0.01995) for message in moved
-    )
 
 
 FLOOR = (
@@ -175,29 +154,10 @@ def test_friction_of_a_foot_that_leaves_it_to_the_ground_is_told(tmp_path: Path)
     assert "simulation-changes" in {one.code for one in change.consequences}
 
 
-def test_what_motors_do_before_they_pull_is_a_change(tmp_path: Path) -> None:
-    folder = copied(tmp_path)
-    shared = folder / "pupper_v3_shared.xml"
-    motor = '<general biastype="affine"'
-    slow = motor.replace("<general", '<general dyntype="filter" dynprm="0.1 0 0"')
-    shared.write_text(shared.read_text().replace(motor, slow))
-    diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", folder / "pupper_v3.xml")
-    motors = [change for change in diff.changes if change.kind == "actuator"]
-    assert {change.diagnostic.values["what"] for change in motors} == {"dyntype", "dynprm"}
-    assert all(change.new_place.endswith("pupper_v3_shared.xml:33") for change in motors)
-    assert all(len(change.diagnostic.values["others"]) == 11 for change in motors)
-
-
 @pytest.mark.parametrize(
-    ("flag", "makes"),
-    [
-        ('angle="degree"', "all other changes follow from it"),
-        ('settotalmass="9"', "all other changes follow from it"),
-        ('eulerseq="zyx"', "all other changes follow from it"),
-        ('boundmass="0.3"', "all other changes follow from it"),
-    ],
+    "flag", ['angle="degree"', 'settotalmass="9"', 'eulerseq="zyx"', 'boundmass="0.3"']
 )
-def test_a_flag_of_the_compiler_is_the_first_change(tmp_path: Path, flag: str, makes: str) -> None:
+def test_a_flag_of_the_compiler_is_the_first_change(tmp_path: Path, flag: str) -> None:
     """It stands at its line; what it makes other has lines in which nothing has changed."""
     old, new = tmp_path / "old.xml", tmp_path / "new.xml"
     text = """<mujoco>
@@ -215,7 +175,7 @@ def test_a_flag_of_the_compiler_is_the_first_change(tmp_path: Path, flag: str, m
     first, *others = pa.diff_models(old, new).changes
     assert (first.kind, first.element) == ("compiler", word)
     assert first.new_place.endswith("new.xml:2")
-    assert [str(one) for one in first.consequences] == [makes]
+    assert [str(one) for one in first.consequences] == ["all other changes follow from it"]
     assert others
     mixed = tmp_path / "mixed.xml"
     for other in ('size="0.04"', 'size="0.03" margin="0.01"'):

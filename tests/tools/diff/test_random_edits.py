@@ -15,11 +15,9 @@ from tests.support.repository import ROOT
 
 
 def test_what_moves_v3_is_told(tmp_path: Path) -> None:
-    urdf = ROOT / "urdf/pupper_v3.urdf"
-    found = answers(ROOT / "mjcf/pupper_v3.xml", 8, 0, tmp_path, urdf)
+    found = answers(ROOT / "mjcf/pupper_v3.xml", 8, 0, tmp_path)
     assert not [one for one in found if not one.right]
     assert any(one.truth > FELT for one in found)
-    assert {one.agree for one in found} == {True, False}
 
 
 def test_what_a_file_is_built_from_is_told(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -263,18 +262,6 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     assert saved["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
 
 
-def test_the_usual_state_is_exported_in_few_words() -> None:
-    source = LiveVariants(pa.VARIANTS["v3-heavy"])
-    assert write_command(source, State()) == "pupper-analysis stand v3-heavy"
-    scaled = write_command(source, State(torso_mass_scale=1.5))
-    assert scaled == "pupper-analysis stand --base v3 --torso-mass-scale 1.5"
-    assert write_command(source, State(torso_mass_scale=1.0)) == "pupper-analysis stand v3"
-    turned = State(pitch=-5.0, slope=3.0, height=150.0, com_margin=7.0)
-    assert write_command(source, turned).split()[3:] == [
-        "--height=0.15", "--pitch=-5deg", "--slope=3deg", "--com-margin=0.007",
-    ]  # fmt: skip
-
-
 def test_a_page_begins_with_the_stance_of_a_file(tmp_path: Path) -> None:
     """What the page saves for --stance it reads again; what no slider has is refused."""
     file = tmp_path / "stance.toml"
@@ -429,29 +416,6 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
     for host, wrong in (("203.0.113.7", None), ("no such host", None), ("127.0.0.1", 70000)):
         with pytest.raises(pa.ConfigurationError, match=r"--port|cannot serve"):
             render.free_port(host, wrong)
-
-
-class Headers(dict[str, str]):
-    """Of a request, as viser keeps it."""
-
-
-def connected(path: str, headers: dict[str, str]) -> Any:
-    """A server of viser's with one connection, 3."""
-    connection = SimpleNamespace(request=SimpleNamespace(path=path, headers=Headers(headers)))
-    return SimpleNamespace(
-        _websock_server=SimpleNamespace(_live_connections={3: connection}),
-        get_host=lambda: "127.0.0.1",
-        get_port=lambda: 80,
-    )
-
-
-def test_a_browser_says_where_it_comes_from_and_what_it_asks_for() -> None:
-    own = connected("/?state=roll:3;pitch:-1", {"Host": "pi:81", "Origin": "http://pi:81"})
-    assert render.asked_for(own, 3) == ("pi:81", "roll:3;pitch:-1")
-    other = connected("/", {"Host": "127.0.0.1:81", "Origin": "http://example.com"})
-    assert render.asked_for(other, 3) == ("127.0.0.1:81", "")
-    # A viser that keeps it elsewhere: a page without a state.
-    assert render.asked_for(own, 4) == ("127.0.0.1:80", "")
 
 
 @pytest.mark.parametrize(

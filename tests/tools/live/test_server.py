@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import gzip
-import urllib.request
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -56,23 +53,3 @@ def test_who_waited_until_it_is_closed_gets_no_session(
     page._opened(object())
     assert made == []
     assert page.sessions == {}
-
-
-def test_the_page_looks_first_whether_the_browser_is_dark(page: Page) -> None:
-    """viser's own page is dark where its address says so, and whole however it is packed."""
-    pages = []
-    for packing in ("gzip", "identity"):
-        asked = urllib.request.Request(page.address, headers={"Accept-Encoding": packing})
-        with urllib.request.urlopen(asked) as answer:
-            body = answer.read()
-        assert int(answer.headers["Content-Length"]) == len(body)
-        assert answer.headers["Content-Encoding"] == packing
-        pages.append(gzip.decompress(body) if packing == "gzip" else body)
-    packed, plain = pages
-    assert packed == plain
-    whole = Path(viser.__file__).parent / "client/build/index.html"
-    begun, _, rest = plain.partition(b"<script>")
-    own, _, left = rest.partition(b"</script>")
-    assert b"prefers-color-scheme: dark" in own
-    assert b'"darkMode"' in own
-    assert begun + left == whole.read_bytes()

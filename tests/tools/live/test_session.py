@@ -194,6 +194,22 @@ def test_a_simulation_is_beside_the_prediction_for_what_it_commands(page: Open) 
     assert pa.steady_state(robot, held).base_height == pytest.approx(report.base_height, abs=1e-4)
 
 
+class Hand:
+    """What viser says of a control that somebody moves."""
+
+    client = object()
+
+    def __init__(self, target: Any) -> None:
+        self.target = target
+
+
+def move(control: Any, value: object) -> None:
+    """Moves a control as a hand does, which calls what listens to it."""
+    control.value = value
+    for call in control._impl.update_cb:
+        call(Hand(control))
+
+
 HAN = re.compile("[\u4e00-\u9fff]")
 
 
@@ -218,27 +234,18 @@ def test_a_page_in_chinese_is_so_throughout(page: Open) -> None:
 
 def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
     controls = page.controls
-
-    class Event:
-        client = object()
-
-    def by_hand(handle: Any, value: object) -> None:
-        handle.value = value
-        for callback in handle._impl.update_cb:
-            callback(Event())
-
     for foot, height in (("FL", 12.0), ("RR", 30.0)):
-        by_hand(controls.foot, foot)
+        move(controls.foot, foot)
         assert not controls.lifted.value
-        by_hand(controls.sliders["lift"], height)
+        move(controls.sliders["lift"], height)
         assert controls.lifted.value
-    by_hand(controls.foot, "FR")
-    by_hand(controls.sliders["step"], 15.0)
+    move(controls.foot, "FR")
+    move(controls.sliders["step"], 15.0)
     assert controls.state == State(swing={"FL": 12.0, "RR": 30.0}, heights={"FR": 15.0})
-    by_hand(controls.foot, "FL")
+    move(controls.foot, "FL")
     assert controls.sliders["lift"].value == 12.0
     assert controls.sliders["step"].value == 0.0
-    by_hand(controls.lifted, False)
+    move(controls.lifted, False)
     assert controls.state == State(swing={"RR": 30.0}, heights={"FR": 15.0})
     wait_for(lambda: "in balance" in page.numbers and page.settled(), "not shown")
     stand = pa.stance.solve_stand_on_soft_ground(load("v3"), controls.state.task())
@@ -247,40 +254,15 @@ def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
 
 
 def test_what_is_typed_beyond_a_slider_stays_when_another_one_moves(page: Open) -> None:
-    class Event:
-        client = object()
-
-    def by_hand(name: str, value: float) -> None:
-        handle = page.controls.sliders[name]
-        handle.value = value
-        for callback in handle._impl.update_cb:
-            callback(Event())
-
     payload = page.controls.sliders["payload"]
     assert payload.max < 12.0
-    by_hand("payload", 12.0)
+    move(payload, 12.0)
     assert payload.max == payload.value == 12.0  # else the browser cuts it off
-    by_hand("roll", 2.0)
+    move(page.controls.sliders["roll"], 2.0)
     asked = State(payload=12.0, roll=2.0)
     assert page.controls.state == asked
     wait_for(lambda: page.shows(asked), "not shown")
     assert "payload=12" in page.session._panels._command.value
-
-
-class Hand:
-    """What viser says of a control that somebody moves."""
-
-    client = object()
-
-    def __init__(self, target: Any) -> None:
-        self.target = target
-
-
-def move(control: Any, value: object) -> None:
-    """Moves a control as a hand does, which calls what listens to it."""
-    control.value = value
-    for call in control._impl.update_cb:
-        call(Hand(control))
 
 
 def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:

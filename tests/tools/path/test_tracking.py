@@ -4,28 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import lines_to_read
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.simulation.rollout import STATE, full_state, simulate
+from pupper_analysis.simulation.rollout import STATE, simulate
 from pupper_analysis.simulation.verdict import Asked, Verdict
 from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.path.tracking import path_commands, study_path, track_path
-from tests.prepare.test_imported import four_legs
 from tests.prepare.test_own_run import codes, slipped
 from tests.support.cases import some
 from tests.support.commands import check_refusal, run_command
-from tests.support.engines import changed, mujoco_at
+from tests.support.engines import mujoco_at
 from tests.support.repository import benchmark
-from tests.support.variants import load, stand_of
+from tests.support.variants import load
 from tests.tools.path.test_plan import SECONDS, path_of, stances
 
 # What MuJoCo makes of them, with a margin of about a half: joint (rad), height (m), base (rad).
@@ -182,38 +179,6 @@ def test_a_path_leads_to_where_the_robot_stays(mass: float, passes: bool) -> Non
     assert pa.judge_stand(robot, found.stand).passed is passes
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
-    """At -1 N m and 2 N m: a servo that is told to go far gives that, and no more."""
-    stand, motor = stand_of("v3"), int(load("v3").mj_convention.actuator_index[4])
-
-    def weaker(model: mujoco.MjModel) -> None:
-        model.actuator_forcerange[motor] = (-1.0, 2.0)
-
-    robot = changed(load("v3"), weaker)
-    drive = model_with_servos(robot)
-    model = drive.model
-    data = mujoco.MjData(model)
-    robot.mj_convention.set_state(data, stand.qpos, np.zeros(robot.nv))
-    start = full_state(model, data)
-    goal = stand.joint_positions(robot).copy()
-    goal[4] += sign * 10 / drive.kp[4]
-    given = np.zeros((3, robot.nu))
-    given[:, 4] = 2.0 if sign > 0 else -1.0
-    plan = SimpleNamespace(
-        drive=drive,
-        robot=robot,
-        start=start,
-        ctrl=np.tile(drive.command(robot, goal), (3, 1)),
-        time=np.array([0.1, 0.2, 0.3]),
-        torques=given,
-        path=SimpleNamespace(torques=given),
-    )
-    (event,), error = tracking._torques(plan, np.tile(start, (3, 1)))  # type: ignore[arg-type]
-    assert robot.joint_names[4] in str(event)
-    assert error < 1e-9
-
-
 def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     csv, npz, file = tmp_path / "way.csv", tmp_path / "way.npz", tmp_path / "all.json"
     three_legs = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01")
@@ -270,10 +235,3 @@ def test_a_path_is_tracked_and_says_what_the_file_does(tmp_path: Path) -> None:
     # A short answer has it, too, though it is not against the verdict.
     first, _ = lines_to_read(verdict)
     assert any("the file by itself" in str(line) for line in first)
-
-
-def test_other_verdicts_have_the_same_line(tmp_path: Path) -> None:
-    robot = pa.load_robot(four_legs(tmp_path))
-    found = judged(robot)
-    assert found.own == own_run(robot)
-    assert "own-run" in codes(found)

@@ -88,16 +88,6 @@ def test_shares_on_a_full_grid_are_plain_and_leave_the_interaction(tmp_path: Pat
     assert "3 of 4" in rows[1]
 
 
-def test_main_effects_agree_with_sobol_s_first_indices() -> None:
-    """Of Ishigami's function, whose indices are known: 0.314, 0.442 and 0."""
-    random = np.random.default_rng(0).uniform(-np.pi, np.pi, (20_000, 3))
-    x, y, z = random.T
-    table = pd.DataFrame({"x": x, "y": y, "z": z})
-    table["f"] = np.sin(x) + 7 * np.sin(y) ** 2 + 0.1 * z**4 * np.sin(x)
-    shares = main_effects(table, "xyz", "f")
-    assert [shares[n] for n in "xyz"] == pytest.approx([0.314, 0.442, 0.0], abs=0.02)
-
-
 def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.study.StudyOutcome:
     with ThreadPoolExecutor(1) as thread:
         study.run(tmp_path / "there", executor=thread)

@@ -160,9 +160,3 @@ def test_engines_agree_on_a_stretched_robot(own: Robot) -> None:
 def test_what_has_no_length_is_refused(own: Robot, pattern: str, message: str) -> None:
     with pytest.raises(pa.PupperAnalysisError, match=message):
         scale_robot(own, {f"length:{pattern.format(base=own.base)}": 1.2})
-
-
-@pytest.mark.parametrize("factor", [0.0, -1.0, float("inf"), float("nan")])
-def test_what_is_no_factor_is_refused(own: Robot, factor: float) -> None:
-    with pytest.raises(pa.ConfigurationError):
-        scale_robot(own, {"length:*": factor})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -195,41 +194,6 @@ def test_a_dry_run_runs_no_code_beside_the_file(tmp_path: Path) -> None:
     assert pa.Study.read(file).metrics[0].name == "height"
     assert (tmp_path / "run").exists()
     assert "its code is executed" in " ".join(answer("study", "--help").stdout.split())
-
-
-# ----------------------------------------------------------------------------- files
-
-
-TOML = """
-robot = "v3"
-measure = ["servo_sag", "tests.support.study_metrics:knee_bend"]
-samples = 8
-seed = 5
-time_limit = 20
-payload_point = [0.05, 0, 0]
-[vary]
-leg_scale = { linspace = [0.8, 1.6, 3] }
-"mass:leg_*_3" = { normal = [1.0, 0.05] }
-kp = [5, 10]
-[stand]
-height = 0.12
-ground = { slope = 0.05 }
-"""
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("robot = ", "not a TOML file"),
-        (TOML.replace("seed", "sed"), "a study has robot, vary"),
-        (TOML.replace('robot = "v3"', ""), "a study must say it"),
-        (TOML.replace("height = 0.12", "hight = 0.12"), "a stance has height, roll"),
-    ],
-)
-def test_files_that_are_no_study_are_refused(text: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text(text)
-    with pytest.raises(pa.ConfigurationError, match=message):
-        pa.Study.read(tmp_path / "study.toml")
 
 
 # ----------------------------------------------------------------------------- numbers of models
@@ -450,22 +414,3 @@ def test_measures_that_simulate_are_what_their_names_say() -> None:
         assert METRICS[name].function(design) == pytest.approx(float(value), rel=1e-6), name
     simulating = {n for n, one in METRICS.items() if one.simulates and one.of_file is None}
     assert simulating == {*expected, "yaw_range"}
-
-
-def test_offsets_are_forward_and_to_the_left(tmp_path: Path) -> None:
-    """v3 is longer than wide: the same offset leaves less to the left than forward."""
-    vary = {"offset_x": [0.0, 0.01], "offset_y": [0.0, 0.02]}
-    with ThreadPoolExecutor(1) as executor:
-        table = study(vary, "com_margin", robot="v3").run(tmp_path, executor=executor)
-    assert len(table) == 4
-    for _, row in table.iterrows():
-        task = pa.StandTask(offset=(row["offset_x"], row["offset_y"]))
-        margin = pa.solve_stand(load("v3"), task).com_margin
-        assert row["com_margin"] == pytest.approx(margin, abs=1e-9)
-    alone = study(
-        {"offset_y": [0.02]}, "com_margin", robot="v3", stand=pa.StandTask(offset=(0.01, 0))
-    )
-    with ThreadPoolExecutor(1) as executor:
-        (margin,) = alone.run(tmp_path / "alone", executor=executor)["com_margin"]
-    both = table[(table["offset_x"] == 0.01) & (table["offset_y"] == 0.02)]["com_margin"]
-    assert margin == pytest.approx(float(both.iloc[0]), abs=1e-9)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 import pytest
 
 import pupper_analysis as pa
@@ -120,26 +118,12 @@ def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) 
 
 def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
     """And what differs beside it is written in the file's own frame."""
-    c, s = math.cos(0.15), math.sin(0.15)
-    turn = np.array([[c * c - s * s, -2 * c * s, 0], [2 * c * s, c * c - s * s, 0], [0, 0, 1]])
-    parts = dict(ROBOT)
+    x, y, z = ROBOT["base"].com
+    parts = changed(ROBOT, "base", com=(x, y, z + 0.05))
     for name, part in ROBOT.items():
         if part.parent == "base":
-            w, x, y, z = part.quaternion
-            quaternion = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
-            position = tuple(turn @ np.array(part.position))
-            parts = changed(parts, name, position=position, quaternion=quaternion)
-    base = ROBOT["base"]
-    full = np.array(
-        [
-            [base.inertia[0], base.inertia[3], base.inertia[4]],
-            [base.inertia[3], base.inertia[1], base.inertia[5]],
-            [base.inertia[4], base.inertia[5], base.inertia[2]],
-        ]
-    )
-    full = turn @ full @ turn.T
-    entries = (full[0, 0], full[1, 1], full[2, 2], full[0, 1], full[0, 2], full[1, 2])
-    parts = changed(parts, "base", com=tuple(turn @ np.array(base.com)), inertia=entries)
+            x, y, z = part.position
+            parts = changed(parts, name, position=(x, y, z + 0.05))
     heavier = changed(parts, "base", mass=7.0)
     for side in ("urdf", "mjcf"):
         files = write(tmp_path, urdf_text(ROBOT), mjcf_text(heavier))

@@ -18,7 +18,6 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.tools.sync.models import refuse_uncommitted
 from pupper_analysis.tools.sync.plan import UnwrittenCause
-from pupper_analysis.tools.sync.xml_bytes import read_document
 from tests.support.robots import (
     Files,
     Parts,
@@ -494,26 +493,6 @@ def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> No
 
 
 # ------------------------------------------------------------------------------------- its parts
-
-
-def test_bytes_of_a_tag(tmp_path: Path) -> None:
-    file = tmp_path / "a.xml"
-    data = b"<a>\n\t<b x='1>2' y=\"3\"\n\t   z = '4'/>\n\t<c/><d></d><e>text</e>\n</a>\n"
-    file.write_bytes(data)
-    document = read_document(file)
-    assert document.rendered() == data
-    b, c, d, e = document.root.children
-    b.set("z", "5")
-    b.set("new", "<&'\">")
-    c.ensure("in").set("x", "1")
-    d.ensure("in").set("x", "2")
-    e.ensure("in")  # nothing is said of it: it is not written
-    document.root.ensure("first").ensure("second").set("x", "3")
-    assert document.rendered() == (
-        b'<a>\n\t<first>\n\t  <second x="3"/>\n\t</first>\n'
-        b"\t<b x='1>2' y=\"3\"\n\t   z = '5' new='&lt;&amp;&apos;&quot;&gt;'/>\n"
-        b'\t<c><in x="1"/></c><d><in x="2"/></d><e>text</e>\n</a>\n'
-    )
 
 
 def test_an_effort_that_nobody_meant_is_not_copied_without_a_word(tmp_path: Path) -> None:

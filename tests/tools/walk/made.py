@@ -9,23 +9,7 @@ from typing import Any
 
 import numpy as np
 
-
-def _varint(value: int) -> bytes:
-    value &= (1 << 64) - 1
-    out = bytearray()
-    while value > 127:
-        out.append(value & 127 | 128)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
-
-
-def field(number: int, value: int | bytes | str) -> bytes:
-    """A field of a protocol buffer: an integer, or bytes with their length."""
-    if isinstance(value, int):
-        return _varint(number << 3) + _varint(value)
-    data = value.encode() if isinstance(value, str) else value
-    return _varint(number << 3 | 2) + _varint(len(data)) + data
+from tests.tools.contract.sources import field, value, varint
 
 
 def tensor(name: str, values: Any, dims: tuple[int, ...] | None = None) -> bytes:
@@ -37,19 +21,14 @@ def tensor(name: str, values: Any, dims: tuple[int, ...] | None = None) -> bytes
 def node(kind: str, inputs: tuple[str, ...], outputs: tuple[str, ...], **given: Any) -> bytes:
     data = b"".join(field(1, one) for one in inputs) + b"".join(field(2, one) for one in outputs)
     data += field(3, f"{kind}-{outputs[0]}") + field(4, kind)
-    for name, value in given.items():
+    for name, number in given.items():
         one = field(1, name)
-        if isinstance(value, float):
-            one += _varint(2 << 3 | 5) + struct.pack("<f", value) + field(20, 1)
+        if isinstance(number, float):
+            one += varint(2 << 3 | 5) + struct.pack("<f", number) + field(20, 1)
         else:
-            one += field(3, value) + field(20, 2)
+            one += field(3, number) + field(20, 2)
         data += field(5, one)
     return data
-
-
-def value(name: str, *dims: int) -> bytes:
-    shape = b"".join(field(1, field(1, size)) for size in dims)
-    return field(1, name) + field(2, field(1, field(1, 1) + field(2, shape)))
 
 
 def onnx(

@@ -225,31 +225,3 @@ def test_torchscript_as_by_loops(torch: Any, tmp_path: Path) -> None:
         assert out == pytest.approx(row, abs=ALIKE)
     alone = network.forward(given[2:3])[0]
     assert np.array_equal(alone[0], found[2])
-
-
-@pytest.mark.longest
-def test_torchscript_that_cannot_be_run_in_lockstep_is_refused(torch: Any, tmp_path: Path) -> None:
-    class Counting(torch.nn.Module):  # type: ignore[misc]
-        def __init__(self) -> None:
-            super().__init__()
-            self.out = torch.nn.Linear(3, 2)
-            self.register_buffer("h", torch.zeros(1))
-
-        def forward(self, x: Any) -> Any:
-            self.h.add_(1.0)
-            return self.out(x) + self.h
-
-    path = tmp_path / "counts.pt"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.jit.save(torch.jit.trace(Counting(), torch.zeros(1, 3), check_trace=False), str(path))
-    with pytest.raises(ModelError, match="keeps a state"):
-        policy.torchscript_network(path)
-    pickled = tmp_path / "pickled.pt"
-    torch.save(torch.nn.Linear(3, 2).state_dict(), str(pickled))
-    with pytest.raises(ModelError, match="no network"):
-        policy.torchscript_network(pickled)
-    bad = torch.nn.Linear(3, 2)
-    bad.weight.data[0, 0] = math.nan
-    with pytest.raises(ModelError, match="weight"):
-        policy.torchscript_network(_saved(torch, bad, tmp_path / "nan.pt"))
