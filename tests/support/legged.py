@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -87,23 +88,25 @@ def quadruped(
     return _written(folder, "\n".join([*urdf, "</robot>"]), mjcf)
 
 
+def edited(pair: Pair, urdf: dict[str, str], mjcf: dict[str, str], count: int = 0) -> Pair:
+    """Replaces patterns in both files."""
+    for path, edits in ((pair.urdf, urdf), (pair.mjcf, mjcf)):
+        text = path.read_text()
+        for pattern, new in edits.items():
+            text = re.sub(pattern, new, text, count=count, flags=re.S)
+        path.write_text(text)
+    return pair
+
+
+KEYFRAME = {"<keyframe>.*?</keyframe>": ""}
+
+
 def held(pair: Pair, *endings: str) -> Pair:
     """Makes the joints whose names end so fixed ones, in both files; keyframes are gone."""
-    urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
-    for joint in urdf.findall("joint"):
-        if str(joint.get("name")).endswith(endings):
-            joint.set("type", "fixed")
-            for tag in ("axis", "limit"):
-                joint.remove(joint.find(tag))  # type: ignore[arg-type]
-    for parent in list(mjcf.iter()):
-        for child in list(parent):
-            if str(child.get("name", child.get("joint", ""))).endswith(endings):
-                parent.remove(child)
-    for key in mjcf.findall("keyframe"):
-        mjcf.remove(key)
-    pair.urdf.write_text(ElementTree.tostring(urdf, encoding="unicode"))
-    pair.mjcf.write_text(ElementTree.tostring(mjcf, encoding="unicode"))
-    return pair
+    name = rf'"[^"]*(?:{"|".join(endings)})"'
+    hinge = rf'(<joint name={name} type=)"revolute"((?:(?!</joint>).)*?)<axis [^>]*/><limit [^>]*/>'
+    drives = rf"<joint name={name}[^>]*/>|<\w+ joint={name}[^>]*/>"
+    return edited(pair, {hinge: r'\1"fixed"\2'}, {drives: "", **KEYFRAME})
 
 
 ARM = (("yaw", "0 0 1", (0.15, 0.0, 0.04)), ("shoulder", "0 1 0", (0.0, 0.0, 0.05)),
@@ -144,17 +147,9 @@ def with_arm(pair: Pair, home: str = "0 -0.9 1.3", on: str = "trunk") -> Pair:
 
 def aside(pair: Pair, y: float) -> Pair:
     """Puts the com of the base (at x = 0) aside, as it is in files of real robots."""
-    urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
-    for element, word in (
-        (urdf.find("link/inertial/origin"), "xyz"),
-        (mjcf.find("worldbody/body/inertial"), "pos"),
-    ):
-        assert element is not None
-        x, _, z = str(element.get(word)).split()
-        element.set(word, f"{x} {y} {z}")
-    pair.urdf.write_text(ElementTree.tostring(urdf, encoding="unicode"))
-    pair.mjcf.write_text(ElementTree.tostring(mjcf, encoding="unicode"))
-    return pair
+    new = rf"\g<1> {y} "
+    urdf, mjcf = r'(<inertial><origin xyz="\S+) \S+ ', r'(<inertial pos="\S+) \S+ '
+    return edited(pair, {urdf: new}, {mjcf: new}, count=1)
 
 
 def from_the_ground(pair: Pair, by: float) -> Pair:
@@ -206,19 +201,8 @@ def fused(pair: Pair) -> Pair:
 
     Its own shapes become the world's, and its mass is gone.
     """
-    root = ElementTree.parse(pair.mjcf).getroot()
-    world = root.find("worldbody")
-    assert world is not None
-    trunk = world.find("body")
-    assert trunk is not None
-    world.remove(trunk)
-    for child in list(trunk):
-        if child.tag not in ("inertial", "freejoint"):
-            world.append(child)
-    for key in root.findall("keyframe"):
-        root.remove(key)
-    pair.mjcf.write_text(ElementTree.tostring(root, encoding="unicode"))
-    return pair
+    trunk = r'<body name="[^"]*trunk"[^>]*>\s*(<freejoint ?/>)?\s*<inertial [^>]*/>'
+    return edited(pair, {}, {trunk: "", "</body>(?=\\s*</worldbody>)": "", **KEYFRAME})
 
 
 BIPED_FEET = {

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -247,84 +246,37 @@ def mjcf_text(
     return "\n".join([*lines, "</actuator>", extra, "</mujoco>"]) + "\n"
 
 
-def turned_frames(model: mujoco.MjModel, seed: int) -> str:
-    """Describes a compiled robot anew, with the frame of every body but the base turned at random.
+def turned_frames(parts: Parts, seed: int) -> str:
+    """An MJCF in which the frame of every body but the base is turned at random.
 
-    Bodies' poses, their children's, inertials, joints' axes and anchors, sites and geoms are all
-    given in the turned frames, so that it is the same robot.
+    Bodies' poses, their children's, inertials, joints' axes and sites are all given in the turned
+    frames, so that it is the same robot.
     """
     random = np.random.default_rng(seed)
-    free = mujoco.mjtJoint.mjJNT_FREE.value
-    turns = {0: Rotation.identity()}
-    for index in range(1, model.nbody):
-        base = model.body_parentid[index] == 0
-        turns[index] = Rotation.identity() if base else Rotation.random(rng=random)
+    still = Rotation.identity()
+    turns = {name: Rotation.random(rng=random) if part.parent else still
+             for name, part in parts.items()}  # fmt: skip
 
-    def pose(body: int, pos: np.ndarray, quat: np.ndarray, own: Rotation | None = None) -> str:
-        inverse = turns[body].inv()
-        rotation = inverse * Rotation.from_quat(quat, scalar_first=True)
-        rotation = rotation * own if own is not None else rotation
-        place = numbers(inverse.apply(pos))
-        return f'pos="{place}" quat="{numbers(rotation.as_quat(scalar_first=True))}"'
+    def turned(part: Part) -> Part:
+        above, own = turns.get(part.parent, still), turns[part.link]
+        pose = above.inv() * Rotation.from_quat(part.quaternion, scalar_first=True) * own
+        xx, yy, zz, xy, xz, yz = part.inertia
+        axes = own.as_matrix()
+        tensor = axes.T @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes
+        return replace(
+            part,
+            position=above.inv().apply(part.position),
+            quaternion=pose.as_quat(scalar_first=True),
+            axis=own.inv().apply(part.axis),
+            com=own.inv().apply(part.com),
+            inertia=(*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]),
+        )
 
-    lines = ['<mujoco model="turned">', '<compiler angle="radian"/>', "<worldbody>"]
-
-    def body(index: int) -> None:
-        parent, inverse = int(model.body_parentid[index]), turns[index].inv()
-        place = pose(parent, model.body_pos[index], model.body_quat[index], turns[index])
-        lines.append(f'<body name="{model.body(index).name}" {place}>')
-        if model.body_mass[index] > 0:
-            place = pose(index, model.body_ipos[index], model.body_iquat[index])
-            moments = numbers(model.body_inertia[index])
-            mass = repr(float(model.body_mass[index]))
-            lines.append(f'<inertial {place} mass="{mass}" diaginertia="{moments}"/>')
-        for joint in range(model.njnt):
-            if model.jnt_bodyid[joint] != index:
-                continue
-            dof, name = model.jnt_dofadr[joint], model.joint(joint).name
-            if model.jnt_type[joint] == free:
-                lines.append(f'<freejoint name="{name}"/>' if name else "<freejoint/>")
-                continue
-            slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE.value
-            limits = ""
-            if model.jnt_limited[joint]:
-                limits = f'range="{numbers(model.jnt_range[joint])}"'
-            lines.append(
-                f'<joint name="{name}" type="{"slide" if slides else "hinge"}" '
-                f'pos="{numbers(inverse.apply(model.jnt_pos[joint]))}" '
-                f'axis="{numbers(inverse.apply(model.jnt_axis[joint]))}" {limits} '
-                f'damping="{float(model.dof_damping[dof])!r}" '
-                f'armature="{float(model.dof_armature[dof])!r}" '
-                f'frictionloss="{float(model.dof_frictionloss[dof])!r}"/>'
-            )
-        for site in range(model.nsite):
-            if model.site_bodyid[site] == index:
-                place = pose(index, model.site_pos[site], model.site_quat[site])
-                lines.append(f'<site name="{model.site(site).name}" {place}/>')
-        for geom in range(model.ngeom):
-            if model.geom_bodyid[geom] == index:
-                place = pose(index, model.geom_pos[geom], model.geom_quat[geom])
-                lines.append(f'<geom type="box" size="0.01 0.02 0.03" mass="0" {place}/>')
-        for child in range(1, model.nbody):
-            if model.body_parentid[child] == index:
-                body(child)
-        lines.append("</body>")
-
-    for child in range(1, model.nbody):
-        if model.body_parentid[child] == 0:
-            body(child)
-    lines += ["</worldbody>", "<actuator>"]
-    for actuator in range(model.nu):
-        joint = model.joint(int(model.actuator_trnid[actuator, 0])).name
-        limits = []
-        for word, limited, values in (
-            ("ctrlrange", model.actuator_ctrllimited, model.actuator_ctrlrange),
-            ("forcerange", model.actuator_forcelimited, model.actuator_forcerange),
-        ):
-            if limited[actuator]:
-                limits.append(f'{word}="{numbers(values[actuator])}"')
-        lines.append(f'<motor joint="{joint}" {" ".join(limits)}/>')
-    return "\n".join([*lines, "</actuator>", "</mujoco>"]) + "\n"
+    frames = [
+        frame._replace(position=turns[frame.link].inv().apply(frame.position))
+        for frame in FEET if frame.link in parts
+    ]  # fmt: skip
+    return mjcf_text({name: turned(part) for name, part in parts.items()}, frames)
 
 
 def write(folder: Path, urdf: str, mjcf: str, stem: str = "robot") -> Files:

@@ -88,8 +88,7 @@ def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
 
 
 def test_frames_that_are_turned_do_not_hide_a_link(folder: Path) -> None:
-    model = mujoco.MjModel.from_xml_string(mjcf_text(without(geared(), "_rotor")))
-    files = write(folder, urdf_text(geared()), turned_frames(model, seed=3))
+    files = write(folder, urdf_text(geared()), turned_frames(without(geared(), "_rotor"), seed=3))
     assert "8 *_rotor of 0.089 kg each" in the_cause(compared(files), "links")
 
 

@@ -7,17 +7,17 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.pupper.variants import model_folder
-from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.held import HeldPage, HeldSession
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.state import load_source
-from tests.tools.live.test_session import PATIENCE, Browser, wait_for
+from tests.tools.live.test_session import Browser, end, server, wait_for  # noqa: F401
 
 pytest.importorskip("viser", reason="viser is not installed")
 
@@ -42,16 +42,10 @@ def source(tmp_path: Path) -> FileSource:
 
 
 @pytest.fixture
-def session(source: FileSource) -> Iterator[HeldSession]:
-    host = "127.0.0.1"
-    server = render.start_server(host, render.free_port(host, None), "test")
+def session(source: FileSource, server: Any) -> Iterator[HeldSession]:  # noqa: F811
     one = HeldSession(Browser(server), source, Language("en"))
     yield one
-    one.close()
-    [thread] = one.threads
-    thread.join(PATIENCE)
-    assert not thread.is_alive()
-    render.stop_server(server)
+    end(one)
 
 
 def torque_of(session: HeldSession, joint: str) -> float:

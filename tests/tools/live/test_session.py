@@ -88,6 +88,14 @@ class Open:
         return answer is not None and answer.state == self.controls.state and sag is not None
 
 
+def end(session: Any) -> None:
+    """Closes a session; its threads have to end."""
+    session.close()
+    for thread in session.threads:
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
+
+
 @pytest.fixture
 def server() -> Iterator[Any]:
     host = "127.0.0.1"
@@ -101,10 +109,7 @@ def page(server: Any, request: pytest.FixtureRequest) -> Iterator[Open]:
     one = Open(server, getattr(request, "param", "en"))
     wait_for(one.settled, "nothing is solved")
     yield one
-    one.session.close()
-    for thread in one.session.threads:
-        thread.join(PATIENCE)
-        assert not thread.is_alive()
+    end(one.session)
 
 
 def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
@@ -322,10 +327,7 @@ def test_a_page_that_is_closed_in_a_simulation_ends(server: Any) -> None:
     one = Open(server)
     wait_for(one.settled, "nothing is solved")
     one.session.simulate()
-    one.session.close()
-    for thread in one.session.threads:
-        thread.join(PATIENCE)
-        assert not thread.is_alive()
+    end(one.session)
 
 
 def test_a_motion_is_played_between_its_samples() -> None:

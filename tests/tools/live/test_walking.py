@@ -5,35 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.walking import WalkSession
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Lockstep, push_forces, simulate_cases, stage_of
 from tests.support.variants import load
-from tests.tools.live.test_session import PATIENCE, Browser, wait_for
+from tests.tools.live.test_session import Browser, end, server, wait_for  # noqa: F401
 from tests.tools.walk import made
 
 pytest.importorskip("viser", reason="viser is not installed")
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Iterator[WalkSession]:
+def session(tmp_path: Path, server: Any) -> Iterator[WalkSession]:  # noqa: F811
     stage = stage_of(load("v3"), Policy.load(made.still(tmp_path / "still.json")))
-    host = "127.0.0.1"
-    server = render.start_server(host, render.free_port(host, None), "test")
     one = WalkSession(Browser(server), stage, np.zeros(3), Language("en"))
     yield one
-    one.close()
-    [thread] = one.threads
-    thread.join(PATIENCE)
-    assert not thread.is_alive()
-    render.stop_server(server)
+    end(one)
 
 
 def test_it_stands_until_it_is_pushed_over_and_begins_again(session: WalkSession) -> None:

@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import pytest
 
 import pupper_analysis as pa
@@ -54,8 +53,7 @@ def test_link_frames_that_are_turned(
     tmp_path: Path, link: str, values: dict[str, object], side: str
 ) -> None:
     """Every body of the MJCF has another frame, and keeps it."""
-    model = mujoco.MjModel.from_xml_string(mjcf_text(ROBOT))
-    files = write(tmp_path, urdf_text(changed(ROBOT, link, **values)), turned_frames(model, 3))
+    files = write(tmp_path, urdf_text(changed(ROBOT, link, **values)), turned_frames(ROBOT, 3))
     before = [file.read_text() for file in files]
     result = pa.sync_models(*files, take=side)
     assert result.agree

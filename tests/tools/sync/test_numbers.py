@@ -65,8 +65,7 @@ def other_lines(one: Path, two: Path) -> int:
 @pytest.fixture
 def turned(tmp_path: Path) -> Files:
     """A pair whose MJCF has other frames than the URDF, and geared servos."""
-    model = mujoco.MjModel.from_xml_string(mjcf_text(quadruped()))
-    text = turned_frames(model, 4).replace("<motor", SERVO)
+    text = turned_frames(quadruped(), 4).replace("<motor", SERVO)
     return write(tmp_path, urdf_text(quadruped()), text)
 
 
