@@ -211,10 +211,11 @@ figure_option = output_option(
 format_option = click.option(
     "--format",
     "style",
-    type=click.Choice(["text", "markdown", "github", "sarif"]),
+    type=click.Choice(["text", "markdown", "github", "junit", "sarif"]),
     default="text",
     show_default=True,
-    help="Output format: text, Markdown, GitHub annotations, or SARIF for code scanning.",
+    help="Output format: text, Markdown, GitHub annotations, JUnit XML, or SARIF for code "
+    "scanning.",
 )
 look_option = click.option(
     "--format",

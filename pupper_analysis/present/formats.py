@@ -1,4 +1,4 @@
-"""Findings for machines: GitHub's annotations, and SARIF, which code scanning reads.
+"""Findings for machines: GitHub's annotations, JUnit's XML, and SARIF, which code scanning reads.
 
 Sources: OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0"; what GitHub asks
 for beyond it: GitHub documentation, "SARIF support for code scanning".
@@ -18,6 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
+from xml.etree import ElementTree
 
 from pupper_analysis.base.diagnostics import Diagnostic, fill_template, phrase
 from pupper_analysis.base.results import to_json
@@ -234,7 +235,32 @@ def _property(text: str) -> str:
     return _data(text).replace(":", "%3A").replace(",", "%2C")
 
 
-WRITERS = {"github": write_github, "sarif": write_sarif}
+def write_junit(annotations: Iterable[Annotation]) -> str:
+    """Returns the XML of test reports: a case per annotation, or one that passes if there is none.
+
+    Notices pass, and what a baseline has.
+    """
+    listed = list(annotations) or [Annotation("notice", "nothing found", "")]
+    failing = [one.level != "notice" and not one.known for one in listed]
+    counts = {"tests": str(len(listed)), "failures": str(sum(failing)), "errors": "0"}
+    root = ElementTree.Element("testsuites", counts)
+    suite = ElementTree.SubElement(root, "testsuite", {"name": "pupper-analysis"} | counts)
+    for one, fails in zip(listed, failing, strict=True):
+        file, line = one.file_and_line
+        names = {"name": escape_control(one.title), "classname": escape_control(one.kind)}
+        names |= {"file": escape_control(from_root(file))} if file else {}
+        names |= {"line": str(line)} if line is not None else {}
+        case = ElementTree.SubElement(suite, "testcase", names)
+        if fails:
+            code = one.kind if one.diagnostic is None else one.diagnostic.code
+            said = escape_control(one.message)
+            failure = ElementTree.SubElement(case, "failure", message=said, type=code)
+            failure.text = f"{one.place or ''}: {said}"
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+
+
+WRITERS = {"github": write_github, "sarif": write_sarif, "junit": write_junit}
 """{format: what writes annotations in it}."""
 
 

@@ -1,10 +1,11 @@
-"""GitHub's workflow commands, as its runner takes them apart."""
+"""GitHub's workflow commands and JUnit's XML, as their readers take them apart."""
 
 from __future__ import annotations
 
 import io
 import re
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given
@@ -25,6 +26,7 @@ from pupper_analysis.present.formats import (
     Annotation,
     escape_control,
     write_github,
+    write_junit,
 )
 from pupper_analysis.present.terminal import SafeConsole, print_document
 from tests.support.stubs import problem
@@ -64,6 +66,39 @@ def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
         assert properties["title"] == shown(title)
     if "%0" not in message:
         assert read == shown(message)
+
+
+def test_junit_fails_what_is_new_and_no_notice() -> None:
+    found = [
+        Annotation("error", "mass", "5 % < 4 & more", "go1.urdf:7", rule="mass"),
+        Annotation("error", "limit", "0.9 rad\nand 1.1 rad", known=True),
+        Annotation("notice", "name", "other"),
+    ]
+    root = ElementTree.fromstring(write_junit(found).encode())
+    (suite,) = root
+    assert [(one.get("tests"), one.get("failures")) for one in (root, suite)] == [("3", "1")] * 2
+    assert [(case.get("name"), len(case)) for case in suite] == [
+        ("mass", 1),
+        ("limit", 0),
+        ("name", 0),
+    ]
+    assert (suite[0].get("file"), suite[0].get("line")) == ("go1.urdf", "7")
+    assert suite[0][0].get("message") == "5 % < 4 & more"
+    assert ElementTree.fromstring(write_junit([]).encode()).get("tests") == "1"
+
+
+PRINTABLE = st.text(
+    st.characters(
+        codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff"
+    ),
+    max_size=30,
+)
+
+
+@given(title=PRINTABLE, message=PRINTABLE)
+def test_junit_is_xml_whatever_is_said(title: str, message: str) -> None:
+    root = ElementTree.fromstring(write_junit([Annotation("error", title, message)]).encode())
+    assert [one.get("name") for one in root.iter("testcase")] == [escape_control(title)]
 
 
 HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] :smile:"
