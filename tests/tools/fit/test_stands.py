@@ -37,6 +37,7 @@ from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNois
 from pupper_analysis.tools.fit.stands.fit import (
     Logarithms,
     StandFit,
+    _Problem,
     fit_stands,
     parameters_of,
     suspect_scale,
@@ -261,9 +262,12 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
     fit = fit_stands(robot, stands, priors=["kp=0"])
     assert fit.explained
     assert abs(fit.joint_residuals[0].deviations) < 3.5  # of 120
-    # Nothing rubs here, and v3's file states a quarter of a per cent of weight times height.
-    rubs = fit.noise["friction"] * robot.joint_friction.mean()
-    assert rubs == pytest.approx(2.5e-3 * robot.weight * robot.stand_height)
+    # Nothing rubs here: half of what v3's file states is left. A tenth, as in Spot's, would not be
+    # believed.
+    assert fit.noise["friction"] == pytest.approx(0.5, rel=0.05)
+    own = _Problem.of(robot, stands, [], None, None, None)
+    assert replace(own, friction=own.friction / 10).rubs == pytest.approx(20.0, rel=0.05)
+    assert own.rubs == 1
     assert abs(fit.total_mass.mean - planted.total_mass) < 0.05
     assert fit.total_mass.low < planted.total_mass < fit.total_mass.high
     found = {one.name: one for one in fit.estimates}
