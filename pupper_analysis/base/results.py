@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -94,15 +93,6 @@ class Result:
 
     def __repr__(self) -> str:
         return _call(type(self).__name__, self._shown())
-
-    def _repr_html_(self) -> str:
-        """Returns it as a table of fields and values, as notebooks show it."""
-        rows = "".join(
-            f"<tr><th style='text-align:left'>{html.escape(name)}</th>"
-            f"<td style='text-align:left'>{html.escape(text)}</td></tr>"
-            for name, text in self._shown()
-        )
-        return f"<b>{type(self).__name__}</b><table>{rows}</table>"
 
     def _shown(self) -> list[tuple[str, str]]:
         return [(f.name, shorten(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]

@@ -59,7 +59,7 @@ class MujocoTree:
         """Compiles the model, and gives it the numbers."""
         self.model = _compiled(parameters)
         self._structure = _structure(parameters)
-        self._base = int(self.model.body(parameters.base).id)
+        self._base = 1
         self._joints = {name: self.model.joint(name).id for name in parameters.joints}
         self._bodies = {name: int(self.model.jnt_bodyid[j]) for name, j in self._joints.items()}
         self._bodies[parameters.base] = self._base
@@ -103,7 +103,9 @@ def _structure(parameters: MultibodyTree) -> tuple[object, ...]:
 def _compiled(parameters: MultibodyTree) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    bodies = {parameters.base: spec.worldbody.add_body(name=parameters.base)}
+    # MuJoCo's world is called so, and so may the base of a robot that is fixed in it.
+    name = parameters.base if parameters.base != spec.worldbody.name else None
+    bodies = {parameters.base: spec.worldbody.add_body(name=name)}
     if parameters.floating:
         bodies[parameters.base].add_freejoint(name=_FREE)
     kinds = {True: JointKind.SLIDE, False: JointKind.HINGE}

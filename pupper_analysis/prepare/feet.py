@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.base.arrays import across
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.additions import Addition, Ball, Untouching
@@ -337,8 +338,6 @@ def _in_urdf(
     if joint is None:
         return world
     apart = still.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
-    axis = still.joint_axis(joint)
-    aside = apart - (apart @ axis) * axis
     model = robot.pin_model
     own = [
         still.frame_position(frame.name)
@@ -348,7 +347,7 @@ def _in_urdf(
     for place in (world, world + apart):
         if any(np.linalg.norm(place - there) < _SAME_PLACE for there in own):
             return place
-    return np.asarray(world + aside)
+    return world + across(apart, still.joint_axis(joint))
 
 
 def apart_at(robot: Robot, foot: Foot) -> float:
@@ -359,8 +358,7 @@ def apart_at(robot: Robot, foot: Foot) -> float:
     data = robot.placed(robot.posed(np.zeros(robot.nu)))
     still = Configuration(robot, robot.neutral())
     apart = still.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
-    axis = still.joint_axis(joint)
-    return float(np.linalg.norm(apart - (apart @ axis) * axis))
+    return float(np.linalg.norm(across(apart, still.joint_axis(joint))))
 
 
 def _name_geoms(spec: mujoco.MjSpec) -> None:

@@ -8,12 +8,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from lxml import etree
 
 import pupper_analysis as pa
-from pupper_analysis.models.urdf_file import urdf_from
-from pupper_analysis.models.xml import parse_text
-from pupper_analysis.prepare.convert import meshes
 from pupper_analysis.pupper.variants import model_folder
 from tests.support.legged import quadruped
 
@@ -154,30 +150,6 @@ def test_a_ball_joint_is_fixed_as_beside_a_urdf_that_has_none(tmp_path: Path) ->
     lever = 1.5 * 0.3 * np.sin(0.3) - 0.5 * 0.1 * np.cos(0.3)
     assert abs(config.gravity()[6]) == pytest.approx(9.81 * lever, rel=1e-9)
     assert pa.cross_check(robot).passed
-
-
-def test_a_mesh_that_is_seen_and_touches_is_compiled_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """MuJoCo keeps the first it meets: without its hull that would be made anew at each compile."""
-    file = tmp_path / "tetrahedron.obj"
-    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
-    hulls: list[tuple[str, bool]] = []
-    compiled = meshes._compile
-
-    def seen(content: object, path: Path, scale: str, *, touches: bool, shell: bool) -> None:
-        hulls.append((path.name, touches))
-        compiled(content, path, scale, touches=touches, shell=shell)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(meshes, "_compile", seen)
-    root = parse_text(
-        f"<robot name='r'><link name='a'><collision><geometry><mesh filename='{file}'/></geometry>"
-        "</collision></link></robot>"
-    )
-    made = meshes.Meshes(urdf_from(file, "", root, None), file)
-    mesh = etree.fromstring(f"<mesh filename='{file}'/>")
-    assert made.name(mesh, touches=False) == made.name(mesh, touches=True)
-    assert hulls == [(file.name, True)]
 
 
 GRIPPER = """<mujoco><worldbody><body name="base"><geom size="0.05"/>

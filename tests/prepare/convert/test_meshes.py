@@ -14,6 +14,7 @@ import trimesh
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert import meshes
 from pupper_analysis.prepare.convert.meshes import UnreadableError, obj_of
+from pupper_analysis.tools.convert import Conversion
 from tests.support.conversions import compiled, shape_of
 from tests.support.robots import arm, urdf_text
 
@@ -41,15 +42,20 @@ def hostile(folder: Path) -> dict[str, str]:
     }
 
 
+def with_shapes(folder: Path, shapes: str) -> Conversion:
+    """Converts an arm whose base has some shapes."""
+    path = folder / "arm.urdf"
+    path.write_text(urdf_text(arm(), ()).replace("</link>", f"{shapes}</link>", 1))
+    return pa.convert_model(path, folder / "arm.xml", force=True)
+
+
 def test_archives_and_what_is_too_large_are_left_out(tmp_path: Path) -> None:
     """A zip of 780 kB was unpacked to 11.5 GB: any suffix was given to a reader of all formats."""
     expected = hostile(tmp_path)
     shapes = "".join(
         shape_of("visual", f'<mesh filename="{name}"/>', "0 0 0") for name in (*expected, "box.obj")
     )
-    text = urdf_text(arm(), ()).replace("</link>", shapes + "</link>", 1)
-    (tmp_path / "arm.urdf").write_text(text)
-    found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
+    found = with_shapes(tmp_path, shapes)
     for name, why in expected.items():
         (said,) = [text for text in map(str, found.not_converted) if name in text]
         assert why in said
@@ -83,10 +89,7 @@ def test_what_takes_minutes_to_compile_is_left(
     kinds = {"visual": "box.obj", "collision": "box.obj"}
     shapes = [shape_of(kind, f'<mesh filename="{name}"/>', "0 0 0") for kind, name in kinds.items()]
     shapes.append(shape_of("visual", '<mesh filename="fan.obj"/>', "0 0 0"))
-    (tmp_path / "arm.urdf").write_text(
-        urdf_text(arm(), ()).replace("</link>", "".join(shapes) + "</link>", 1)
-    )
-    found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
+    found = with_shapes(tmp_path, "".join(shapes))
     reasons = {
         (file, message.values["why"].code)
         for message in found.not_converted
@@ -110,10 +113,7 @@ def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
         file = f"{claimed}.stl"  # MuJoCo keeps what it has read of a name in this second
         (tmp_path / file).write_bytes(content)
         shape = shape_of("collision", f'<mesh filename="{file}"/>', "0 0 0")
-        (tmp_path / "arm.urdf").write_text(
-            urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1)
-        )
-        found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml", force=True)
+        found = with_shapes(tmp_path, shape)
         assert found.agree
         assert found.passed == passes
         assert [message.code for message in found.failures] == ["collision-meshes-lost"] * (
@@ -127,9 +127,7 @@ def test_a_flat_mesh_to_look_at_is_a_shell(tmp_path: Path) -> None:
     )
     plate.export(tmp_path / "plate.stl")
     shape = shape_of("visual", '<mesh filename="plate.stl"/>', "0 0 0")
-    text = urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1)
-    (tmp_path / "arm.urdf").write_text(text)
-    found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
+    found = with_shapes(tmp_path, shape)
     assert found.passed
     assert not [text for text in map(str, found.not_converted) if "mesh" in text]
     assert compiled(tmp_path / "arm.xml").nmesh == 1
