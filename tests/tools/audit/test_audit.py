@@ -19,12 +19,14 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Source
+from pupper_analysis.base.tools import formats
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.tools.audit.audit import (
     RULES,
     Audit,
     Finding,
+    Rule,
     Severity,
     audit_model,
 )
@@ -445,6 +447,34 @@ def test_contacts_faster_than_two_steps_are_not_what_is_stated(
     )
     findings = found(audit_model(path), "contact-out-of-range")
     assert [finding.severity for finding in findings] == ([severity] if severity else [])
+
+
+def test_every_rule_of_the_catalogue_has_its_function() -> None:
+    theirs = {name for name, rule in RULES.items() if set(rule.formats) <= formats().keys()}
+    assert set(CHECKS) == set(RULES) - theirs
+
+
+@pytest.mark.parametrize("rule", RULES.values(), ids=lambda rule: rule.id)
+def test_rules_are_argued_in_chinese(rule: Rule) -> None:
+    assert rule.chinese.keys() == {"title", "why", "todo"}
+    assert all(re.search("[\u4e00-\u9fff]", words) for words in rule.chinese.values())
+
+
+def test_findings_are_sorted_and_become_json(tmp_path: Path) -> None:
+    edits = (
+        Edit(FL_HAA, '"1 0 0"', '"2 0 0"'),
+        Edit(FR_CALF, 'value="0.05"', 'value="-0.05"'),
+        Edit(FR_HFE, 'effort="18"', 'effort="0"'),
+    )
+    result = audit_model(written(tmp_path, "urdf", edits))
+    keys = [(finding.severity.rank, finding.line) for finding in result.findings]
+    assert keys == sorted(keys)
+    assert result.format == "urdf"
+    assert not result.passed
+    assert result.to_dict()["counts"] == {
+        str(severity): sum(f.severity == severity for f in result.findings) for severity in Severity
+    }
+    assert str(result.findings[0]).startswith("error pupper_skeleton.urdf:")
 
 
 def test_every_rule_has_a_test() -> None:

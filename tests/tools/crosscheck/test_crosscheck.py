@@ -113,6 +113,13 @@ def test_an_inertia_is_judged_on_its_own_scale() -> None:
     assert found.relative > 0.3e-6 / scale
 
 
+def test_is_deterministic_and_depends_on_the_seed() -> None:
+    robot = pa.load_variant("v3")
+    one, same, other = (cross_check(robot, seed=seed, configurations=3) for seed in (1, 1, 2))
+    assert one.to_json() == same.to_json()
+    assert one.to_json() != other.to_json()
+
+
 @pytest.mark.parametrize("options", [{"configurations": 0}, {"tolerance": 0.0}, {"tolerance": -1}])
 def test_cross_check_refuses_bad_arguments(options: dict[str, float]) -> None:
     with pytest.raises(pa.ConfigurationError, match=next(iter(options))):

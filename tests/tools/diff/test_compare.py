@@ -22,6 +22,7 @@ from pupper_analysis.models.multibody import (
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.tools.diff.compare import Trial, with_fixed
 from tests.support.commands import Answer, answer
+from tests.support.repository import ROOT
 from tests.support.robots import (
     FEET,
     Parts,
@@ -183,6 +184,18 @@ def test_motors_of_other_kinds(tmp_path: Path) -> None:
         "motor winch: gear (2) in the old file, gear (2.5) in the new file",
         "motor thruster: at site foot2 in the old file, at site foot3 in the new file",
     ]
+
+
+def test_a_base_that_is_fixed_now(tmp_path: Path) -> None:
+    text = mjcf_text(ROBOT)
+    diff = pa.diff_models(*written(tmp_path, text, mjcf_text(ROBOT, free=False), "xml"))
+    assert kinds(diff) == [("type", "base")]
+    assert diff.changes[0].message == "base base: free in the old file, fixed in the new file"
+
+
+def test_two_robots_that_have_nothing_in_common() -> None:
+    with pytest.raises(pa.ModelError, match="no joint of it is one of"):
+        pa.diff_models(ROOT / "urdf/pupper_v3.urdf", ROOT / "urdf/pupper_skeleton.urdf")
 
 
 def test_a_mimic_joint(tmp_path: Path) -> None:

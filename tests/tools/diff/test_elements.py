@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import mujoco
@@ -76,6 +77,26 @@ def test_what_no_change_explains_is_no_same_model(
     assert not diff.changes
     assert not diff.same
     assert [message.code for message in diff.combined] == ["simulation-changes"]
+
+
+def test_shapes_of_a_urdf_that_touch_are_compared(tmp_path: Path) -> None:
+    text = (ROOT / "urdf/pupper_v3.urdf").read_text()
+    folder = tmp_path / "urdf"
+    shutil.copytree(ROOT / "urdf", folder)
+    shutil.copytree(ROOT / "mjcf/meshes", tmp_path / "mjcf/meshes")
+    assert 'radius="0.01995"' in text
+    (folder / "pupper_v3.urdf").write_text(text.replace('radius="0.01995"', 'radius="0.09"'))
+    diff = pa.diff_models(ROOT / "urdf/pupper_v3.urdf", folder / "pupper_v3.urdf")
+    feet = [
+        name
+        for change in diff.changes
+        for name in (change.element, *change.diagnostic.values["others"])
+    ]
+    assert len(feet) == 4
+    moved = [message for change in diff.changes for message in change.consequences]
+    assert all(
+        message.values["distance"].value == pytest.approx(0.09 - 0.01995) for message in moved
+    )
 
 
 FLOOR = (

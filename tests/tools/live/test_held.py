@@ -68,6 +68,11 @@ def test_a_slider_moves_a_joint_and_its_torque_is_that_of_the_weight(session: He
     assert float(words[-1].rpartition("=")[2]) == pytest.approx(math.radians(-45), abs=1e-5)
 
 
+def test_a_slide_is_told_in_millimetres(session: HeldSession) -> None:
+    session.joints.sliders["grip"].value = 30.0
+    assert session.joints.changed() == {"grip": pytest.approx(0.03)}
+
+
 def test_what_is_simulated_is_what_the_sliders_say(session: HeldSession) -> None:
     session.joints.sliders["shoulder"].value = 60.0
     session.simulate()

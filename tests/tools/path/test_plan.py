@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pinocchio as pin
@@ -212,6 +213,25 @@ def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
     np.testing.assert_allclose(last["FL"][:2] - first["FL"][:2], (0.01, 0), atol=1e-8)
     tracking = track_path(robot, path)
     assert tracking.passed, tracking.failures
+
+
+def test_npz_is_written_by_every_numpy_that_is_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """NumPy 2.0 and 2.1 know no allow_pickle, and would store it as one more array."""
+
+    def savez_of_numpy_2_0(file: IO[bytes], *args: object, **kwds: object) -> None:
+        given.update(kwds)
+        savez(file, *args, **kwds)
+
+    given: dict[str, object] = {}
+    savez = np.savez_compressed
+    monkeypatch.setattr(np, "savez_compressed", savez_of_numpy_2_0)
+    path_of("v3", "lift").to_npz(tmp_path / "path.npz")
+    assert given
+    assert all(isinstance(value, np.ndarray) for value in given.values())
+    with np.load(tmp_path / "path.npz", allow_pickle=False) as arrays:
+        assert set(arrays) == set(given)
 
 
 def test_files_hold_the_path(tmp_path: Path) -> None:

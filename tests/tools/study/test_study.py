@@ -196,6 +196,23 @@ def test_a_dry_run_runs_no_code_beside_the_file(tmp_path: Path) -> None:
     assert "its code is executed" in " ".join(answer("study", "--help").stdout.split())
 
 
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("sed = 5\n", "a study has robot, vary"),
+        ("stand = { hight = 0.12 }\n", "a stance has height, roll"),
+        ("robot = ", "not a TOML file"),
+    ],
+)
+def test_files_that_are_no_study_are_refused(more: str, message: str, tmp_path: Path) -> None:
+    text = 'robot = "v3"\nmeasure = ["servo_sag"]\nvary = { kp = [5, 10] }\n'
+    (tmp_path / "study.toml").write_text(text)
+    assert len(pa.Study.read(tmp_path / "study.toml").variables) == 1
+    (tmp_path / "study.toml").write_text(text + more)
+    with pytest.raises(pa.ConfigurationError, match=message):
+        pa.Study.read(tmp_path / "study.toml")
+
+
 # ----------------------------------------------------------------------------- numbers of models
 
 
