@@ -53,13 +53,15 @@ class MujocoTree:
 
     Attributes:
         model: The model.
+        base: The name of its base: the parameters', unless that is ``world``, which MuJoCo has.
     """
 
     def __init__(self, parameters: MultibodyTree) -> None:
         """Compiles the model, and gives it the numbers."""
-        self.model = _compiled(parameters)
+        self.base = "__world__" if parameters.base == "world" else parameters.base
+        self.model = _compiled(parameters, self.base)
         self._structure = _structure(parameters)
-        self._base = 1
+        self._base = int(self.model.body(self.base).id)
         self._joints = {name: self.model.joint(name).id for name in parameters.joints}
         self._bodies = {name: int(self.model.jnt_bodyid[j]) for name, j in self._joints.items()}
         self._bodies[parameters.base] = self._base
@@ -100,12 +102,10 @@ def _structure(parameters: MultibodyTree) -> tuple[object, ...]:
     return parameters.base, parameters.floating, joints, tuple(parameters.bodies), frames
 
 
-def _compiled(parameters: MultibodyTree) -> mujoco.MjModel:
+def _compiled(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    # MuJoCo's world is called so, and so may the base of a robot that is fixed in it.
-    name = parameters.base if parameters.base != spec.worldbody.name else None
-    bodies = {parameters.base: spec.worldbody.add_body(name=name)}
+    bodies = {parameters.base: spec.worldbody.add_body(name=base)}
     if parameters.floating:
         bodies[parameters.base].add_freejoint(name=_FREE)
     kinds = {True: JointKind.SLIDE, False: JointKind.HINGE}

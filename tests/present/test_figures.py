@@ -184,6 +184,3 @@ def test_gain_figure_marks_what_fell_and_what_is_not_stable(
     assert texts == ["1.500", "fell", "2.000", "0.250", "3.000", "fell"]
     marked = [patch.get_xy() for patch in axes.patches if not patch.get_fill()]  # type: ignore[attr-defined]
     np.testing.assert_allclose(marked, [(-0.46, 0.54)])
-
-
-# ------------------------------------------------------------------------------------- files

@@ -193,9 +193,3 @@ def test_meshes_are_in_the_same_place_in_both_files(name: str, tmp_path: Path) -
             world = config.frame_position(body) + points @ config.frame_rotation(body).T
             extent = np.array([world.min(axis=0), world.max(axis=0)])
             np.testing.assert_allclose(theirs[body], extent, atol=2e-6, err_msg=body)
-
-
-# ------------------------------------------------------------------------------------- keyframes
-
-
-# ------------------------------------------------------------------------------------- writing

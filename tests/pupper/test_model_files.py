@@ -67,12 +67,6 @@ def test_actuators_are_in_the_tutorials_order() -> None:
         assert load(base).joint_names == tuple(expected)
 
 
-# ------------------------------------------------------------------------------------- symmetry
-
-
-# ------------------------------------------------------------------------------------- two files
-
-
 # ------------------------------------------------------------------------------------- sensors
 
 
@@ -126,9 +120,6 @@ def test_feet_are_spheres_of_the_robots_radius(
         np.testing.assert_allclose(model.geom_friction[geom], friction)
         if solimp:
             np.testing.assert_allclose(model.geom_solimp[geom, :3], solimp)
-
-
-# ------------------------------------------------------------------------------------- shapes
 
 
 # ------------------------------------------------------------------------------------- fixed base

@@ -175,7 +175,7 @@ class Behaviour:
             frames = {name: (name, name) for name in values.frames}
             description = replace(self._robot.description, contact_points={}, frames=frames)
             robot = replace(self._robot, description=description, mj_model=model)
-            reference = Reference(model, model, robot.joint_names, values.base)
+            reference = Reference(model, model, robot.joint_names, self._tree.base)
             self._in_tree = MujocoBehaviour(robot, reference, self.states, {})
         else:
             self._tree.take(values)

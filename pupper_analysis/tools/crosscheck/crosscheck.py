@@ -841,9 +841,8 @@ def mujoco_from_urdf(
 def _rebuilt_evaluation(robot: Robot, states: States) -> Evaluation:
     """Evaluates the URDF as Pinocchio reads it, in a MuJoCo model made of its numbers."""
     values = from_pinocchio(robot.pin_model, robot.base, robot.joint_names, robot.contact_frames)
-    model = MujocoTree(values).model
-    frames = {name: name for name in values.frames}
-    return mujoco_evaluation(robot, model, values.base, frames, states, {})
+    tree, frames = MujocoTree(values), {name: name for name in values.frames}
+    return mujoco_evaluation(robot, tree.model, tree.base, frames, states, {})
 
 
 def _compare(

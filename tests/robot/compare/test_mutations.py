@@ -104,11 +104,6 @@ def body(files: Files) -> tuple[Element, str]:
     return found, found.find("joint").get("name")
 
 
-def base(files: Files) -> tuple[Element, str]:
-    body = next(body for body in files.mjcf.iter("body") if body.get("name") == "base_link")
-    return body.find("joint"), "base_link"
-
-
 def option(files: Files) -> tuple[Element, str]:
     found = files.mjcf.find("option")
     return ElementTree.SubElement(files.mjcf, "option") if found is None else found, "option"
@@ -212,7 +207,6 @@ MUTATIONS: dict[str, Mutation] = {
     "mjcf_damping": stated(hinge, "damping", damping="0.3"),
     "mjcf_friction_loss": stated(hinge, "friction", frictionloss="0.3"),
     "mjcf_armature": stated(hinge, "armature", armature="0.02"),
-    "mjcf_free_joint_with_damping": stated(base, "damping", damping="0.5"),
     "gravity_of_the_moon": stated(option, "gravity", gravity="0 0 -1.62"),
 }
 

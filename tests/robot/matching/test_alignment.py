@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.robot.matching.alignment import with_base
 
 
@@ -33,14 +33,3 @@ def test_a_base_seen_from_another_frame_is_the_same_matter() -> None:
     np.testing.assert_allclose(found.com, masses @ moved / masses.sum(), atol=1e-12)
     np.testing.assert_allclose(found.inertia, inertia_of(moved, masses), atol=1e-12)
     assert found.mass == body.mass
-
-
-def leg(frame: tuple[float, float, float]) -> MultibodyTree:
-    joint = TreeJoint(
-        "trunk", np.array([0.1, 0.2, 0.3]), np.eye(3), np.array([0.0, 1.0, 0.0]), False,
-        -1.0, 1.0, 5.0, 10.0, 0.01, 0.1, 0.2,
-    )  # fmt: skip
-    body = TreeBody(1.0, np.array([0.0, 0.0, -0.1]), 0.01 * np.eye(3))
-    frames = {"foot": ("knee", np.array(frame))}
-    bodies = {"trunk": body, "knee": body}
-    return MultibodyTree("trunk", True, bodies, {"knee": joint}, frames, np.array([0, 0, -9.81]))

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError, UnknownNameError
@@ -17,7 +16,6 @@ from tests.support.robots import (
     Part,
     Parts,
     arm,
-    changed,
     compared,
     found,
     mjcf_text,
@@ -46,9 +44,6 @@ def with_root(kind: str, origin: str = "", urdf: str = URDF) -> str:
     return urdf.replace('<robot name="machine">', f'<robot name="machine">\n{head}')
 
 
-# ------------------------------------------------------------------------------------- by name
-
-
 # ------------------------------------------------------------------------------------- the root
 
 
@@ -72,19 +67,6 @@ def test_a_root_link_with_mass_is_part_of_the_robot(tmp_path: Path) -> None:
     comparison = compare_texts(tmp_path, text, MJCF)
     assert found(comparison)[0] == ("mass", "world")
     assert comparison.differences[0].urdf == pytest.approx(6.5)
-
-
-# ------------------------------------------------------------------------------------- welds
-
-
-def split(parts: Parts) -> Parts:
-    """The shank of leg 0 as two bodies on a fixed joint, with the same mass in all."""
-    whole = parts["shank0"]
-    com, half = np.array(whole.com), 0.5 * np.array(whole.inertia)
-    shared = {"mass": whole.mass / 2, "inertia": tuple(half)}
-    below = Part("toe0", "shank0", "toe", "fixed", position=(0.0, 0.0, -0.2), **shared)
-    below = replace(below, com=tuple(com - (0.0, 0.0, -0.2)))
-    return {**changed(parts, "shank0", **shared), "toe0": below}
 
 
 # ------------------------------------------------------------------------------------- refused
@@ -130,9 +112,6 @@ def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> N
     assert "robot.xml: body 'door' is not part of the robot and was left out" in map(
         str, comparison.notes
     )
-
-
-# ------------------------------------------------------------------------------------- couplings
 
 
 # ------------------------------------------------------------------------------------- left over
@@ -359,9 +338,6 @@ def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> N
     assert not comparison.agree
 
 
-# ------------------------------------------------------------------------------------- no names
-
-
 # ------------------------------------------------------------------------------------- mappings
 
 
@@ -404,12 +380,6 @@ def test_a_bad_mapping_file(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ModelError, match=message) as error:
         read_mapping(path)
     assert str(error.value).startswith(str(path))
-
-
-# ------------------------------------------------------------------------------------- frames
-
-
-# ------------------------------------------------------------------------------------- continuous
 
 
 # ------------------------------------------------------------------------------------- fused
