@@ -302,7 +302,9 @@ class RelativeError:
         least = 1e-300
         if name in ("gravity", "bias forces"):
             least = 1e-3 * EARTH * self.scale("mass matrix")
-        return max(float(np.abs(self.one[name]).max()), least)
+        # With a negative mass MuJoCo has no numbers of the first.
+        told = self.one[name] if np.isfinite(self.one[name]).all() else self.two[name]
+        return max(float(np.abs(told).max()), least)
 
     def relative(self, name: str, one: Array, two: Array) -> float:
         """Returns the worst deviation, relative to the scale; infinite if it is no number."""

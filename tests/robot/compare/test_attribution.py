@@ -188,6 +188,13 @@ def test_all_differences_taken_away_nothing_is_left(
     assert max(explanation.deviations.values()) > 1e-9  # there was something to explain
 
 
+def test_a_mass_that_no_body_has_is_named_and_explained(tmp_path: Path) -> None:
+    """MuJoCo has no numbers of such a robot; the other file's are what is left to weigh by."""
+    explanation = explained(tmp_path, changed(quadruped(), "shank0", mass=-1.0), quadruped())
+    assert ("mass", "knee0") in found(explanation)
+    assert explanation.complete
+
+
 def test_what_is_overlooked_is_not_explained(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
