@@ -308,7 +308,8 @@ class RelativeError:
 
     def relative(self, name: str, one: Array, two: Array) -> float:
         """Returns the worst deviation, relative to the scale; infinite if it is no number."""
-        deviation = float(np.abs(one - two).max())
+        with np.errstate(all="ignore"):
+            deviation = float(np.abs(one - two).max())
         # What is no number differs from everything.
         return deviation / self.scale(name) if math.isfinite(deviation) else math.inf
 
