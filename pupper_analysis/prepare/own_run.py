@@ -167,23 +167,25 @@ def _from_keyframe(bare: Bare, robot: Robot, key: int) -> OwnRun:
     """Simulates a file from a keyframe as a reset leaves it, and held at its angles."""
     model, data = bare.model, mujoco.MjData(bare.model)
     mujoco.mj_resetDataKeyframe(model, data, key)
-    name = _name_of(model, key)
-    assert robot.published is not None
     stated = bool(model.key_ctrl[key].any()) or states_ctrl(robot, key)
     limp = is_limp(bare)
     run = run_alone(bare, robot, data, Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {}))
     run = replace(
         run,
-        keyframe=name,
+        keyframe=_name_of(model, key),
         commands=OwnCommands.STATED if stated else OwnCommands.ABSENT,
         limp=limp and not _commands_angles(model, key),
     )
     if stated or limp or self_controlled(bare, robot):
         return run
+    return replace(run, held=replace(_at_angles(bare, robot, data), keyframe=run.keyframe))
+
+
+def _at_angles(bare: Bare, robot: Robot, data: mujoco.MjData) -> OwnRun:
+    """Simulates a file from some data on, its servos told their angles."""
     pose = data.qpos[joint_places(bare, robot)].copy()
-    held = run_alone(bare, robot, data, hold_of_angles(bare, robot, data, pose))
-    held = replace(held, keyframe=name, commands=OwnCommands.ANGLES)
-    return replace(run, held=held)
+    run = run_alone(bare, robot, data, hold_of_angles(bare, robot, data, pose))
+    return replace(run, commands=OwnCommands.ANGLES)
 
 
 def states_ctrl(robot: Robot, key: int) -> bool:
@@ -200,9 +202,7 @@ def _from_stand(bare: Bare, robot: Robot) -> OwnRun | None:
     data = place_published(bare, robot, robot.home)
     if data is None or bare.ground is None or self_controlled(bare, robot):
         return None
-    pose = data.qpos[joint_places(bare, robot)].copy()
-    run = run_alone(bare, robot, data, hold_of_angles(bare, robot, data, pose))
-    return replace(run, commands=OwnCommands.ANGLES)
+    return _at_angles(bare, robot, data)
 
 
 def is_limp(bare: Bare) -> bool:
@@ -245,26 +245,21 @@ def own_run_held(robot: Robot, joints: Array) -> OwnRun | None:
     bare = Bare.of(model, robot)
     if bare.floating or self_controlled(bare, robot):
         return None
-    data, places = place_held(bare, robot, joints), joint_places(bare, robot)
-    hold = hold_of_angles(bare, robot, data, joints)
-    name, commands = "", OwnCommands.ANGLES
     for key, qpos in enumerate(model.key_qpos):
-        if np.abs(qpos[places] - joints).max(initial=0.0) < _THERE and states_ctrl(robot, key):
-            mujoco.mj_resetDataKeyframe(model, data, key)
-            hold = Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {})
-            name, commands = _name_of(model, key), OwnCommands.STATED
+        off = np.abs(qpos[joint_places(bare, robot)] - joints)
+        if off.max(initial=0.0) < _THERE and states_ctrl(robot, key):
+            run = _from_keyframe(bare, robot, key)
             break
-    run = run_alone(bare, robot, data, hold, standing=False)
-    return replace(run, keyframe=name, commands=commands, limp=is_limp(bare))
+    else:
+        run = _at_angles(bare, robot, place_held(bare, robot, joints))
+    return replace(run, limp=is_limp(bare))
 
 
 def _name_of(model: mujoco.MjModel, key: int) -> str:
     return model.key(key).name or f"keyframe {key + 1}"
 
 
-def run_alone(
-    bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold, *, standing: bool = True
-) -> OwnRun:
+def run_alone(bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold) -> OwnRun:
     """Simulates a file from some data on, told something; neither knows of a keyframe."""
     start = copy.copy(data)
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
@@ -273,7 +268,7 @@ def run_alone(
     def advance(run: mujoco.MjData, time: float) -> None:
         simulate_published(bare, run, hold, time)
 
-    if standing:
+    if robot.floating:
         motion, end = own_motion(bare.model, start, bare.base, bare.ground or 0.0, advance)
     else:
         motion, end = held_motion(bare.model, start, advance)
@@ -308,7 +303,7 @@ def run_alone(
         timestep=step if imported and step < robot.mj_model.opt.timestep else None,
         worst=max(joints, key=_far, default=None) if whole else None,
         unheld=max(loose, key=_far, default=None) if whole and most else None,
-        standing=standing,
+        standing=robot.floating,
     )
 
 

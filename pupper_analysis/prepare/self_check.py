@@ -56,7 +56,7 @@ from pupper_analysis.robot.contact import foot_geoms, ground_contacts
 from pupper_analysis.robot.fall import body_moved, nudge_velocity
 from pupper_analysis.robot.robot import Robot, with_friction
 from pupper_analysis.robot.servos import own_servos, servo_gains
-from pupper_analysis.simulation.verify import JOINT_TOLERANCE, torque_scale
+from pupper_analysis.simulation.verify import JOINT_TOLERANCE, dry_friction, torque_scale
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -262,23 +262,21 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
     driven = robot.mj_convention.actuator_index >= 0
     off = np.maximum(high[dofs] - wanted.torques, wanted.torques - low[dofs])[driven]
-    moved = data.qpos[places] - qpos[robot.nq - robot.nu :]
-    largest = float(np.abs(wanted.torques).max())
-    error, collapses, alike = None, False, True
+    moved, sticks = np.abs(data.qpos[places] - qpos[-robot.nu :]), np.zeros(robot.nu)
+    error, collapses, alike = None, not float(moved.max()) <= LEFT, True
     if robot.floating:
         kept = float(start.subtree_com[bare.base][2]), bare.ground or 0.0
         motion = body_moved(model, start, data, bare.base, SETTLING + NUDGED, kept)
         error, collapses = motion.end_height - motion.height, motion.collapses
         alike = abs(error) <= SAME_HEIGHT * motion.height
-    else:
-        largest = torque_scale(robot, wanted.torques)
-        collapses = not float(np.abs(moved).max()) <= LEFT
-        rubbing = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index]
-        off = np.maximum(off - rubbing[driven], 0.0)  # where it sticks after a nudge
-    torque = float(off.max(initial=0.0)) / largest if largest else 0.0
-    joint = float(np.abs(moved).max())
-    sticks = _sticking(robot) if not robot.floating else 0.0
-    alike = alike and (not wanted.feedforward or joint <= JOINT_TOLERANCE + sticks)
+    else:  # where it may stick after a nudge
+        with contextlib.suppress(ModelError):
+            sticks = servo_gains(robot).kp
+        rubbing, sticks = dry_friction(robot, sticks)
+        off = np.maximum(off - rubbing[driven], 0.0)
+    torque = float(off.max(initial=0.0)) / torque_scale(robot, wanted.torques)
+    joint = float(moved.max())
+    alike = alike and (not wanted.feedforward or joint <= JOINT_TOLERANCE + float(sticks.max()))
     return PublishedRun(
         feedforward=wanted.feedforward,
         duration=SETTLING + NUDGED,
@@ -289,18 +287,6 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
         differs=collapses or not (alike and torque <= SAME),
         imported=robot.published is not None and robot.published.imported is not None,
     )
-
-
-def _sticking(robot: Robot) -> float:
-    """Returns how far from its command a joint may stick by dry friction (rad, m)."""
-    rubbing = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index]
-    if not rubbing.any():
-        return 0.0
-    try:
-        kp = servo_gains(robot).kp
-    except ModelError:
-        return 0.0
-    return float(np.divide(rubbing, kp, out=np.zeros(robot.nu), where=kp > 0).max())
 
 
 def own_run_explained(robot: Robot) -> OwnRun | None:

@@ -120,8 +120,7 @@ class Sight:
 
     def idle(self, feet: Iterable[str]) -> list[str]:
         """Returns those of the feet that carry nothing."""
-        forces = self.forces
-        return [foot for foot in feet if foot not in forces or forces[foot][2] <= 0]
+        return [foot for foot in feet if foot not in self.forces or self.forces[foot][2] <= 0]
 
 
 class Watcher:
@@ -153,10 +152,6 @@ class Watcher:
         mujoco.mj_kinematics(self._model, self.data)
         mujoco.mj_collision(self._model, self.data)
         return contact.bodies_on_ground(self._model, self.data, self._robot.foot_geoms)
-
-    def foot_centres(self) -> dict[str, Array]:
-        """Returns {foot: (3,)} where the feet's centres are at the state last looked at (m)."""
-        return foot_centres(self._robot, self.data)
 
 
 def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
@@ -210,13 +205,6 @@ def tell_fall(leaning: float, height: float) -> Diagnostic:
     return diagnose("fell-over", tilt=tilt, height=left, time=None)
 
 
-def base_speed(robot: Robot, model: mujoco.MjModel, states: Array, lever: float) -> float:
-    """Returns the greatest speed of the base in some states: linear, plus angular x lever (m/s)."""
-    rates = states[:, 1 + model.nq :][:, robot.mj_convention.qvel_index[:6]]
-    linear, angular = (np.linalg.norm(part, axis=1) for part in (rates[:, :3], rates[:, 3:]))
-    return float((linear + lever * angular).max())
-
-
 @dataclass(frozen=True, eq=False)
 class SimulationSettings(Result):
     """What a stand was simulated with.
@@ -242,8 +230,6 @@ _SAMPLE_TIME = 0.02  # s between the states that are looked at
 
 TOUCH = 1e-3
 """Parts that push on each other by less of the weight only just touch."""
-
-_WORLD = "world"  # MuJoCo's name of body 0, the ground's
 
 LAST = 1.0
 """Time in which what a stand settles at is measured (s)."""
@@ -312,11 +298,11 @@ def watch_contacts(
         if index in last_second:
             count += 1
             pushing = pushing_bodies(model, watcher.data, least)
-            touching |= {pair for pair in pushing if _WORLD not in pair}
+            touching |= {pair for pair in pushing if "world" not in pair}
             torques += watcher.data.qfrc_actuator[robot.mj_convention.qvel_index[-robot.nu :]]
             for foot in total:
                 total[foot] += seen.forces.get(foot, np.zeros(3))
-            for foot, centre in watcher.foot_centres().items():
+            for foot, centre in foot_centres(robot, watcher.data).items():
                 feet[foot] += centre
     failures = [
         diagnose("body-touches-ground", subject=("body", body), time=Quantity(moment, "s"))

@@ -5,16 +5,15 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.stability import LASTING, Stability
+from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.monitor import LAST
@@ -61,41 +60,6 @@ does so within a second."""
 _SAMPLE_TIME = 0.02  # s between the states at whose feet is looked
 
 
-@dataclass(frozen=True, eq=False)
-class _Span:
-    """A part of a simulation.
-
-    Attributes:
-        states: (n, size) after each step.
-        slips: (feet, 3) the way of each foot from its target, on average (m).
-    """
-
-    states: Array
-    slips: Array
-
-    @property
-    def slip(self) -> float:
-        """The greatest way of a foot over the ground (m)."""
-        return float(np.linalg.norm(self.slips[:, :2], axis=1).max())
-
-    @staticmethod
-    def of(spans: Sequence[_Span]) -> _Span:
-        """Returns spans of the same length as one."""
-        states = np.concatenate([span.states for span in spans])
-        return _Span(states, np.mean([span.slips for span in spans], axis=0))
-
-    def rests(self, held: Standing, share: float = 1.0) -> bool:
-        """Tells whether the base's height and all feet stay, within a share of each bound."""
-        heights = monitor.base_heights(held.robot, self.states)
-        duration = float(held.drive.model.opt.timestep) * (len(self.states) - 1)
-        drift = float(heights[-1] - heights[0]) / duration
-        return (
-            float(heights.std()) < share * STILL
-            and abs(drift) <= share * SETTLED_DRIFT
-            and self.slip <= share * STAYED
-        )
-
-
 def comes_to_rest(
     robot: Robot,
     stand: Stand,
@@ -126,55 +90,68 @@ def comes_to_rest(
     last = _settled(held, upright)
     if last is None:
         return False
-    model, state = held.drive.model, last.states[-1]
+    model, state = held.drive.model, last[-1]
     judged = stability_after(held.drive, held.start, state, held.ctrl)
     if not judged.lasts():
         return False
-    later = simulate_nudge(model, state, held.ctrl, _time_to_forget(judged))
+    slowest = judged.least_damped
+    forgotten = _FORGOTTEN * (0.0 if slowest is None else slowest.time_constant)
+    after = min(max(forgotten, _BRIEF), NUDGED * LASTING)
+    later = simulate_nudge(model, state, held.ctrl, after)
     if monitor.has_diverged(later, float(model.opt.timestep)):
         return False
-    nudge = measure_response(model, state, later, last.states)
+    nudge = measure_response(model, state, later, last)
     return not find_instability(judged, nudge) and not _falls(upright, later[-1])
 
 
-def _time_to_forget(stability: Stability) -> float:
-    """Returns for how long a nudge is looked at (s)."""
-    slowest = stability.least_damped
-    constant = 0.0 if slowest is None else slowest.time_constant
-    return min(max(_FORGOTTEN * constant, _BRIEF), NUDGED * LASTING)
-
-
-def _settled(held: Standing, upright: monitor.Upright) -> _Span | None:
+def _settled(held: Standing, upright: monitor.Upright) -> Array | None:
     """Simulates a stand until it is at rest; returns its last second, None if it comes to none."""
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
     ctrl = np.tile(held.ctrl, (max(2, round(_LOOK / timestep)), 1))
-    data, spans, second = mujoco.MjData(model), deque[_Span](maxlen=round(LAST / _LOOK)), None
+    data, spans = mujoco.MjData(model), deque[tuple[Array, Array]](maxlen=round(LAST / _LOOK))
+    second, last = None, math.inf
     for _ in range(round((1 - NUDGED) * LASTING / _LOOK)):
         states = simulate(model, state, ctrl)
         state = states[-1]
         if monitor.has_diverged(states, timestep):
             return None
-        spans.append(_looked_at(held, data, states))
-        if spans[-1].slip > _LOST * STAYED or _falls(upright, state, _LOST * UPRIGHT):
+        spans.append((states, _ways(held, data, states)))
+        lost = _farthest(spans[-1][1]) > _LOST * STAYED
+        if lost or _falls(upright, state, _LOST * UPRIGHT):
             return None
         if len(spans) == spans.maxlen:
-            second = _Span.of(spans)
-            if second.rests(held, _SURE):
+            second = np.concatenate([one for one, _ in spans])
+            last = _unrest(held, second, np.mean([ways for _, ways in spans], axis=0))
+            if last <= _SURE:
                 return second
-    return second if second is not None and second.rests(held) else None
+    return second if last <= 1.0 else None
 
 
-def _looked_at(held: Standing, data: mujoco.MjData, states: Array) -> _Span:
-    robot, stand, model = held.robot, held.stand, held.drive.model
-    evaluations, seen = states[:: -max(1, round(_SAMPLE_TIME / model.opt.timestep))], []
-    for state in evaluations:
-        mujoco.mj_setState(model, data, state, STATE)
-        mujoco.mj_kinematics(model, data)
-        centres = monitor.foot_centres(robot, data)
+def _unrest(held: Standing, states: Array, ways: Array) -> float:
+    """Returns how far from rest a second is, in parts of the bounds; feet went ways (feet, 3)."""
+    heights = monitor.base_heights(held.robot, states)
+    duration = float(held.drive.model.opt.timestep) * (len(states) - 1)
+    drift = abs(float(heights[-1] - heights[0])) / duration
+    return max(float(heights.std()) / STILL, drift / SETTLED_DRIFT, _farthest(ways) / STAYED)
+
+
+def _farthest(ways: Array) -> float:
+    """Returns the greatest way of a foot over the ground (m)."""
+    return float(np.linalg.norm(ways[:, :2], axis=1).max())
+
+
+def _ways(held: Standing, data: mujoco.MjData, states: Array) -> Array:
+    """Returns the way (feet, 3) of each foot from its target, on average (m)."""
+    seen, stand = [], held.stand
+    for state in states[:: -max(1, round(_SAMPLE_TIME / held.drive.model.opt.timestep))]:
+        mujoco.mj_setState(held.drive.model, data, state, STATE)
+        mujoco.mj_kinematics(held.drive.model, data)
+        centres = monitor.foot_centres(held.robot, data)
         seen.append([centres[foot] for foot in stand.stance_feet])
     targets = np.array([stand.foot_targets[foot] for foot in stand.stance_feet])
-    return _Span(states, targets - np.mean(seen, axis=0))
+    ways: Array = targets - np.mean(seen, axis=0)
+    return ways
 
 
 def _falls(upright: monitor.Upright, state: Array, most: float = UPRIGHT) -> bool:

@@ -13,9 +13,8 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf import scalar_joints
 from pupper_analysis.robot.fall import NUDGE, nudge_velocity
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, model_with_servos
+from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import SETTLE, Stability, step_stability
-from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
     STATE,
@@ -97,10 +96,9 @@ def rest_stability(
     Returns:
         The modes that grow there, and the margin.
     """
-    robot = on_ground(robot, stand.task.ground, stand.rigid_targets)
-    drive = model_with_servos(robot, kp, kd, integrator)
-    ctrl = drive.command(robot, stand.joint_positions(robot))
-    return evaluate_stability(drive, rest_state(robot, drive, pose.qpos, ctrl), ctrl, MEETING)
+    held = begin_stand(robot, stand, feedforward=False, kp=kp, kd=kd, integrator=integrator)
+    start = rest_state(held.robot, held.drive, pose.qpos, held.ctrl)
+    return evaluate_stability(held.drive, start, held.ctrl, MEETING)
 
 
 RESTING = 5e-3

@@ -97,7 +97,6 @@ class NudgeTrial(Result):
         nudges: How many there were.
         joint_error: The largest distance of a joint from the stand at the end (rad).
         duration: s.
-        dry_friction: Whether joints and rolling feet had the dry friction of the model.
     """
 
     turn: float
@@ -109,7 +108,6 @@ class NudgeTrial(Result):
     nudges: int
     joint_error: float
     duration: float
-    dry_friction: bool
 
 
 def simulate_nudges(
@@ -119,7 +117,6 @@ def simulate_nudges(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     duration: float = LASTING,
-    dry_friction: bool = False,
 ) -> NudgeTrial:
     """Simulates a stand that begins with its base moving, in each of twelve directions.
 
@@ -128,7 +125,7 @@ def simulate_nudges(
     points to the nearest edge of the support polygon: where a nudge upsets a robot, it is the
     middle of the directions that do.
 
-    By default the joints have no friction loss, and the feet no torsional and rolling friction:
+    The joints have no friction loss, and the feet no torsional and rolling friction:
     dry friction holds up what is not stable, for as long as nothing moves it, and so proves
     nothing. v3 stays up with 15 kg so, and falls at the first touch.
 
@@ -138,7 +135,6 @@ def simulate_nudges(
         kp: Servo stiffness (N m/rad); the model's own by default.
         kd: Servo damping (N m s/rad); the model's own by default.
         duration: Simulated time (s), at least 2.
-        dry_friction: Keep the model's dry friction.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the robot cannot stand.
@@ -148,8 +144,7 @@ def simulate_nudges(
     robot = check_stand(robot, stand, duration)
     held = begin_stand(robot, stand, kp=kp, kd=kd)
     robot, model, ctrl = held.robot, held.drive.model, held.ctrl
-    if not dry_friction:
-        free_of_friction(model)
+    free_of_friction(model)
     turn = _nearest_edge(robot, stand)
     starts = np.tile(held.start, (_AROUND + 4, 1))
     columns = 1 + model.nq + robot.mj_convention.qvel_index
@@ -172,7 +167,6 @@ def simulate_nudges(
         nudges=len(states),
         joint_error=float(np.abs(joints - stand.qpos[7:]).max()),
         duration=duration,
-        dry_friction=dry_friction,
     )
 
 
@@ -282,7 +276,7 @@ def _first_event(
         recovered = not weak
         if weak and saturated is None:
             saturated = seen.time, Failure.MOTOR, tuple(weak)
-        feet = watcher.foot_centres()
+        feet = monitor.foot_centres(robot, watcher.data)
         places = places or feet
         moved = {
             foot: np.linalg.norm(across(feet[foot] - places[foot], out[foot]))

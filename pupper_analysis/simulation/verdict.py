@@ -88,7 +88,7 @@ class Outcome:
     stability: Stability | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Verdict(Result):
     """Whether a stance holds, or does what is asked of it, and what that rests on.
 
@@ -121,15 +121,15 @@ class Verdict(Result):
     passed: bool
     seconds: float
     with_feedforward: Ending
-    commands_alone: Ending | None
-    torque_error: float
-    force_error: float | None
-    failures: tuple[Diagnostic, ...]
-    failures_alone: tuple[Diagnostic, ...]
+    commands_alone: Ending | None = None
+    torque_error: float = math.nan
+    force_error: float | None = math.nan
+    failures: tuple[Diagnostic, ...] = ()
+    failures_alone: tuple[Diagnostic, ...] = ()
     overloaded: tuple[str, ...]
     servos: ServosUsed
-    own: OwnRun | None
-    published: Published | None
+    own: OwnRun | None = None
+    published: Published | None = None
     doubling_time: float
     converted: str = ""
     remarks: tuple[Diagnostic, ...] = ()
@@ -203,15 +203,8 @@ def predict_verdict(
         passed=False,
         seconds=0.0,
         with_feedforward=Ending.UNTRIED,
-        commands_alone=None,
-        torque_error=math.nan,
-        force_error=math.nan,
-        failures=(),
-        failures_alone=(),
         overloaded=overloaded,
         servos=servos,
-        own=None,
-        published=None,
         doubling_time=doubling,
     )
 

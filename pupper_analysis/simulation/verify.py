@@ -516,16 +516,20 @@ def torque_scale(robot: Robot, torques: Array) -> float:
     return max(float(np.abs(torques).max()), LEVER * robot.usual_weight)
 
 
+def dry_friction(robot: Robot, kp: Array) -> tuple[Array, Array]:
+    """Returns what joints (nu,) rub with (N m, N), and how far servos let them stick (rad, m)."""
+    rubbing = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index[-robot.nu :]]
+    return rubbing, np.divide(rubbing, kp, out=np.zeros(robot.nu), where=kp > 0)
+
+
 def _off_rest(robot: Robot, found: StandVerification, settled: SteadyState) -> list[Diagnostic]:
     """Says so if it rests elsewhere than predicted, by more than dry friction may hold it."""
-    rubbing = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index[-robot.nu :]]
-    way = np.divide(rubbing, found.kp, out=np.zeros(robot.nu), where=found.kp > 0).max()
+    rubbing, way = dry_friction(robot, found.kp)
     scale, joints = torque_scale(robot, settled.joint_torques), settled.qpos[-robot.nu :]
     torques = float(np.abs(found.joint_torques - settled.joint_torques).max()) / scale
     moved = float(np.abs(found.joint_positions - joints).max())
-    off = deviations(moved, torques, way, rubbing.max() / scale)
-    limits = drive_limits(robot, found, found.joint_torques, settled.joint_torques, joints)
-    return [*off, *limits] if off else []
+    off = deviations(moved, torques, float(way.max()), rubbing.max() / scale)
+    return [*off, *drive_limits(robot, found, settled.joint_torques, joints)] if off else []
 
 
 def deviations(
@@ -548,19 +552,18 @@ _SATURATED = 1e-6
 
 
 def drive_limits(
-    robot: Robot, run: SimulationSettings, given: Array, predicted: Array, positions: Array
+    robot: Robot, run: StandVerification, predicted: Array, positions: Array
 ) -> list[Diagnostic]:
     """Says which motors give all they can, and which servos cannot be commanded so far.
 
     Args:
         robot: The robot.
         run: A simulation that is not as predicted.
-        given: (nu,) torques in it (N m).
         predicted: (nu,) as predicted (N m).
         positions: (nu,) where its joints were predicted to be (rad).
     """
     weakest, strongest = robot.effort_ranges.T * (1 - _SATURATED)
-    full = (given <= weakest) | (given >= strongest)
+    full = (run.joint_torques <= weakest) | (run.joint_torques >= strongest)
     low, high = command_ranges(robot).T
     command = positions + command_lead(predicted, run.kp)
     cut = ((command < low) | (command > high)) & run.feedforward
@@ -597,8 +600,7 @@ def _deviations(
         off.append(diagnose("foot-force-off", error=found.force_error))
     weight = robot.usual_weight
     if off:
-        torques = found.joint_torques, found.predicted_torques
-        off += drive_limits(robot, found, *torques, stand.joint_positions(robot))
+        off += drive_limits(robot, found, found.predicted_torques, stand.joint_positions(robot))
     if off and (two := two_robots(robot, found.mujoco_residual, weight)):
         return [*off, *two]
     if off and watch.touching:

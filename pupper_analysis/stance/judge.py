@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 from weakref import ref
@@ -38,9 +38,11 @@ _ERRORS = {
 """{constraint: the error of a stand by which it is missed}; by all others it is ``foot_error``."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Stand(Tabular):
     """A solved stand. Its errors are Pinocchio's, computed anew from ``qpos``.
+
+    On no feet it is a posture of a robot whose base is fixed (``held_stand``).
 
     Attributes:
         task: The task, with its height and com filled in.
@@ -69,19 +71,19 @@ class Stand(Tabular):
 
     task: StandTask
     qpos: Array
-    foot_targets: dict[str, Array]
-    depths: dict[str, float]
-    stance_feet: tuple[str, ...]
-    normals: dict[str, Array]
-    contact_points: dict[str, Array]
-    foot_error: float
-    orientation_error: float
-    height_error: float
-    com_error: float
-    com_margin: float
-    ground_clearance: Clearance | None
-    self_clearance: Clearance | None
-    iterations: int
+    foot_targets: dict[str, Array] = field(default_factory=dict)
+    depths: dict[str, float] = field(default_factory=dict)
+    stance_feet: tuple[str, ...] = ()
+    normals: dict[str, Array] = field(default_factory=dict)
+    contact_points: dict[str, Array] = field(default_factory=dict)
+    foot_error: float = 0.0
+    orientation_error: float = 0.0
+    height_error: float = 0.0
+    com_error: float = 0.0
+    com_margin: float = math.inf
+    ground_clearance: Clearance | None = None
+    self_clearance: Clearance | None = None
+    iterations: int = 0
     robot: str
 
     def __getstate__(self) -> dict[str, Any]:

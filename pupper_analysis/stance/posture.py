@@ -192,25 +192,7 @@ def held_stand(robot: Robot, posture: Posture) -> Stand:
         ConfigurationError: If the base is free.
     """
     check_held(robot)
-    nothing: dict[str, Array] = {}
-    return Stand(
-        task=StandTask(),
-        qpos=posture.qpos,
-        foot_targets=nothing,
-        depths={},
-        stance_feet=(),
-        normals=nothing,
-        contact_points=nothing,
-        foot_error=0.0,
-        orientation_error=0.0,
-        height_error=0.0,
-        com_error=0.0,
-        com_margin=np.inf,
-        ground_clearance=None,
-        self_clearance=None,
-        iterations=0,
-        robot=robot.fingerprint,
-    )
+    return Stand(task=StandTask(), qpos=posture.qpos, robot=robot.fingerprint)
 
 
 def _others(robot: Robot, ranges: Array, keyframe: str | None) -> tuple[Array, PostureSource, str]:

@@ -41,7 +41,7 @@ def test_feet_in_the_air_on_the_ground_and_in_it() -> None:
     assert seen.forces == {}
     assert seen.bodies == set()
     assert seen.idle(robot.contact_points) == list(robot.contact_points)
-    for foot, centre in watcher.foot_centres().items():
+    for foot, centre in monitor.foot_centres(robot, watcher.data).items():
         expected = stand.foot_targets[foot] + [0, 0, 0.01]
         np.testing.assert_allclose(centre, expected, atol=1e-9)
     seen = watcher.look(state_at(robot, drive.model, in_ground), ctrl)
@@ -95,17 +95,6 @@ def test_yaw_is_no_lean_and_a_turn_is() -> None:
         assert monitor.base_lean(robot, np.eye(3), state) == pytest.approx(lean, abs=1e-7)
         turn = float(np.linalg.norm(vector))
         assert monitor.turned_by(robot, np.eye(3), state) == pytest.approx(turn, abs=1e-9)
-
-
-def test_the_speed_of_a_base_is_that_of_its_com_and_its_turn() -> None:
-    robot = load(NAME)
-    qvel = np.zeros(robot.nv)
-    qvel[:6] = 0.3, 0.0, -0.4, 0.0, 2.0, 0.0
-    states = [
-        state_at(robot, robot.mj_model, robot.neutral(), share * qvel) for share in (0.1, 1.0, 0.5)
-    ]
-    speed = monitor.base_speed(robot, robot.mj_model, np.array(states), 0.1)
-    assert speed == pytest.approx(0.5 + 0.1 * 2.0)
 
 
 def test_a_rollout_that_breaks_down_is_known() -> None:

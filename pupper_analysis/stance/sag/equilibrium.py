@@ -43,12 +43,12 @@ class Solution:
     Attributes:
         qpos: (nq,).
         forces: {foot that touches: (3,)} in the ground's frame there, whose z is its normal (N).
-        residuals: The largest element left after each Newton step (N, N m, m).
+        residual: The largest element left of them (N, N m, m).
     """
 
     qpos: Array
     forces: dict[str, Array]
-    residuals: tuple[float, ...] = ()
+    residual: float = math.inf
 
     def force(self, foot: str) -> Array:
         """Returns the force (3,) on a foot, zero if it does not touch (N)."""
@@ -399,14 +399,14 @@ class SagEquilibrium:
         for row, mu, tried in slipping:
             along = tried / np.linalg.norm(tried)
             places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
-        sole, depths = self._in_sole(), places[:, 2].copy()
+        sole, depths = self.in_sole(), places[:, 2].copy()
         places[:, 2] -= self.sunk(forces)
         if sole.any():
             away = self._pressed(depths)[:, 0] - forces[:, 2]
             places[sole, 2] = (away / self._scales())[sole]
         return np.concatenate([balance, places.ravel()])
 
-    def _in_sole(self) -> NDArray[np.bool_]:
+    def in_sole(self) -> NDArray[np.bool_]:
         """Tells which of the points that touch (n,) belong to a flat foot."""
         return np.array([self._pliancy[point] > 0 for point in self.anchors], dtype=bool)
 
@@ -452,7 +452,7 @@ class SagEquilibrium:
             -1 / self.laws[foot].rate(depth)
             for foot, depth in zip(self.anchors, self.sunk(forces).tolist(), strict=True)
         ]
-        if (sole := self._in_sole()).any():
+        if (sole := self.in_sole()).any():
             harder, scales = self._pressed(touch.places[:, 2])[:, 1], self._scales()
             rates[sole, 2] *= (harder / scales)[sole, None]
             diagonal[sole, 2] = -1 / scales[sole]
@@ -503,7 +503,7 @@ class SagEquilibrium:
             exact: To rounding, where that takes one step more; else to ``RESIDUAL_TOLERANCE``.
         """
         found = self._newton(guess, _ROUNDING if exact else RESIDUAL_TOLERANCE / 4)
-        if found is None and self._in_sole().any() and self.feet == "pinned":
+        if found is None and self.in_sole().any() and self.feet == "pinned":
             found = self._by_softer_soles(guess)
         return found
 
@@ -531,15 +531,13 @@ class SagEquilibrium:
         """Returns where Newton's iteration ends; ``left`` is what a kept derivative may leave."""
         qpos, n = guess.qpos, self.robot.nv
         forces, derivative = self.stacked(guess), None
-        residuals: list[float] = []
         left_over: list[float] = []  # the same in the robot's units
         for _ in range(_MAX_ITERATIONS):
             residual = self.held(qpos, self.residual(qpos, forces))
-            residuals.append(float(np.abs(residual).max()))
             left_over.append(self.units.left(residual, n, self._in_newtons))
             if left_over[-1] < RESIDUAL_TOLERANCE:
                 named = dict(zip(self.anchors, forces, strict=True))
-                return Solution(qpos, named, tuple(residuals))
+                return Solution(qpos, named, float(np.abs(residual).max()))
             if derivative is None or left_over[-1] ** 2 > left * left_over[-2]:
                 derivative = self.held(qpos, self.derivative(qpos, forces))
             # Otherwise the last one leaves no more: it errs by twice the share that its step left.
@@ -600,7 +598,7 @@ class SagEquilibrium:
             forces[foot] = np.array([0.0, 0.0, pressed])
         for kept in (self.crept, self.yielding):
             kept.pop(foot, None)
-        return Solution(solution.qpos, forces, solution.residuals)
+        return Solution(solution.qpos, forces, solution.residual)
 
     def begin_creep(self, solution: Solution, seconds: float) -> None:
         """Begins a step of creep, with the viscosities of where it begins."""
@@ -610,10 +608,6 @@ class SagEquilibrium:
             foot: seconds / self.viscosity(foot, depth)
             for foot, depth in zip(self.anchors, places[:, 2], strict=True)
         }
-
-    def creeping(self) -> tuple[dict[str, Array], dict[str, float]]:
-        """Returns where creep has taken the feet, and what they give by it in this step."""
-        return dict(self.crept), dict(self.yielding)
 
     def viscosity(self, foot: str, depth: float) -> float:
         """Returns tangential force per velocity (N s/m); infinite where a foot pulls or stays."""

@@ -67,27 +67,6 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
     return tuple(found)
 
 
-def turning_stiffness(system: SagEquilibrium, solution: Solution) -> list[tuple[int, Array]]:
-    """Returns number and stiffness (2, 2) of feet that slip against a slip to the side (N/m).
-
-    Friction is against the slip s: f_t = -mu f_n s / |s|. Moved across, s turns, and with it
-    the force, by mu f_n / |s| to the side; along s nothing holds it.
-    """
-    slips: Array = measure_slips(system, solution)
-    found = []
-    forces, loose = system.stacked(solution), set(find_slipping_feet(system, solution))
-    for row, point in enumerate(system.anchors):
-        if point not in loose:
-            continue
-        mu, slip = system.sliding_friction[point], slips[row]
-        way = float(np.linalg.norm(slip))
-        if way > 0 and forces[row, 2] > 0:
-            along = slip / way
-            stiff = mu * forces[row, 2] / way * (np.eye(2) - np.outer(along, along))
-            found.append((row, stiff))
-    return found
-
-
 def find_slipping_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
     """Returns the pinned feet that slip."""
     forces, names = system.stacked(solution), tuple(system.anchors)
@@ -102,16 +81,6 @@ def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
     return system.as_one(places - begun.reshape(-1, 2))
 
 
-def find_idle_points(system: SagEquilibrium, depths: Array) -> set[str]:
-    """Returns the points of soles that touch, but are not pressed at depths (n,) (m)."""
-    soles = {point for points in system.robot.feet.values() if len(points) > 1 for point in points}
-    return {
-        foot
-        for foot, depth in zip(system.anchors, depths, strict=True)
-        if foot in soles and depth <= -system.laws[foot].margin
-    }
-
-
 def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) -> float:
     """Returns the least eigenvalue of the energy's Hessian, relative to the mass matrix (1/s^2).
 
@@ -122,27 +91,33 @@ def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) 
         solution: The solution.
         derivative: Of the equations there; see ``Equilibrium.derivative``.
     """
-    n = system.robot.nv
+    n, feet, forces = system.robot.nv, tuple(system.anchors), system.stacked(solution)
     touch = system.touch(solution.qpos)
-    config, places, jacobian = touch.config, touch.places, touch.jacobians.reshape(-1, n)
-    normal = jacobian[2::3]
-    rates = np.array(
-        [system.laws[f].rate(d) for f, d in zip(system.anchors, places[:, 2], strict=True)]
+    config, depths, jacobian = touch.config, touch.places[:, 2], touch.jacobians
+    laws, normal = [system.laws[foot] for foot in feet], jacobian[:, 2]
+    moving, slips = find_slipping_feet(system, solution), measure_slips(system, solution)
+    # Points of soles that touch may not be pressed.
+    idle = system.in_sole() & np.array(
+        [depth <= -law.margin for law, depth in zip(laws, depths, strict=True)], dtype=bool
     )
-    unpressed = find_idle_points(system, places[:, 2])
-    rates[[row for row, foot in enumerate(system.anchors) if foot in unpressed]] = 0.0
+    rates = np.array([law.rate(depth) for law, depth in zip(laws, depths, strict=True)])
+    rates[idle] = 0.0
     pushed = normal.copy()  # where a foot's normal force acts, with the friction it brings
-    moving = find_slipping_feet(system, solution)
-    for row, foot in enumerate(system.anchors):
-        if foot in moving and foot not in unpressed:
-            force = solution.forces[foot]
-            pushed[row] += force[:2] / force[2] @ jacobian[3 * row : 3 * row + 2]
+    slipping = [row for row, foot in enumerate(feet) if foot in moving]
+    for row in slipping:
+        if not idle[row]:
+            pushed[row] += forces[row, :2] / forces[row, 2] @ jacobian[row, :2]
     hessian = derivative[:n, :n] + pushed.T @ (rates[:, None] * normal)
-    across = system.as_one(jacobian.reshape(-1, 3, n)[:, :2])
-    for row, stiff in turning_stiffness(system, solution):
-        hessian += across[row].T @ stiff @ across[row]
-    loose = {*moving, *unpressed}
-    sticks = [row for row, foot in enumerate(system.anchors) if foot not in loose]
+    across = system.as_one(jacobian[:, :2])
+    # Friction is against the slip s: f_t = -mu f_n s / |s|. Moved across, s turns, and with it the
+    # force, by mu f_n / |s| to the side; along s nothing holds it.
+    for row in slipping:
+        way, pressing = float(np.linalg.norm(slips[row])), forces[row, 2]
+        if way > 0 and pressing > 0:
+            along, mu = slips[row] / way, system.sliding_friction[feet[row]]
+            stiff = mu * pressing / way * (np.eye(2) - np.outer(along, along))
+            hessian += across[row].T @ stiff @ across[row]
+    sticks = [row for row, foot in enumerate(feet) if foot not in moving and not idle[row]]
     held = across[sticks].reshape(-1, n)
     if system.feet == "sliding":  # as a whole it may be anywhere, turned anyhow about z
         held = np.eye(3, n)
@@ -187,7 +162,6 @@ class HomotopyPath:
         balance: What holds the stand itself.
         share: Of the feed-forward, how much is taken away.
         solution: The equilibrium there.
-        iterations: Newton steps so far.
         crept: For how long feet have crept (s).
 
     Raises:
@@ -204,7 +178,7 @@ class HomotopyPath:
         self.balance: GravityCompensation = stand_statics(
             system.robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
         )
-        self.share, self.iterations, self._events, self.crept = 0.0, 0, 0, 0.0
+        self.share, self._events, self.crept = 0.0, 0, 0.0
         self._euler = math.inf
         forces = {f: system.frames[f] @ force for f, force in self.balance.contact_forces.items()}
         sunk = system.sunk(np.array(list(forces.values())).reshape(-1, 3))
@@ -241,7 +215,8 @@ class HomotopyPath:
                     diagnose(
                         "feed-forward-needed",
                         feet=Term(self.system.feet),
-                        kp=Quantity(self._softest(), "N m/rad"),
+                        # Joints that follow others have none.
+                        kp=Quantity(self.system.kp[self.system.kp > 0].min(), "N m/rad"),
                         share=self.share,
                         sliding=self._about_to_slide(),
                     ),
@@ -259,15 +234,6 @@ class HomotopyPath:
             )
         return seen[1:]
 
-    def creep(self, seconds: float) -> None:
-        """Lets pinned feet creep.
-
-        Raises:
-            NoEquilibriumError: If the equilibrium ends before.
-        """
-        for _ in range(CREEP_STEPS):
-            self.creep_step(seconds / CREEP_STEPS)
-
     def creep_step(self, seconds: float) -> None:
         """Lets pinned feet creep, by one backward Euler step, or where it must by smaller ones.
 
@@ -279,15 +245,16 @@ class HomotopyPath:
         left = seconds
         while left > 0:
             step = min(self._euler, left)
-            before = self.solution, dict(self.system.anchors), self.system.creeping()
-            self.system.begin_creep(self.solution, step)
+            system, solution = self.system, self.solution
+            before = dict(system.anchors), dict(system.crept), dict(system.yielding)
+            system.begin_creep(solution, step)
             try:
                 self.solution = self._settled(
                     self.solution, diagnose("after-creep", time=self.crept)
                 )
             except NoEquilibriumError:
-                self.solution, self.system.anchors, creeping = before
-                self.system.crept, self.system.yielding = creeping
+                self.solution = solution
+                system.anchors, system.crept, system.yielding = before
                 self._euler = step / 4
                 if self._euler < _LEAST_EULER * seconds:
                     raise
@@ -295,11 +262,6 @@ class HomotopyPath:
             self.crept += step
             left -= step
             self._euler = 2 * step
-
-    def _softest(self) -> float:
-        """Returns the least stiffness of a servo (N m/rad); joints that follow others have none."""
-        kp = self.system.kp
-        return float(kp[kp > 0].min(initial=np.inf))
 
     def _about_to_slide(self) -> list[str]:
         mu = self.system.sliding_friction
@@ -321,9 +283,7 @@ class HomotopyPath:
     def _at(self, share: float) -> Solution | None:
         """Returns the equilibrium at a share, the feet touching as they do; None if none."""
         self._command(share)
-        found = self.system.solve(self.solution)
-        self.iterations += 0 if found is None else len(found.residuals) - 1
-        return found
+        return self.system.solve(self.solution)
 
     def _event(self, feet: list[str], wanted: float, there: Solution) -> bool:
         """Goes on to where, before ``wanted``, the first of some feet touches or lets go.
@@ -386,18 +346,14 @@ class HomotopyPath:
         while True:
             found = self.system.solve(self.solution, exact=exact)
             if found is None:
-                message = diagnose("equilibrium-ends", when=when, loops=self._begun_closed())
+                closed = not any(self.system.stand.depths.values())
+                loops = self.system.robot.closure is not None and closed
+                message = diagnose("equilibrium-ends", when=when, loops=loops)
                 raise NoEquilibriumError(self.share, message)
-            self.iterations += len(found.residuals) - 1
             wrong = self.system.against(found)
             if not wrong:
                 return found
             self._switch(next(iter(wrong)), found)
-
-    def _begun_closed(self) -> bool:
-        """Tells whether loops begin closed, and far softer than they are when they have opened."""
-        stand, closure = self.system.stand, self.system.robot.closure
-        return closure is not None and not any(stand.depths.values())
 
 
 RELEASE_MARGIN = 0.06
@@ -433,9 +389,7 @@ class SteadyState(Result):
             (m/s).
         height_drift: The rate of the base's height that comes of it (m/s). A simulated height is
             the predicted one within D for about D / |height_drift| seconds.
-        iterations: Newton steps, on all of the way from the stand.
         residual: The largest element left of the equations (N, N m, m).
-        residuals: The same after each step of the last Newton iteration.
         stiffness: The least eigenvalue of the energy's Hessian on the null space of what the feet
             hold, relative to the mass matrix (rad^2/s^2): the square of the lowest natural
             frequency without damping.
@@ -446,8 +400,6 @@ class SteadyState(Result):
             ``RELEASE_MARGIN`` a foot may slip or lift in that fall, and the robot comes to rest
             elsewhere, by up to millimetres. Let down slowly they stay; but then dry friction, which
             is left out, holds the robot above the equilibrium: v3 by 1.8 mm.
-        sliding_feet: The feet that slide: of one point that slips, or soles that slip as a whole,
-            and further than they do on their way to a rest (``SMALL_SLIP``).
         lasts: How long it stands until creep ends the equilibrium, or brings another part to the
             ground (s); infinite if that is longer than ``LASTING``, or was not looked at.
         failures: Why the robot will not stand so; empty if it will.
@@ -465,13 +417,10 @@ class SteadyState(Result):
     contact_forces: dict[str, Array]
     foot_creep: dict[str, float]
     height_drift: float
-    iterations: int
     residual: float
-    residuals: tuple[float, ...]
     stiffness: float
     stable: bool
     release_margin: float
-    sliding_feet: tuple[str, ...]
     lasts: float
     failures: tuple[Diagnostic, ...]
 
@@ -600,8 +549,8 @@ def follow_to_end(way: HomotopyPath, *, feedforward: bool, seconds: float = 0.0)
     """
     way.follow(0.0 if feedforward else 1.0)
     margin = release_margin(way)
-    if seconds:
-        way.creep(seconds)
+    for _ in range(CREEP_STEPS if seconds else 0):
+        way.creep_step(seconds / CREEP_STEPS)
     return describe_pose(way, margin)
 
 
@@ -709,13 +658,10 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
         },
         foot_creep=dict(zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
         height_drift=drift,
-        iterations=way.iterations,
-        residual=solution.residuals[-1],
-        residuals=solution.residuals,
+        residual=solution.residual,
         stiffness=stiffness,
         stable=stiffness > 0,
         release_margin=margin,
-        sliding_feet=find_sliding_feet(system, solution),
         lasts=math.inf,
         failures=_failures(system, solution, stiffness),
     )

@@ -90,13 +90,21 @@ def _tool(hold: Hold) -> doc.Table:
         ("tool-sag", hold.tool_sag, "+.2f"),
         ("tool-sag-simulated", hold.simulated_tool_sag, "+.2f"),
     )
-    rows = tuple((text(name), *_millimetres(place, form)) for name, place, form in places)
+    rows = [
+        (text(name), doc.vector_cell(1e3 * place, form), _length(place, form[1:]))
+        for name, place, form in places
+        if place is not None
+    ]
     columns = (
         doc.Column(text("quantity"), left=True),
-        *(doc.Column(doc.Name(axis), "mm") for axis in "xyz"),
+        doc.Column(doc.Name("x y z"), "mm", left=True),
         doc.Column(text("length"), "mm"),
     )
-    return doc.Table(text("tool-of-link", tool=doc.Name(hold.tool.name)), columns, rows)
+    return doc.Table(text("tool-of-link", tool=doc.Name(hold.tool.name)), columns, tuple(rows))
+
+
+def _length(place: NDArray[np.float64], form: str) -> doc.Cell:
+    return doc.number_cell(float(np.linalg.norm(place)), form, scale=1e3)
 
 
 def shown_scales(units: Iterable[str]) -> NDArray[np.float64]:
@@ -139,20 +147,24 @@ def _payload(hold: Hold) -> doc.Table:
         ("payload-by-servos", payload.servos, payload.servo),
         ("payload-somewhere", payload.somewhere, payload.weakest),
     )
-    rows = tuple(
-        (
-            text(name),
-            doc.number_cell(mass, ".4g"),
-            doc.Name(joint or "-"),
-        )
-        for name, mass, joint in known
+    rows = [(text(name), mass, joint) for name, mass, joint in known]
+    first, most = doc.Column(text("quantity"), left=True), doc.Column(text("mass"), "kg")
+    return _limits(text("payload-at-the-tool"), first, most, rows, (*_tried(hold),))
+
+
+def _limits(
+    title: doc.Text,
+    first: doc.Column,
+    most: doc.Column,
+    rows: Iterable[tuple[doc.Cell, float, str]],
+    notes: tuple[doc.Text, ...],
+) -> doc.Table:
+    """Returns a table of greatest values, and whose motor is at its limit with each."""
+    cells = tuple(
+        (what, doc.number_cell(value, ".4g"), doc.Name(joint or "-")) for what, value, joint in rows
     )
-    columns = (
-        doc.Column(text("quantity"), left=True),
-        doc.Column(text("mass"), "kg"),
-        doc.Column(text("motor-at-its-limit"), left=True),
-    )
-    return doc.Table(text("payload-at-the-tool"), columns, rows, notes=(*_tried(hold),))
+    last = doc.Column(text("motor-at-its-limit"), left=True)
+    return doc.Table(title, (first, most, last), cells, notes=notes)
 
 
 def _tried(hold: Hold) -> Iterator[doc.Text]:
@@ -168,24 +180,13 @@ def _tried(hold: Hold) -> Iterator[doc.Text]:
 def _force(hold: Hold) -> doc.Table:
     """Returns how hard the tool can be pushed, each way."""
     force = hold.force
-    rows: list[tuple[doc.Cell, ...]] = [
-        (
-            doc.vector_cell(way, "+.2f"),
-            doc.number_cell(most, ".4g"),
-            doc.Name(joint or "-"),
-        )
-        for way, most, joint in (
-            *zip(force.directions, force.forces.tolist(), force.joints, strict=True),
-            (force.weakest_direction, force.weakest, force.weakest_joint),
-        )
-    ]
-    columns = (
-        doc.Column(text("direction-x-y-z"), left=True),
-        doc.Column(text("force"), "N"),
-        doc.Column(text("motor-at-its-limit"), left=True),
+    ways = (
+        *zip(force.directions, force.forces.tolist(), force.joints, strict=True),
+        (force.weakest_direction, force.weakest, force.weakest_joint),
     )
-    notes = (text("last-row-is-the-weakest"),)
-    return doc.Table(text("force-on-the-tool"), columns, tuple(rows), notes=notes)
+    rows = [(doc.vector_cell(way, "+.2f"), limit, joint) for way, limit, joint in ways]
+    first, most = doc.Column(text("direction-x-y-z"), left=True), doc.Column(text("force"), "N")
+    return _limits(text("force-on-the-tool"), first, most, rows, (text("last-row-is-the-weakest"),))
 
 
 def force_plot(force: ToolForce) -> doc.LinePlot:
@@ -217,14 +218,6 @@ def reach_plot(reach: ReachLoad) -> doc.LinePlot:
         doc.Series(text("mean-of-postures"), middle, np.array([one.mean() for one in per_ring])),
     )
     return doc.LinePlot(text("utilisation-over-the-reach"), axis, share, lines)
-
-
-def _millimetres(place: NDArray[np.float64] | None, form: str) -> Iterable[doc.Cell]:
-    """Returns the cells of a vector (3,) and its length; dashes where there is none."""
-    if place is None:
-        return (doc.number_cell(None, form),) * 4
-    parts = (doc.number_cell(value, form, scale=1e3) for value in place.tolist())
-    return (*parts, doc.number_cell(float(np.linalg.norm(place)), form[1:], scale=1e3))
 
 
 def _posture(hold: Hold) -> doc.Words:

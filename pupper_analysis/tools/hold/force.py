@@ -12,7 +12,7 @@ from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool
-from pupper_analysis.stance.posture import Posture, check_held
+from pupper_analysis.stance.posture import Posture
 
 Array = NDArray[np.float64]
 
@@ -72,20 +72,17 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
         robot: A robot whose base is held.
         posture: The posture.
         tool: Where it is pushed.
-
-    Raises:
-        ConfigurationError: If the base is free.
     """
-    check_held(robot)
+    rows, room = polytope(robot, posture, tool)
     directions = np.concatenate([np.stack([axis, -axis]) for axis in np.eye(3)])
-    forces, numbers = withstood(robot, posture, tool, directions)
+    forces, numbers = edges(rows, room, directions)
     angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
     round_about = np.column_stack([np.cos(angles), np.sin(angles)])
     sections = [
-        withstood(robot, posture, tool, round_about @ np.eye(3)[list(axes)])[0]
+        edges(rows, room, round_about @ np.eye(3)[list(axes)])[0]
         for axes in ((0, 1), (0, 2), (1, 2))
     ]
-    weakest, way, joint = _weakest(*_constraints(robot, posture, tool))
+    weakest, way, joint = _weakest(rows, room)
     return ToolForce(
         directions=directions,
         forces=forces,
@@ -100,27 +97,29 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
     )
 
 
-def withstood(
-    robot: Robot, posture: Posture, tool: Tool, directions: Array
-) -> tuple[Array, NDArray[np.int64]]:
-    """Returns the greatest forces (n,) on a tool along directions (n, 3), unit vectors.
+def edges(rows: Array, room: Array, directions: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Returns the greatest forces (n,) of a polytope along directions (n, 3), unit vectors.
+
+    Args:
+        rows: (2 nu, 3) see ``polytope``.
+        room: (2 nu,) likewise.
+        directions: (n, 3).
 
     Returns:
         The forces (N), and whose motor is at its limit then (its number; -1: none).
     """
-    rows, room = _constraints(robot, posture, tool)
     along = directions @ rows.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        edges = np.where(along > _IDLE, room / along, np.inf)
+        ends = np.where(along > _IDLE, room / along, np.inf)
     if room.min() < 0:  # a force that would relieve that motor is none that is withstood from rest
-        edges[:, room < 0] = 0.0
-    nearest = edges.argmin(axis=1)
-    forces = edges[np.arange(len(edges)), nearest]
-    return forces, np.where(np.isfinite(forces), nearest % robot.nu, -1)
+        ends[:, room < 0] = 0.0
+    nearest = ends.argmin(axis=1)
+    forces = ends[np.arange(len(ends)), nearest]
+    return forces, np.where(np.isfinite(forces), nearest % (len(rows) // 2), -1)
 
 
-def _constraints(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, Array]:
-    """Returns rows (2 nu, 3) and room (2 nu,) of the polytope: rows f <= room."""
+def polytope(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, Array]:
+    """Returns rows (2 nu, 3) and room (2 nu,) of the forces f withstood: rows f <= room."""
     config, limits = Configuration(robot, posture.qpos), robot.effort_limits
     load = config.by_motors(config.load())
     rows = config.by_motors(tool.jacobian(config).T)

@@ -28,7 +28,6 @@ from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.posture import (
     Posture,
-    check_held,
     find_posture,
     held_stand,
     joint_units,
@@ -81,11 +80,7 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
         robot: A robot whose base is held.
         posture: One of its postures.
         tool: Its tool.
-
-    Raises:
-        ConfigurationError: If the base is free.
     """
-    check_held(robot)
     found, limits = [], robot.effort_limits
     limited = np.isfinite(limits) & (limits > 0)
     for qpos in JointMotions(robot, posture).random(_POSTURES):
@@ -107,9 +102,6 @@ _ROUNDS = 6
 
 _SETTLED = 1e-4
 """A search ends where a payload changes by less of itself."""
-
-_STEP = 1e-6
-"""Of central differences (rad, m): levers of weights are sines."""
 
 _SOFTENS = 1e-6
 """Less of the servos' stiffness that the robot's mass would take, at the tool, is rounding."""
@@ -162,10 +154,8 @@ def tool_payload(
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
 
     Raises:
-        ConfigurationError: If the base is free.
         ModelError: If the model has no position servos and no kp is given.
     """
-    check_held(robot)
     mass, joint = posture_payload(robot, posture.qpos, tool)
     servos, servo = servo_payload(robot, posture, tool, kp)
     most, weakest, place = _least(robot, tool, [posture.qpos, *worst.postures])
@@ -174,11 +164,10 @@ def tool_payload(
     for _ in range(_ROUNDS if most > 0 else 0):
         loaded = worst_postures(robot, posture, tool, payload=most, near=loaded, bearing=bears)
         lower, name, at = _least(robot, tool, list(loaded.postures))
-        if not lower < most:
-            break
-        done = lower > (1 - _SETTLED) * most
-        most, weakest, place = lower, name, at
-        if done:
+        before = most
+        if lower < most:
+            most, weakest, place = lower, name, at
+        if lower > (1 - _SETTLED) * before:
             break
     return ToolPayload(
         mass=mass,
@@ -221,13 +210,10 @@ def servo_payload(
     config, closure = Configuration(robot, posture.qpos), robot.closure
     basis = np.eye(robot.nu) if closure is None else closure.null_space(posture.qpos)
     gains = servo_gains(robot, kp, None if kp is None else 0.0).kp
-    held = basis.T @ (config.static_rates({}) + np.diag(gains)) @ basis
-    columns = []
-    for step in _STEP * np.eye(robot.nu):
-        ends = [Configuration(robot, posture.qpos + way * step) for way in (1, -1)]
-        ahead, behind = (tool.load_per_mass(end) for end in ends)
-        columns.append((ahead - behind) / (2 * _STEP))
-    added = basis.T @ np.array(columns).T @ basis
+    empty, hung = config.static_rates({}), np.append(robot.gravity, np.zeros(3))
+    loaded = config.pushed_rates(tool.twist_jacobian(config)[None], hung[None])
+    held = basis.T @ (empty + np.diag(gains)) @ basis
+    added = basis.T @ (loaded - empty) @ basis
     held, added = (held + held.T) / 2, (added + added.T) / 2
     if linalg.eigvalsh(held)[0] <= 0:
         return 0.0, ""

@@ -20,7 +20,8 @@ from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, acts_at_rest
 from pupper_analysis.robot.tool import Tool
-from pupper_analysis.stance.posture import Posture, check_held, joint_ranges
+from pupper_analysis.stance.posture import Posture, joint_ranges
+from pupper_analysis.statics.equilibrium import utilise
 from pupper_analysis.tools.hold.motions import JointMotions
 
 Array = NDArray[np.float64]
@@ -268,11 +269,7 @@ def worst_postures(
         payload: A mass at the tool (kg).
         near: The worst postures for another payload: searches begin there.
         bearing: (nu,) which motors bear the payload, if that is known: all else is as ``near``.
-
-    Raises:
-        ConfigurationError: If the base is free.
     """
-    check_held(robot)
     motions = JointMotions(robot, posture)
     starts = motions.random(_STARTS)
     asked = np.ones(robot.nu, dtype=bool) if near is None or bearing is None else bearing
@@ -293,16 +290,13 @@ def worst_postures(
             )
             if found > abs(torques[joint]):
                 torques[joint], postures[joint] = sign * found, at
-    torques[np.abs(torques) <= _NOTHING * robot.total_mass * np.linalg.norm(robot.gravity)] = 0.0
-    most, limits = np.abs(torques), robot.effort_limits
-    with np.errstate(divide="ignore", invalid="ignore"):
-        used = np.where(most > 0, most / limits, 0.0)
+    torques[np.abs(torques) <= _NOTHING * robot.weight] = 0.0
     return WorstPostures(
         joint_names=robot.joint_names,
         joint_torques=torques,
         postures=postures,
-        limits=limits,
-        utilisation=used,
+        limits=robot.effort_limits,
+        utilisation=np.where(torques != 0, utilise(robot, torques), 0.0),
         endless=_endless(robot, motions, search.stiffness),
     )
 

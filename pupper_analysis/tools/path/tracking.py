@@ -507,7 +507,8 @@ def _watch(
         tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
         if monitor.Upright.of(robot, goal, rotation).has_fallen(states[index]):
             seen.append(diagnose("fell-over", tilt=None, height=None, time=None))
-        centres, targets = watcher.foot_centres(), Configuration(robot, goal).foot_positions()
+        centres = monitor.foot_centres(robot, watcher.data)
+        targets = Configuration(robot, goal).foot_positions()
         idle = sight.idle(robot.feet)
         sample = int(np.abs(path.time - sight.time).argmin())
         for column, foot in enumerate(path.feet):

@@ -56,7 +56,6 @@ def simulate_payload(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     duration: float = LASTING,
-    dry_friction: bool = False,
 ) -> PayloadTrial:
     """Simulates a stance with a mass on the robot, as ``simulate_nudges`` does.
 
@@ -71,7 +70,6 @@ def simulate_payload(
         kp: Servo stiffness (N m/rad); the model's own by default.
         kd: Servo damping (N m s/rad); the model's own by default.
         duration: Simulated time (s), at least 2.
-        dry_friction: Keep the model's dry friction of joints and rolling feet.
 
     Returns:
         What happened.
@@ -83,9 +81,7 @@ def simulate_payload(
         StaticsInfeasibleError: If no contact forces balance it.
     """
     loaded, stand = solve_loaded_stand(robot, stance, mass, point)
-    seen = simulate_nudges(
-        loaded, stand, kp=kp, kd=kd, duration=duration, dry_friction=dry_friction
-    )
+    seen = simulate_nudges(loaded, stand, kp=kp, kd=kd, duration=duration)
     return PayloadTrial(**vars(seen), mass=float(mass))
 
 

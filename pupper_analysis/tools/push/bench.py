@@ -210,9 +210,11 @@ class Bench:
         return round(_REST / self.timestep)
 
     def _last_speed(self, states: Array) -> float:
-        """Returns the greatest speed of the base at the end (m/s)."""
-        last, lever = states[-self._resting :], self.upright.size
-        return monitor.base_speed(self.robot, self.drive.model, last, lever)
+        """Returns the greatest speed of the base at the end: linear, plus angular x size (m/s)."""
+        last = states[-self._resting :, 1 + self.drive.model.nq :]
+        rates = last[:, self.robot.mj_convention.qvel_index[:6]]
+        linear, angular = (np.linalg.norm(part, axis=1) for part in (rates[:, :3], rates[:, 3:]))
+        return float((linear + self.upright.size * angular).max())
 
     def _rests(self, states: Array) -> bool:
         """Tells whether it has come to rest where it stands, and stays."""

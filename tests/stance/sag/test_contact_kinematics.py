@@ -11,7 +11,12 @@ from scipy import optimize
 
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.stance.sag.equilibrium import SagEquilibrium, integrate_step
+from pupper_analysis.stance.sag.equilibrium import (
+    Anchor,
+    SagEquilibrium,
+    integrate_step,
+    rigid_slips,
+)
 from tests.support.variants import NAMES, load, stand_of
 
 
@@ -73,11 +78,21 @@ def test_depth_is_where_the_force_is() -> None:
         expected = optimize.brentq(lambda x, law=law, f=force: law.force(x) - f, 0, bound)
         assert law.depth(force) == pytest.approx(expected, rel=1e-9, abs=1e-11)
         assert law.force(law.depth(force)) == pytest.approx(force, rel=1e-12)
-
-
-def test_ground_that_gets_softer_has_a_depth() -> None:
-    """Where the impedance falls with the depth, a foot sinks by more than twice the first guess."""
+    # Where the impedance falls with the depth, a foot sinks by more than twice the first guess.
     law = GroundLaw(1e3, 1.0, (0.95, 0.05, 1e-3, 0.5, 2.0), 1.0, 1.0)
-    depth = law.depth(10.0)
-    assert law.force(depth) == pytest.approx(10.0, rel=1e-12)
-    assert depth > 2 * 10.0 / law.rate(0.0)
+    assert law.force(law.depth(10.0)) == pytest.approx(10.0, rel=1e-12)
+    assert law.depth(10.0) > 2 * 10.0 / law.rate(0.0)
+
+
+def test_two_points_of_a_sole_cannot_part() -> None:
+    places = {"a/1": (0.1, 0.0, 0.0), "a/2": (-0.1, 0.0, 0.0), "b": (0.0, 0.3, 0.0)}
+    anchors = {name: Anchor(np.array(place), np.eye(3)) for name, place in places.items()}
+    soles = {"a/1": "a", "a/2": "a", "b": "b"}
+    whole = rigid_slips(anchors, soles, dict.fromkeys(places, np.eye(3)))
+    assert whole is not None
+    for slips, left in (
+        ([(1, 0), (-1, 0), (2, 3)], [(0, 0), (0, 0), (2, 3)]),
+        ([(1, 2), (1, 2), (0, 0)], [(1, 2), (1, 2), (0, 0)]),  # along
+        ([(0, 1), (0, -1), (0, 0)], [(0, 1), (0, -1), (0, 0)]),  # turning
+    ):
+        np.testing.assert_allclose(np.tensordot(whole, np.array(slips), 2), left, atol=1e-12)

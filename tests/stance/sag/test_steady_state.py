@@ -1,6 +1,7 @@
 """The predicted sag, each number two ways: against differences, balances, MuJoCo, simulations."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
@@ -22,9 +23,6 @@ from pupper_analysis.stance.sag.steady_state import (
 from tests.support.engines import changed, mujoco_at
 from tests.support.variants import NAMES, SKELETON_NAMES, load, stand_of
 
-LASTING = 1e-4
-"""With less height drift than this, 5 s of creep change the height by less than 0.5 mm (m/s)."""
-
 SETTLING = tuple(name for name in NAMES if name != "v3-long-leg")
 
 
@@ -39,9 +37,6 @@ def firm_grip(model: mujoco.MjModel) -> None:
     """Friction that hardly creeps, and holds no moments."""
     fast_creep(model)
     model.opt.impratio = 1e4
-
-
-# ------------------------------------------------------------------------------------- equilibrium
 
 
 @pytest.mark.parametrize("feet", ["pinned", "sliding"])
@@ -69,26 +64,17 @@ def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
     assert np.abs(rest).max() < 1e-9
 
 
-# ------------------------------------------------------------------------------------- simulation
-
-
-def assert_predicts(
-    pose: settle.SteadyState, run: pa.simulation.StandVerification, tolerance: float
-) -> None:
+@pytest.mark.parametrize("name", SETTLING)
+def test_steady_states_of_nominal_stands_are_mujocos(name: str) -> None:
+    robot, stand = load(name), stand_of(name)
+    pose, run = steady_state(robot, stand), pa.verify_stand(robot, stand, feedforward=False)
+    assert pose.stable
+    assert not pose.failures
+    tolerance = 1e-6 if name in SKELETON_NAMES else 1e-4
     assert pose.base_height == pytest.approx(run.base_height, abs=tolerance)
     assert pose.contact_sag == pytest.approx(run.contact_sag, abs=1e-5 + 0.02 * tolerance)
     for foot, force in run.foot_forces.items():
         assert pose.contact_forces[foot][2] == pytest.approx(force[2], rel=0.02)
-
-
-@pytest.mark.parametrize("name", SETTLING)
-def test_steady_states_of_nominal_stands_are_mujocos(name: str) -> None:
-    robot, stand = load(name), stand_of(name)
-    pose = steady_state(robot, stand)
-    assert pose.stable
-    assert not pose.failures
-    run = pa.verify_stand(robot, stand, feedforward=False)
-    assert_predicts(pose, run, 1e-6 if name in SKELETON_NAMES else 1e-4)
 
 
 ANYWHERE = {
@@ -102,8 +88,8 @@ ANYWHERE = {
 @pytest.mark.parametrize("what", ANYWHERE)
 @pytest.mark.parametrize("name", ["original", "heavy", "v3"])
 def test_slopes_steps_and_three_legs(name: str, what: str) -> None:
-    kp = 20.0 if name == "v3" else None  # its own servos let the lifted foot down to the ground
-    kd = 0.5 if name == "v3" else None
+    # Its own servos let v3's lifted foot down to the ground.
+    kp, kd = (20.0, 0.5) if name == "v3" else (None, None)
     robot, stand = load(name), pa.solve_stand(load(name), ANYWHERE[what])
     pose = steady_state(robot, stand, kp=kp, seconds=4.5)
     assert not pose.failures
@@ -160,9 +146,6 @@ def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
     assert still.release_margin > 0.2
 
 
-# ------------------------------------------------------------------------------------- lifted feet
-
-
 def lifted(name: str, foot: str, height: float, **task: object) -> pa.Stand:
     """A stand with the com 10 mm inside the triangle of the other feet."""
     asked = pa.StandTask(swing={foot: height}, com="inside", com_margin=0.01, **task)
@@ -170,14 +153,11 @@ def lifted(name: str, foot: str, height: float, **task: object) -> pa.Stand:
 
 
 LANDING = [
-    ("v3", "RR", 0.006, 5.0),
-    ("v3", "RL", 0.006, 3.0),
     ("v3", "FR", 0.006, 8.0),  # it slips
     ("v3-heavy", "RL", 0.002, 6.6),
     ("v3-long-leg", "RR", 0.006, 9.0),
     ("original", "FL", 0.002, 12.0),  # it slips
     ("long-leg", "RR", 0.002, 12.0),
-    ("heavy", "RL", 0.002, 10.0),
 ]
 
 
@@ -242,9 +222,6 @@ def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
     assert "RR" in str(caught.value.problem)
 
 
-# ------------------------------------------------------------------------------------- stability
-
-
 def test_a_little_above_the_minimum_no_stiffness_is_left_out() -> None:
     """A long step on the way to rest may end on another branch; MuJoCo stands with all of these."""
     robot, stand = load("v3"), stand_of("v3")
@@ -286,26 +263,26 @@ def test_an_equilibrium_that_creep_ends_is_no_stand() -> None:
     assert heights[20] == pytest.approx(pose.base_height, abs=1e-4)
 
 
-def test_minimum_stiffness_of_pinned_feet() -> None:
-    robot, stand = load("long-leg"), stand_of("long-leg")
-    kp = minimum_stiffness(robot, stand, tolerance=0.05)
-    firm = changed(robot, firm_grip)
-    above = pa.verify_stand(firm, stand, feedforward=False, kp=1.05 * kp, kd=1.0)
+@pytest.mark.parametrize(
+    ("name", "feet", "kd", "ground"),
+    [("long-leg", "pinned", 1.0, firm_grip), ("v3", "sliding", 0.1, fast_creep)],
+)
+def test_below_the_minimum_stiffness_it_goes_down(
+    name: str, feet: Feet, kd: float, ground: Callable[[mujoco.MjModel], None]
+) -> None:
+    robot, stand = load(name), stand_of(name)
+    kp = minimum_stiffness(robot, stand, feet=feet, tolerance=0.05)
+    above, below = (
+        pa.verify_stand(
+            changed(robot, ground), stand, feedforward=False, kp=share * kp, kd=kd,
+            integrator="implicitfast", duration=8.0,
+        )
+        for share in (1.05, 0.9)
+    )  # fmt: skip
     assert above.passed
-    assert steady_state(robot, stand, kp=1.05 * kp).height_loss == pytest.approx(
-        above.height_loss, abs=2e-4
-    )
-    below = pa.verify_stand(firm, stand, feedforward=False, kp=0.9 * kp, kd=1.0)
-    assert any(one.code == "body-touches-ground" for one in below.failures)
-
-
-def test_minimum_stiffness_of_sliding_feet() -> None:
-    robot, stand = load("v3"), stand_of("v3")
-    kp = minimum_stiffness(robot, stand, feet="sliding", tolerance=0.05)
-    fast = changed(robot, fast_creep)
-    options = {"feedforward": False, "kd": 0.1, "integrator": "implicitfast", "duration": 8.0}
-    assert pa.verify_stand(fast, stand, kp=1.05 * kp, **options).passed
-    below = pa.verify_stand(fast, stand, kp=0.9 * kp, **options)
+    if feet == "pinned":  # feet that creep take their time to where they slide
+        loss = steady_state(robot, stand, kp=1.05 * kp).height_loss
+        assert loss == pytest.approx(above.height_loss, abs=2e-4)
     assert any(one.code == "body-touches-ground" for one in below.failures)
 
 
@@ -319,31 +296,25 @@ def test_instability_is_reported() -> None:
     assert any(one.code == "fell-over" for one in run.failures)
 
 
-# ------------------------------------------------------------------------------------- requests
-
-
 def test_steady_state_refuses_wrong_requests() -> None:
     robot, stand = load("v3"), stand_of("v3")
-    with pytest.raises(pa.ConfigurationError, match="feet"):
-        steady_state(robot, stand, feet="glued")  # type: ignore[arg-type]
-    with pytest.raises(pa.ConfigurationError, match="robot"):
-        steady_state(load("v3", fixed_base=True), stand)
     slope = pa.solve_stand(robot, pa.StandTask(pitch=-0.1, ground=pa.Ground(0.1)))
-    with pytest.raises(pa.ConfigurationError, match="slope"):
-        steady_state(robot, slope, feet="sliding")
-    for seconds, feet in ((-1.0, "pinned"), (np.inf, "pinned"), (1.0, "sliding")):
-        with pytest.raises(pa.ConfigurationError, match="seconds"):
-            steady_state(robot, stand, seconds=seconds, feet=feet)
-    with pytest.raises(pa.ConfigurationError, match="kp"):
-        steady_state(robot, stand, kp=-1)
+    no_grip = {one: replace(of, friction=(0.0,) * 5) for one, of in robot.contacts.items()}
+    for given, on, asked, said in (
+        (robot, stand, {"feet": "glued"}, "feet"),
+        (load("v3", fixed_base=True), stand, {}, "robot"),
+        (robot, slope, {"feet": "sliding"}, "slope"),
+        (robot, stand, {"seconds": -1.0}, "seconds"),
+        (robot, stand, {"seconds": np.inf}, "seconds"),
+        (robot, stand, {"seconds": 1.0, "feet": "sliding"}, "seconds"),
+        (robot, stand, {"kp": -1}, "kp"),
+        (replace(robot, contacts=no_grip), stand, {}, "no friction"),
+    ):
+        with pytest.raises(pa.ConfigurationError, match=said):
+            steady_state(given, on, **asked)  # type: ignore[arg-type]
     for tolerance in (0.0, 1.0, -0.1, np.nan):
         with pytest.raises(pa.ConfigurationError, match="tolerance"):
             minimum_stiffness(robot, stand, tolerance=tolerance)
     named = {foot.lower(): place for foot, place in stand.foot_targets.items()}
     with pytest.raises(pa.UnknownNameError, match="fr"):
         steady_state(robot, replace(stand, foot_targets=named))
-    slippery = {
-        foot: replace(contact, friction=(0.0,) * 5) for foot, contact in robot.contacts.items()
-    }
-    with pytest.raises(pa.ConfigurationError, match="no friction"):
-        steady_state(replace(robot, contacts=slippery), stand)

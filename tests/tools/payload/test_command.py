@@ -28,10 +28,8 @@ def test_what_lasts_is_what_motors_of_that_effort_carry(
 
 def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
-    arguments = [
-        *("original", "--payload-at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
-    ]
-    status, out, err = run_command(capfd, "payload", "-v", *arguments, "--json", str(path))
+    asked = ("--payload-at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
+    status, out, err = run_command(capfd, "payload", "-v", "original", *asked, "--json", str(path))
     assert status == 0, err
     content = json.loads(path.read_text())
     assert content["point"] == [0.01, 0.0, 0.08]
@@ -43,9 +41,6 @@ def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: 
     assert "payload at (10, 0, 80) mm" in out
     assert f"base is ({1e3 * limit.offset[0]:.1f}, " in out
     assert "nudged: it stays up" in out
-
-
-def test_servos_that_carry_nothing_are_exit_status_1(capfd: pytest.CaptureFixture[str]) -> None:
     status, out, err = run_command(capfd, "payload", "v3-long-leg", "--kp", "1", "--kd", "0.1")
     assert status == 1, err
     assert "0.00 kg on the simulated ground, then loses static stability" in out

@@ -46,11 +46,9 @@ def test_each_nudge_is_simulated_from_the_stand_that_is_judged() -> None:
     assert held.qpos[0] < stand.qpos[0] - 0.01  # the base moved from under the load
 
 
-def test_dry_friction_holds_up_what_is_not_stable() -> None:
-    """So that a robot which nobody touches proves nothing."""
-    robot, stand = load("v3"), stand_of("v3")
-    assert simulate_payload(robot, stand, 7.0, dry_friction=True, duration=6).held
-    assert not simulate_payload(robot, stand, 7.0, duration=6).held
+def test_dry_friction_does_not_hold_up_what_is_not_stable() -> None:
+    """With it v3 stays up so long as nobody touches it, which proves nothing."""
+    assert not simulate_payload(load("v3"), stand_of("v3"), 7.0, duration=6).held
 
 
 @pytest.mark.parametrize(("impratio", "failure"), [(30.0, None), (1.0, payload.Failure.SLIDING)])

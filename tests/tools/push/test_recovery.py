@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +19,7 @@ from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.tools.push import recovery as push
 from pupper_analysis.tools.push.bench import bench_of
 from pupper_analysis.tools.push.recovery import PushRecovery, push_recovery, tipping_impulses
-from tests.support.engines import mujoco_at, with_efforts
+from tests.support.engines import changed, mujoco_at, with_efforts
 from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of
 
@@ -30,13 +29,6 @@ COARSE = {"directions": 4, "duration": 3.0, "resolution": 0.05}
 @cache
 def pushed(name: str) -> PushRecovery:
     return push_recovery(load(name), stand_of(name), **COARSE)  # type: ignore[arg-type]
-
-
-def changed(name: str, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
-    """A robot with another MuJoCo model."""
-    model = load(name).description.mjcf.copy().compile()
-    change(model)
-    return replace(load(name), mj_model=model)
 
 
 def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool:
@@ -64,9 +56,6 @@ def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool
     return not fell and data.xmat[1, 8] > 0.9 and float(np.abs(data.qvel[:6]).max()) < 0.05
 
 
-# ------------------------------------------------------------------------------------- limits
-
-
 @pytest.mark.parametrize(("name", "index"), [("original", 0), ("original", 1), ("v3", 2)])
 def test_limit_in_a_plain_loop(name: str, index: int) -> None:
     result = pushed(name)
@@ -76,22 +65,16 @@ def test_limit_in_a_plain_loop(name: str, index: int) -> None:
     assert not plain_push(name, angle, impulse + 1.02 * result.resolution, 3.0)
 
 
-# ------------------------------------------------------------------------------------- mechanics
-
-
-def rigid(friction: float) -> Callable[[mujoco.MjModel], None]:
-    def change(model: mujoco.MjModel) -> None:
-        model.geom_friction[:, 0] = friction
-        model.geom_condim[:] = 3  # no rolling friction
-
-    return change
-
-
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
     """The limit goes to the closed form of a rigid body that rolls over two feet."""
+
+    def grip(model: mujoco.MjModel) -> None:
+        model.geom_friction[:, 0] = 3.0
+        model.geom_condim[:] = 3  # no rolling friction
+
     result = push_recovery(
-        with_efforts(changed(name, rigid(friction=3.0)), 500),
+        with_efforts(changed(load(name), grip), 500),
         stand_of(name),
         kp=1000,
         kd=10,
@@ -119,9 +102,6 @@ def test_estimate_has_the_inertia_of_all_bodies_about_the_hinge() -> None:
     energy = robot.total_mass * 9.81 * (math.hypot(height, far) - height)
     expected = math.sqrt(2 * inertia * energy) / abs(lever[0])
     assert estimate == pytest.approx(expected, rel=1e-6)
-
-
-# ------------------------------------------------------------------------------------- failures
 
 
 class Bench:
@@ -171,14 +151,8 @@ def test_smaller_push_that_fails_is_found() -> None:
 def test_bad_requests_are_refused(arguments: dict[str, Any], field: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=field):
         push_recovery(load("v3"), stand_of("v3"), **arguments)
-
-
-def test_fixed_base_is_refused() -> None:
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         push_recovery(load("v3", fixed_base=True), stand_of("v3"))
-
-
-# ------------------------------------------------------------------------------------- figure
 
 
 @pytest.mark.parametrize(
@@ -204,9 +178,6 @@ def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
         )
         assert three < four
         assert result.impulses[1] > three
-
-
-# ------------------------------------------------------------------------------------- unpushed
 
 
 @pytest.mark.parametrize(("kd", "stands"), [(5.0, True), (8.0, False)])
@@ -244,55 +215,29 @@ def test_what_ends_early_ends_as_it_would(name: str) -> None:
     assert any(whole)
 
 
-@pytest.mark.parametrize("word", ["leans", "is low"])
-def test_a_push_is_judged_by_where_it_ends(word: str) -> None:
-    """Half a second in which it stands, and a last state in which it does not."""
+def test_a_push_is_judged_by_where_it_ends() -> None:
+    """Half a second in which it stands, and a last state in which it leans, or is low."""
     options = {"duration": 1.0, "kp": None, "kd": None, "feedforward": True, "integrator": None}
     known = SimpleNamespace(stays=True, failures=())
     robot, stand = load("v3"), stand_of("v3")
     bench = bench_of(robot, stand, np.zeros(1), **options, verification=known)  # type: ignore[arg-type]
-    ends = np.tile(bench.start, (200, 1))
-    assert bench._unsettled(ends) == []
     place = 1 + robot.mj_convention.qpos_index
-    if word == "leans":
-        ends[-1, place[3:7]] = (math.cos(0.5), math.sin(0.5), 0.0, 0.0)
-    else:
-        ends[-1, place[2]] = 0.02
-    assert bench._unsettled(ends)
+    for where, value in (
+        (place[3:7], (math.cos(0.5), math.sin(0.5), 0.0, 0.0)),
+        (place[2], 0.02),
+    ):
+        ends = np.tile(bench.start, (200, 1))
+        assert bench._unsettled(ends) == []
+        ends[-1, where] = value
+        assert bench._unsettled(ends)
 
 
-@pytest.mark.parametrize(
-    "task", [pa.StandTask(roll=math.radians(4.0)), pa.StandTask(swing={"FL": 0.02}, com="inside")]
-)
-def test_what_is_pushed_is_the_stand_that_is_told(
-    task: pa.StandTask, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    robot = load("v3")
+def test_what_is_pushed_is_the_stand_that_is_told() -> None:
+    robot, task = load("v3"), pa.StandTask(roll=math.radians(4.0))
     stand = pa.stance.solve_stand_as_simulated(robot, task)
     assert any(stand.depths.values())
-
-    def no_push(_: pa.Robot, given: pa.Stand, **__: object) -> pa.Stand:
-        return given
-
-    monkeypatch.setattr(push, "push_recovery", no_push)
-    assert push.study_pushes([robot], task)["v3"].stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
-
-
-def test_what_survives_and_what_does_not_is_as_the_search_says() -> None:
-    robot, stand = load("original"), stand_of("original")
-    found = pa.push_recovery(robot, stand, directions=3, duration=2.0, resolution=0.1)
-    for direction, impulse in zip(found.directions, found.impulses, strict=True):
-        good = pa.simulation.simulate_push(
-            robot, stand, float(impulse), float(direction), duration=2.0
-        )
-        bad = pa.simulation.simulate_push(
-            robot, stand, float(impulse) + 0.1, float(direction), duration=2.0
-        )
-        assert good.recovered
-        assert good.failure is None
-        assert not bad.recovered
-        assert bad.failure
-    assert good.velocity_step == pytest.approx(good.impulse / robot.total_mass)
+    found = push.study_pushes([robot], task, directions=3, resolution=1.0)
+    assert found["v3"].stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
 
 
 def test_the_motion_is_that_of_a_force_on_the_base() -> None:
