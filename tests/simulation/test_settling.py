@@ -7,6 +7,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.simulation import settling
+from pupper_analysis.simulation.rollout import begin_stand
 from pupper_analysis.simulation.settling import comes_to_rest
 from pupper_analysis.stance.stand import Stand
 from tests.support.variants import load
@@ -52,3 +53,21 @@ def test_settling_simulates_no_longer_than_it_takes(
     simulated.clear()
     assert not comes_to_rest(robot, stand, feedforward=False, kp=0.05, kd=0.001)
     assert sum(simulated) < 5.0
+
+
+def test_what_still_moves_is_not_at_rest(standing: tuple[pa.Robot, Stand]) -> None:
+    """In parts of each bound: how the height deviates, how fast it drifts, how far a foot went."""
+    held = begin_stand(*standing)
+    duration = 499 * held.drive.model.opt.timestep
+    height = 1 + int(held.robot.mj_convention.qpos_index[2])
+    for wave, drift, slip, expected in (
+        (0.0, 0.0, 0.0, 0.0),
+        (2 * settling.STILL, 0.0, 0.0, 2.0),
+        (0.0, -3e-4 / duration, 0.0, 3e-4 / duration / settling.SETTLED_DRIFT),
+        (0.0, 0.0, 3 * settling.STAYED, 3.0),
+    ):
+        states, ways = np.tile(held.start, (500, 1)), np.zeros((4, 3))
+        states[:, height] += wave * np.tile([1, -1, -1, 1], 125)
+        states[:, height] += drift * np.linspace(0.0, duration, 500)
+        ways[2, 1], ways[1, 2] = slip, 1.0  # down is no way over the ground
+        assert settling._unrest(held, states, ways) == pytest.approx(expected, abs=1e-9)

@@ -372,8 +372,8 @@ class SagEquilibrium:
         """Returns slips from where feet stick, less what they give, and depths (n, 3)."""
         places: Array = self.touch(qpos).places.copy()
         if self.feet == "pinned" and (self.crept or self.yielding or self._giving):
-            begun = [self.crept.get(foot, _NOWHERE) for foot in self.anchors]
-            places[:, :2] = self.as_one(places[:, :2] - begun)
+            begun = np.array([self.crept.get(foot, _NOWHERE) for foot in self.anchors])
+            places[:, :2] = self.as_one(places[:, :2] - begun.reshape(-1, 2))
             places[:, :2] += self._yields()[:, None] * forces[:, :2]
         return places
 

@@ -654,7 +654,7 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
         saturated=tuple(names[(torques <= system.lower) | (torques >= system.upper)].tolist()),
         stance_feet=tuple(foot for foot in robot.contact_points if foot in solution.forces),
         contact_forces={
-            foot: system.frames[foot].T @ solution.force(foot) for foot in robot.contact_points
+            foot: frame.T @ solution.force(foot) for foot, frame in system.frames.items()
         },
         foot_creep=dict(zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
         height_drift=drift,

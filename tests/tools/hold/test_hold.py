@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,15 @@ def test_torques_sag_and_the_tool_are_those_of_the_closed_form() -> None:
     assert held.tool_sag == pytest.approx(moved, abs=1e-12)
     assert moved[2] < -5e-3
     assert held.sagging.joint_positions == pytest.approx(held.settled.qpos, abs=1e-6)
+    own = held.verdict.own  # its file's servos, told the angles alone, sag as far
+    assert own is not None
+    assert own.worst is not None
+    sag = held.settled.qpos - held.posture.qpos
+    assert own.worst.off == pytest.approx(sag[np.abs(sag).argmax()], abs=1e-5)
+    elsewhere = replace(held.settled, qpos=held.settled.qpos + 2e-3)
+    stand, alone = held_stand(robot, held.posture), {"feedforward": False, "duration": 3.0}
+    run = verify_stand(robot, stand, settled=elsewhere, **alone)  # type: ignore[arg-type]
+    assert [one.code for one in run.failures] == ["joint-off"]
 
 
 def test_joints_that_are_not_given_are_in_the_middle_or_the_keyframe(tmp_path: Path) -> None:
@@ -155,7 +165,12 @@ def test_a_joint_that_follows_is_held_by_the_one_that_leads(
 def test_a_robot_that_is_held_by_its_base_hangs() -> None:
     """What it would stand on touches nothing, and its legs are held in the air."""
     robot = pa.load_variant("v3", fixed_base=True)
-    assert verify_stand(robot, held_stand(robot, find_posture(robot)), duration=3.0).passed
+    stand = held_stand(robot, find_posture(robot))
+    assert verify_stand(robot, stand, duration=3.0).passed
+    settled = steady_state(robot, stand)
+    assert not settled.failures
+    alone = verify_stand(robot, stand, feedforward=False, settled=settled)
+    assert alone.passed, alone.failures
     assert "ground-touches-nothing" in {note.code for note in robot.notes}
 
 
@@ -200,6 +215,19 @@ def test_a_base_that_is_welded_answers_as_one_that_its_file_fixes(tmp_path: Path
     place = (held.tool.link, *held.tool.offset.tolist())
     carried = payload_limit(robot, task, place)
     assert carried.mass == pytest.approx(min(held.payload.mass, held.payload.servos), rel=2e-3)
+
+
+def test_a_light_base_that_is_welded_does_not_shake(tmp_path: Path) -> None:
+    """As heavy as what it is bolted to: on MuJoCo's soft weld the arm shook, and was left."""
+    (tmp_path / "arm.xml").write_text(
+        by_hand.MJCF.replace(
+            '<body name="base">', '<body name="base"><geom size=".02" mass=".05"/>'
+        )
+    )
+    robot = pa.load_robot(tmp_path / "arm.xml")
+    task = pa.StandTask(height=1.0, contacts={"base": pa.Weld()})
+    stand = pa.stance.solve_stand_as_simulated(robot, task)
+    assert pa.verify_stand(robot, stand, duration=4.0).passed
 
 
 def test_what_touches_fails_a_posture(tmp_path: Path) -> None:
