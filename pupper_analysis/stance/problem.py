@@ -318,6 +318,8 @@ def feet_centre(
         held = (point for foot in robot.welds for point in robot.feet.get(foot, ()))
         radius = robot.contact_radius
         touches = {**touches, **{one: targets[one] - radius[one] * UP for one in held}}
+    if not touches:  # all feet are lifted
+        return np.mean([*targets.values()], axis=0) * (1.0, 1.0, 0.0)
     stance_feet, contacts = [*touches], np.array([*touches.values()])
     centre: Array = contacts.mean(axis=0)
     steep = [foot for foot in ground.planes if ground.normal(foot)[2] < _STEEP]

@@ -642,7 +642,7 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
         drift = float(np.linalg.solve(system.held(qpos, derivative), flow)[2])
     contact_sag = stand.sunk(robot, drops)
     torques = system.torques(qpos)
-    names = np.array(robot.joint_names)
+    full = (torques <= system.lower) | (torques >= system.upper)
     return SteadyState(
         feet=system.feet,
         qpos=qpos,
@@ -651,7 +651,7 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
         servo_sag=loss - contact_sag,
         contact_sag=contact_sag,
         joint_torques=torques,
-        saturated=tuple(names[(torques <= system.lower) | (torques >= system.upper)].tolist()),
+        saturated=tuple(np.array(robot.joint_names)[full].tolist()),
         stance_feet=tuple(foot for foot in robot.contact_points if foot in solution.forces),
         contact_forces={
             foot: frame.T @ solution.force(foot) for foot, frame in system.frames.items()

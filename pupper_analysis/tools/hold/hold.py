@@ -367,8 +367,7 @@ def hold_posture(
         simulated = point.position(Configuration(robot, rest)) - point.position(config)
     worst = worst_postures(robot, posture, point)
     more = tool_payload(robot, posture, point, worst, kp=kp)
-    trial = None
-    most = min(more.mass, more.servos)
+    trial, most = None, min(more.mass, more.servos)
     if 0 < most < math.inf:
         loaded = with_payload(robot, TRIED * most, point)
         stood = solve_stand_as_simulated(loaded, held_stand(loaded, posture))

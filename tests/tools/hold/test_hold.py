@@ -172,6 +172,12 @@ def test_a_robot_that_is_held_by_its_base_hangs() -> None:
     alone = verify_stand(robot, stand, feedforward=False, settled=settled)
     assert alone.passed, alone.failures
     assert "ground-touches-nothing" in {note.code for note in robot.notes}
+    free = pa.load_variant("v3")  # so does one whose base is welded, all feet lifted
+    task = pa.StandTask(contacts={"base": pa.Weld()}, swing=dict.fromkeys(free.feet, 0.05))
+    lifted = pa.solve_stand(free, task)
+    hanging = pa.gravity_compensation(Configuration(robot, lifted.qpos[7:]), contacts=[])
+    torques = pa.stance.stand_statics(free, lifted).joint_torques
+    np.testing.assert_array_equal(torques, hanging.joint_torques)
 
 
 def test_robots_with_a_free_base_are_sent_elsewhere_and_those_without_feet_here() -> None:
