@@ -96,8 +96,7 @@ def comes_to_rest(
         return False
     slowest = judged.least_damped
     forgotten = _FORGOTTEN * (0.0 if slowest is None else slowest.time_constant)
-    after = min(max(forgotten, _BRIEF), NUDGED * LASTING)
-    later = simulate_nudge(model, state, held.ctrl, after)
+    later = simulate_nudge(model, state, held.ctrl, min(max(forgotten, _BRIEF), NUDGED * LASTING))
     if monitor.has_diverged(later, float(model.opt.timestep)):
         return False
     nudge = measure_response(model, state, later, last)
