@@ -318,9 +318,9 @@ def feet_centre(
         held = (point for foot in robot.welds for point in robot.feet.get(foot, ()))
         radius = robot.contact_radius
         touches = {**touches, **{one: targets[one] - radius[one] * UP for one in held}}
-    if not touches:  # all feet are lifted
-        return np.mean([*targets.values()], axis=0) * (1.0, 1.0, 0.0)
     stance_feet, contacts = [*touches], np.array([*touches.values()])
+    if not touches:  # all feet are lifted
+        return np.array([*np.mean([*targets.values()], axis=0)[:2], 0.0])
     centre: Array = contacts.mean(axis=0)
     steep = [foot for foot in ground.planes if ground.normal(foot)[2] < _STEEP]
     for left_out, parts in (((*robot.hands, *steep), slice(None)), (ground.planes, slice(2, 3))):
