@@ -176,6 +176,10 @@ def read_stance_file(path: Path) -> dict[str, Any]:
             unknown = diagnose("no-option-of-a-stance", given=key, known=sorted(known))
             raise ConfigurationError(str(path), unknown)
         typed = _typed(path, key, value)
+        field = TYPED.get(known[option])
+        if field is not None and field.per and not isinstance(value, Mapping):
+            form = '{}."{}" = "{}"'.format(option, *field.example.strip("'").split("=", 1))
+            raise ConfigurationError(str(path), diagnose("not-of-the-form", given=key, form=form))
         several = option in ("kp", "kd") and not isinstance(typed, list)
         options[known[option]] = [typed] if several else typed
     return options

@@ -20,7 +20,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.robot.plane import Contact, Plane, Slope, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, Field
-from pupper_analysis.stance.problem import feet_places, nominal_feet, usual_place
+from pupper_analysis.stance.problem import STEEP, feet_places, nominal_feet, usual_place
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -279,13 +279,15 @@ def describe_limit(
     kind, number = doubtful_number(robot, task, possible, demands) or ("", 0.0)
     return diagnose(
         "demands-can-go",
-        demands=[_describe_demand(possible, demand, task) for demand in demands],
+        demands=[_describe_demand(robot, possible, demand, task) for demand in demands],
         angle=number if kind == "angle" else None,
         length=number if kind and kind != "angle" else None,
     )
 
 
-def _describe_demand(task: StandTask, demand: str, asked: StandTask) -> Diagnostic:
+def _describe_demand(
+    robot: Robot, task: StandTask, demand: str, asked: StandTask
+) -> Diagnostic:
     """Tells a demand's value with its unit, in as many digits as it has; of contacts what gives."""
     name = Term(demand)
     if demand == "ground":
@@ -295,9 +297,11 @@ def _describe_demand(task: StandTask, demand: str, asked: StandTask) -> Diagnost
     (field,) = _FIELDS[demand]
     if field.kind == "contact":
         given = {of: one for of, one in task.contacts.items() if one != asked.contacts[of]}
-        feet = [
-            diagnose("demanded-contact", link=of, value=f"{one:.7g}") for of, one in given.items()
-        ]
+        feet = []
+        for of, one in given.items():
+            steep = isinstance(one, Contact) and abs(one.plane.normal[2]) < STEEP and not one.place
+            low = steep and not one.turns and of not in robot.hands
+            feet.append(diagnose("demanded-contact", link=of, value=f"{one:.7g}", low=low))
         return diagnose("demanded-of-feet", field=name, feet=feet)
     if field.per:
         return diagnose("demanded-of-feet", field=name, feet=list(_of_feet(task, field)))

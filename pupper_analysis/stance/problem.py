@@ -322,7 +322,7 @@ def feet_centre(
     if not touches:  # all feet are lifted
         return np.array([*np.mean([*targets.values()], axis=0)[:2], 0.0])
     centre: Array = contacts.mean(axis=0)
-    steep = [foot for foot in ground.planes if ground.normal(foot)[2] < _STEEP]
+    steep = [foot for foot in ground.planes if ground.normal(foot)[2] < STEEP]
     for left_out, parts in (((*robot.hands, *steep), slice(None)), (ground.planes, slice(2, 3))):
         kept = [robot.foot_of(foot) not in left_out for foot in stance_feet] if left_out else []
         if any(kept) and not all(kept):  # a foot high on a wall lifts no base
@@ -449,7 +449,7 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
 
 _MAX_ITERATIONS = 4  # of fitting a plane to spheres of unequal size: each depends on the other
 
-_STEEP = 0.5
+STEEP = 0.5
 """Vertical part of the normal of a plane that bears no weight: friction holds nothing on 60 deg."""
 
 _COINCIDENT = 1e-9  # m: contact points that are nearer to each other, or to a line, are on it

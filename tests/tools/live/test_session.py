@@ -286,7 +286,7 @@ def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:
     for foot, contact in controls.state.contacts.items():
         assert contact.plane.number == pytest.approx(wanted[foot].plane.number, rel=1e-12)
         assert contact == wanted[foot].at(contact.plane.number)
-    assert controls.contacts.value.startswith("FR=slope:0.349")
+    assert controls.contacts.value.startswith("FR=slope:20deg,uphill=90deg\n")
     state = controls.state
     wait_for(lambda: page.shows(state), "not shown")
     answer, _ = page.session.export()
