@@ -28,6 +28,7 @@ from .pupper.variants import VARIANTS as VARIANTS
 from .robot import matching as matching
 from .robot.configuration import Configuration as Configuration
 from .robot.ground import Ground as Ground
+from .robot.plane import Bar as Bar
 from .robot.plane import Contact as Contact
 from .robot.plane import Plane as Plane
 from .robot.plane import Slope as Slope

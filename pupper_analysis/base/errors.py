@@ -226,6 +226,7 @@ class Infeasibility(StrEnum):
     ZMP_OUTSIDE = "zero-moment point outside the support polygon"
     FRICTION = "friction too low"
     PULL = "a foot would have to pull"
+    GRIP = "a grip is too weak"
 
 
 class StaticsInfeasibleError(PupperAnalysisError):

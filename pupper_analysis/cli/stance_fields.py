@@ -96,16 +96,20 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     Raises:
         ConfigurationError: For the option, if it is none.
     """
-    from pupper_analysis.robot.plane import KINDS, Contact, Plane, Slope, Weld
+    from pupper_analysis.robot.plane import KINDS, Bar, Contact, Plane, Slope, Weld
 
     what, *parts = (part.strip() for part in text.split(","))
     kind, _, first = what.partition(":")
     numbers = [first, *(part for part in parts if "=" not in part)]
-    known: tuple[str, ...] = ("mu", "place", "offset", "radius", "force")
+    known: tuple[str, ...] = ("mu", "place", "offset", "radius", "force", "grip")
+    sizes = {"plane": 6, "bar": 7, "slope": 1, **dict.fromkeys(KINDS, 1)}
     if what == "weld" and numbers == [""]:
         numbers, known = [], ("place", "offset")
-    elif kind not in (*KINDS, "slope", "plane") or len(numbers) != (6 if kind == "plane" else 1):
-        form = "[wall|table|ceiling]:LENGTH, slope:ANGLE, plane:X,Y,Z,NX,NY,NZ, weld"
+    elif sizes.get(kind) != len(numbers):
+        form = (
+            "[wall|table|ceiling]:LENGTH, slope:ANGLE, plane:X,Y,Z,NX,NY,NZ, bar:X,Y,Z,DX,DY,DZ,R,"
+            " weld"
+        )
         raise ConfigurationError(option, diagnose("not-of-the-form", given=given, form=form))
     unit = "length"
     if kind == "slope":
@@ -121,7 +125,7 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
         elif word == "mu":
             _, asked[word] = shared.parse_number_assignment(option, part)
         else:
-            quantity = {"radius": "length", "uphill": "angle"}.get(word, word)
+            quantity = {"radius": "length", "uphill": "angle", "grip": "force"}.get(word, word)
             asked[word] = shared.parse_measure(option, quantity, value, given)
     friction = asked.pop("mu", None)
     try:
@@ -129,6 +133,9 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
             return Weld(**asked)
         if kind == "slope":
             return Contact(Slope(lengths[0], asked.pop("uphill", 0.0), friction), **asked)
+        if kind == "bar":
+            x, y, z, *way, radius = lengths
+            return Contact(Bar((x, y, z), (way[0], way[1], way[2]), radius, friction), **asked)
         x, y, z, *normal = lengths if kind == "plane" else (0.0, 0.0, 0.0, *KINDS[kind])
         plane = Plane((x, y, z), (normal[0], normal[1], normal[2]), friction)
         return Contact(plane if kind == "plane" else plane.moved(lengths[0]), **asked)

@@ -30,17 +30,19 @@ _LEVEL = 0.0
 
 
 class Step(NamedTuple):
-    """The box under a foot.
+    """The box under a foot, or the bar.
 
     Attributes:
         centre: (3,) in the world (m).
         half: (3,) half of its sides (m).
-        rotation: (3, 3) of its axes; the third is out of its top.
+        rotation: (3, 3) of its axes; the third is out of its top, or along a bar.
+        round: Whether it is a bar: a cylinder within these sides.
     """
 
     centre: Array
     half: Array
     rotation: Array
+    round: bool = False
 
     @property
     def top(self) -> Array:
@@ -100,10 +102,7 @@ class Ground:
 
     def rotation(self, foot: str | None = None) -> Array:
         """Returns the rotation (3, 3) that takes the level to the plane, by the shortest way."""
-        turn: Array = pin.Quaternion.FromTwoVectors(
-            np.array([0.0, 0.0, 1.0]), self.normal(foot)
-        ).matrix()
-        return turn
+        return _turned_up(self.normal(foot))
 
     def touched(self, foot: str, centre: Array) -> Array:
         """Returns the point (3,) of the ground, step or plane below a foot's centre (3,) (m)."""
@@ -130,6 +129,13 @@ class Ground:
             if own and (self.heights.get(foot) or foot in self._planes):
                 top, reach = self.middle(foot, np.array(own))
                 wide = reach + STEP_HALF_WIDTH
+                bar = getattr(self._planes.get(foot), "bar", None)
+                if bar is not None:
+                    turn = _turned_up(np.array(bar.direction))
+                    half = np.array([bar.radius, bar.radius, _LONG * wide])
+                    middle = top - bar.radius * self.normal(foot)
+                    found[foot] = Step(middle, half, turn, round=True)
+                    continue
                 thick = abs(self.heights.get(foot, 0.0)) / 2 * math.cos(self.slope)
                 half = np.array([wide, wide, wide / 2 if foot in self._planes else thick])
                 found[foot] = Step(top - half[2] * self.normal(foot), half, self.rotation(foot))
@@ -164,6 +170,12 @@ class Ground:
         return np.array([x, y, self.height((x, y), foot) + radius / math.cos(self.slope)])
 
 
+def _turned_up(out: Array) -> Array:
+    """Returns the rotation (3, 3) that takes up to a direction (3,), by the shortest way."""
+    turn: Array = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), out).matrix()
+    return turn
+
+
 def _angle(name: str, value: float) -> float:
     """Returns an angle against the horizontal (rad), from 0 to less than pi/2.
 
@@ -177,6 +189,9 @@ def _angle(name: str, value: float) -> float:
         raise ConfigurationError(name, message)
     return angle
 
+
+_LONG = 3.0
+"""A bar reaches so many times as far to both sides of what touches it."""
 
 STEP_HALF_WIDTH = 0.03
 """How far the box that is put under a foot on a step reaches beyond its contact points (m)."""

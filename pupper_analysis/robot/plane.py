@@ -1,4 +1,4 @@
-"""What a robot touches besides the ground: planes, and its contacts with them."""
+"""What a robot touches besides the ground: planes and bars, and its contacts with them."""
 
 from __future__ import annotations
 
@@ -125,11 +125,86 @@ class Slope:
 
 
 @dataclass(frozen=True)
+class Bar:
+    """A round bar in the world, such as a rung; of a millimetre's radius it is an edge.
+
+    What touches it does so in the plane that is tangent to it there.
+
+    Attributes:
+        point: (x, y, z) in its middle (m); z is its ``number``.
+        direction: (x, y, z) along it; a unit vector, whatever length is given.
+        radius: m.
+        friction: Coefficient of what touches it; that of the ground by default.
+    """
+
+    point: Point
+    direction: Point
+    radius: float
+    friction: float | None = None
+
+    def __post_init__(self) -> None:
+        radius = check_length("bar.radius", self.radius)
+        if not radius > 0:
+            raise ConfigurationError("bar.radius", diagnose("not-above", value=radius, bound=0))
+        along = Plane(self.point, self.direction, self.friction)
+        object.__setattr__(self, "point", along.point)
+        object.__setattr__(self, "direction", along.normal)
+        object.__setattr__(self, "radius", radius)
+        object.__setattr__(self, "friction", along.friction)
+
+    @property
+    def number(self) -> float:
+        """Its height (m)."""
+        return self.point[2]
+
+    def moved(self, number: float) -> Bar:
+        """Returns the one at another height (m)."""
+        return replace(self, point=(*self.point[:2], number))
+
+    def top(self, x: float, y: float) -> Point:
+        """Returns the point on its upper side next to a place, seen from above (m)."""
+        along = np.array(self.direction)
+        level = along[:2] @ along[:2]
+        way = (np.array((x, y)) - self.point[:2]) @ along[:2] / level if level else 0.0
+        out = np.array((0.0, 0.0, 1.0)) - along[2] * along
+        above: list[float] = (np.array(self.point) + way * along + out).tolist()
+        return _point("place", above)
+
+    def through(self, point: Point) -> Tangent:
+        """Returns the plane that touches it where it is nearest to a point (x, y, z) (m).
+
+        Raises:
+            ConfigurationError: If the point is in its middle.
+        """
+        along, away = np.array(self.direction), np.array(point) - self.point
+        out = away - (away @ along) * along
+        if not np.linalg.norm(out) > _MIDDLE:
+            raise ConfigurationError("contact.place", diagnose("place-in-a-bar"))
+        out = out / np.linalg.norm(out)
+        near = np.array(self.point) + (away @ along) * along + self.radius * out
+        x, y, z = near.tolist()
+        a, b, c = out.tolist()
+        return Tangent((x, y, z), (a, b, c), self.friction, bar=self)
+
+
+@dataclass(frozen=True)
+class Tangent(Plane):
+    """The plane in which something touches a bar."""
+
+    bar: Bar | None = None
+
+
+_MIDDLE = 1e-9
+"""A point that is no further from a bar's axis is on it (m)."""
+
+
+@dataclass(frozen=True)
 class Contact:
-    """A foot, or another part of the robot, that touches a plane of its own.
+    """A foot, or another part of the robot, that touches a plane or a bar of its own.
 
     A foot touches with what it is. Another part, a hand, touches with a ball in a point of its
-    link, which weighs nothing and touches that plane alone.
+    link, which weighs nothing and touches that plane alone. A foot of several points, a sole,
+    touches no bar.
 
     Attributes:
         plane: What it touches.
@@ -140,16 +215,27 @@ class Contact:
         offset: Of a hand, (x, y, z) of its ball's centre in the frame of its link (m).
         radius: Of that ball (m); by default of the largest there that is within the hand's own
             shapes, or 1 cm if it is in none.
+        grip: Up to which force (N) it is held there, any way, as by a hand that is closed around a
+            rung: its ball's centre stays where it is, and the hand may turn about it. By default
+            nothing holds it, and it can only press.
     """
 
-    plane: Plane | Slope
+    plane: Plane | Slope | Bar
     place: Point | None = None
     offset: Point = (0.0, 0.0, 0.0)
     radius: float | None = None
     force: float | None = None
+    grip: float | None = None
 
     def __post_init__(self) -> None:
-        check_type("plane", self.plane, Plane | Slope)
+        check_type("plane", self.plane, Plane | Slope | Bar)
+        if self.grip is not None:
+            grip = check_finite("grip", self.grip)
+            if not grip > 0:
+                raise ConfigurationError("grip", diagnose("not-above", value=grip, bound=0))
+            if self.force is not None:
+                raise ConfigurationError("grip", diagnose("grip-and-force"))
+            object.__setattr__(self, "grip", grip)
         if self.force is not None:
             force = check_finite("force", self.force)
             if not force >= 0:
@@ -183,6 +269,9 @@ class Contact:
         if isinstance(plane, Slope):
             parts = ["slope:" + say([plane.angle], "rad")]
             parts += ["uphill=" + say([plane.uphill], "rad")] if plane.uphill else []
+        elif isinstance(plane, Bar):
+            place, way = say(plane.point, "m", ","), say(plane.direction, "", ",")
+            parts = [f"bar:{place},{way},{say([plane.radius], 'm')}"]
         elif plane.kind:
             parts = [f"{plane.kind}:{say([plane.number], 'm')}"]
         else:
@@ -191,6 +280,7 @@ class Contact:
         parts += _placed(self, say)
         parts += [] if self.radius is None else ["radius=" + say([self.radius], "m")]
         parts += [] if self.force is None else ["force=" + say([self.force], "N")]
+        parts += [] if self.grip is None else ["grip=" + say([self.grip], "N")]
         return ",".join(parts)
 
 
@@ -271,7 +361,8 @@ def contact_of(given: Any) -> Contact | Weld:
             return Weld(**given)
         plane = given["plane"]
         if isinstance(plane, Mapping):
-            plane = (Slope if "angle" in plane else Plane)(**plane)
+            kind = Bar if "direction" in plane else Slope if "angle" in plane else Plane
+            plane = kind(**plane)
         return Contact(**{**given, "plane": plane})
     except TypeError as error:
         problem = diagnose("no-contact", given=repr(given))

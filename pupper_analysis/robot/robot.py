@@ -126,7 +126,8 @@ _LIMITS = ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortL
 """What may be infinite in Pinocchio's model: it writes infinity, and cannot read it again."""
 
 _MADE = (
-    "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "welds", "_kept",
+    "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "welds",
+    "grips", "_kept",
 )  # fmt: skip
 """What is worked out again, quicker than it travels."""
 
@@ -171,6 +172,7 @@ class Touching:
         radius: Of that ball (m); None: what its shapes hold.
         force: With which it presses (N), if that is stated.
         welded: Whether it touches nothing, and is fixed in the world.
+        grip: Up to which force it is so (N), and may turn about its point; None: any way.
     """
 
     friction: float | None = None
@@ -178,6 +180,7 @@ class Touching:
     radius: float | None = None
     force: float | None = None
     welded: bool = False
+    grip: float | None = None
 
 
 def with_friction(
@@ -289,14 +292,24 @@ class Robot:
 
     @cached_property
     def welds(self) -> Mapping[str, str | None]:
-        """{what a task fixes in the world: a contact point on it; None of the base}."""
-        return FrozenDict(
-            {
-                name: next(iter(self.feet.get(name, ())), None)
-                for name, one in self.touching.items()
-                if one.welded
-            }
-        )
+        """{what a task fixes in the world: a contact point on it; None of the base}.
+
+        Those that ``grips`` come last.
+        """
+        fixed = (name for name, one in self.touching.items() if one.welded and one.grip is None)
+        names = (*fixed, *self.grips)
+        return FrozenDict({name: next(iter(self.feet.get(name, ())), None) for name in names})
+
+    @cached_property
+    def grips(self) -> Mapping[str, float]:
+        """{what is held in the world by a point of it alone: up to which force (N)}."""
+        given = ((name, one.grip) for name, one in self.touching.items())
+        return FrozenDict({name: grip for name, grip in given if grip is not None})
+
+    @property
+    def bolted(self) -> bool:
+        """Whether something is fixed in the world any way, so that any com is in balance."""
+        return len(self.welds) > len(self.grips)
 
     @property
     def bolted(self) -> bool:

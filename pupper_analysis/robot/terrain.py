@@ -59,7 +59,8 @@ def _put_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
     model, tree = robot.mj_model, SpecTree(spec)
     for name, point in robot.welds.items():
         body = model.body(robot.mj_base if point is None else robot.contact_places[point][0]).name
-        weld = spec.add_equality(name=weld_name(name), type=mujoco.mjtEq.mjEQ_WELD, name1=body)
+        kind = mujoco.mjtEq.mjEQ_CONNECT if name in robot.grips else mujoco.mjtEq.mjEQ_WELD
+        weld = spec.add_equality(name=weld_name(name), type=kind, name1=body)
         weld.objtype, weld.active = mujoco.mjtObj.mjOBJ_BODY, False
         weld.solref, weld.solimp[:2] = (2 * float(spec.option.timestep), 1.0), mujoco.mjMAXIMP
         still = {geom.parent.name for geom in spec.geoms if is_fixed(geom.parent)} | {"world"}
@@ -93,7 +94,9 @@ def close_welds(
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_kinematics(model, data)
-    for number in welds.values():
+    for name, number in welds.items():
+        if name in robot.grips:
+            model.eq_data[number, :3] = robot.contact_places[robot.feet[name][0]][1]
         _place_weld(model, data, number, np.zeros(6))
         model.eq_active0[number] = 1
     data = mujoco.MjData(model)
@@ -103,8 +106,8 @@ def close_welds(
         rows = np.flatnonzero(
             (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value) & (data.efc_id == number)
         )
-        moved, chosen = np.zeros((6, model.nv)), np.zeros((6, data.nefc))
-        chosen[np.arange(6), rows] = 1.0
+        moved, chosen = np.zeros((len(rows), model.nv)), np.zeros((len(rows), data.nefc))
+        chosen[np.arange(len(rows)), rows] = 1.0
         for row, one in zip(moved, chosen, strict=True):
             mujoco.mj_mulJacTVec(model, data, row, one)
         push = pushes[name]
@@ -114,8 +117,15 @@ def close_welds(
 
 
 def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened: Array) -> None:
-    """Puts a weld where its body is, but for what it is open by (6,), way and half of the turn."""
+    """Puts a weld where its body is, but for what it is open by (6,), way and half of the turn.
+
+    Of a grip, where the point of its body is: by a way (3,).
+    """
     body, turn, own = int(model.eq_obj1id[number]), np.zeros(4), np.zeros(4)
+    if model.eq_type[number] == mujoco.mjtEq.mjEQ_CONNECT.value:
+        place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.eq_data[number, :3]
+        model.eq_data[number, 3:6] = place - opened[:3]
+        return
     mujoco.mju_negQuat(own, data.xquat[body])
     mujoco.mju_mulQuat(turn, own, np.array([1.0, *opened[3:]]))
     mujoco.mju_normalize4(turn)
@@ -132,7 +142,7 @@ def _put_ground(
     turn_floor(floor, quaternion_from_rotation(ground.rotation()))
     steps = ground.steps(places)
     soles = [foot for foot in steps if len(robot.feet[foot]) > 1]
-    alone = [*soles, *(foot for foot in steps if foot in robot.hands)]
+    alone = [*soles, *(foot for foot in steps if foot in robot.hands and foot not in robot.grips)]
     contype, conaffinity = floor.contype, floor.conaffinity
     free = _leave_floor(robot, spec, floor, steps, alone)
     highest = max(int(geom.priority) for geom in spec.geoms)
@@ -140,8 +150,8 @@ def _put_ground(
         quat = quaternion_from_rotation(step.rotation)
         box = spec.worldbody.add_geom(
             name=f"step_{foot}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=step.half,
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER if step.round else mujoco.mjtGeom.mjGEOM_BOX,
+            size=np.take(step.half, (0, 2, 2)) if step.round else step.half,
             pos=step.centre,
             quat=quat,
             contype=contype,
@@ -149,8 +159,8 @@ def _put_ground(
             rgba=(0.6, 0.62, 0.66, 1.0),
         )
         _like_floor(box, floor)
-        if foot in robot.hands:
-            box.contype, box.conaffinity = 0, free[foot]
+        if foot in robot.hands or foot in robot.grips:
+            box.contype, box.conaffinity = 0, free.get(foot, 0)
         if foot in soles:
             box.contype, box.conaffinity = 0, floor.conaffinity
             top = spec.worldbody.add_geom(

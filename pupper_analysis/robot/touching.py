@@ -24,7 +24,7 @@ from pupper_analysis.robot.build import (
     with_knowledge_of,
     with_touching,
 )
-from pupper_analysis.robot.plane import Contact, Weld
+from pupper_analysis.robot.plane import Bar, Contact, Weld
 from pupper_analysis.robot.robot import Robot, Touching
 from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.robot.tool import Tool, find_tool
@@ -68,6 +68,9 @@ def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
     if bare is None:
         raise ConfigurationError("contacts", diagnose("made-for-other-contacts", robot=robot.name))
     for name, one in contacts.items():
+        round_ = isinstance(one.plane, Bar) or wanted[name].grip is not None
+        if round_ and len(bare.feet.get(name, ())) > 1:
+            raise ConfigurationError("contacts", diagnose("sole-on-a-bar", foot=name))
         if isinstance(one, Weld) and one.place is not None:
             _check_hand(name, name not in own and bool(_tool(bare, name).chain), "place")
     return _with_contacts(bare, asked) if asked else bare
@@ -78,7 +81,9 @@ def _touching(name: str, one: Contact | Weld, foot: bool) -> Touching:
         _check_hand(name, not foot or not any(one.offset), "offset")
         return Touching(offset=None if foot else one.offset, welded=True)
     _check_hand(name, not foot or not (any(one.offset) or one.radius is not None), "offset, radius")
-    return Touching(one.plane.friction, None if foot else one.offset, one.radius, one.force)
+    held, friction = one.grip is not None, one.plane.friction
+    offset = None if foot else one.offset
+    return Touching(None if held else friction, offset, one.radius, one.force, held, one.grip)
 
 
 def _check_hand(name: str, is_one: bool, given: str) -> None:

@@ -98,7 +98,8 @@ def begin_stand(
 def weld_pushes(robot: Robot, stand: Stand, prediction: GravityCompensation) -> dict[str, Array]:
     """Returns {what is welded: (nv,) the generalised force of its weld} in a stand."""
     columns = stand_contacts(robot, stand).weld_columns(Configuration(robot, stand.qpos))
-    return {name: own @ prediction.weld_wrenches[name] for name, own in columns.items()}
+    wrenches = prediction.weld_wrenches
+    return {name: own @ wrenches[name][: own.shape[1]] for name, own in columns.items()}
 
 
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:

@@ -247,7 +247,8 @@ class ClearanceShapes:
             ("", coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
         ]
         for foot, step in ground.steps(places).items():
-            box = coal.Box(2 * step.half)
+            wide, _, high = (2 * step.half).tolist()
+            box = coal.Cylinder(wide / 2, high) if step.round else coal.Box(2 * step.half)
             obstacles.append((foot, box, coal.Transform3s(step.rotation, step.centre)))
         for part in self.parts:
             own = part.shape.form.collision, where[part.number]

@@ -17,7 +17,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.robot.plane import Contact, Plane, Slope, Weld
+from pupper_analysis.robot.plane import Bar, Contact, Plane, Slope, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.stance.problem import STEEP, feet_places, nominal_feet, usual_place
@@ -157,6 +157,8 @@ def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
         assert isinstance(contact, Contact)
         if isinstance(contact.plane, Slope):
             return contact.at(0.0)
+        if isinstance(contact.plane, Bar):
+            return contact.at(float(place[2]))
         if foot in robot.hands:  # it is its ball's
             place -= robot.contact_radius[robot.feet[foot][0]] * np.array(contact.plane.normal)
         x, y, z = place.tolist()
@@ -285,9 +287,7 @@ def describe_limit(
     )
 
 
-def _describe_demand(
-    robot: Robot, task: StandTask, demand: str, asked: StandTask
-) -> Diagnostic:
+def _describe_demand(robot: Robot, task: StandTask, demand: str, asked: StandTask) -> Diagnostic:
     """Tells a demand's value with its unit, in as many digits as it has; of contacts what gives."""
     name = Term(demand)
     if demand == "ground":
@@ -299,8 +299,8 @@ def _describe_demand(
         given = {of: one for of, one in task.contacts.items() if one != asked.contacts[of]}
         feet = []
         for of, one in given.items():
-            steep = isinstance(one, Contact) and abs(one.plane.normal[2]) < STEEP and not one.place
-            low = steep and not one.turns and of not in robot.hands
+            wall = isinstance(one.plane, Plane) and abs(one.plane.normal[2]) < STEEP
+            low = wall and one.place is None and of not in robot.hands
             feet.append(diagnose("demanded-contact", link=of, value=f"{one:.7g}", low=low))
         return diagnose("demanded-of-feet", field=name, feet=feet)
     if field.per:

@@ -23,7 +23,7 @@ from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING, judge_constraints
 from pupper_analysis.stance.problem import Goal, feet_centre, raise_feet
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.contacts import stated_forces
+from pupper_analysis.statics.contacts import gripped_places, stated_forces
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import support_corners
 
@@ -155,7 +155,8 @@ class Stand(Tabular):
         normals = np.array([*self.normals.values()])
         friction = [robot.contacts[one].sliding_friction for one in self.normals if robot.contacts]
         stated = stated_forces(robot, self.stance_feet)
-        return np.array(support_corners(points, normals, friction, stated))
+        held = gripped_places(robot, self.foot_targets) if robot.grips else None
+        return np.array(support_corners(points, normals, friction, stated, held))
 
     @property
     def rigid_targets(self) -> Mapping[str, Array]:

@@ -19,10 +19,11 @@ from pupper_analysis.base.frozen import FrozenDict, freeze_arrays
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.joints import check_in_range, placed_joints, with_units
+from pupper_analysis.robot.plane import Bar
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.contacts import stated_forces
+from pupper_analysis.statics.contacts import gripped_places, stated_forces
 from pupper_analysis.statics.support_polygon import Corner, margin_of_place, support_corners
 
 Array = NDArray[np.float64]
@@ -100,6 +101,7 @@ class Support:
         normals: (n, 3) out of the ground.
         friction: (n,) coefficients, if they are known.
         stated: Forces that contacts are to press with; see ``support_corners``.
+        grips: Where something is gripped, and up to which force, likewise.
     """
 
     def __init__(
@@ -108,8 +110,9 @@ class Support:
         normals: Array,
         friction: Sequence[float],
         stated: tuple[Array, Array] | None = None,
+        grips: Array | None = None,
     ) -> None:
-        self._given = contacts, normals, friction, stated
+        self._given = contacts, normals, friction, stated, grips
 
     @cached_property
     def corners(self) -> tuple[Corner, ...]:
@@ -262,8 +265,9 @@ def _goal_of(
         normals = freeze_arrays({foot: out[foot] for foot in stance_feet})
         grip = [robot.contacts[foot].sliding_friction for foot in stance_feet if robot.contacts]
         stated = stated_forces(robot, stance_feet)
-        support = Support(contacts, np.array([*normals.values()]), grip, stated)
-        if checked and not robot.welds:  # which hold any com
+        held = gripped_places(robot, targets) if robot.grips else None
+        support = Support(contacts, np.array([*normals.values()]), grip, stated, held)
+        if checked and not robot.bolted:  # which hold any com
             _check_area(robot, np.array(support.corners), stance_feet)
         centre = feet_centre(robot, task.ground, touches, targets)
     task = _filled(robot, task, com)
@@ -283,7 +287,7 @@ def _goal_of(
         place = like.place
     # The centre, of which no margin is asked, always is inside.
     at_centre = by_base or (isinstance(task.com, str) and task.com_margin == 0.0)
-    if checked and not at_centre and not robot.welds:
+    if checked and not at_centre and not robot.bolted:
         _check_inside(task, place, support.corners)
     turn = like.turn if like is not None and _turned_alike(like.task, task) else task.turn()
     return Goal(
@@ -545,6 +549,8 @@ def _asked_place(robot: Robot, task: StandTask, foot: str, place: Array) -> Arra
         near = np.array(task.contacts[foot].place or usual_place(robot, foot).tolist())
         near[:2] += place - nominal_feet(robot)[foot]
         return near
+    if isinstance(bar := task.contacts[foot].plane, Bar):
+        return np.array(bar.top(*place.tolist()))
     return np.array((*place, task.ground.height(place, foot)))
 
 

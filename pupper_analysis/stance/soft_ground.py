@@ -199,7 +199,9 @@ def open_loops(robot: Robot, stand: Stand, held: GravityCompensation) -> Array:
     config = Configuration(robot, stand.qpos)
     carrying = make_contacts(robot, stand.stance_feet, None, stand.normals, stand.depths)
     forces = (held.contact_forces[foot] for foot in stand.stance_feet)
-    pushed = np.concatenate([*forces, *held.weld_wrenches.values()])
+    grips = len(held.weld_wrenches) - len(robot.grips)
+    wrenches = [*held.weld_wrenches.values()]
+    pushed = np.concatenate([*forces, *wrenches[:grips], *(one[:3] for one in wrenches[grips:])])
     left = config.load() - carrying.jacobian(config) @ pushed
     return robot.closure.give(stand.qpos, left[robot.nv - robot.nu :])
 

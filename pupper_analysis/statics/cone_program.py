@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import clarabel
@@ -41,7 +41,8 @@ _UP = np.array([0.0, 0.0, 1.0])
 class Balance:
     """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,).
 
-    Wrenches of welds come after these, (6 w,), and are in no cone.
+    Wrenches of welds come after these, (6 w,), and are in no cone; and then the forces of grips,
+    (3 g,), each of which is at most ``grips``.
     """
 
     base: Array
@@ -49,6 +50,7 @@ class Balance:
     joints: Array
     torques: Array
     normals: Array
+    grips: Array = field(default_factory=lambda: np.zeros(0))
 
     def minimum_tangential(self, friction: Array | None, metric: TangentialMetric) -> Array | None:
         """Returns the least tangential f (3 n,), or None if there is none.
@@ -68,7 +70,8 @@ class Balance:
         """Returns the f (3 n + 6 w,) of least |tau| that only presses; None if there is none.
 
         Beside a weld, which takes what is left, that is what lasts: no force along a plane, so that
-        nothing creeps, and along normals those that spare the motors.
+        nothing creeps, and along normals those that spare the motors. Beside grips alone
+        they are as equal as may be: to spare motors a sole would stand on its edge.
         """
         count, size = len(self.normals), self.base.shape[1]
         along = np.zeros((size, size - 2 * count))
@@ -80,14 +83,18 @@ class Balance:
             joints=self.joints @ along,
             normals=np.zeros((0, 3)),
         )
-        found = own._without_cones(own.joints, self.torques)
-        if found is not None and (found[:count] < 0).any():
+        if 3 * (count + len(self.grips)) == size:
+            own = replace(own, joints=np.eye(size - 2 * count), torques=np.zeros(size - 2 * count))
+        found, nothing = own._without_cones(own.joints, own.torques), np.zeros(0)
+        if found is not None and min([*found[:count], -own._violation(found, nothing)]) < 0:
             particular, free = own._by_singular_values
             bounds = -free[:count], particular[:count]
-            cost, target = own.joints @ free, self.torques - own.joints @ particular
-            nothing = np.zeros(0)
+            cost, target = own.joints @ free, own.torques - own.joints @ particular
             least = own._solve_cones(particular, free, cost, target, nothing, bounds)
             found = None if least is None else particular + free @ least
+            tiny = BALANCE_TOLERANCE * float(np.linalg.norm(self.weight))
+            if found is not None and self.grips.size and found[:count].min(initial=0.0) < -tiny:
+                return None  # beside grips alone there need be none
         return None if found is None else along @ found
 
     def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
@@ -206,17 +213,25 @@ class Balance:
             pressing = x * a + y * b + z * c
             sliding = math.hypot(x - pressing * a, y - pressing * b, z - pressing * c)
             excess.append(sliding - coefficient * pressing)
+        gripping = forces[len(forces) - 3 * len(self.grips) :].reshape(-1, 3)
+        held = zip(gripping.tolist(), self.grips.tolist(), strict=True)
+        excess += [math.hypot(*force) - most for force, most in held]
         return _nan_or_max(excess)
 
     def _cones(self, friction: Array) -> Array:
-        """Returns rows (4 n, 3 n + 6 w) that take f to (mu f_n, f_t) per foot, in the cone."""
+        """Returns rows (4 n + 4 g, 3 n + 6 w + 3 g): per foot (mu f_n, f_t), per grip (0, f)."""
         normals, count = self.normals, len(self.normals)
         rows, each = np.zeros((count, 4, count, 3)), np.arange(count)
         rows[each, 0, each] = (friction * (1 - _INSIDE))[:, None] * normals
         rows[each, 1:, each] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-        others = np.zeros((4 * count, self.base.shape[1] - 3 * count))
         cones: Array = rows.reshape(4 * count, 3 * count)
-        return np.hstack([cones, others]) if others.shape[1] else cones
+        others = self.base.shape[1] - 3 * count
+        if not others:
+            return cones
+        held = np.kron(np.eye(len(self.grips)), np.eye(4, 3, k=-1))
+        left = np.zeros((len(held), 3 * count + others - held.shape[1]))
+        free = np.zeros((4 * count, others))
+        return np.vstack([np.hstack([cones, free]), np.hstack([left, held])])
 
     def _solve_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
@@ -271,8 +286,10 @@ class Balance:
         """
         scale = np.linalg.norm(self.weight[:3]) or 1.0  # nothing to carry: a robot in free fall
         rows = self._cones(friction)
-        matrix, right = [-rows @ free], [rows @ particular / scale]
-        cones: list[object] = [clarabel.SecondOrderConeT(4)] * len(self.normals)
+        most = np.zeros(len(rows))
+        most[4 * len(self.normals) :: 4] = self.grips * (1 - _INSIDE)
+        matrix, right = [-rows @ free], [(rows @ particular + most) / scale]
+        cones: list[object] = [clarabel.SecondOrderConeT(4)] * (len(rows) // 4)
         if bounds is not None:
             matrix.insert(0, bounds[0])
             right.insert(0, bounds[1] / scale)
@@ -315,12 +332,18 @@ class TangentialMetric:
             self._diagonal = scale.ravel()
 
     def __matmul__(self, forces: Array) -> Array:
+        if len(forces) > self._normals.size:  # what welds and grips do counts as normal forces do
+            own, others = np.split(forces, [self._normals.size])
+            return np.concatenate([self @ own, others])
         if self._diagonal is not None:
             return (self._diagonal * forces.T).T
         return self._times(self._weights, forces)
 
     def _undone(self, forces: Array) -> Array:
         """Returns the product with the inverse."""
+        if len(forces) > self._normals.size:
+            own, others = np.split(forces, [self._normals.size])
+            return np.concatenate([self._undone(own), others])
         if self._diagonal is not None:
             return (forces.T / self._diagonal).T
         return self._times(1 / self._weights, forces)

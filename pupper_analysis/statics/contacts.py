@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Real
 
 import numpy as np
@@ -41,6 +41,7 @@ class Contacts:
         stated: (k, n) which contacts press together with a force that is stated, and (k,) these
             forces, in weights; None if none is.
         weight: The robot's, with which these count (N).
+        grips: (g,) what the last of ``welds`` hold at most (N), by a force alone.
     """
 
     nv: int
@@ -53,31 +54,37 @@ class Contacts:
     welds: Mapping[str, str | None] = field(default_factory=dict)
     stated: tuple[Array, Array] | None = None
     weight: float = 0.0
+    grips: Array = field(default_factory=lambda: np.zeros(0))
 
     @functools.cached_property
     def level(self) -> bool:
         """Whether the ground is level under all feet."""
         return bool(np.abs(self.normals - UP).max(initial=0.0) < BALANCE_TOLERANCE)
 
-    def com_margin(self, place: Array, points: Array) -> float:
+    def com_margin(self, place: Array, config: Configuration, points: Array) -> float:
         """Returns the distance (m) of a place from the edge of where a com is in balance.
 
         Args:
             place: (2,) or (3,), seen from above (m).
+            config: Where the robot is.
             points: (n, 3) where the contacts are (m).
 
         Returns:
             The distance; positive inside; minus infinity if the place is not a number; infinite
             with a weld, which holds any.
         """
-        if self.welds:
+        if len(self.welds) > len(self.grips):
             return math.inf
         x, y, *_ = place.tolist()
-        if self.level and self.stated is None:  # as a rule: nothing else is asked
+        grips = None
+        if self.welds:
+            at = config.foot_places([str(point) for point in self.welds.values()])
+            grips = np.column_stack([at, self.grips / self.weight])
+        if self.level and self.stated is None and grips is None:  # as a rule: nothing else is asked
             corners = tuple([(a, b) for a, b, _ in points.tolist()])
         else:
             friction = self.friction.tolist()
-            corners = support_corners(points, self.normals, friction, self.stated)
+            corners = support_corners(points, self.normals, friction, self.stated, grips)
         return margin_of_place((x, y), corners)
 
     @functools.cached_property
@@ -108,12 +115,13 @@ class Contacts:
         return np.hstack([pushed, *self.weld_columns(config).values()]) if self.welds else pushed
 
     def weld_columns(self, config: Configuration) -> dict[str, Array]:
-        """Returns {what is welded: (nv, 6) the generalised force of its wrench}."""
+        """Returns {what is welded: (nv, 6) what its wrench makes; of a grip (nv, 3)}."""
         base = np.eye(6, self.nv)
         base[3:, 3:6] = config.base_rotation()
+        sizes = [6] * (len(self.welds) - len(self.grips)) + [3] * len(self.grips)
         return {
-            name: (base if point is None else config.foot_twists((point,))[0]).T
-            for name, point in self.welds.items()
+            name: (base if point is None else config.foot_twists((point,))[0]).T[:, :size]
+            for (name, point), size in zip(self.welds.items(), sizes, strict=True)
         }
 
     @functools.cached_property
@@ -146,6 +154,7 @@ class Contacts:
             joints=transposed[self.free :],
             torques=load[self.free :],
             normals=self.normals,
+            grips=self.grips,
         )
 
 
@@ -191,10 +200,12 @@ def _contacts(
     if feet and not robot.floating:
         problem = diagnose("fixed-base-carries", robot=robot.name)
         raise ConfigurationError("contacts", problem)
+    grips = np.array([*robot.grips.values()])
     if not feet:
         nothing = np.zeros((0, 3))
         free, none = robot.nv - robot.nu, np.zeros(0)
-        return Contacts(robot.nv, free, feet, nothing, none, nothing, {}, robot.welds)
+        bare = Contacts(robot.nv, free, feet, nothing, none, nothing, {}, robot.welds)
+        return replace(bare, weight=robot.weight, grips=grips)
     for given in (normals, depths, friction):
         for foot in given if isinstance(given, Mapping) else ():
             robot.check_foot(foot)
@@ -219,6 +230,7 @@ def _contacts(
         welds=robot.welds,
         stated=stated_forces(robot, feet),
         weight=robot.weight if robot.touching else 0.0,
+        grips=grips,
     )
 
 
@@ -231,6 +243,12 @@ def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | No
         return None
     given = np.array([forces[name] for name in pressing])
     return np.array([rows[name] for name in pressing]), given / robot.weight
+
+
+def gripped_places(robot: Robot, places: Mapping[str, Array]) -> Array | None:
+    """Returns where grips are and what they hold (g, 4) (m, weights), of {point: (3,)}; or None."""
+    held = [(*places[robot.feet[of][0]], grip / robot.weight) for of, grip in robot.grips.items()]
+    return np.array(held) if held else None
 
 
 def _normal(foot: str, normal: ArrayLike) -> Array:

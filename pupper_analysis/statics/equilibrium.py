@@ -7,7 +7,7 @@ that would have to pull.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -172,7 +172,8 @@ class GravityCompensation(Equilibrium):
         base_wrench: (6,) what holds the base from outside: force in world axes (N), torque in base
             axes (N m). Zero for a standing robot.
         weld_wrenches: {what is welded to the world: (6,)} force (N), and moment (N m) about the
-            base's frame, a foot's centre or the welded point, both in world axes.
+            base's frame, a foot's centre or the welded point, both in world axes; of a grip no
+            moment.
         center_of_mass: (3,) in the world (m).
         com_margin: Distance from the com's vertical projection to the edge of the support polygon
             (m), positive inside; None without contacts.
@@ -346,7 +347,10 @@ def _lasting(
 ) -> Array | None:
     """Finds the minimum-tangential forces (3 n,): those that last; see ``_creeping``."""
     if carrying.welds:
-        return problem.pressing()
+        pressing = problem.pressing()
+        if pressing is not None or not carrying.grips.size:
+            return pressing
+        return problem.minimum_tangential(friction, carrying.metric)
     forces = problem.minimum_tangential(friction, carrying.metric)
     if forces is None or friction is None or not robot.contacts:
         return forces
@@ -414,7 +418,10 @@ def _result(
     unbalanced = [0.0] * free if held else left[:free].tolist()
     wrenches: Mapping[str, Array] = _UNWELDED
     if carrying.welds:
-        rows = forces[carrying.normals.size :].reshape(-1, 6)
+        borne = forces[carrying.normals.size :]
+        fixed = borne[: borne.size - 3 * len(carrying.grips)].reshape(-1, 6)
+        pulls = borne[fixed.size :].reshape(-1, 3)
+        rows = np.vstack([fixed, np.hstack([pulls, 0.0 * pulls])])
         rows.setflags(write=False)
         wrenches = FrozenDict(zip(carrying.welds, rows, strict=True))
         forces = forces[: carrying.normals.size]
@@ -455,7 +462,7 @@ def _result(
         base_wrench=base_wrench,
         weld_wrenches=wrenches,
         center_of_mass=com,
-        com_margin=None if held else carrying.com_margin(over, places),
+        com_margin=None if held else carrying.com_margin(over, config, places),
         residual_force=math.hypot(*unbalanced[:3]),
         residual_torque=math.hypot(*unbalanced[3:]),
     )
@@ -475,19 +482,15 @@ def explain_infeasibility(
     """Finds out why no forces do; see ``balance_load``."""
     if (stated := _tell_stated(problem, carrying)) is not None:
         return stated
-    feet, friction = carrying.feet, float(carrying.friction.min())
-    margin = carrying.com_margin(point, carrying.points(config))
+    if (weak := _tell_weak_grip(problem, carrying)) is not None:
+        return weak
+    feet, friction = carrying.feet, float(carrying.friction.min(initial=math.inf))
+    margin = carrying.com_margin(point, config, carrying.points(config))
     even = carrying.metric
     if problem.minimum_tangential(np.full(len(feet), _NO_SLIDING), even) is not None:
-        low, high = 0.0, _NO_SLIDING
-        while high - low > 1e-6 * high:
-            middle = (low * high) ** 0.5 if low > 0 else high / 2
-            if problem.minimum_tangential(np.full(len(feet), middle), even) is None:
-                low = middle
-            else:
-                high = middle
-            if high < 1e-6:
-                break
+        high = _least(
+            lambda mu: problem.minimum_tangential(np.full(len(feet), mu), even) is not None
+        )
         return StaticsInfeasibleError(
             Infeasibility.FRICTION,
             diagnose("friction-too-low", least=friction, needed=high),
@@ -495,7 +498,8 @@ def explain_infeasibility(
             friction_needed=high,
             feet=feet,
         )
-    bilateral = np.linalg.lstsq(problem.base, problem.weight, rcond=1e-12)[0].reshape(-1, 3)
+    bilateral = np.linalg.lstsq(problem.base, problem.weight, rcond=1e-12)[0]
+    bilateral = bilateral[: carrying.normals.size].reshape(-1, 3)
     pulls = {
         foot: float(force @ normal)
         for foot, force, normal in zip(feet, bilateral, problem.normals, strict=True)
@@ -511,6 +515,33 @@ def explain_infeasibility(
         return StaticsInfeasibleError(tipping, detail, margin=margin, feet=pulls or feet)
     detail = diagnose("feet-would-pull", feet=pulling or feet)
     return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=margin, feet=pulls or feet)
+
+
+def _least(holds: Callable[[float], bool]) -> float:
+    """Returns from which number on something holds, which it does at ``_NO_SLIDING``."""
+    low, high = 0.0, _NO_SLIDING
+    while high - low > 1e-6 * high and high >= 1e-6:
+        middle = (low * high) ** 0.5 if low > 0 else high / 2
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high
+
+
+def _tell_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
+    """Returns that grips are too weak, all in the same proportion, if that is why."""
+
+    def holds(times: float) -> bool:
+        stronger = replace(problem, grips=times * problem.grips)
+        return stronger.minimum_tangential(carrying.friction, carrying.metric) is not None
+
+    if not carrying.grips.size or not holds(_NO_SLIDING):
+        return None
+    names, times = [*carrying.welds][-len(carrying.grips) :], _least(holds)
+    needed = [
+        diagnose("grip-needs", name=name, force=Quantity(times * grip, "N"))
+        for name, grip in zip(names, carrying.grips.tolist(), strict=True)
+    ]
+    detail = diagnose("grip-too-weak", grips=needed)
+    return StaticsInfeasibleError(Infeasibility.GRIP, detail, margin=math.nan, feet=tuple(names))
 
 
 def _tell_stated(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:

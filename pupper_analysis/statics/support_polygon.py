@@ -109,6 +109,7 @@ def support_corners(
     normals: Array,
     friction: Sequence[float],
     stated: tuple[Array, Array] | None = None,
+    grips: Array | None = None,
 ) -> tuple[Corner, ...]:
     """Returns corners (x, y) of where a com is in balance on contacts, seen from above (m).
 
@@ -124,15 +125,17 @@ def support_corners(
         friction: (n,) coefficients; empty if they are not known.
         stated: (k, n) which contacts press together with a force that is stated, and (k,) these
             forces, in weights; None if none is.
+        grips: (g, 4) where something is gripped (m), and up to which force (weights).
 
     Returns:
         The corners; those of the contact points' projection if nothing is in balance.
     """
     alike = bool((np.abs(normals - normals[:1]) < _ALIKE).all())
     found = None
-    if len(friction) and not (alike and stated is None):
+    if grips is not None or (len(friction) and not (alike and stated is None)):
         together = () if stated is None else tuple(one.tobytes() for one in stated)
-        found = _balanced(points.tobytes(), normals.tobytes(), tuple(friction), together)
+        held = b"" if grips is None else grips.tobytes()
+        found = _balanced(points.tobytes(), normals.tobytes(), tuple(friction), together, held)
     return found or tuple([(x, y) for x, y, _ in points.tolist()])
 
 
@@ -142,28 +145,33 @@ _ALIKE = 1e-12
 
 @functools.lru_cache(maxsize=64)  # a stand's feet stay in place while its com is looked for
 def _balanced(
-    points: bytes, normals: bytes, friction: tuple[float, ...], stated: tuple[bytes, ...]
+    points: bytes,
+    normals: bytes,
+    friction: tuple[float, ...],
+    stated: tuple[bytes, ...],
+    grips: bytes,
 ) -> tuple[Corner, ...]:
     """Returns the ends of balance in ``SIDES`` directions; none if there is no balance."""
     places, out = (np.frombuffer(one).reshape(-1, 3) for one in (points, normals))
-    count = len(places)
-    moments = cross_matrices(places).transpose(1, 0, 2).reshape(3, 3 * count)
-    rows = np.vstack([np.tile(np.eye(3), count), moments[2:]])
-    nothing = np.zeros((0, 3 * count))
+    held, count = np.frombuffer(grips).reshape(-1, 4), len(places)
+    places = np.vstack([places, held[:, :3]])
+    moments = cross_matrices(places).transpose(1, 0, 2).reshape(3, 3 * len(places))
+    rows = np.vstack([np.tile(np.eye(3), len(places)), moments[2:]])
+    nothing, after = np.zeros((0, 3 * len(places))), np.zeros(3 * len(held))
     weight = np.array([0.0, 0.0, 1.0, 0.0])
     if stated:
         pressed, shares = (np.frombuffer(one) for one in stated)
         more = pressed.reshape(-1, count)[:, :, None] * out
-        rows = np.vstack([rows, more.reshape(len(shares), -1)])
+        more = np.hstack([more.reshape(len(shares), -1), np.tile(after, (len(shares), 1))])
+        rows = np.vstack([rows, more])
         weight = np.concatenate([weight, shares])
-    problem = Balance(rows, weight, nothing, np.zeros(0), out)
+    problem = Balance(rows, weight, nothing, np.zeros(0), out, held[:, 3])
+    pressing = np.concatenate([out.ravel(), after])[None]
     com = np.vstack([-moments[1], moments[0]])  # of which the weight has the moment
     corners = []
     for angle in 2 * math.pi / SIDES * np.arange(SIDES):
         towards = np.array([math.cos(angle), math.sin(angle)])
-        forces = problem.farthest(
-            towards @ com, np.array(friction), out.reshape(1, -1), np.array([_SQUEEZE])
-        )
+        forces = problem.farthest(towards @ com, np.array(friction), pressing, np.array([_SQUEEZE]))
         if forces is None:
             return ()
         x, y = (com @ forces).tolist()

@@ -9,6 +9,7 @@ from pathlib import Path
 import clarabel
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy import sparse
 
@@ -18,9 +19,10 @@ from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.robot.touching import touching
 from pupper_analysis.simulation.rollout import begin_stand, simulate
 from pupper_analysis.statics.contacts import stated_forces
-from pupper_analysis.statics.support_polygon import support_corners
+from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
 from pupper_analysis.tools.payload.limit import payload_limit
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.stance.test_contacts import contact_rows
@@ -213,6 +215,155 @@ def test_a_hand_that_does_best_to_bear_nothing_is_no_failure(arm: pa.Robot) -> N
         assert found.nudge is not None
         assert not found.nudge.decayed  # by its speed; no joint goes anywhere
         assert found.nudge.moved < found.nudge.speed * found.stability.timestep
+
+
+def gripping(of: pa.Robot, grip: float = 30.0, beyond: float = -0.02) -> pa.StandTask:
+    """A quadruped whose hand is closed around a bar that is across, in front of and above it.
+
+    Its com is so far (m) beyond its hind feet, which are put forward.
+    """
+    bar = pa.Bar((0.4, 0, 0.45), (0, 1, 0), 0.01)
+    hand = pa.Contact(bar, place=(0.35, 0, 0.45), grip=grip)
+    forward = dict.fromkeys(("RL_calf", "RR_calf"), (0.12, 0.0))
+    feet = pa.solve_stand(
+        of, pa.StandTask(foot_offsets=forward, height=0.27)
+    ).contact_points.values()
+    com = (min(float(place[0]) for place in feet) - beyond, 0.0)
+    return pa.StandTask(contacts={"hand": hand}, com=com, foot_offsets=forward, height=0.27)
+
+
+def test_a_hand_that_grips_pulls_where_the_com_is_beyond_the_feet(armed: pa.Robot) -> None:
+    """Its force is MuJoCo's constraint's, and the com is where no polygon has it."""
+    stand = pa.solve_stand_as_simulated(armed, gripping(armed, beyond=0.02))
+    found = proven(armed, stand)
+    assert found.joint_error < 1e-6
+    robot = stand.check(armed)
+    statics = pa.stance.stand_statics(robot, stand)
+    pull = statics.weld_wrenches["hand"]
+    assert pull[2] < -1.0  # downwards
+    assert not pull[3:].any()
+    assert statics.com_margin == pytest.approx(stand.com_margin, abs=1e-3)
+    for force in statics.contact_forces.values():
+        assert force[2] > 0
+        np.testing.assert_allclose(force[:2], 0.0, atol=1e-12)
+    held = begin_stand(armed, stand)
+    model, data = held.drive.model, mujoco.MjData(held.drive.model)
+    spec = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+    rest = simulate(model, held.start, np.tile(held.ctrl, (2000, 1)))[-1]
+    mujoco.mj_setState(model, data, rest, spec)
+    data.ctrl[:] = held.ctrl
+    mujoco.mj_forward(model, data)
+    rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
+    assert rows.sum() == 3
+    np.testing.assert_allclose(data.efc_force[rows], pull[:3], atol=1e-6 * np.linalg.norm(pull))
+    alone = pa.verify_stand(armed, stand, integrator="implicitfast", feedforward=False)
+    sag = pa.steady_state(armed, stand, seconds=4.5)
+    most = 0.02 * np.abs(sag.joint_torques).max()
+    np.testing.assert_allclose(sag.joint_torques, alone.joint_torques, atol=most)
+
+
+@pytest.mark.parametrize("strength", [30.0, 4.0])
+def test_what_grips_is_what_an_independent_programme_finds(
+    armed: pa.Robot, strength: float
+) -> None:
+    """Forces as equal as may be, feet only pressing and the grip in its ball, by Clarabel on
+    MuJoCo's Jacobians; with 4 N the grip is used up."""
+    beyond = 0.02 if strength > 10 else -0.01
+    stand = pa.solve_stand_as_simulated(armed, gripping(armed, strength, beyond))
+    robot = stand.check(armed)
+    (data, rows), order = contact_rows(robot, stand), robot.mj_convention.qvel_index
+    body, place = robot.contact_places["hand"]
+    jacobian = np.zeros((3, robot.mj_model.nv))
+    there = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+    mujoco.mj_jac(robot.mj_model, data, jacobian, None, there, body)
+    pushed, load = np.vstack([*rows, jacobian])[:, order].T, data.qfrc_bias[order]
+    count, size = len(rows), 3 * len(rows) + 3
+    across = np.zeros((2 * count, size))
+    across[np.arange(2 * count), [i for i in range(3 * count) if i % 3 < 2]] = 1.0
+    up = np.zeros((count, size))
+    up[np.arange(count), 3 * np.arange(count) + 2] = 1.0
+    ball = np.vstack([np.zeros((1, size)), np.eye(3, size, k=3 * count)])
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.tol_gap_abs, settings.tol_gap_rel = False, 1e-13, 1e-13
+    solved = clarabel.DefaultSolver(
+        sparse.csc_matrix(np.eye(size)),
+        np.zeros(size),
+        sparse.csc_matrix(np.vstack([pushed[:6], across, -up, -ball])),
+        np.concatenate([load[:6], np.zeros(3 * count), [strength, 0, 0, 0]]),
+        [
+            clarabel.ZeroConeT(6 + 2 * count),
+            clarabel.NonnegativeConeT(count),
+            clarabel.SecondOrderConeT(4),
+        ],
+        settings,
+    ).solve()
+    forces = np.array(solved.x).reshape(-1, 3)
+    ours = pa.stance.stand_statics(robot, stand)
+    np.testing.assert_allclose(ours.weld_wrenches["hand"][:3], forces[-1], atol=1e-4)
+    for point, force in zip(stand.stance_feet, forces, strict=False):
+        np.testing.assert_allclose(ours.contact_forces[point], force, atol=1e-4)
+    used = float(np.linalg.norm(forces[-1]))
+    assert used == pytest.approx(strength, rel=1e-3) if strength < 10 else used < 0.9 * strength
+
+
+@pytest.mark.longest
+def test_where_a_com_is_in_balance_with_a_grip_is_what_a_search_says(armed: pa.Robot) -> None:
+    """1,000 places, each by a cone programme of its own."""
+    stand = pa.solve_stand(armed, gripping(armed, 10.0))
+    robot = stand.check(armed)
+    corners = tuple(map(tuple, stand.corners(robot).tolist()))
+    points = np.vstack([*stand.contact_points.values(), stand.foot_targets["hand"]])
+    mu = np.array([robot.contacts[one].sliding_friction for one in stand.stance_feet])
+    ends, weight = np.array(corners), robot.weight
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    tried = {True: 0, False: 0}
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    count = len(points)
+    cones = np.zeros((4 * count, 3 * count))
+    for number in range(count):
+        cones[4 * number + 1 : 4 * number + 4, 3 * number : 3 * number + 3] = np.eye(3)
+    for number, friction in enumerate(mu):
+        cones[4 * number, 3 * number + 2] = friction
+        cones[4 * number + 3] = 0.0
+    most = np.zeros(4 * count)
+    most[4 * len(mu)] = 10.0 / weight
+    rows = np.vstack([np.tile(np.eye(3), count), np.hstack([pin.skew(one) for one in points])])
+    for x, y in np.random.default_rng(0).uniform(low - 0.05, high + 0.05, (1000, 2)):
+        margin = margin_of_place((float(x), float(y)), corners)
+        if abs(margin) < 0.01 * float((high - low).max()):
+            continue
+        solved = clarabel.DefaultSolver(
+            sparse.csc_matrix((3 * count, 3 * count)),
+            np.zeros(3 * count),
+            sparse.csc_matrix(np.vstack([rows, -cones])),
+            np.concatenate([[0, 0, 1, y, -x, 0], most]),
+            [clarabel.ZeroConeT(6), *[clarabel.SecondOrderConeT(4)] * count],
+            settings,
+        ).solve()
+        assert (str(solved.status) == "Solved") is (margin > 0), (x, y, margin, solved.status)
+        tried[margin > 0] += 1
+    assert min(tried.values()) > 100
+
+
+def test_a_grip_that_is_too_weak_says_what_it_needs(armed: pa.Robot) -> None:
+    """Typed back it holds, a hundredth weaker does not."""
+    strong = pa.solve_stand(armed, gripping(armed, beyond=0.02))
+
+    def statics(grip: float) -> pa.GravityCompensation:
+        task = gripping(armed, grip, beyond=0.02)
+        robot = touching(armed, task.contacts)
+        stand = replace(strong, task=replace(strong.task, contacts=task.contacts))
+        return pa.stance.stand_statics(robot, stand)
+
+    with pytest.raises(pa.StaticsInfeasibleError, match="a grip is too weak") as caught:
+        statics(0.5)
+    needed = float(str(caught.value).split("grip=")[1].split(" N")[0])
+    assert statics(1.0001 * needed).weld_wrenches["hand"][2] < 0
+    with pytest.raises(pa.StaticsInfeasibleError):
+        statics(0.99 * needed)
+    with pytest.raises(pa.ConfigurationError, match="com"):
+        pa.solve_stand(armed, gripping(armed, 0.5, beyond=0.02))
 
 
 def test_an_arm_that_its_file_bolts_down_leans_on_a_table(arm: pa.Robot) -> None:

@@ -226,6 +226,8 @@ def _contacts(
     ]
     notes += [
         text("weld-bears", name=doc.Name(name), moment=doc.vector_cell(wrench[3:], "+.4g"))
+        if wrench[3:].any()
+        else text("grip-bears", name=doc.Name(name), force=f"{math.hypot(*wrench[:3]):.4g}")
         for name, wrench in statics.weld_wrenches.items()
     ]
     inside = math.inf if statics.com_margin is None else statics.com_margin

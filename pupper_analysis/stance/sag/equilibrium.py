@@ -631,14 +631,19 @@ class Welds:
         self._there = [(one, at.frame_position(one), at.frame_rotation(one)) for one in frames]
 
     def jacobian(self, config: Configuration) -> Array:
-        """Returns the Jacobian (6 w, nv), of places and turns, in world axes."""
+        """Returns the Jacobian (6 w + 3 g, nv), of places and turns, in world axes; see grips."""
         return np.hstack([*self._contacts.weld_columns(config).values()]).T
 
     def wrenches(self, config: Configuration, balance: Array) -> tuple[Array, Array]:
         """Returns Jacobians (w, 6, nv), and the wrenches (w, 6) that hold a balance (nv,)."""
-        rows = self.jacobian(config)
-        found = np.asarray(np.linalg.lstsq(rows.T, balance)[0], dtype=np.float64)
-        return rows.reshape(-1, 6, len(balance)), found.reshape(-1, 6)
+        columns = self._contacts.weld_columns(config).values()
+        found = np.linalg.lstsq(np.hstack([*columns]), balance)[0]
+        rows, wrenches = np.zeros((len(columns), 6, len(balance))), np.zeros((len(columns), 6))
+        ends = np.cumsum([column.shape[1] for column in columns])
+        for number, (column, end) in enumerate(zip(columns, ends, strict=True)):
+            size = column.shape[1]
+            rows[number, :size], wrenches[number, :size] = column.T, found[end - size : end]
+        return rows, wrenches
 
     def among(self, config: Configuration, equations: Array, scale: float) -> Array:
         """Returns equations, or their derivative, with those of welds in the place of some.
@@ -661,7 +666,11 @@ class Welds:
                 )
                 for one, place, turned in self._there
             ]
-            changed[:count] = scale * np.ravel(off)
+            left = np.ravel(off)  # what is gripped may turn
+            turns = np.repeat([1, 1] * len(off), 3).astype(bool)
+            for number in range(len(off) - len(self._contacts.grips), len(off)):
+                turns[6 * number + 3 : 6 * number + 6] = False
+            changed[:count] = scale * left[turns]
         else:
             changed[:count], changed[:count, :n] = 0.0, scale * rows
         changed[count:n] = linalg.null_space(rows).T @ equations[:n]
