@@ -176,13 +176,13 @@ def describe_scene(
     com = config.center_of_mass() if statics is None else statics.center_of_mass
     ground = stand.task.ground
     points = np.array([*stand.contact_points.values()] or [stand.qpos[:3] * (1.0, 1.0, 0.0)])
-    over = points[:1] if robot.bolted else points  # welds hold a com over any place
+    over = points[:1] if robot.welded else points  # welds hold a com over any place
     steps = ground.steps(stand.rigid_targets)
     return StandingScene(
         ground=ground,
         points=points,
         polygon=_balanced(robot, stand, points)
-        if ground.planes and not robot.bolted
+        if ground.planes and not robot.welded
         else polygon_corners(over),
         steps=tuple(
             Step(foot, ground.heights.get(foot, 0.0), *step[:3]) for foot, step in steps.items()

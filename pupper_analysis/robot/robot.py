@@ -307,7 +307,7 @@ class Robot:
         return FrozenDict({name: grip for name, grip in given if grip is not None})
 
     @property
-    def bolted(self) -> bool:
+    def welded(self) -> bool:
         """Whether something is fixed in the world any way, so that any com is in balance."""
         return len(self.welds) > len(self.grips)
 

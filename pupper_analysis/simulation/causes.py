@@ -75,10 +75,7 @@ def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnost
     """
     leaving = stability.leaving() if stability.at_rest else ()
     messages = [describe_growth(mode) for mode in leaving[:1]]
-    quiet = nudge is not None and (
-        nudge.left <= _NOISE * nudge.speed
-        or 0 < nudge.moved <= nudge.speed * stability.timestep  # it alternates from step to step
-    )
+    quiet = nudge is not None and nudge.left <= _NOISE * nudge.speed
     if nudge is not None and not nudge.decayed and not quiet and not messages:
         after = Quantity(nudge.duration, "s")
         messages.append(

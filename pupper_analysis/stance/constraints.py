@@ -374,7 +374,7 @@ def judge_constraints(shapes: ClearanceShapes, goal: Goal, at: Kinematics) -> Ju
         elif not isinstance(one, SupportMargin):  # the com's margin is a result
             missed[one.name] = one.missed(goal, at)
     x, y, _ = at.com
-    margin = math.inf if shapes.robot.bolted else margin_of_place((x, y), goal.corners)
+    margin = math.inf if shapes.robot.welded else margin_of_place((x, y), goal.corners)
     return Judgement(missed, margin, near)
 
 
@@ -391,7 +391,7 @@ def constraints_of(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
     elif goal.task.com != "inside":
         yield PlaceConstraint(shapes, goal)
     asked = goal.task.com_margin > 0.0 or not (goal.by_base or _is_in_place(goal))
-    if asked and not shapes.robot.bolted:
+    if asked and not shapes.robot.welded:
         yield SupportMargin(shapes, goal)
     yield JointLimits(shapes, goal)
     ranges = tendon_ranges(shapes.robot)

@@ -267,7 +267,7 @@ def _goal_of(
         stated = stated_forces(robot, stance_feet)
         held = gripped_places(robot, targets) if robot.grips else None
         support = Support(contacts, np.array([*normals.values()]), grip, stated, held)
-        if checked and not robot.bolted:  # which hold any com
+        if checked and not robot.welded:  # which hold any com
             _check_area(robot, np.array(support.corners), stance_feet)
         centre = feet_centre(robot, task.ground, touches, targets)
     task = _filled(robot, task, com)
@@ -287,7 +287,7 @@ def _goal_of(
         place = like.place
     # The centre, of which no margin is asked, always is inside.
     at_centre = by_base or (isinstance(task.com, str) and task.com_margin == 0.0)
-    if checked and not at_centre and not robot.bolted:
+    if checked and not at_centre and not robot.welded:
         _check_inside(task, place, support.corners)
     turn = like.turn if like is not None and _turned_alike(like.task, task) else task.turn()
     return Goal(

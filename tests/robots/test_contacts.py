@@ -137,6 +137,33 @@ def test_mujoco_holds_stances_on_what_they_state(stance: str) -> None:
 
 
 @pytest.mark.longest
+def test_g1_hangs_back_on_a_ladder() -> None:
+    """Soles on two rungs, both hands around a third; the com is behind the heels, so they pull."""
+    g1, contacts = robot("g1"), dict[str, pa.Contact | pa.Weld]()
+    there = touching(g1, both(g1))
+    for palm in ("left_palm", "right_palm"):
+        x, y, z = usual_place(there, palm) + (0.0, 0.0, 0.12)
+        rung = pa.Bar((x + 0.05, 0, z), (0, 1, 0), 0.015)
+        contacts[palm] = pa.Contact(rung, place=(x, y, z), grip=150.0)
+    for foot, height in (("left_ankle_roll_link", 0.15), ("right_ankle_roll_link", 0.0)):
+        contacts[foot] = pa.Contact(pa.Plane((0, 0, height), UP))
+    task = pa.StandTask(contacts=contacts, com=(-0.1, 0.0), height=0.6)
+    stand = pa.solve_stand_as_simulated(g1, task)
+    heels = min(float(place[0]) for place in stand.contact_points.values())
+    assert heels > -0.06
+    statics = pa.stance.stand_statics(stand.check(g1), stand)
+    for palm in ("left_palm", "right_palm"):
+        assert statics.weld_wrenches[palm][2] < -30.0  # N
+    found = pa.verify_stand(g1, stand)
+    assert found.passed, [str(one) for one in found.failures]
+    assert found.torque_error < EXACT
+    assert found.force_error < EXACT
+    with pytest.raises(pa.ConfigurationError, match="several points"):
+        bar = pa.Contact(pa.Bar((0, 0, 0.1), (0, 1, 0), 0.01))
+        pa.solve_stand(g1, pa.StandTask(contacts={"left_ankle_roll_link": bar}))
+
+
+@pytest.mark.longest
 @pytest.mark.parametrize("pressing", [True, False])
 @pytest.mark.parametrize("stance", ["ur5, table", "go2, bolted", "go2, by a foot"])
 def test_what_is_bolted_down_bears_what_an_independent_programme_finds(

@@ -394,6 +394,7 @@ def test_a_task_comes_back_from_json_and_from_what_is_typed() -> None:
         "RR": pa.Contact(pa.Plane((0.1, 0.2, 0.3), (0.0, 0.6, 0.8), 0.0)),
         "RL": pa.Contact(pa.Slope(0.3, -1.0, 0.7), place=(0.1, 0.2, 0.3)),
         "FR": pa.Contact(pa.Slope(math.pi)),
+        "tail": pa.Contact(pa.Bar((0.1, 0, 1.2), (0, 2, 0), 0.01, 0.5), grip=60.0),
     }
     task = pa.StandTask(contacts=contacts, ground=pa.Ground(slope=0.1))
     assert pa.StandTask.of(json.loads(to_json(task))) == task
@@ -440,6 +441,11 @@ def plane(**more: object) -> pa.Contact:
             "FL has a plane of its own, and is in heights",
         ),
         (lambda: pa.Slope(0.1, math.inf), r"slope\.uphill"),
+        (lambda: pa.Bar((0, 0, 0), (0, 0, 0), 0.1), "no direction"),
+        (lambda: pa.Bar((0, 0, 0), (0, 1, 0), 0.0), r"bar\.radius: 0"),
+        (lambda: plane(grip=0), "grip: 0 is not above 0"),
+        (lambda: plane(grip=5.0, force=3.0), "no force is stated"),
+        (lambda: pa.Bar((0, 0, 0), (0, 1, 0), 0.1).through((0, 3, 0)), "in the middle of the bar"),
         (lambda: pa.Slope(0.1, friction=-1), "friction: -1"),
         (lambda: pa.StandTask.of({"contacts": {"FL": {"plane": {"angle": 4}}}}), r"slope\.angle"),
         (
@@ -456,9 +462,34 @@ def test_what_is_no_contact_is_refused_in_a_line(make: object, match: str) -> No
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(("radius", "lean"), [(0.01, 0.0), (0.001, 0.0), (0.02, 0.1)])
+def test_a_foot_stands_on_a_bar_and_on_an_edge(radius: float, lean: float) -> None:
+    """By default on its top; else where its place says, and the normal is away from the axis."""
+    robot = load("v3")
+    x, y, _ = pa.solve_stand(robot).contact_points["FL"]
+    bar = pa.Bar((x, 0, 0.02), (0, 1, 0), radius)
+    place = (x + 0.1 * math.sin(lean), y, 0.02 + 0.1 * math.cos(lean)) if lean else None
+    right = pa.Contact(bar, (place[0], -y, place[2])) if place else pa.Contact(bar)
+    contacts = {"FL": pa.Contact(bar, place), "FR": right}
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=contacts))
+    out = (math.sin(lean), 0.0, math.cos(lean))
+    np.testing.assert_allclose(stand.normals["FL"], out, atol=1e-12)
+    wanted = (x + radius * out[0], y, 0.02 + radius * out[2])
+    np.testing.assert_allclose(stand.contact_points["FL"], wanted, atol=1e-9)
+    model = on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets).mj_model
+    assert model.geom("step_FL").type[0] == mujoco.mjtGeom.mjGEOM_CYLINDER.value
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, [str(one) for one in found.failures]
+    if not lean:
+        assert found.torque_error < 1e-6
+        assert found.force_error < 1e-6
+
+
 def test_a_part_that_there_is_not_or_that_is_a_foot_is_refused(armed: pa.Robot) -> None:
     with pytest.raises(pa.UnknownNameError, match="arm_elbow_link"):
         pa.solve_stand(armed, pa.StandTask(contacts={"paw": plane()}))
+    with pytest.raises(pa.UnknownNameError, match="no foot or frame 'LF'; there are: RL, FR, FL"):
+        pa.solve_stand(load("v3"), pa.StandTask(contacts={"LF": plane()}))
     calf = pa.StandTask(contacts={"FL_knee_body": plane()})
     with pytest.raises(pa.UnknownNameError):
         pa.solve_stand(armed, calf)
