@@ -46,6 +46,14 @@ def test_a_file_says_what_options_say(tmp_path: Path) -> None:
     assert (found.kp, found.kd, found.payload) == (("20",), ("*_3=0.5",), 1.0)
 
 
+@pytest.mark.parametrize("given", ['contact = ["FL=wall:1m"]', 'swing = "FL"', "posture = 3"])
+def test_a_list_where_a_table_is_meant_is_told_its_form(tmp_path: Path, given: str) -> None:
+    file, name = tmp_path / "stance.toml", given.split(" ")[0]
+    file.write_text(given)
+    with pytest.raises(ConfigurationError, match=rf'is not of the form {name}\."[^"]+" = "'):
+        asked("--stance", str(file))
+
+
 def test_what_is_typed_goes_first(tmp_path: Path) -> None:
     file = tmp_path / "crouch.toml"
     file.write_text("height = 0.11\nroll = 0.1\n")
