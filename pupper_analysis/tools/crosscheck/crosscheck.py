@@ -174,7 +174,7 @@ def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[D
     messages = []
     for file, sources in (("URDF", urdf), ("MJCF", mjcf)):
         heavy = [(name, mass) for name, mass in sources.members(difference.element) if mass]
-        if len(heavy) < 2:
+        if len(heavy) < 2 or min(mass for _, mass in heavy) < 0:  # no parts of a whole
             continue
         total = sum(mass for _, mass in heavy)
         heavy.sort(key=lambda member: -member[1])
