@@ -30,18 +30,21 @@ import numpy as np
 from fit_motions import COM, INTERVAL, KP, MASS, OFFSET, QUANTUM, RUBS, SHAKES, commands, positive
 
 import pupper_analysis as pa
+from pupper_analysis.base.errors import FitError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Gains, model_with_servos, servo_gains
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.motions.fit import fit_motion
 from pupper_analysis.tools.fit.motions.rollouts import MovingBodies
+from pupper_analysis.tools.fit.parameters import KINDS as KINDS_OF_FIT
 from pupper_analysis.tools.fit.parameters import bodies_of
 from pupper_analysis.tools.fit.result import Determined, MotionFit
 from pupper_analysis.tools.study.parameters import scale_robot
 
 STEP, BRISTLE, TICK = 2e-4, 5e-4, 1e-3
 """s of a step, rad that a joint yields before it slides, s of a step of ``mujoco.sysid``."""
+IN_TIME = ("delay=0", "lag=0")
 RUBBING = ("friction", "damping", "armature")
 
 
@@ -54,7 +57,8 @@ class Joints:
         sticks: Times the sliding friction at rest; it falls with exp(-(v / 0.2 rad/s)^2).
         deadband: Of the servo's error (rad).
         with_load: Friction that grows with the motor's torque, as that of gears (of it).
-        lag: Time constant of the motor's torque (s).
+        lag: Time constant of the motor's torque (s), but for damping.
+        late: Dead time of all of it (s).
         backlash: Between motor and joint (rad).
     """
 
@@ -63,6 +67,7 @@ class Joints:
     deadband: float = 0.0
     with_load: float = 0.0
     lag: float = 0.0
+    late: float = 0.0
     backlash: float = 0.0
 
 
@@ -73,6 +78,7 @@ KINDS = {
     "dead band 0.3 deg": Joints(deadband=math.radians(0.3)),
     "friction of 5 % of the torque": Joints(with_load=0.05),
     "motors 5 ms slow": Joints(lag=0.005),
+    "torques 5 ms late": Joints(late=0.005),
     "backlash 0.3 deg": Joints(backlash=math.radians(0.3)),
 }
 
@@ -91,7 +97,8 @@ class Planted:
 def plant(robot: Robot, rng: np.random.Generator, gains: Gains) -> Planted:
     """Draws what is true."""
     factors, truth = {}, {}
-    bodies = MovingBodies(build_robot(robot.description, fixed_base=True), robot.mj_model)
+    held = build_robot(robot.description, fixed_base=True)
+    bodies = MovingBodies(held, held.mj_model)
     for link, _ in bodies_of(robot):
         if link in bodies.links:
             at, factor = bodies.links.index(link), max(0.3, 1 + MASS * rng.normal())
@@ -104,8 +111,8 @@ def plant(robot: Robot, rng: np.random.Generator, gains: Gains) -> Planted:
     kp, dofs = gains.kp * np.maximum(1 + KP * both, 0.3), robot.mj_convention.qvel_index[-nu:]
     model = robot.mj_model
     own = (model.dof_frictionloss[dofs], model.dof_damping[dofs], model.dof_armature[dofs])
-    drawn = {
-        kind: positive(rng, values, RUBS * values)
+    drawn = {  # what a file does not state is of the size that the fit expects
+        kind: positive(rng, values, np.where(values > 0, RUBS * values, KINDS_OF_FIT[kind].width))
         for kind, values in zip(RUBBING, own, strict=True)
     }
     offsets = OFFSET * rng.normal(size=nu)
@@ -128,6 +135,7 @@ def run(planted: Planted, joints: Joints, command: np.ndarray, gains: Gains, see
     at.set_state(data, command[0] - planted.offsets)
     bristle, slides = data.qpos[where].copy(), joints.more * planted.rubs["friction"]
     side, torque = np.zeros(true.nu), np.zeros(true.nu)
+    waiting = [torque] * round(joints.late / STEP)
     for row in command - planted.offsets:
         seen.append(data.qpos[where] + joints.backlash / 2 * side)
         data.ctrl[model.actuator_ctrladr[at.actuator_index]] = row
@@ -137,6 +145,9 @@ def run(planted: Planted, joints: Joints, command: np.ndarray, gains: Gains, see
             error = np.sign(error) * np.maximum(np.abs(error) - joints.deadband, 0.0)
             asked = planted.kp * error
             torque = torque + (asked - torque) * (STEP / (joints.lag + STEP) if joints.lag else 1)
+            if joints.late:
+                waiting.append(asked - gains.kd * rate)
+                torque = waiting.pop(0) + gains.kd * rate  # that of now is MuJoCo's
             if joints.backlash:
                 side += 0.02 * (np.clip(torque / (0.1 * slides + 1e-6), -1, 1) - side)
             sticks = 1 + (joints.sticks - 1) * np.exp(-np.square(rate / 0.2))
@@ -266,7 +277,10 @@ def row(name: str, robot: Robot, kind: str, seed: int, given: argparse.Namespace
     log, held = (
         run(planted, joints, one, gains, seed + k) for k, one in enumerate((fitted, other))
     )
-    one_number = joints == Joints()
+    after = {"command": joints.lag, "position": joints.lag + joints.late}
+    planted.truth.update({f"lag.{part} servos": value for part, value in after.items()})
+    planted.truth["delay servos"] = joints.lag + joints.late
+    one_number = replace(joints, lag=0.0, late=0.0) == Joints()
     fit = fit_motion(robot, [log], hold_out=[held], kp=given.kp, kd=given.kd)
     masses = [one.subject for one in fit.estimates if one.kind == "mass"]
     stated = {one.name: one.stated for one in fit.estimates}
@@ -280,7 +294,7 @@ def row(name: str, robot: Robot, kind: str, seed: int, given: argparse.Namespace
         planted.robot,
         [shifted(log, planted.offsets)],
         hold_out=[shifted(held, planted.offsets)],
-        priors=("mass=0", "com=0", "offset=0", "delay=0"),
+        priors=("mass=0", "com=0", "offset=0", *(() if joints.lag or joints.late else IN_TIME)),
         kp=given.kp,
         kd=given.kd,
     )
@@ -319,7 +333,12 @@ def main() -> None:
     robot = pa.load_variant(given.robot) if known else pa.load_robot(given.robot)
     for kind in given.only or KINDS:
         for seed in range(given.first, given.first + given.seeds):
-            found = row(Path(given.robot).stem, robot, kind, seed, given)
+            name = Path(given.robot).stem
+            try:
+                found = row(name, robot, kind, seed, given)
+            except FitError:
+                nothing = [math.nan, math.nan, 0, 0, *[math.nan] * 3, 0, 0, math.nan, math.nan]
+                found = Row(name, kind, seed, "does not converge", *nothing)
             print(*astuple(found), sep=" | ", flush=True)
             if given.csv:
                 new = not given.csv.exists()

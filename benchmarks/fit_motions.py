@@ -3,7 +3,7 @@
     python benchmarks/fit_motions.py [--robot v3 --robot go2.xml] [--kp 20 --kd 1] [--seeds 20]
         [--first 500] [--seconds 10]
     python benchmarks/fit_motions.py --log 0.csv --log 1.csv --hold-out 5.csv --robot go2.xml
-        [--kp 20 --kd 1] [--start 3]
+        [--kp 20 --kd 1]
 
 What is true of a robot is drawn from the priors that the fit is told: masses (15 %), coms (10 mm),
 zeros of encoders (1.5 deg), kp (15 %, half of it common), dry friction, damping, armature (30 %)
@@ -12,8 +12,7 @@ is simulated step by step in MuJoCo, a quarter of a millisecond each. (An Euler'
 seen: its lag is half of that, seven standard deviations of the delay.) Encoders have 12 bits and
 shake. Seeds are of a robot's own: runs are the same each time.
 
-With ``--log`` it is a real robot's; ``--start`` fits again from so many other starts, a prior's
-width away, and says how far the answers are from each other, in their standard deviations.
+With ``--log`` it is a real robot's.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Gains, model_with_servos, servo_gains
 from pupper_analysis.tools.fit.measurements.log import Log, read_log
-from pupper_analysis.tools.fit.motions.fit import begin_motion, fit_motion
+from pupper_analysis.tools.fit.motions.fit import fit_motion
 from pupper_analysis.tools.fit.motions.rollouts import MovingBodies
 from pupper_analysis.tools.fit.parameters import bodies_of
 from pupper_analysis.tools.study.parameters import scale_robot
@@ -186,18 +185,6 @@ def fit_logs(given: argparse.Namespace) -> None:
     print(
         f"  { ({kind: messages.count(kind) for kind in sorted(set(messages))}) } of {len(messages)}"
     )
-    known, rng = fit.posterior, np.random.default_rng(0)
-    for _ in range(given.start):
-        motion, _ = begin_motion(robot, logs, (), others or 0.2, given.kp, given.kd)
-        table = motion.table
-        start = np.abs(table.stated + table.width * rng.normal(size=len(table)))
-        start = np.where(table.stated < 0, -start, start)
-        other = motion.fit(start)
-        off = (other.mean - known.mean) / known.std
-        worst = int(np.argmax(np.abs(off)))
-        print(f"  from another start: {np.sqrt(np.mean(off**2)):.2f} standard deviations, ", end="")
-        print(f"{known.parameters[worst].name} {off[worst]:.2f}; cost {other.chi2:.1f}, ", end="")
-        print(f"{known.chi2:.1f}")
 
 
 def main() -> None:
@@ -210,7 +197,6 @@ def main() -> None:
     parser.add_argument("--hold-out", action="append", default=[], help="to be predicted")
     parser.add_argument("--kp", type=float, nargs="*", help="of servos (N m/rad)")
     parser.add_argument("--kd", type=float, nargs="*", help="of servos (N m s/rad)")
-    parser.add_argument("--start", type=int, default=0, help="other starts")
     given = parser.parse_args()
     given.robot = given.robot or ["v3"]
     for gain in ("kp", "kd"):

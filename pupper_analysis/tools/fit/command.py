@@ -251,11 +251,10 @@ def _record(robot: Robot, plan: Path, output: Path | None, bridge: str | None) -
     from pupper_analysis.tools.fit.record.bridge import open_bridge
     from pupper_analysis.tools.fit.record.recorder import record_stands
 
-    for option, given in (("--bridge", bridge), ("--output", output)):
-        if given is None:
-            raise ConfigurationError(option, diagnose("recording-needs"))
-    assert output is not None
-    way, person = open_bridge(str(bridge), robot)
+    if bridge is None or output is None:
+        option = "--bridge" if bridge is None else "--output"
+        raise ConfigurationError(option, diagnose("recording-needs"))
+    way, person = open_bridge(bridge, robot)
     return record_stands(robot, plan, output, way, person)
 
 

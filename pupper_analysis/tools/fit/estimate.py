@@ -153,8 +153,7 @@ class Posterior:
     def shares(self) -> Array:
         """(n,) variance that is left, in parts of the prior's: 1 is no more than was known."""
         widths = np.array([one.width for one in self.parameters])
-        shares: Array = np.diag(self.covariance) / widths**2
-        return shares
+        return np.asarray(np.diag(self.covariance) / widths**2)
 
     @property
     def interval(self) -> Array:

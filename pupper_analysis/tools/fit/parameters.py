@@ -64,6 +64,9 @@ KINDS: Mapping[str, ParameterKind] = {
         ParameterKind("damping", "N m s/rad", share=1.0, width=0.02, positive=True),
         ParameterKind("armature", "kg m^2", share=1.0, width=0.002, positive=True),
         ParameterKind("delay", "s", width=0.01, positive=True),
+        # Of torques: drives of large motors take a millisecond, loops over a bus, filters of
+        # velocities and small servos 2 to 10.
+        ParameterKind("lag", "s", width=0.005, positive=True),
         # What a spirit level leaves, or the one of a telephone.
         ParameterKind("slope", "rad", width=math.radians(0.2)),
         # Of the ground under the feet, in parts of what the MJCF says: 0 is a rigid floor, which

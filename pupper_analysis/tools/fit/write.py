@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
@@ -237,7 +237,6 @@ def write_fit(
     *,
     fit: object = None,
     files: tuple[Path | None, Path | None] | None = None,
-    packages: Mapping[str, Path] | None = None,
     force: bool = False,
 ) -> FitFiles:
     """Writes a fit to a folder: all of its files, or none.
@@ -254,7 +253,6 @@ def write_fit(
         folder: Where to; made if need be.
         fit: The result that is written to ``fit.json``, too.
         files: The URDF and the MJCF, if they are not those that the robot was loaded from.
-        packages: {ROS package: its folder}, for ``package://`` paths.
         force: Replace files that no fit has written, or that were edited since; but never those
             that the robot was loaded from.
 
@@ -270,7 +268,7 @@ def write_fit(
     least = [_LEAST * one.stated if KINDS[one.kind].factor else -np.inf for one in parameters]
     vector = _rounded(np.maximum(posterior.mean, least), posterior)
     numbers, left = _numbers(robot, posterior, vector)
-    models = write_numbers(robot, numbers, files=files, packages=packages)
+    models = write_numbers(robot, numbers, files=files)
     finding = (*left, *models.notes)
     contents = {"fit.json": _json(posterior, vector, models, finding, fit)}
     offsets = [

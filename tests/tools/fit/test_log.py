@@ -138,6 +138,22 @@ def test_wrong_columns_are_found() -> None:
         assert refused.value.cause.code == code
 
 
+@pytest.mark.parametrize("offset", [-0.05, 0.0, 0.05])
+def test_a_soft_servo_that_lifts_once_and_holds_is_not_said_to_be_swapped(offset: float) -> None:
+    """Dry friction keeps it up while the command comes down to half: the mean error is not zero."""
+    time = 0.005 * np.arange(1000)
+    way = np.minimum(time / 1.5, 1.0) - 0.5 * np.clip((time - 2) / 3, 0, 1)
+    command, done = 1.5 * np.sin(way * np.pi / 2), [0.0]
+    for asked in command[1:]:  # as much of it as gravity leaves; friction holds within 0.1 rad
+        wanted = 0.4 * asked
+        done.append(min(max(done[-1], wanted - 0.1), wanted + 0.1))
+    position = np.array(done) + offset
+    good = Log("lift", time, ("elbow",), command[:, None], position[:, None])
+    inspect_log(arm(), good)
+    with pytest.raises(MeasurementError, match="swapped"):
+        inspect_log(arm(), replace(good, position=good.command, command=good.position))
+
+
 def test_samples_of_two_sources_are_seen() -> None:
     """Every other one comes 4 ms late, as of a second clock; a scheduler's 3 % is not said."""
     good, random = log(), np.random.default_rng(2)

@@ -103,6 +103,9 @@ def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:
     with pytest.raises(MeasurementError) as refused:
         fit_motion(bar(), [log().part(slice(0, 150))])
     assert refused.value.cause.code == "nothing-to-fit"
+    with pytest.raises(MeasurementError) as refused:  # begun later, it is the same motion
+        fit_motion(bar(), [log()], hold_out=[replace(log(), source="again").part(slice(30, None))])
+    assert (refused.value.cause.code, refused.value.source) == ("held-out-was-fitted", "again")
     for share in (1.0, -0.1, math.nan):
         with pytest.raises(ConfigurationError):
             fit_motion(bar(), [log()], hold_out=share)

@@ -30,9 +30,13 @@ _SAME_UNIT = (0.2, 5.0)
 """Between these, a ratio of two columns is one of unit 1: 57.3 and 1/57.3 are far outside."""
 
 _BACKWARDS = -0.1
-"""Of the correlation between a joint's velocity and its servo's error: a servo gives energy to what
+"""Of the correlation between a joint's steps and its servo's error: a servo gives energy to what
 rubs and swings, so that is positive (0.1 to 0.9 in simulated and public logs); with the columns
 swapped it is as negative."""
+
+_ZERO = 0.1
+"""rad, m: by that an encoder's zero may be off, which gives or takes over a motion that ends
+elsewhere than it began: three standard deviations of what is known of it."""
 
 _OPPOSED = -0.7
 """Of the correlation between commands and positions: a quarter of a turn late makes 0, and no servo
@@ -134,20 +138,22 @@ def _swapped(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
     """Finds joints whose command follows their position.
 
     A servo's spring gives its joint what friction takes: over a motion the integral of
-    (command - position) d position is positive. With the columns swapped it is the integral of
-    (position - command) d command, which is as negative: both together are
-    -1/2 [(command - position)^2], nothing for a motion that ends as it began.
+    (command - position) d position is positive. With the columns swapped it is negative, and so is
+    that of (command - position) d command, which is larger by 1/2 [(command - position)^2]: where a
+    motion ends with its load on the servo, or the load fell, one is negative without the other.
     """
-    backwards, error_of = [], log.command - log.position
-    rate = np.gradient(log.position, log.time, axis=0)
+    backwards = []
     for index in moving:
-        error, speed = error_of[:, index], rate[:, index]
-        both = np.isfinite(error) & np.isfinite(speed)
+        asked, done = log.command[:, index], log.position[:, index]
+        both = np.isfinite(asked) & np.isfinite(done)
         if both.sum() < 10:
             continue
-        error, speed = error[both] - error[both].mean(), speed[both] - speed[both].mean()
-        size = np.linalg.norm(error) * np.linalg.norm(speed)
-        if size > 0 and error @ speed < _BACKWARDS * size:
+        steps = np.diff([asked[both], done[both]])
+        error = (asked - done)[both]
+        error = (error[1:] + error[:-1]) / 2
+        size = np.linalg.norm(error - error.mean()) * np.linalg.norm(steps, axis=1)
+        given = steps @ error + _ZERO * np.abs(steps.sum(axis=1))
+        if (given < _BACKWARDS * size).all():
             backwards.append(robot.joint_names[index])
     if len(backwards) > len(moving) / 2:
         yield diagnose("command-and-position-swapped", joints=backwards)

@@ -20,7 +20,7 @@ from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.measurements.log_quality import column_quantum, inspect_log
-from pupper_analysis.tools.fit.motions.rollouts import SERVOS, Moments, Run, Simulator, split_runs
+from pupper_analysis.tools.fit.motions.rollouts import LATE, Moments, Run, Simulator, split_runs
 from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, give_widths, parse_priors
 from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, kp_over_mass
 
@@ -69,25 +69,10 @@ def fit_motion(
         ConfigurationError: If an argument is out of its range.
         FitError: If it does not converge.
         MeasurementError: If a log is none of this robot's, or nothing can be made of it; if no file
-            states gains of its servos, and none are given.
+            states gains of its servos, and none are given; if a log that is to be predicted repeats
+            one that is fitted.
         ModelError: If the model has motors that are no servos, and no gains are given.
         UnknownNameError: If a log has joints that the robot has not.
-    """
-    motion, notes = begin_motion(robot, logs, priors, hold_out, kp, kd)
-    return _report_motions(motion.simulator.robot, logs, notes, motion, motion.fit())
-
-
-def begin_motion(
-    robot: Robot,
-    logs: Sequence[Log],
-    priors: Sequence[Prior | str],
-    hold_out: float | Sequence[Log],
-    kp: ArrayLike | None,
-    kd: ArrayLike | None,
-) -> tuple[Motion, tuple[Diagnostic, ...]]:
-    """Returns logs beside simulations of the same robot, and what is odd in the logs.
-
-    The arguments, and what is raised, are those of ``fit_motion``.
     """
     known = parse_priors(priors)
     if robot.floating:
@@ -111,7 +96,12 @@ def begin_motion(
     _check(robot, drive, logs, runs)
     table = _parameters(robot, drive, {name for log, _ in shared for name in log.joints}, known)
     interval = float(np.median([log.interval for log, _ in shared]))
-    return Motion(Simulator(robot, drive, table, interval), runs), notes
+    motion = Motion(Simulator(robot, drive, table, interval), runs)
+    for log in () if isinstance(hold_out, int | float) else hold_out:
+        alike = replayed([*motion.fitted, *split_runs(log.of(robot), robot.home, 1.0)])
+        if alike > _REPLAY:
+            raise MeasurementError(log.source, diagnose("held-out-was-fitted", correlation=alike))
+    return _report_motions(logs, notes, motion, motion.fit())
 
 
 def _check(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]) -> None:
@@ -155,18 +145,14 @@ def _parameters(
             wanted += [
                 ("com", link, axis, float(bodies.com[joint, at])) for at, axis in enumerate("xyz")
             ]
-    wanted.append(("delay", SERVOS, "", 0.0))
-    return ParameterTable(give_widths(wanted, priors))
+    return ParameterTable(give_widths([*wanted, *LATE], priors))
 
 
 def _report_motions(
-    robot: Robot,
-    logs: Sequence[Log],
-    notes: tuple[Diagnostic, ...],
-    motion: Motion,
-    posterior: Posterior,
+    logs: Sequence[Log], notes: Iterable[Diagnostic], motion: Motion, posterior: Posterior
 ) -> MotionFit:
     """Returns a fit with how far its predictions are from what was measured."""
+    robot = motion.simulator.robot
     off: dict[tuple[str, str], list[Array]] = {}
     for name, x in (("before", motion.table.stated), ("after", posterior.mean)):
         for run in motion.runs:
@@ -399,7 +385,7 @@ class Motion:
                 for at, joint in enumerate(self.simulator.groups[number][0]):
                     yield places, by_places[:, at], joint, run
 
-    def fit(self, start: Array | None = None) -> Posterior:
+    def fit(self) -> Posterior:
         """Returns the parameters, with the noise that they leave.
 
         They are those of least squares, in which each joint counts by its noise's long-run
@@ -407,13 +393,10 @@ class Motion:
         ("sandwich"): for H = A + 1, in the priors' widths, H^-1 (B + 1) H^-1, where B is the
         covariance of the gradient.
 
-        Args:
-            start: To begin with; the stated values by default.
-
         Raises:
             FitError: If it does not converge.
         """
-        y = self.moments.of_parameters(self.table.stated if start is None else start)
+        y = self.moments.of_parameters(self.table.stated)
         for self._remembers, enough in ((False, _ROUGHLY), (True, _ENOUGH)):
             posterior = estimate_parameters(self.table, self.linearise, y, enough=enough)
             y = posterior.mean
@@ -570,6 +553,7 @@ def differentiate(
             axis=2,
         )
         found[number] = places, jacobians / width[places]
+        simulator.follow_lag(vectors[0], *found[number])
     return found
 
 
@@ -578,5 +562,4 @@ def _steps(columns: list[int], known: Array | None) -> Array:
     if known is None:
         return _FIRST_STEP * np.eye(len(columns))
     values, directions = np.linalg.eigh(known[np.ix_(columns, columns)])
-    steps: Array = _STEP * (directions / np.sqrt(values)).T
-    return steps
+    return np.asarray(_STEP * (directions / np.sqrt(values)).T)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +13,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+from scipy.signal import lfilter
 
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
@@ -25,6 +28,10 @@ IntArray = NDArray[np.int64]
 
 SERVOS = "servos"
 """Subject of the delay between commands and what servos do: one for all of them."""
+
+LATE = (("delay", SERVOS, "", 0.0), *(("lag", SERVOS, p, 0.0) for p in ("command", "position")))
+"""What a torque may follow late: commands by a delay, part of which smooths them as a lag does; and
+by itself a position: a slow motor lags in both, a bus delays commands alone."""
 
 BURN_IN = 0.25
 """s: where a run begins, its velocity is not known to better than encoders tell: what that does
@@ -86,8 +93,7 @@ def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[Run]:
         there = np.isfinite(part.position) & (time > BURN_IN)[:, None]
         late = (time > (1 - hold_out) * time[-1])[:, None]
         begin = _beginning(time[:_FIRST], part.position[:_FIRST])
-        begin[0] = np.where(np.isfinite(begin[0]), begin[0], command[0])
-        begin[1] = np.where(np.isfinite(begin[1]), begin[1], 0.0)
+        begin = np.where(np.isfinite(begin), begin, [command[0], 0.0 * command[0]])
         yield Run(time, part.position, command, begin, there & ~late, there & late)
 
 
@@ -147,24 +153,27 @@ class Simulator:
         if not model.neq:  # dry friction alone: as many steps as there are joints at most
             model.opt.solver = mujoco.mjtSolver.mjSOL_CG.value
             model.opt.tolerance = _EXACT
-        self._dofs = robot.mj_convention.qvel_index
-        self.steps = steps or self._steps_needed(interval)
+        self._dofs, actuators = robot.mj_convention.qvel_index, robot.mj_convention.actuator_index
+        self._driven = actuators >= 0
+        self._motors = actuators[self._driven]
+        mass = self._inertia()
+        damping = drive.kd + model.dof_damping[self._dofs]
+        needed = np.ceil((damping / mass).max(initial=0.0) * interval / _STIFF)
+        self.steps = steps or int(np.clip(needed, 1, _FINEST))
         model.opt.timestep = interval / self.steps
         self._model = model
         self._workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
         self._models: list[mujoco.MjModel] = []
         self.groups = self.bodies.groups(table)
 
-    def _steps_needed(self, interval: float) -> int:
+    def _inertia(self) -> Array:
+        """Returns what each joint alone moves (nu,), at home: of the mass matrix' inverse."""
         model, data = self.bodies.model, mujoco.MjData(self.bodies.model)
         self.robot.mj_convention.set_state(data, self.robot.home)
         mujoco.mj_forward(model, data)
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
-        damping = self.drive.kd + model.dof_damping[self._dofs]
-        # Diagonal of the inverse: how easily a joint alone is moved.
-        fastest = (damping * np.diag(np.linalg.inv(mass))[self._dofs]).max(initial=0.0)
-        return int(np.clip(np.ceil(fastest * interval / _STIFF), 1, _FINEST))
+        return np.asarray(1 / np.diag(np.linalg.inv(mass))[self._dofs])
 
     def with_steps(self, steps: int) -> Simulator:
         """Returns the same with other steps between two samples."""
@@ -191,8 +200,12 @@ class Simulator:
         offsets = [self._per_joint(vector, "offset", np.zeros(self.robot.nu)) for vector in vectors]
         controls, starts = [], []
         data = self._workers[0]
-        for model, offset in zip(models, offsets, strict=True):
-            ctrl = self._controls(commands - offset)
+        lags = [self._late(vector, "command") for vector in vectors]
+        waits = [self._late(vector) - lag for vector, lag in zip(vectors, lags, strict=True)]
+        for model, lag, offset in zip(models, lags, offsets, strict=True):
+            asked = self.drive.gear * (_smoothed(commands, lag / step) - offset)
+            ctrl = np.zeros((len(asked), model.nu))
+            ctrl[:, model.actuator_ctrladr[self._motors]] = asked[:, self._driven]
             self.robot.mj_convention.set_state(data, run.start[0] - offset, run.start[1])
             data.time = 0.0
             data.act[:] = settled_activations(model, ctrl[0])
@@ -201,51 +214,55 @@ class Simulator:
         states = roll_out(models, self._workers, np.array(starts), np.array(controls))
         states = np.concatenate([np.array(starts)[:, None], states], axis=1)
         # Commands that come later do the same later: steps begin where commands do.
-        found = np.array(
-            [
-                self._at(whole, np.maximum(run.time - self._delay(vector), 0.0), step)
-                for whole, vector in zip(states, vectors, strict=True)
-            ]
-        )
-        return found + np.array(offsets)[:, None, :]
-
-    def _at(self, states: Array, time: Array, step: float) -> Array:
-        """Returns joint positions (n, nu) at some times."""
-        there = states[:, 1 + self.robot.mj_convention.qpos_index]
-        steps = step * np.arange(len(states))
-        return np.column_stack([np.interp(time, steps, column) for column in there.T])
-
-    def _controls(self, command: Array) -> Array:
-        """Returns ctrl (n, model.nu) of commanded joint positions (n, nu)."""
-        actuators = self.robot.mj_convention.actuator_index
-        driven = actuators >= 0
-        ctrl = np.zeros((len(command), self._model.nu))
-        columns = self._model.actuator_ctrladr[actuators[driven]]
-        ctrl[:, columns] = (self.drive.gear * command)[:, driven]
-        return ctrl
+        at, steps = self.robot.mj_convention, step * np.arange(states.shape[1])
+        q, v = states[..., 1 + at.qpos_index], states[..., 1 + self._model.nq + at.qvel_index]
+        found = [
+            CubicHermiteSpline(steps, *own)(run.time - wait) + offset
+            for *own, wait, offset in zip(q, v, waits, offsets, strict=True)
+        ]
+        return np.array(found)
 
     def _per_joint(self, vector: Array, kind: str, stated: Array) -> Array:
         return self.table.of_each(vector, kind, self.robot.joint_names, stated)
 
-    def _delay(self, vector: Array) -> float:
-        return max(self.table.value(vector, "delay", SERVOS, "", 0.0), 0.0)
+    def _late(self, vector: Array, part: str = "") -> float:
+        return self.table.value(vector, "lag" if part else "delay", SERVOS, part, 0.0)
+
+    def follow_lag(self, vector: Array, places: IntArray, jacobians: Array) -> None:
+        """Makes derivatives by the positions' lag those by the damping and armature it amounts to.
+
+        Nothing distinguishes them, and no error of differences must seem to.
+        """
+        kp, late = self._per_joint(vector, "kp", self.drive.kp), self._late(vector, "position")
+        rates = np.zeros(len(self.table))
+        for kind, own in (("damping", -kp), ("armature", 2 * kp * late)):
+            for name, rate in zip(self.robot.joint_names, own.tolist(), strict=True):
+                if (place := self.table.place(kind, name)) is not None:
+                    rates[place] = rate
+        if rates.any():
+            lag = self.table.place("lag", SERVOS, "position")
+            jacobians[..., places == lag] = (jacobians @ rates[places])[..., None]
 
     def put(self, model: mujoco.MjModel, vector: Array) -> None:
-        """Gives a model all of a vector of parameters. What cannot be below zero is zero there."""
+        """Gives a model all of a vector of parameters.
+
+        Dry friction and armature are not below zero; damping may be, where derivatives are made.
+        """
         dofs, drive, stated = self._dofs, self.drive, self._model
         kp = np.maximum(self._per_joint(vector, "kp", drive.kp), 0.0)
-        actuators = self.robot.mj_convention.actuator_index
-        driven = actuators >= 0
-        at, squared = actuators[driven], drive.gear[driven] ** 2
+        at, driven, squared = self._motors, self._driven, drive.gear[self._driven] ** 2
+        late = self._late(vector, "position")
         model.actuator_gainprm[at, 0] = kp[driven] / squared
         model.actuator_biasprm[at, 1] = -kp[driven] / squared
-        model.actuator_biasprm[at, 2] = -drive.kd[driven] / squared
+        model.actuator_biasprm[at, 2] = (kp * late - drive.kd)[driven] / squared
         for kind, values, own in (
             ("damping", model.dof_damping, stated.dof_damping),
             ("friction", model.dof_frictionloss, stated.dof_frictionloss),
             ("armature", model.dof_armature, stated.dof_armature),
         ):
-            values[dofs] = np.maximum(self._per_joint(vector, kind, own[dofs]), 0.0)
+            least = -np.inf if kind == "damping" else 0.0
+            values[dofs] = np.maximum(self._per_joint(vector, kind, own[dofs]), least)
+        model.dof_armature[dofs] += kp * late**2
         self.bodies.put(model, self.table, vector)
         mujoco.mj_setConst(model, self._workers[-1])
 
@@ -256,8 +273,18 @@ def _mean_commands(time: Array, command: Array, edges: Array) -> Array:
     steps = np.diff(there)[:, None] * np.vstack([command[:1], command])
     sums = np.vstack([np.zeros(command.shape[1]), np.cumsum(steps, axis=0)])
     whole = np.column_stack([np.interp(edges, there, column) for column in sums.T])
-    means: Array = np.diff(whole, axis=0) / np.diff(edges)[:, None]
-    return means
+    return np.asarray(np.diff(whole, axis=0) / np.diff(edges)[:, None])
+
+
+def _smoothed(command: Array, lag: float) -> Array:
+    """Returns means (k, nu) of commands that are followed with a lag, in parts of a step.
+
+    Of a lag below zero, what it is as much above: derivatives are made on both sides.
+    """
+    kept = math.exp(-1 / abs(lag)) if lag else 0.0
+    off = command - command[0]
+    begins = lfilter([0.0, 1 - kept], [1.0, -kept], off, axis=0)
+    return np.asarray(command + (begins - off) * lag * (1 - kept))
 
 
 # The moving bodies of a MuJoCo model: their inertials as parameters, and which feel each other.
@@ -413,7 +440,8 @@ class Moments:
 
     In place of a com c there stands c0 + (m / m0) (c - c0), c0 and m0 being the stated ones: a
     length, the com itself at the stated mass, and linear in the moment and the mass. Its prior is
-    the com's.
+    the com's. In place of a delay there stands what of it is no lag of commands: both are positive,
+    and their sum is what is known.
 
     Args:
         table: The parameters.
@@ -427,18 +455,20 @@ class Moments:
                 pairs.append((place, mass))
         self._coms, self._masses = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
         self._stated_com, self._stated_mass = table.stated[self._coms], table.stated[self._masses]
+        late = [table.place("delay", SERVOS), table.place("lag", SERVOS, "command")]
+        self._late = np.array(late if None not in late else [], dtype=np.int64).reshape(-1, 2).T
 
     def _lightness(self, vector: Array) -> Array:
         """Returns m0 / m of each com."""
         least = LEAST_MASS * self._stated_mass
-        found: Array = self._stated_mass / np.maximum(vector[self._masses], least)
-        return found
+        return np.asarray(self._stated_mass / np.maximum(vector[self._masses], least))
 
     def to_parameters(self, moments: Array) -> Array:
         """Returns parameters (n,) of moments (n,)."""
         found = moments.copy()
         off = moments[self._coms] - self._stated_com
         found[self._coms] = self._stated_com + self._lightness(moments) * off
+        found[self._late[0]] += moments[self._late[1]]
         return found
 
     def of_parameters(self, vector: Array) -> Array:
@@ -446,6 +476,7 @@ class Moments:
         found = vector.copy()
         off = vector[self._coms] - self._stated_com
         found[self._coms] = self._stated_com + off / self._lightness(vector)
+        found[self._late[0]] -= vector[self._late[1]]
         return found
 
     def derivative(self, moments: Array) -> Array:
@@ -454,6 +485,7 @@ class Moments:
         off = moments[self._coms] - self._stated_com
         found[self._coms, self._coms] = lightness
         found[self._coms, self._masses] = -(lightness**2) * off / self._stated_mass
+        found[self._late[0], self._late[1]] = 1.0
         return found
 
     def of_posterior(self, posterior: Posterior, covariance: Array) -> Posterior:

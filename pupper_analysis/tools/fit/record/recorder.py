@@ -143,11 +143,11 @@ def record_stands(
                 read, up = session.take(stand, loads, todo, len(taken))
             except _LeftOutError as error:
                 findings.append(error.finding)
-                before = stand
                 continue
+            finally:
+                before = stand
             sizes.append(_append(path, planned, row, read, up))
             taken.append(stand.name)
-            before = stand
     except _EndError as error:
         findings.append(error.finding)
         if doubtful := taken[error.rows :] if error.rows is not None else []:
@@ -249,8 +249,7 @@ class _Session:
             window = [*window[-count + 1 :], self._positions(stand)]
             self._watch(stand, self._command, window[-1])
             if len(window) == count and np.ptp(window, axis=0).max() < _STILL:
-                mean: Array = np.mean(window, axis=0)
-                return mean
+                return np.asarray(np.mean(window, axis=0))
         moves = int(np.ptp(window, axis=0).argmax())
         joint = self._robot.joint_names[moves]
         raise _LeftOutError(diagnose("stand-does-not-rest", stand=stand.name, joint=joint))
@@ -263,19 +262,12 @@ def _todo(
         heading = Quantity(stand.heading, "rad")
         yield str(diagnose("turn-the-robot", stand=stand.name, heading=heading))
     if (0.0 if before is None else before.added) != stand.added:
-        yield from _moved(stand, loads)
+        if not loads:
+            yield str(diagnose("take-the-mass-off", stand=stand.name))
+        for link, (mass, *place) in loads.items():
+            at, much = ", ".join(f"{1e3 * one:.4g}" for one in place), Quantity(mass, "kg")
+            yield str(diagnose("put-the-mass-on", stand=stand.name, mass=much, link=link, place=at))
     yield str(diagnose("set-the-robot-down", stand=stand.name, swing=list(stand.swing)))
-
-
-def _moved(stand: PlannedStand, loads: Mapping[str, Array]) -> Iterator[str]:
-    if not loads:
-        yield str(diagnose("take-the-mass-off", stand=stand.name))
-    for link, (mass, *place) in loads.items():
-        at = ", ".join(f"{1e3 * value:.4g}" for value in place)
-        said = diagnose(
-            "put-the-mass-on", stand=stand.name, mass=Quantity(mass, "kg"), link=link, place=at
-        )
-        yield str(said)
 
 
 def _check(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
@@ -337,15 +329,10 @@ _SAME = 2e-6
 
 
 def _stand(planned: MeasuredStands, row: int) -> PlannedStand:
-    loads = [own[row, 0] for own in planned.added.values()]
-    return PlannedStand(
-        name=planned.names[row],
-        swing=planned.swing[row],
-        heading=float(planned.heading[row]),
-        added=float(sum(loads)),
-        command=dict(zip(planned.joints, planned.command[row].tolist(), strict=True)),
-        utilisation=None,
-    )
+    added = float(sum(own[row, 0] for own in planned.added.values()))
+    command = dict(zip(planned.joints, planned.command[row].tolist(), strict=True))
+    turned = float(planned.heading[row])
+    return PlannedStand(planned.names[row], planned.swing[row], command, None, turned, added)
 
 
 def _append(path: Path, planned: MeasuredStands, row: int, read: Array, up: Sequence[str]) -> int:
