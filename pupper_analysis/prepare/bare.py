@@ -27,6 +27,7 @@ from pupper_analysis.models.transmission import (
     is_at_one_joint,
     law_of,
 )
+from pupper_analysis.robot.fall import began_anew
 from pupper_analysis.robot.floor import leave_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_elsewhere
@@ -333,10 +334,14 @@ LAST = 1.0
 """Of a simulation (s), in which it is looked at what drives give."""
 
 
+_STEPS = 25
+"""Steps after which it is looked at whether MuJoCo began anew."""
+
+
 def simulate_published(
     bare: Bare, data: mujoco.MjData, hold: Hold, seconds: float
 ) -> tuple[Array, Array]:
-    """Simulates the published model from its data on, in place.
+    """Simulates the published model from its data on, in place, until MuJoCo loses it.
 
     Returns:
         (model.nv,) each: the least and the most that its drives gave in the ``LAST`` second (N m).
@@ -354,10 +359,11 @@ def simulate_published(
     model.dof_damping[dofs] += kd  # taken implicitly, as the servos' own is
     data.ctrl[:], data.act[:] = hold.ctrl, hold.act
     with silence_mujoco():
-        if not len(dofs):  # nothing is to be done between steps
-            mujoco.mj_step(model, data, nstep=steps - last)
-            steps = last
-        for step in range(steps):
+        at_once = 0 if len(dofs) else steps - last  # with nothing to be done between steps
+        for begin in range(0, at_once, _STEPS):
+            if not began_anew(data):
+                mujoco.mj_step(model, data, nstep=min(_STEPS, at_once - begin))
+        for step in range(at_once, steps):
             if len(dofs):
                 torque = ahead + kp * (goals - data.qpos[places])
                 outside[:] = 0.0
@@ -369,10 +375,13 @@ def simulate_published(
                         outside[dof] = wanted
                 data.qfrc_applied[:] = outside
             mujoco.mj_step(model, data)
-            if step >= steps - last:
+            lost = began_anew(data)
+            if lost or step >= steps - last:
                 given = data.qfrc_actuator + outside - relief * data.qfrc_gravcomp
                 np.minimum(low, given, out=low)
                 np.maximum(high, given, out=high)
+            if lost:  # each further step may take as long as a second of others
+                break
     model.dof_damping[dofs] = damping
     return low, high
 
