@@ -443,7 +443,7 @@ def plane(**more: object) -> pa.Contact:
         (lambda: pa.Slope(0.1, math.inf), r"slope\.uphill"),
         (lambda: pa.Bar((0, 0, 0), (0, 0, 0), 0.1), "no direction"),
         (lambda: pa.Bar((0, 0, 0), (0, 1, 0), 0.0), r"bar\.radius: 0"),
-        (lambda: plane(grip=0), "grip: 0 is not above 0"),
+        (lambda: plane(grip=0), "grip: 0 is not more than 0"),
         (lambda: plane(grip=5.0, force=3.0), "no force is stated"),
         (lambda: pa.Bar((0, 0, 0), (0, 1, 0), 0.1).through((0, 3, 0)), "in the middle of the bar"),
         (lambda: pa.Slope(0.1, friction=-1), "friction: -1"),
