@@ -61,6 +61,10 @@ def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
         return robot
     own = {foot for foot in robot.feet if foot not in robot.hands}
     wanted = {name: _touching(name, one, name in own) for name, one in contacts.items()}
+    for name, one in contacts.items():
+        round_ = isinstance(one.plane, Bar) or wanted[name].grip is not None
+        if round_ and name in own and len(robot.feet[name]) > 1:
+            raise ConfigurationError("contacts", diagnose("sole-on-a-bar", foot=name))
     asked = FrozenDict({name: one for name, one in wanted.items() if one != Touching()})
     if asked == robot.touching:
         return robot
@@ -68,9 +72,6 @@ def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
     if bare is None:
         raise ConfigurationError("contacts", diagnose("made-for-other-contacts", robot=robot.name))
     for name, one in contacts.items():
-        round_ = isinstance(one.plane, Bar) or wanted[name].grip is not None
-        if round_ and len(bare.feet.get(name, ())) > 1:
-            raise ConfigurationError("contacts", diagnose("sole-on-a-bar", foot=name))
         if isinstance(one, Weld) and one.place is not None:
             _check_hand(name, name not in own and bool(_tool(bare, name).chain), "place")
     return _with_contacts(bare, asked) if asked else bare
