@@ -358,8 +358,7 @@ def test_friction_of_one_sign_where_a_known_mass_is_on_is_within_what_is_said(
     assert settled.low < 0.8 < settled.high
     none = fit_stands(robot, stands, weight=planted.total_mass, priors=["settling=0"])
     assert none.kp_factor is not None
-    assert none.kp_factor.low > 1.0
-    assert none.kp_factor.mean > 1.15
+    assert none.kp_factor.low > 1.1
 
 
 def test_a_dead_band_is_found_and_kp_is_right_beside_it(

@@ -224,8 +224,8 @@ def _findings(posterior: Posterior, stuck: float) -> Iterator[Diagnostic]:
             yield diagnose("more-stands-there", load=100 * mean, half=100 * half)
 
 
-_CHANCE = 0.002
-"""Probability that a kind is found to be otherwise by chance: of three, 0.6 % of all fits."""
+_CHANCE = 0.0027
+"""Of three standard deviations: that a kind is found to be otherwise by chance."""
 
 _LEAST_DETERMINED = 0.02
 """Of a prior's variance: a direction of which no more is told speaks against nothing."""
