@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,7 @@ from hypothesis import strategies as st
 from pupper_analysis.robot.compare.attribution import explain_differences
 from pupper_analysis.robot.compare.behaviour import random_states
 from pupper_analysis.robot.compare.differences import Effect
-from pupper_analysis.robot.compare.mjcf_only import (
-    mjcf_only_effects,
-    split_mimics,
-)
+from pupper_analysis.robot.compare.mjcf_only import mjcf_only_effects, split_mimics
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Reference
 from pupper_analysis.tools.crosscheck.crosscheck import EXTRAS, Comparison
@@ -68,36 +66,12 @@ def swing(folder: Path, **edits: str) -> tuple[dict[str, Effect], np.ndarray, np
     return difference.effects, states.qpos[:, 0], states.qvel[:, 0]
 
 
-def only_acceleration(effects: dict[str, Effect], expected: np.ndarray) -> None:
-    assert set(effects) == {"forward dynamics"}
-    deviation = effects["forward dynamics"].deviation
-    assert deviation == pytest.approx(np.abs(expected).max(), rel=1e-9)
-    assert effects["forward dynamics"].share == pytest.approx(1, rel=1e-9)
-
-
 # ------------------------------------------------------------------------------------- closed forms
 
 SWING = '<joint name="swing"'
-
-
-def test_a_spring_of_higher_order(tmp_path: Path) -> None:
-    """MuJoCo documentation, "Polynomial": the force is (k0 + k1 x + k2 x^2) x."""
-    effects, angle, _ = swing(tmp_path, **{SWING: f'{SWING} stiffness="7 2 3"'})
-    only_acceleration(effects, (7 + 2 * angle + 3 * angle**2) * angle / ROD)
-
-
-def test_damping_of_higher_order(tmp_path: Path) -> None:
-    effects, _, speed = swing(tmp_path, **{'damping="0.1"': 'damping="0.1 0.2 0.3"'})
-    only_acceleration(effects, (0.2 * np.abs(speed) + 0.3 * speed**2) * speed / ROD)
-
-
-@pytest.mark.parametrize("motor", [False, True])
-def test_gravity_compensation_lifts_a_share_of_the_weight(tmp_path: Path, motor: bool) -> None:
-    edits = {'<body name="bob"': '<body name="bob" gravcomp="0.4"'}
-    if motor:  # then it is a force of the actuators', which are switched off otherwise
-        edits[SWING] = f'{SWING} actuatorgravcomp="true"'
-    effects, angle, _ = swing(tmp_path, **edits)
-    only_acceleration(effects, 0.4 * MASS * GRAVITY * LENGTH * np.sin(angle) / ROD)
+LIFTED = {'<body name="bob"': '<body name="bob" gravcomp="0.4"'}
+DC = '<dcmotor name="dc" joint="swing" gear="3" motorconst="0.5" resistance="2" {}/></actuator>'
+EDGE = np.sqrt(6 * 1e-3 / MASS)  # of the cube with the bob's moments: m a^2 / 6 each
 
 
 def tendon(attributes: str) -> dict[str, str]:
@@ -105,9 +79,50 @@ def tendon(attributes: str) -> dict[str, str]:
     return {"<actuator>": f"{fixed}<actuator>"}
 
 
-def test_the_spring_of_a_tendon(tmp_path: Path) -> None:
-    effects, angle, _ = swing(tmp_path, **tendon('stiffness="2" springlength="0.5"'))
-    only_acceleration(effects, 3 * 2 * (-3 * angle - 0.5) / ROD)
+def lift(angle: np.ndarray, _: np.ndarray) -> np.ndarray:
+    return 0.4 * MASS * GRAVITY * LENGTH * np.sin(angle)
+
+
+def back_emf(_: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """It drives K w / R through the winding: a torque of K^2 w / R."""
+    return 3**2 * 0.5**2 / 2 * speed
+
+
+TORQUES: dict[str, tuple[dict[str, str], Callable[[np.ndarray, np.ndarray], np.ndarray]]] = {
+    # MuJoCo documentation, "Polynomial": the force is (k0 + k1 x + k2 x^2) x.
+    "spring": (
+        {SWING: f'{SWING} stiffness="7 2 3"'},
+        lambda angle, _: (7 + 2 * angle + 3 * angle**2) * angle,
+    ),
+    "damping": (
+        {'damping="0.1"': 'damping="0.1 0.2 0.3"'},
+        lambda _, speed: (0.2 * np.abs(speed) + 0.3 * speed**2) * speed,
+    ),
+    "gravity compensation": (LIFTED, lift),
+    # Then it is a force of the actuators', which are switched off otherwise.
+    "by motors": ({**LIFTED, SWING: f'{SWING} actuatorgravcomp="true"'}, lift),
+    "tendon's spring": (
+        tendon('stiffness="2" springlength="0.5"'),
+        lambda angle, _: 3 * 2 * (-3 * angle - 0.5),
+    ),
+    # Stokes' drag on the sphere of the same inertia box: 3 pi d mu v, and pi d^3 mu omega (MuJoCo
+    # documentation, "Fluid forces: Inertia model"); d is the mean edge of the box.
+    "viscosity": (
+        {"<worldbody>": '<option viscosity="0.3"/><worldbody>'},
+        lambda _, speed: (3 * np.pi * EDGE * 0.3 * LENGTH**2 + np.pi * EDGE**3 * 0.3) * speed,
+    ),
+    "dc motor": ({"</actuator>": DC.format("")}, back_emf),
+    "dc motor without a command": ({"</actuator>": DC.format('input="none"')}, back_emf),
+}
+
+
+@pytest.mark.parametrize("kind", TORQUES)
+def test_what_accelerates_a_pendulum_does_so_as_physics_says(kind: str, tmp_path: Path) -> None:
+    edits, torque = TORQUES[kind]
+    effects, angle, speed = swing(tmp_path, **edits)
+    assert set(effects) == {"forward dynamics"}
+    effect, expected = effects["forward dynamics"], np.abs(torque(angle, speed) / ROD).max()
+    assert (effect.deviation, effect.share) == pytest.approx((expected, 1), rel=1e-9)
 
 
 def test_the_armature_of_a_motor_on_a_tendon(tmp_path: Path) -> None:
@@ -115,28 +130,6 @@ def test_the_armature_of_a_motor_on_a_tendon(tmp_path: Path) -> None:
     edits["</actuator>"] = '<motor tendon="t" gear="5" armature="0.02"/></actuator>'
     effects, _, _ = swing(tmp_path, **edits)
     assert effects["mass matrix"].deviation == pytest.approx(3**2 * 5**2 * 0.02, rel=1e-9)
-
-
-def test_the_viscosity_of_a_fluid(tmp_path: Path) -> None:
-    """Stokes' drag on the sphere of the same inertia box: 3 pi d mu v, and pi d^3 mu omega.
-
-    MuJoCo documentation, "Fluid forces: Inertia model"; d is the mean edge of the box.
-    """
-    edits = {"<worldbody>": '<option viscosity="0.3"/><worldbody>'}
-    effects, _, speed = swing(tmp_path, **edits)
-    edge = np.sqrt(6 * 1e-3 / MASS)  # of the cube with the bob's moments: m a^2 / 6 each
-    torque = 3 * np.pi * edge * 0.3 * LENGTH**2 + np.pi * edge**3 * 0.3
-    only_acceleration(effects, torque * speed / ROD)
-
-
-DC = '<dcmotor name="dc" joint="swing" gear="3" motorconst="0.5" resistance="2" {}/></actuator>'
-
-
-def test_a_dc_motor_brakes_without_a_command(tmp_path: Path) -> None:
-    """Its back-EMF K w drives K w / R through the winding: a torque of K^2 w / R."""
-    for command in ("", 'input="none"'):
-        effects, _, speed = swing(tmp_path, **{"</actuator>": DC.format(command)})
-        only_acceleration(effects, 3**2 * 0.5**2 / 2 * speed / ROD)
 
 
 # ------------------------------------------------------------------------------------- one joint's
@@ -164,113 +157,87 @@ def test_a_motor_at_a_joint_has_the_joints_armature_and_damping(tmp_path: Path) 
 
 # ------------------------------------------------------------------------------------- the verdict
 
+BEFORE, AFTER = "<actuator>", "</worldbody>"
+
+
+def rope(words: str, *sites: str, way: str = "") -> str:
+    """A spatial tendon from one site to another, by way of something."""
+    first, *others = (f'<site site="{site}"/>' for site in sites)
+    return f"<tendon><spatial {words}>{first}{way}{''.join(others)}</spatial></tendon>"
+
+
+def belt(words: str, **joints: float) -> str:
+    """A fixed tendon."""
+    parts = "".join(f'<joint joint="{name}" coef="{by}"/>' for name, by in joints.items())
+    return f"<tendon><fixed {words}>{parts}</fixed></tendon>"
+
+
+def drum(name: str, shape: str) -> str:
+    return f'<worldbody><geom name="{name}" {shape} contype="0" conaffinity="0"/>'
+
+
+def tied(kind: str, words: str) -> str:
+    return f'{AFTER}<equality><{kind} {words} solref="-{{}} -1"/></equality>'
+
+
+PULLEY = '<site site="foot2"/><pulley divisor="2"/><site site="foot0"/>'
+TWO = {"hip1": 1, "hip2": -2}
+
 PASSIVE = {
-    "spring": (
-        "spring",
-        '<joint name="knee1"',
-        '<joint name="knee1" stiffness="{}" springref="-1.2"',
-    ),
+    "spring": ("spring", "knee1", 'stiffness="{}" springref="-1.2"'),
     "free spring": ("spring", "<freejoint/>", '<joint type="free" stiffness="{}"/>'),
-    "stiffness polynomial": (
-        "spring",
-        '<joint name="hip2"',
-        '<joint name="hip2" stiffness="0 {} 0"',
-    ),
+    "stiffness polynomial": ("spring", "hip2", 'stiffness="0 {} 0"'),
     "damping polynomial": ("damping polynomial", 'damping="0.1"', 'damping="0.1 0 {}"'),
-    "gravity compensation": (
-        "gravity compensation",
-        '<body name="shank3"',
-        '<body name="shank3" gravcomp="{}"',
-    ),
-    "tendon spring": (
-        "tendon",
-        "<actuator>",
-        '<tendon><fixed stiffness="{}"><joint joint="hip0" coef="1"/>'
-        '<joint joint="knee2" coef="2"/></fixed></tendon><actuator>',
-    ),
-    "spatial spring": (
-        "tendon",
-        "<actuator>",
-        '<tendon><spatial stiffness="{}"><site site="foot0"/><site site="foot3"/></spatial>'
-        "</tendon><actuator>",
-    ),
-    "spatial damping": (
-        "tendon",
-        "<actuator>",
-        '<tendon><spatial damping="{}"><site site="foot1"/><site site="foot3"/></spatial>'
-        "</tendon><actuator>",
-    ),
-    "spatial armature": (
-        "tendon",
-        "<actuator>",
-        '<tendon><spatial armature="{}"><site site="foot1"/><site site="foot2"/></spatial>'
-        "</tendon><actuator>",
-    ),
+    "gravity compensation": ("gravity compensation", "shank3", 'gravcomp="{}"'),
+    "tendon spring": ("tendon", BEFORE, belt('stiffness="{}"', hip0=1, knee2=2)),
+    "spatial spring": ("tendon", BEFORE, rope('stiffness="{}"', "foot0", "foot3")),
+    "spatial damping": ("tendon", BEFORE, rope('damping="{}"', "foot1", "foot3")),
+    "spatial armature": ("tendon", BEFORE, rope('armature="{}"', "foot1", "foot2")),
     "density": ("fluid", "<worldbody>", '<option density="{}"/><worldbody>'),
     "viscosity": ("fluid", "<worldbody>", '<option viscosity="{}"/><worldbody>'),
-    "motor damping": ("damping", 'joint="hip3"', 'joint="hip3" damping="{}"'),
-    "motor damping polynomial": ("actuator", 'name="m_knee3"', 'name="m_knee3" damping="0 {}"'),
-    "motor armature": ("armature", 'name="m_knee0"', 'name="m_knee0" armature="{}"'),
+    "motor damping": ("damping", "m_hip3", 'damping="{}"'),
+    "motor damping polynomial": ("actuator", "m_knee3", 'damping="0 {}"'),
+    "motor armature": ("armature", "m_knee0", 'armature="{}"'),
     "wrapped spring": (
         "tendon",
         "<worldbody>",
-        '<tendon><spatial stiffness="{}" springlength="0.3"><site site="foot0"/><geom geom="drum"/>'
-        '<site site="foot3"/></spatial></tendon><worldbody>'
-        '<geom name="drum" size="0.1" contype="0" conaffinity="0"/>',
+        rope('stiffness="{}" springlength="0.3"', "foot0", "foot3", way='<geom geom="drum"/>')
+        + drum("drum", 'size="0.1"'),
     ),
     "wrapped damping": (
         "tendon",
         "<worldbody>",
-        '<tendon><spatial damping="{}"><site site="foot0"/><geom geom="reel"/>'
-        '<site site="foot2"/></spatial></tendon><worldbody>'
-        '<geom name="reel" type="cylinder" size="0.1 0.2" contype="0" conaffinity="0"/>',
+        rope('damping="{}"', "foot0", "foot2", way='<geom geom="reel"/>')
+        + drum("reel", 'type="cylinder" size="0.1 0.2"'),
     ),
-    "pulley armature": (
-        "tendon",
-        "<actuator>",
-        '<tendon><spatial armature="{}"><site site="foot1"/><site site="foot2"/><pulley '
-        'divisor="2"/><site site="foot0"/><site site="foot3"/></spatial></tendon><actuator>',
-    ),
-    "tendon damping polynomial": (
-        "tendon",
-        "<actuator>",
-        '<tendon><fixed damping="0 {}"><joint joint="hip1" coef="3"/></fixed></tendon><actuator>',
-    ),
+    "pulley armature": ("tendon", BEFORE, rope('armature="{}"', "foot1", "foot3", way=PULLEY)),
+    "tendon damping polynomial": ("tendon", BEFORE, belt('damping="0 {}"', hip1=3)),
     "damping of a tendon's motor": (
         "actuator",
-        "<actuator>",
-        '<tendon><fixed name="pair"><joint joint="hip1" coef="1"/><joint joint="hip2" coef="-2"/>'
-        '</fixed></tendon><actuator><motor tendon="pair" gear="3" damping="{}"/>',
+        BEFORE,
+        belt('name="pair"', **TWO) + '<actuator><motor tendon="pair" gear="3" damping="{}"/>',
     ),
     "armature of a tendon's motor": (
         "actuator",
-        "<actuator>",
-        '<tendon><spatial name="cord"><site site="foot1"/><site site="foot3"/></spatial></tendon>'
-        '<actuator><motor tendon="cord" gear="2" armature="{}"/>',
+        BEFORE,
+        rope('name="cord"', "foot1", "foot3")
+        + '<actuator><motor tendon="cord" gear="2" armature="{}"/>',
     ),
-    "weld": (
-        "equality",
-        "</worldbody>",
-        '</worldbody><equality><weld body1="base" solref="-{} -1"/></equality>',
-    ),
+    "weld": ("equality", AFTER, tied("weld", 'body1="base"')),
     "connect": (
         "equality",
-        "</worldbody>",
-        '</worldbody><equality><connect body1="shank0" body2="shank1" anchor="0 0 0" '
-        'solref="-{} -1"/></equality>',
+        AFTER,
+        tied("connect", 'body1="shank0" body2="shank1" anchor="0 0 0"'),
     ),
     "joint equality": (
         "equality",
-        "</worldbody>",
-        '</worldbody><equality><joint joint1="hip0" joint2="hip1" polycoef="0.1 1 0.2 0 0" '
-        'solref="-{} -1"/></equality>',
+        AFTER,
+        tied("joint", 'joint1="hip0" joint2="hip1" polycoef="0.1 1 0.2 0 0"'),
     ),
     "tendon equality": (
         "equality",
-        "</worldbody>",
-        '</worldbody><tendon><fixed name="both"><joint joint="knee1" coef="1"/>'
-        '<joint joint="knee3" coef="-1"/></fixed></tendon>'
-        '<equality><tendon tendon1="both" solref="-{} -1"/></equality>',
+        AFTER,
+        tied("tendon", 'tendon1="both"') + belt('name="both"', knee1=1, knee3=-1),
     ),
     "wind": ("fluid", "<worldbody>", '<option density="{}" wind="5 0 1"/><worldbody>'),
     "fluid around ellipsoids": (
@@ -280,12 +247,23 @@ PASSIVE = {
     ),
     "slack": (
         "tendon",
-        "<actuator>",
-        '<tendon><fixed stiffness="{}" springlength="-0.1 0.1"><joint joint="hip0" coef="1"/>'
-        '<joint joint="knee2" coef="-0.5"/></fixed></tendon><actuator>',
+        BEFORE,
+        belt('stiffness="{}" springlength="-0.1 0.1"', hip0=1, knee2=-0.5),
     ),
 }
-"""{what acts: the kind of the difference, what it takes the place of, what is put there}."""
+"""{what acts: the kind of the difference, where (an element's name, or a text), what is put there}.
+"""
+
+
+def acting(kind: str, size: str, text: str) -> str:
+    """The text with something that acts."""
+    _, where, words = PASSIVE[kind]
+    if "<" not in where and "=" not in where:
+        where, words = f'name="{where}"', f'name="{where}" {words}'
+    elif where == BEFORE and BEFORE not in words:
+        words += BEFORE
+    return with_(text, **{where: words.format(size)})
+
 
 _PAIR = '<tendon><fixed {}><joint joint="hip0" coef="1"/></fixed></tendon><actuator>'
 _OFF = '<option><flag {}="disable"/></option><worldbody>'
@@ -295,24 +273,22 @@ UNFELT = {
 }
 """{kind of difference: edits} that no acceleration of the unconstrained robot feels."""
 
+_DEFAULT = "<default>{}</default><worldbody>"
 SILENT = {
-    "exclude": (
-        "</worldbody>",
-        '</worldbody><contact><exclude body1="base" body2="shank0"/></contact>',
-    ),
+    "exclude": (AFTER, f'{AFTER}<contact><exclude body1="base" body2="shank0"/></contact>'),
     "margins": (
         "<worldbody>",
-        '<default><joint margin="0.2"/><geom margin="0.1" gap="0.1"/></default><worldbody>',
+        _DEFAULT.format('<joint margin="0.2"/><geom margin="0.1" gap="0.1"/>'),
     ),
     "gravity compensation of nothing by motors": (
         "<worldbody>",
-        '<default><joint actuatorgravcomp="true"/></default><worldbody>',
+        _DEFAULT.format('<joint actuatorgravcomp="true"/>'),
     ),
     "softness": (
         "<worldbody>",
-        '<default><geom solref="0.1 2" solimp="0.1 0.2 0.3"/></default><worldbody>',
+        _DEFAULT.format('<geom solref="0.1 2" solimp="0.1 0.2 0.3"/>'),
     ),
-    "a free site": ("</worldbody>", '<site name="there"/></worldbody>'),
+    "a free site": (AFTER, f'<site name="there"/>{AFTER}'),
 }
 """What does nothing to the unconstrained robot, or only changes how something else acts."""
 
@@ -352,8 +328,7 @@ def test_never_agree_while_mujoco_accelerates_otherwise(
 ) -> None:
     text = MJCF
     for kind, size in chosen.items():
-        _, old, new = PASSIVE[kind]
-        text = with_(text, **{old: new.format(repr(size))})
+        text = acting(kind, repr(size), text)
     for kind in sorted(silent):
         old, new = SILENT[kind]
         text = with_(text, **{old: new})
@@ -371,12 +346,11 @@ def test_never_agree_while_mujoco_accelerates_otherwise(
 
 @pytest.mark.parametrize("kind", PASSIVE)
 def test_it_is_named_first_and_the_engines_are_not_blamed(kind: str, tmp_path: Path) -> None:
-    named, old, new = PASSIVE[kind]
-    comparison = pair(tmp_path, with_(MJCF, **{old: new.format("0.5")}))
+    comparison = pair(tmp_path, acting(kind, "0.5", MJCF))
     assert comparison.engines == ()
     assert not comparison.agree
     assert comparison.complete
-    assert found(comparison)[0][0] == named
+    assert found(comparison)[0][0] == PASSIVE[kind][0]
     edges = {q.name: q.edges for q in comparison.check.quantities}["forward dynamics"]
     assert edges["engines (MJCF)"] < 1e-12
     assert edges["engines (URDF)"] < 1e-12
@@ -467,26 +441,22 @@ DOOR = (
 )
 
 
-def test_what_acts_on_other_objects_is_none_of_the_robots(tmp_path: Path) -> None:
-    extra = (
-        '<tendon><fixed stiffness="4"><joint joint="hinge" coef="1"/></fixed></tendon>'
-        '<equality><weld body1="ball" body2="hand"/></equality>'
-    )
-    text = mjcf_text(quadruped(), scene=BALL + MOCAP + DOOR, extra=extra)
-    comparison = pair(tmp_path, text)
-    assert found(comparison) == []
-    assert comparison.agree
-
-
 CLOTH = (
     '<flexcomp name="cloth" type="grid" count="3 3 1" spacing=".05 .05 .05" dim="2" pos="4 4 4" '
     'mass="1" radius=".01"><edge equality="true"/></flexcomp>'
 )
+HINGED = (
+    '<tendon><fixed stiffness="4"><joint joint="hinge" coef="1"/></fixed></tendon>'
+    '<equality><weld body1="ball" body2="hand"/></equality>'
+)
 
 
-def test_a_cloth_in_the_scene_is_none_of_the_robots(tmp_path: Path) -> None:
-    """Its edges are kept by an equality, which said that the robot is held."""
-    assert pair(tmp_path, mjcf_text(quadruped(), scene=CLOTH)).agree
+@pytest.mark.parametrize(("scene", "extra"), [(BALL + MOCAP + DOOR, HINGED), (CLOTH, "")])
+def test_what_acts_on_other_objects_is_none_of_the_robots(
+    scene: str, extra: str, tmp_path: Path
+) -> None:
+    """A cloth's edges are kept by an equality, which said that the robot is held."""
+    assert pair(tmp_path, mjcf_text(quadruped(), scene=scene, extra=extra)).agree
 
 
 @pytest.mark.parametrize("inertial", ["", '<inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/>'])
