@@ -19,7 +19,7 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.conversions import compiled, converted, standing_urdf
 from tests.support.engines import changed
-from tests.support.legged import Pair, biped, quadruped
+from tests.support.legged import Pair, biped, quadruped, rewritten
 from tests.support.variants import load, stand_of
 
 WAYS = ("forcerange", "actuatorfrcrange", "ctrlrange")
@@ -186,15 +186,6 @@ def test_a_command_that_ctrlrange_cuts_off_is_predicted(feedforward: bool) -> No
     assert pose.height_loss == pytest.approx(run.height_loss, abs=1e-4)
 
 
-def edited(path: Path, *changes: tuple[str, str]) -> Path:
-    text = path.read_text()
-    for old, new in changes:
-        assert old in text, old
-        text = text.replace(old, new)
-    path.write_text(text)
-    return path
-
-
 KNEE = 'lower="-2.6" upper="-0.4" effort="80"'
 
 
@@ -212,7 +203,7 @@ KNEE = 'lower="-2.6" upper="-0.4" effort="80"'
 def test_a_hinge_whose_limit_states_no_range_has_none(
     limit: str, free: bool, tmp_path: Path
 ) -> None:
-    urdf = edited(quadruped(tmp_path).urdf, (KNEE, limit))
+    urdf = rewritten(quadruped(tmp_path).urdf, (KNEE, limit))
     notes = [note for note in read_urdf(urdf).notes if note.code == "range-unstated"]
     assert bool(notes) is free
     if free:
@@ -224,8 +215,8 @@ def test_a_hinge_whose_limit_states_no_range_has_none(
 
 def test_the_mjcfs_range_counts_where_the_urdf_states_none(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
-    edited(pair.urdf, (KNEE, 'effort="80"'))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    rewritten(pair.urdf, (KNEE, 'effort="80"'))
+    robot = pa.load_robot(*pair)
     knees = [robot.joint_names.index(f"{leg}_knee") for leg in ("FL", "FR", "RL", "RR")]
     np.testing.assert_allclose(robot.lower_limits[knees], -2.6)
     np.testing.assert_allclose(robot.upper_limits[knees], -0.4)
@@ -234,12 +225,12 @@ def test_the_mjcfs_range_counts_where_the_urdf_states_none(tmp_path: Path) -> No
     differing = pa.compare_models(pair.urdf, pair.mjcf).differences
     assert {one.kind for one in differing} == {"lower limit", "upper limit", "effort"}
     # And where neither has one, they agree.
-    edited(pair.mjcf, (' range="-2.6 -0.4"', ""), ('ctrlrange="-30 30"', 'ctrlrange="-80 80"'))
+    rewritten(pair.mjcf, (' range="-2.6 -0.4"', ""), ('ctrlrange="-30 30"', 'ctrlrange="-80 80"'))
     assert pa.compare_models(pair.urdf, pair.mjcf).agree
 
 
 def test_a_converted_hinge_without_limits_has_none(tmp_path: Path) -> None:
-    urdf = edited(standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
+    urdf = rewritten(standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
     mjcf, found = converted(urdf, "quad.xml")
     assert found.passed, found.failures
     assert not any(left.code == "empty-range-left" for left in found.not_converted)
@@ -248,38 +239,38 @@ def test_a_converted_hinge_without_limits_has_none(tmp_path: Path) -> None:
 
 
 def _without_effort(pair: Pair) -> Pair:
-    edited(pair.urdf, ('effort="80" velocity="20"', 'effort="0" velocity="0"'))
+    rewritten(pair.urdf, ('effort="80" velocity="20"', 'effort="0" velocity="0"'))
     return pair
 
 
 def test_an_effort_of_zero_is_the_mjcfs_or_none(tmp_path: Path) -> None:
     pair = _without_effort(quadruped(tmp_path))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     np.testing.assert_array_equal(robot.effort_limits, 30.0)  # its motors' ctrlrange
     np.testing.assert_array_equal(robot.velocity_limits, np.inf)
     assert any(note.code == "effort-unstated" for note in robot.notes)
     stand = pa.solve_stand(robot)
     held = pa.stance.stand_statics(robot, stand)
     np.testing.assert_allclose(held.motor_utilisation, np.abs(held.joint_torques) / 30, rtol=1e-12)
-    edited(pair.mjcf, (' ctrlrange="-30 30"', ""))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    rewritten(pair.mjcf, (' ctrlrange="-30 30"', ""))
+    robot = pa.load_robot(*pair)
     np.testing.assert_array_equal(robot.effort_limits, np.inf)
 
 
 def test_what_the_urdfs_motors_cannot_hold_does_not_pass(tmp_path: Path) -> None:
     """Its MJCF has no limit of force, and its servos are given the URDF's."""
     pair = biped(tmp_path)
-    edited(pair.urdf, ('effort="80"', 'effort="1"'))
-    edited(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    rewritten(pair.urdf, ('effort="80"', 'effort="1"'))
+    rewritten(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
+    robot = pa.load_robot(*pair)
     result = study_stance(robot, pa.StandTask())
     assert not result.verification.passed
     assert np.abs(result.verification.joint_torques).max() < 1 + 1e-9
     assert result.overloaded
     assert not result.passed
     pair = _without_effort(biped(tmp_path))
-    edited(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
-    result = study_stance(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf), pa.StandTask())
+    rewritten(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
+    result = study_stance(pa.load_robot(*pair), pa.StandTask())
     assert result.passed
     assert not result.overloaded
 

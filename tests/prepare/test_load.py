@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from pathlib import Path
@@ -9,7 +10,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from lxml import etree
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
@@ -17,11 +17,11 @@ from pupper_analysis.prepare import drives
 from pupper_analysis.prepare.feet import limbs_aside
 from pupper_analysis.robot.robot import Robot
 from tests.support.conversions import standing_urdf
-from tests.support.legged import Pair, biped, from_the_ground, fused, quadruped
+from tests.support.legged import Pair, biped, from_the_ground, fused, quadruped, rewritten
 
 
 def load(pair: Pair, **values: object) -> Robot:
-    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, **values)  # type: ignore[arg-type]
+    return pa.load_robot(*pair, **values)  # type: ignore[arg-type]
 
 
 def said(robot: Robot, text: str) -> str:
@@ -239,17 +239,12 @@ def test_a_urdf_whose_base_is_not_upright_is_refused_with_what_to_do(
     turn: str, axis: str, back: tuple[int, int], tmp_path: Path
 ) -> None:
     path = standing_urdf(tmp_path)
-    root = etree.parse(str(path)).getroot()
-    rpy = [0.5 * math.pi * turn.count(letter) for letter in "xyz"]
-    etree.SubElement(root, "link", name="lying")
-    joint = etree.SubElement(root, "joint", name="down", type="fixed")
-    for tag, words in (
-        ("parent", {"link": "lying"}),
-        ("child", {"link": "trunk"}),
-        ("origin", {"rpy": "{} {} {}".format(*rpy), "xyz": "0 0 0"}),
-    ):
-        etree.SubElement(joint, tag, words)
-    path.write_bytes(etree.tostring(root))
+    rpy = " ".join(str(0.5 * math.pi * turn.count(letter)) for letter in "xyz")
+    lying = (
+        '<link name="lying"/><joint name="down" type="fixed"><parent link="lying"/>'
+        f'<child link="trunk"/><origin rpy="{rpy}" xyz="0 0 0"/></joint></robot>'
+    )
+    rewritten(path, ("</robot>", lying))
     told = " ".join(map(str, limbs_aside(pa.load_robot(path, fixed_base=True))))
     if turn == "xx":
         with pytest.raises(PupperAnalysisError) as refused:
@@ -260,7 +255,7 @@ def test_a_urdf_whose_base_is_not_upright_is_refused_with_what_to_do(
     np.testing.assert_allclose([float(x) for x in stated.split()], [*np.pi / 2 * np.array(back), 0])
 
 
-ICOSPHERE = """<asset><mesh name="ball" vertex="{}"/></asset>"""
+MESH = '<asset><mesh name="{}" vertex="{}"/></asset><worldbody>'
 
 
 def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
@@ -269,8 +264,7 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     places = 0.025 * directions / np.linalg.norm(directions, axis=1)[:, None]
     text = " ".join(f"{value:.9g}" for value in places.ravel())
     pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="ball" pos="0 0 -0.2"/>')
-    mjcf = pair.mjcf.read_text().replace("<worldbody>", ICOSPHERE.format(text) + "<worldbody>", 1)
-    pair.mjcf.write_text(mjcf)
+    rewritten(pair.mjcf, ("<worldbody>", MESH.format("ball", text)))
     robot = load(pair)
     said(robot, "fitted spheres replace their meshes")
     for radius in robot.contact_radius.values():
@@ -288,23 +282,16 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
     stands(robot)
 
 
-def advised(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """The stiffness and damping (nu,) of which a note says that they would hold it."""
+def test_servos_that_let_it_fall_slowly_are_told_too(tmp_path: Path) -> None:
+    """As T1's and G1's of mujoco_playground: upright for 5 s, and on the ground after 12."""
+    pair = biped(tmp_path)
+    rewritten(pair.mjcf, ("<motor ", '<position kp="20" kv="4" '), ("ctrlrange", "forcerange"))
+    robot = load(pair)
     advice = re.search(
         r"let it fall over .*; --kp (\S+) --kd (\S+) would", " ".join(map(str, robot.notes))
     )
     assert advice, robot.notes
     kp, kd = (np.full(robot.nu, float(word)) for word in advice.groups())
-    return kp, kd
-
-
-def test_servos_that_let_it_fall_slowly_are_told_too(tmp_path: Path) -> None:
-    """As T1's and G1's of mujoco_playground: upright for 5 s, and on the ground after 12."""
-    pair = biped(tmp_path)
-    soft = pair.mjcf.read_text().replace("<motor ", '<position kp="20" kv="4" ')
-    pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
-    robot = load(pair)
-    kp, kd = advised(robot)
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     assert pa.verify_stand(robot, stand, duration=5.0, nudged=0).tilt < 0.01
     assert not pa.verify_stand(robot, stand, duration=5.0, nudged=0).passed  # for it buckles
@@ -313,12 +300,10 @@ def test_servos_that_let_it_fall_slowly_are_told_too(tmp_path: Path) -> None:
 
 
 def test_a_foot_with_a_mesh_that_is_not_round_is_told(tmp_path: Path) -> None:
-    mesh = '<asset><mesh name="block" vertex="{}"/></asset><worldbody>'
-    corners = [(x, y, z) for x in (-0.03, 0.03) for y in (-0.02, 0.02) for z in (-0.02, 0.02)]
+    corners = itertools.product((-0.03, 0.03), (-0.02, 0.02), (-0.02, 0.02))
     vertices = " ".join(str(value) for corner in corners for value in corner)
     pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="block" pos="0 0 -0.2"/>')
-    text = pair.mjcf.read_text().replace("<worldbody>", mesh.format(vertices))
-    pair.mjcf.write_text(text)
+    rewritten(pair.mjcf, ("<worldbody>", MESH.format("block", vertices)))
     robot = load(pair)
     said(robot, "meshes that are not round")
     stands(robot)
@@ -332,8 +317,8 @@ def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) 
         '<default><geom contype="0" conaffinity="0" condim="1" margin="0.01" solref="0.005 1" '
         'type="box"/></default><worldbody>'
     )
-    text = pair.mjcf.read_text().replace("<worldbody>", default)
-    pair.mjcf.write_text(text.replace('type="sphere"', 'type="sphere" contype="1" margin="0"'))
+    sphere = 'type="sphere"'
+    rewritten(pair.mjcf, ("<worldbody>", default), (sphere, f'{sphere} contype="1" margin="0"'))
     robot = load(pair)
     plain = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><geom type="plane" size="0 0 1"/></worldbody></mujoco>'
@@ -348,15 +333,13 @@ def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     """The URDF counts one knee from 0.3 rad before the MJCF's zero: the same robot."""
     pair = quadruped(tmp_path)
     plain = load(pair)
-    text = pair.urdf.read_text()
     origin = (
         '<child link="FL_calf"/><origin xyz="0.0 0.0 -0.2"/><axis xyz="0 1 0"/>'
         '<limit lower="-2.6" upper="-0.4"'
     )
     turned = origin.replace('-0.2"/>', '-0.2" rpy="0 -0.3 0"/>')
     turned = turned.replace('lower="-2.6" upper="-0.4"', 'lower="-2.3" upper="-0.1"')
-    assert text.count(origin) == 1
-    pair.urdf.write_text(text.replace(origin, turned))
+    rewritten(pair.urdf, (origin, turned))
     robot = load(pair)
     assert "FL_knee by +17.19 deg" in said(robot, "another zero angle")
     np.testing.assert_allclose(robot.lower_limits, plain.lower_limits, atol=1e-12)
@@ -386,8 +369,7 @@ def test_wrong_arguments_are_refused_by_name(wrong: dict[str, object], tmp_path:
 def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
     """Pi Plus' knees bend one way in the MJCF, and both in the URDF: it was thrown into the air."""
     pair = quadruped(tmp_path, keyframe="")
-    assert 'range="-1.5 2.5"' in pair.mjcf.read_text()
-    pair.mjcf.write_text(pair.mjcf.read_text().replace('range="-1.5 2.5"', 'range="-1.5 0.6"'))
+    rewritten(pair.mjcf, ('range="-1.5 2.5"', 'range="-1.5 0.6"'))
     robot = load(pair)
     assert "_pitch -1.5 to 0.6" in said(robot, "narrower limits of the MJCF")
     names = [name for name in robot.joint_names if name.endswith("_pitch")]
@@ -439,10 +421,8 @@ def test_a_base_that_is_free_by_slides_and_a_ball_joint(tmp_path: Path) -> None:
     whole = load(quadruped(tmp_path))
     pair = quadruped(tmp_path)
     parts = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
-    text = pair.mjcf.read_text()
-    assert text.count("<freejoint/>") == 1
-    text = text.replace("<freejoint/>", f'{parts}<joint type="ball"/>')
-    pair.mjcf.write_text(text.replace('qpos="0 0 0.35', 'qpos="0 0 0'))
+    free = ("<freejoint/>", f'{parts}<joint type="ball"/>')
+    rewritten(pair.mjcf, free, ('qpos="0 0 0.35', 'qpos="0 0 0'))
     robot = load(pair)
     said(robot, "free by three slides and a ball joint")
     assert robot.floating

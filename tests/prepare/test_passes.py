@@ -11,26 +11,13 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.passes import PASSES, Draft, Pass, Request, prepare_robot
+from pupper_analysis.prepare.passes import PASSES, PassRun, Request, prepare_robot
 from tests.support.legged import Pair, quadruped
 from tests.support.repository import ROOT
 
 
-def named(name: str) -> Pass:
-    return next(each for each in PASSES if each.name == name)
-
-
-def draft_of(pair: Pair, **asked: object) -> Draft:
-    mjcf = read_mjcf(pair.mjcf)
-    return Draft(read_urdf(pair.urdf), mjcf, Request(**asked), mjcf.spec.copy())  # type: ignore[arg-type]
-
-
-def run(draft: Draft, *names: str) -> tuple[Draft, list[str]]:
-    codes: list[str] = []
-    for name in names:
-        draft, messages = named(name).apply(draft)
-        codes += [note.code for note in messages]
-    return draft, codes
+def prepared(pair: Pair, **asked: object) -> tuple[pa.Robot, list[PassRun]]:
+    return prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(**asked))  # type: ignore[arg-type]
 
 
 def test_names_are_distinct_and_the_file_is_read_only(tmp_path: Path) -> None:
@@ -45,8 +32,7 @@ def test_names_are_distinct_and_the_file_is_read_only(tmp_path: Path) -> None:
 
 
 def test_each_note_of_a_robot_is_told_by_one_pass(tmp_path: Path) -> None:
-    pair = quadruped(tmp_path)
-    robot, runs = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+    robot, runs = prepared(quadruped(tmp_path))
     done = {run.name: [note.code for note in run.done] for run in runs}
     assert done["level-ground"] == ["ground-added"]
     assert done["put-feet"] == ["feet-found"]
@@ -57,19 +43,8 @@ def test_each_note_of_a_robot_is_told_by_one_pass(tmp_path: Path) -> None:
     assert list(robot.notes[: len(of_passes)]) == of_passes
 
 
-def test_a_fixed_base_is_built_and_needs_no_ground(tmp_path: Path) -> None:
-    pair = quadruped(tmp_path)
-    robot, runs = prepare_robot(
-        read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(fixed_base=True)
-    )
-    assert not robot.floating
-    assert "build-held" in {run.name for run in runs}
-    assert "level-ground" not in {run.name for run in runs}
-
-
 def test_a_base_that_stands_on_no_feet_is_held_as_the_file_has_it(tmp_path: Path) -> None:
-    pair = quadruped(tmp_path, foot="", free=False, keyframe="")
-    robot, runs = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+    robot, runs = prepared(quadruped(tmp_path, foot="", free=False, keyframe=""))
     assert not robot.floating
     assert runs[-1].name == "hold-base"
     (held,) = runs[-1].done
@@ -81,34 +56,15 @@ def test_a_base_that_stands_on_no_feet_is_held_as_the_file_has_it(tmp_path: Path
 def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, foot="", free=True, keyframe="")
     with pytest.raises(pa.ModelError, match="no feet were found"):
-        prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+        prepared(pair)
 
 
 def test_as_it_is_nothing_is_added(tmp_path: Path) -> None:
-    pair = quadruped(tmp_path)
-    robot, runs = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(as_is=True))
+    robot, runs = prepared(quadruped(tmp_path), as_is=True)
     names = {run.name for run in runs}
     assert not names & {"add-servos", "add-motors", "keep-apart", "touch-with-feet-alone"}
     motors = robot.mj_model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE.value
     assert motors.all()
-
-
-def test_ground_motors_and_friction_are_of_the_drafts_own_copy(tmp_path: Path) -> None:
-    pair = quadruped(tmp_path)
-    draft = draft_of(pair)
-    draft, _ = run(draft, "name-elements", "free-base", "match", "weigh-parts", "couple-mimics")
-    untouched = draft.described.mjcf
-    plane = mujoco.mjtGeom.mjGEOM_PLANE
-    planes = [geom for geom in untouched.geoms if geom.type == plane]
-    free = next(joint for joint in untouched.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE)
-    free.frictionloss = 0.3
-    grounded, codes = run(draft, "level-ground", "free-of-friction")
-    assert codes == ["ground-added", "free-joint-friction-taken-off"]
-    assert free.frictionloss == pytest.approx(0.3)
-    found = [
-        geom for geom in grounded.described.mjcf.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE
-    ]
-    assert (len(planes), len(found)) == (0, 1)
 
 
 def test_files_that_are_ready_need_no_pass() -> None:

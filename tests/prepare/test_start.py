@@ -16,7 +16,6 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import StanceUnreachableError
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.start import clip_to_limits
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.servos import own_servos
 from tests.support import random_legged
 from tests.support.legged import biped, quadruped
@@ -122,19 +121,6 @@ def test_soles_that_legs_cannot_turn_lie_where_these_have_them(seed: int, tmp_pa
     area = shapely.MultiPoint(np.array(corners)[:, :2]).convex_hull
     assert area.contains(shapely.Point(data.subtree_com[0][:2]))
     assert pa.judge_stand(robot, stand).own is not None
-
-
-def test_a_pose_laid_by_its_legs_has_level_soles(tmp_path: Path) -> None:
-    robot = pa.load_robot(*biped(tmp_path))
-    for height in (0.9 * robot.stand_height, robot.stand_height):
-        joints = start._lay_feet(robot, clip_to_limits(robot), height, 0.05)
-        assert joints is not None
-        places = Configuration(robot, robot.posed(joints)).foot_positions()
-        lowest = [place[2] - robot.contact_radius[point] for point, place in places.items()]
-        assert lowest == pytest.approx([-height] * len(lowest), abs=1e-4 * height)
-        assert (joints >= robot.lower_limits).all()
-        assert (joints <= robot.upper_limits).all()
-    assert start._lay_feet(robot, clip_to_limits(robot), 9.0, 0.05) is None
 
 
 def test_nobody_looks_where_wheels_could_be_laid(

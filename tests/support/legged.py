@@ -16,6 +16,16 @@ class Pair(NamedTuple):
     mjcf: Path
 
 
+def rewritten(path: Path, *changes: tuple[str, str], count: int = -1) -> Path:
+    """A file in which texts are replaced, each of which has to be there."""
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new, count)
+    path.write_text(text)
+    return path
+
+
 BOX = '<geom {name} type="box" size="0.08 0.04 0.01" pos="0.02 0 -0.03"/>'
 
 

@@ -246,6 +246,16 @@ def mjcf_text(
     return "\n".join([*lines, "</actuator>", extra, "</mujoco>"]) + "\n"
 
 
+def without_base(text: str) -> str:
+    """An MJCF whose base is fused with the world and has no mass there, as MuJoCo imports URDFs."""
+    lines = text.splitlines()
+    start = next(row for row, line in enumerate(lines) if '<body name="base"' in line)
+    end = lines.index("</worldbody>")
+    assert "<inertial" in lines[start + 1]
+    assert lines[end - 1] == "</body>"
+    return "\n".join([*lines[:start], *lines[start + 2 : end - 1], *lines[end:]])
+
+
 def turned_frames(parts: Parts, seed: int) -> str:
     """An MJCF in which the frame of every body but the base is turned at random.
 

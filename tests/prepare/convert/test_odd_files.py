@@ -11,23 +11,12 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from tests.support.conversions import (
-    compiled,
-    converted,
-    from_keyframe,
-    shape_of,
-    standing_urdf,
-)
+from tests.support.conversions import compiled, converted, from_keyframe, shape_of, standing_urdf
+from tests.support.legged import rewritten
 
 
 def _changed(folder: Path, *changes: tuple[str, str]) -> Path:
-    path = standing_urdf(folder)
-    text = path.read_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    path.write_text(text)
-    return path
+    return rewritten(standing_urdf(folder), *changes)
 
 
 def _drift(mjcf: Path, but: str = "") -> float:
@@ -77,8 +66,7 @@ def test_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
     shapes = "".join(
         shape_of("visual", f'<mesh filename="{folder}/part.dae"/>', "0 0 0") for folder in "ab"
     )
-    path = standing_urdf(tmp_path)
-    path.write_text(path.read_text().replace("</link>", f"{shapes}</link>", 1))
+    path = rewritten(standing_urdf(tmp_path), ("</link>", f"{shapes}</link>"), count=1)
     mjcf, _ = converted(path, "quad.xml")
     model = compiled(mjcf)
     lengths = []
@@ -126,12 +114,6 @@ def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None
     assert not found.agree
     assert compiled(mjcf).nu == 14
     assert _drift(mjcf) < 1e-4
-
-
-def test_an_armature_is_not_negative(tmp_path: Path) -> None:
-    urdf = standing_urdf(tmp_path)
-    with pytest.raises(pa.ConfigurationError, match="negative"):
-        pa.convert_model(urdf, tmp_path / "new.xml", armature={"FR_knee": -1.0})
 
 
 # ---------------------------------------------------------------------------- an MJCF as a URDF
@@ -244,25 +226,16 @@ def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None
 
 def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
     """Robots have boxes of size 0 as markers (Upkie's base), which MuJoCo refuses."""
-    path = standing_urdf(tmp_path)
     marker = '<visual><geometry><box size="0 0 0"/></geometry></visual></link>'
-    path.write_text(path.read_text().replace("</link>", marker))
-    output, result = converted(path, "marked.xml")
+    output, result = converted(_changed(tmp_path, ("</link>", marker)), "marked.xml")
     compiled(output)
-    assert [
-        note
-        for note in (*result.notes, *result.not_converted)
-        if "size 0 0 0 was left out" in str(note)
-    ]
+    said = " ".join(map(str, (*result.notes, *result.not_converted)))
+    assert "size 0 0 0 was left out" in said
 
 
 def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path: Path) -> None:
     """As Kuavo's toes, which sank in by 20 mm; and as Drake's Atlas, whose points were left out."""
-    urdf = standing_urdf(tmp_path)
-    text = urdf.read_text()
     ball = shape_of("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
-    assert ball in text
-    text = text.replace(ball, "")
     point = '<sphere radius="0.0"/>'
     toes = "".join(
         f'<link name="{leg}_toe">{shape_of("collision", point, "0.01 0 -0.02")}</link>'
@@ -270,7 +243,7 @@ def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path
         '<origin xyz="0 0 -0.2" rpy="0 1.5707963267948966 0"/></joint>'
         for leg in ("FL", "FR", "RL", "RR")
     )
-    urdf.write_text(text.replace("</robot>", f"{toes}</robot>"))
+    urdf = _changed(tmp_path, (ball, ""), ("</robot>", f"{toes}</robot>"))
     mjcf, found = converted(urdf, "quad.xml")
     assert found.passed, found.failures
     assert any("links without mass" in str(note) and "FL_toe" in str(note) for note in found.notes)

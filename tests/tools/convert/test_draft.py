@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import pytest
 
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.xml import add_element
@@ -63,15 +62,3 @@ def test_both_mjcf_editors_make_the_same_model() -> None:
         np.testing.assert_allclose(ours, theirs, atol=1e-15, err_msg=name)
     np.testing.assert_allclose(made.actuator_forcerange, [[-3, 7], [0, 0]])
     assert made.nexclude == made.neq == made.nkey == 1
-
-
-def test_a_coupling_holds_its_line_in_a_simulation() -> None:
-    mjcf = robot()
-    edit(mjcf)
-    model = mujoco.MjModel.from_xml_string(mjcf.text)
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    for _ in range(300):
-        mujoco.mj_step(model, data)
-    two, three = (data.joint(name).qpos[0] for name in ("two_joint", "three_joint"))
-    assert three == pytest.approx(0.25 - 0.5 * two, abs=1e-3)
