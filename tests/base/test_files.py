@@ -184,32 +184,41 @@ def test_a_variants_name_is_that_of_a_file(name: str) -> None:
         pa.pupper.VariantSpec(name=name)
 
 
-def test_a_write_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
-    """SIGTERM while the temporary file is there: the command line takes it away."""
-    code = (
-        "import os, time; from pupper_analysis import cli\n"
-        "from pupper_analysis.base import files, kinds\n"
-        "import click\n"
-        "@click.command()\n"
-        "def slow():\n"
-        "    with files.whole_file(files.Path('out'), kinds.OWN) as file: file.write(b'x')\n"
-        "real = os.fdopen\n"
-        "def held(*a):\n"
-        "    print('writing', flush=True); time.sleep(60); return real(*a)\n"
-        "os.fdopen = held\n"
-        "cli.run(slow, [])\n"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+HELD = """
+import os, time
+from pathlib import Path
+import click
+from pupper_analysis import cli
+from pupper_analysis.base import files, kinds
+real = os.fdopen
+def held(*a):
+    print("writing", flush=True); time.sleep(60); return real(*a)
+os.fdopen = held
+@click.command()
+def slow():
+    with files.whole_file(Path("out"), kinds.OWN) as file: file.write(b"x")
+cli.run(slow, [])
+"""
+"""A command that is held while its temporary file is there."""
+
+
+def held_in(folder: Path) -> subprocess.Popen[str]:
     process = subprocess.Popen(
-        [sys.executable, "-c", code],
+        [sys.executable, "-c", HELD],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        cwd=tmp_path,
-        env=environment,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         text=True,
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "writing\n"
+    return process
+
+
+def test_a_write_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
+    """SIGTERM while the temporary file is there: the command line takes it away."""
+    process = held_in(tmp_path)
     time.sleep(0.1)
     assert len(list(tmp_path.iterdir())) == 1
     process.terminate()
@@ -278,25 +287,7 @@ def test_a_result_replaces_its_own_kind_alone(tmp_path: Path) -> None:
 
 def test_what_killed_runs_left_is_cleared_by_the_next(tmp_path: Path) -> None:
     """SIGKILL while the temporary file is there; that of a process that runs is left."""
-    code = (
-        "import os, time; from pupper_analysis.base import files, kinds\n"
-        "real = os.fdopen\n"
-        "def held(*a):\n"
-        "    print('writing', flush=True); time.sleep(60); return real(*a)\n"
-        "os.fdopen = held\n"
-        "with files.whole_file(files.Path('out'), kinds.OWN) as file: file.write(b'x')\n"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=tmp_path, env=environment
-        )
-        for _ in range(2)
-    ]
-    for process in processes:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"writing\n"
-    dead, alive = processes
+    dead, alive = held_in(tmp_path), held_in(tmp_path)
     dead.kill()
     dead.communicate(timeout=20)
     assert len(list(tmp_path.iterdir())) == 2
@@ -324,10 +315,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def both(folder: Path, **options: bool) -> tuple[Path, ...]:
-    wanted = [
-        Writing(folder / name, b"new " + name.encode(), OWN, old) for name, old in OLD.items()
-    ]
-    return write_all(wanted, **options)
+    return write_all([Writing(folder / x, b"new", OWN, old) for x, old in OLD.items()], **options)
 
 
 def fails_at(what: str, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
@@ -403,18 +391,18 @@ def test_new_files_go_again_if_a_later_one_fails(
     assert contents(folder) == OLD
 
 
-def deny(path: Path) -> Callable[[Path, int], bool]:
-    real = os.access
-    return lambda other, mode: Path(other) != path and bool(real(other, mode))
-
-
 @pytest.mark.parametrize("problem", ["read-only", "changed", "a folder"])
 def test_what_is_known_before_leaves_all_as_it_was(
     problem: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = dict(OLD)
     if problem == "read-only":
-        monkeypatch.setattr(os, "access", deny(folder / "b"))
+        real = os.access
+
+        def may(path: Path, how: int) -> bool:
+            return Path(path) != folder / "b" and real(path, how)
+
+        monkeypatch.setattr(os, "access", may)
     elif problem == "changed":
         (folder / "b").write_bytes(b"another's")
         expected["b"] = b"another's"

@@ -24,7 +24,7 @@ def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> No
     pair = quadruped(tmp_path, floor=True)
     text = pair.mjcf.read_text()
     pair.mjcf.write_text(text.replace('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     made = {servo.joint: servo for servo in robot.description.made_servos}
     assert set(made) == set(robot.joint_names)
     drive = model_with_servos(robot)

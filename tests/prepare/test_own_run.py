@@ -38,7 +38,7 @@ def slipped(folder: Path, slip: Slip) -> pa.Robot:
     changed = slip(text)
     assert changed != text
     pair.mjcf.write_text(changed)
-    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    return pa.load_robot(*pair)
 
 
 def judged(robot: pa.Robot) -> Verdict:

@@ -24,8 +24,7 @@ from tests.support.slips import SLIPS, standing
 
 
 def verdict_of(pair: legged.Pair) -> Verdict:
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    return study_stance(robot, pa.StandTask()).verdict
+    return study_stance(pa.load_robot(*pair), pa.StandTask()).verdict
 
 
 def slipped(folder: Path, name: str, seed: int = 0) -> legged.Pair:
@@ -40,7 +39,7 @@ def slipped(folder: Path, name: str, seed: int = 0) -> legged.Pair:
 def test_what_stands_by_itself_holds(tmp_path: Path) -> None:
     pair = standing(tmp_path)
     assert truth_of(pair.mjcf, pair.mjcf) is Truth.STANDS
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     verdict = study_stance(robot, pa.StandTask()).verdict
     own, published = verdict.own, verdict.published
     assert own is not None
@@ -65,7 +64,7 @@ def test_a_drop_from_the_air_is_no_height_that_is_lost(tmp_path: Path) -> None:
     pair = standing(tmp_path)
     text = pair.mjcf.read_text().replace('qpos="0 0 0.35 ', 'qpos="0 0 0.5 ')
     pair.mjcf.write_text(text.replace("<position ", '<position forcerange="-40 40" '))
-    own = own_run(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+    own = own_run(pa.load_robot(*pair))
     assert own is not None
     assert not own.collapses
     # Of the com, 46 mm below the base that stands at 0.35 m.
@@ -77,7 +76,7 @@ def test_a_drop_from_the_air_is_no_height_that_is_lost(tmp_path: Path) -> None:
 def test_what_leaves_its_place_collapses(tmp_path: Path) -> None:
     """It stands upright, as high as ever, and slides away on its feet by g x t^2 / 2."""
     pair = standing(tmp_path)
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     text = pair.mjcf.read_text().replace("<option ", '<option gravity="0.6 0 -9.81" ')
     text = text.replace('type="plane"', 'priority="1" friction="0.01" type="plane"')
     pair.mjcf.write_text(text)
@@ -97,7 +96,7 @@ def test_what_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
     text = text.replace(" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 0 -2.5"] * 4))
     knee = '<geom type="sphere" size="0.03" pos="0 0 -0.2"/>'
     pair.mjcf.write_text(re.sub(r'(<body name="\w+_thigh"[^>]*>)', rf"\1{knee}", text))
-    own = own_run(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+    own = own_run(pa.load_robot(*pair))
     assert own is not None
     assert own.end_height == pytest.approx(0.195, abs=0.01)  # of the com; the base is at 0.23 m
     assert own.collapses
@@ -111,7 +110,7 @@ def test_a_servo_whose_bias_is_all_zero_is_no_motor(tmp_path: Path) -> None:
     servo = 'general gainprm="150" biastype="affine" biasprm="0 0 0"'
     text = pair.mjcf.read_text().replace('kp="150" kv="5"', "").replace("<position", f"<{servo}")
     pair.mjcf.write_text(text)
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     own = own_run(robot)
     assert own is not None
     assert own.collapses
@@ -139,11 +138,11 @@ def test_a_file_that_falls_by_itself_does_not_hold(tmp_path: Path, name: str, sa
 def test_what_is_replaced_is_named(tmp_path: Path) -> None:
     """The servo of one knee, with its own gains, and never as if there were none."""
     pair = slipped(tmp_path, "kp of one has the wrong sign", seed=3)
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     (made,) = robot.description.made_servos
     assert made.instead_of is Drive.WRONG_SIGN
     assert not any("no position servos:" in str(note) for note in robot.notes)
-    as_is = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, as_is=True)
+    as_is = pa.load_robot(*pair, as_is=True)
     with pytest.raises(pa.ModelError, match=f"{made.joint}.*is no position servo"):
         study_stance(as_is, pa.StandTask())
 
@@ -184,7 +183,7 @@ def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str)
     old, new, element, line = CAUSES[cause]
     pair = standing(tmp_path)
     pair.mjcf.write_text(pair.mjcf.read_text().replace(old, new))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     verdict = study_stance(robot, pa.StandTask()).verdict
     assert verdict.published is not None
     assert verdict.published.differs
@@ -211,14 +210,14 @@ def test_files_of_two_robots_are_told_from_a_file_that_differs(tmp_path: Path) -
 def test_a_keyframes_angles_are_no_torques(tmp_path: Path) -> None:
     """Servos that have lost their gains are motors, which the keyframe tells 0.6 and -1.2 N m."""
     pair = legged.quadruped(tmp_path, floor=True)
-    own = own_run(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+    own = own_run(pa.load_robot(*pair))
     assert own is not None
     assert own.collapses  # as motors do that nobody commands
     assert not own.fails
     angles = " ".join(["0 0.6 -1.2"] * 4)
     text = pair.mjcf.read_text().replace('name="home"', f'name="home" ctrl="{angles}"')
     pair.mjcf.write_text(text)
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     own = own_run(robot)
     assert own is not None
     assert own.collapses

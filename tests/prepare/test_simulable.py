@@ -44,7 +44,7 @@ def test_what_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path, case:
     pair.mjcf.write_text(text)
     line = next(n for n, row in enumerate(text.splitlines(), 1) if new.strip() in row)
     with pytest.raises(pa.ModelError, match=rf"robot\.xml:{line}: .*{re.escape(said)}"):
-        pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+        pa.load_robot(*pair)
 
 
 @pytest.mark.parametrize("upper", ["-2.6", "-0.5"])
@@ -57,7 +57,7 @@ def test_limits_the_wrong_way_round_are_refused(tmp_path: Path, upper: str) -> N
     with pytest.raises(
         pa.ModelError, match=r"robot\.urdf: joint 'FL_knee': its lower limit -0.4 is"
     ):
-        pa.solve_stand(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+        pa.solve_stand(pa.load_robot(*pair))
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -79,7 +79,7 @@ def test_a_ball_in_the_scene_and_named_feet(tmp_path: Path, first: bool) -> None
 
 def test_legs_that_a_file_holds_in_the_world_are_freed(tmp_path: Path) -> None:
     pair = legged.quadruped(tmp_path, free=False, keyframe="", actuators="position")
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     assert robot.floating
     published = published_nominal(robot)
     assert published is not None

@@ -43,7 +43,7 @@ def test_a_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
     seen = '<geom name="hat" type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/>'
     text = pair.mjcf.read_text()
     pair.mjcf.write_text(text.replace("<freejoint/>", f"<freejoint/>{seen}", 1))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     assert robot.mj_model.geom("hat").contype[0] == 0
     assert not robot.description.mjcf.compiler.discardvisual
     assert set(robot.foot_geoms.values()) == set(robot.feet)
@@ -57,7 +57,7 @@ def test_the_published_model_has_the_geoms_of_the_robot_in_their_order(tmp_path:
     seen = '<geom type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/>'
     text = re.sub(r"<geom[^>]*type=\"plane\"[^>]*/>", "", pair.mjcf.read_text())
     pair.mjcf.write_text(text.replace("<freejoint/>", f"<freejoint/>{seen}", 1))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     assert "ground-added" in {note.code for note in robot.notes}
     model = published_model(read_mjcf(pair.mjcf), robot)
     assert model is not None

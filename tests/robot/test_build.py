@@ -17,7 +17,7 @@ def loaded(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
     pair = quadruped(folder)
     text = pair.mjcf.read_text().replace("<worldbody>", f"{option}<worldbody>", 1)
     pair.mjcf.write_text(text.replace("<freejoint/>", free))
-    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    return pa.load_robot(*pair)
 
 
 @pytest.mark.parametrize(

@@ -20,11 +20,11 @@ from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import find_nearest
 from pupper_analysis.stance.solver import Context
 from tests.support.bound import LEGS, belts, four_bars
-from tests.support.legged import Pair, quadruped
+from tests.support.legged import Pair, quadruped, rewritten
 
 
 def load(pair: Pair) -> Robot:
-    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    return pa.load_robot(*pair)
 
 
 def at(robot: Robot, values: np.ndarray, joint: str) -> float:
@@ -41,29 +41,31 @@ def holds(robot: Robot, task: pa.StandTask | None = None) -> pa.Stand:
     return stand
 
 
-def hinged(root: ElementTree.Element, leg: str, *, mjcf: bool) -> None:
-    """Gives a rod a light eye that turns at its end; the MJCF's weld ties that to the calf."""
-    if not mjcf:
-        for text in (
-            f'<link name="{leg}_eye"><inertial><mass value="0.01"/><inertia ixx="1e-5" ixy="0" '
-            'ixz="0" iyy="1e-5" iyz="0" izz="1e-5"/></inertial></link>',
-            f'<joint name="{leg}_end" type="revolute"><origin xyz="0 0 -0.2"/>'
-            f'<parent link="{leg}_rod"/><child link="{leg}_eye"/><axis xyz="0 1 0"/>'
-            '<limit lower="-3" upper="3" effort="30" velocity="20"/></joint>',
-        ):
-            root.append(ElementTree.fromstring(text))
-        return
-    rod = next(body for body in root.iter("body") if body.get("name") == f"{leg}_rod")
-    eye = (
-        f'<body name="{leg}_eye" pos="0 0 -0.2"><inertial pos="0 0 0" mass="0.01" '
-        f'diaginertia="1e-5 1e-5 1e-5"/><joint name="{leg}_end" axis="0 1 0" range="-3 3"/></body>'
-    )
-    rod.append(ElementTree.fromstring(eye))
+EYE = (
+    '<link name="{0}_eye"><inertial><mass value="0.01"/><inertia ixx="1e-5" ixy="0" ixz="0" '
+    'iyy="1e-5" iyz="0" izz="1e-5"/></inertial></link><joint name="{0}_end" type="revolute">'
+    '<origin xyz="0 0 -0.2"/><parent link="{0}_rod"/><child link="{0}_eye"/><axis xyz="0 1 0"/>'
+    '<limit lower="-3" upper="3" effort="30" velocity="20"/></joint>'
+)
+
+
+def hinged(pair: Pair) -> Pair:
+    """Gives each rod a light eye that turns at its end; the MJCF's weld ties that to the calf."""
+    rewritten(pair.urdf, ("</robot>", "".join(map(EYE.format, LEGS)) + "</robot>"))
+    root = ElementTree.parse(pair.mjcf).getroot()
     (equality,) = root.iter("equality")
-    tie = next(each for each in equality if each.get("body1") == f"{leg}_rod")
-    equality.remove(tie)
-    weld = f'<weld body1="{leg}_eye" body2="{leg}_calf" solref="0.005 1"/>'
-    equality.append(ElementTree.fromstring(weld))
+    for leg in LEGS:
+        rod = next(body for body in root.iter("body") if body.get("name") == f"{leg}_rod")
+        eye = (
+            f'<body name="{leg}_eye" pos="0 0 -0.2"><inertial pos="0 0 0" mass="0.01" diaginertia='
+            f'"1e-5 1e-5 1e-5"/><joint name="{leg}_end" axis="0 1 0" range="-3 3"/></body>'
+        )
+        rod.append(ElementTree.fromstring(eye))
+        equality.remove(next(each for each in equality if each.get("body1") == f"{leg}_rod"))
+        weld = f'<weld body1="{leg}_eye" body2="{leg}_calf" solref="0.005 1"/>'
+        equality.append(ElementTree.fromstring(weld))
+    pair.mjcf.write_text(ElementTree.tostring(root, encoding="unicode"))
+    return pair
 
 
 def without_loops(robot: Robot, qpos: np.ndarray, forces: dict[str, np.ndarray]) -> np.ndarray:
@@ -261,15 +263,9 @@ def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
 def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> None:
     """Right knees follow left ones: as those give way, feet on two sides are not on one level."""
     pair = quadruped(tmp_path)
-    root = ElementTree.parse(pair.mjcf).getroot()
-    equality, actuators = ElementTree.SubElement(root, "equality"), root.find("actuator")
-    assert actuators is not None
-    for end in "FR":
-        names = {"joint1": f"{end}R_knee", "joint2": f"{end}L_knee"}
-        ElementTree.SubElement(equality, "joint", names)
-        motor = next(each for each in actuators if each.get("joint") == names["joint1"])
-        actuators.remove(motor)
-    pair.mjcf.write_text(ElementTree.tostring(root, encoding="unicode"))
+    motors = ((f'<motor joint="{end}R_knee" ctrlrange="-30 30"/>', "") for end in "FR")
+    ties = "".join(f'<joint joint1="{end}R_knee" joint2="{end}L_knee"/>' for end in "FR")
+    rewritten(pair.mjcf, *motors, ("</mujoco>", f"<equality>{ties}</equality></mujoco>"))
     robot = load(pair)
     assert pa.solve_stand(robot).solved
     with pytest.raises(pa.StanceUnreachableError, match="closed, the stance is in"):
@@ -280,20 +276,17 @@ def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, words='active="false"'))
     assert robot.closure is None
     assert any(note.code == "mimics-taken-as-free" for note in robot.notes)
-    assert (
-        at(robot, pa.stance.stand_statics(robot, pa.solve_stand(robot)).joint_torques, "FL_knee")
-        != 0
-    )
+    held = pa.stance.stand_statics(robot, pa.solve_stand(robot))
+    assert at(robot, held.joint_torques, "FL_knee") != 0
 
 
 def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()
     qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
-    with pytest.raises(pa.ConfigurationError, match="are coupled"):
-        pa.gravity_compensation(pa.Configuration(robot, qpos))
-    with pytest.raises(pa.ConfigurationError, match="are coupled"):
-        pa.gravity_compensation(pa.Configuration(robot, qpos), ())
+    for contacts in (None, ()):
+        with pytest.raises(pa.ConfigurationError, match="are coupled"):
+            pa.gravity_compensation(pa.Configuration(robot, qpos), contacts)
 
 
 def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
@@ -312,22 +305,15 @@ def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
 
 def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, in_mjcf=False))
-    assert any(
-        "(<mimic>) are now coupled in the MJCF, too: FL_knee" in str(note) for note in robot.notes
-    )
-    stand = holds(robot)
-    motor, knee = (at(robot, stand.qpos, f"FL_{name}") for name in ("motor", "knee"))
-    assert knee == pytest.approx(-0.2 - 0.8 * motor, abs=0.05)  # but for its give
-    assert at(robot, pa.solve_stand(robot).qpos, "FL_knee") == pytest.approx(
-        -0.2 - 0.8 * at(robot, pa.solve_stand(robot).qpos, "FL_motor"), abs=1e-9
-    )
+    assert any("are now coupled in the MJCF, too: FL_knee" in str(note) for note in robot.notes)
+    for stand, give in ((holds(robot), 0.05), (pa.solve_stand(robot), 1e-9)):
+        motor, knee = (at(robot, stand.qpos, f"FL_{name}") for name in ("motor", "knee"))
+        assert knee == pytest.approx(-0.2 - 0.8 * motor, abs=give)
 
 
 def test_what_a_urdf_has_in_other_links_is_not_weighed_twice(tmp_path: Path) -> None:
     pair = four_bars(tmp_path, in_urdf=False)
-    text = pair.urdf.read_text()
-    assert text.count('mass value="4.0"') == 1
-    pair.urdf.write_text(text.replace('mass value="4.0"', 'mass value="4.6"'))
+    rewritten(pair.urdf, ('mass value="4.0"', 'mass value="4.6"'))
     robot = load(pair)
     assert not any(note.code == "parts-weigh-in-both" for note in robot.notes)
     assert robot.total_mass == pytest.approx(float(robot.mj_model.body_subtreemass[0]), rel=1e-9)
@@ -336,12 +322,9 @@ def test_what_a_urdf_has_in_other_links_is_not_weighed_twice(tmp_path: Path) -> 
 def test_a_rod_called_like_its_ball_joint_keeps_its_connect(tmp_path: Path) -> None:
     """Cassie's achilles rods are: their loops were dropped with the joints."""
     pair = four_bars(tmp_path, in_urdf=False)
-    text = pair.mjcf.read_text()
-    for leg in LEGS:
-        axis = f'<joint name="{leg}_pin" axis="0 1 0" range="-3 3" />'
-        assert axis in text
-        text = text.replace(axis, f'<joint name="{leg}_rod" type="ball" />')
-    pair.mjcf.write_text(text)
+    axis, ball = ('<joint name="{}_pin" axis="0 1 0" range="-3 3" />',
+                  '<joint name="{}_rod" type="ball" />')  # fmt: skip
+    rewritten(pair.mjcf, *((axis.format(leg), ball.format(leg)) for leg in LEGS))
     assert any("were opened: connect #0 (" in str(note) for note in load(pair).notes)
 
 
@@ -351,13 +334,7 @@ def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> No
     folders = [tmp_path / name for name in ("one", "two")]
     for folder in folders:
         folder.mkdir()
-    plain, pair = four_bars(folders[0]), four_bars(folders[1])
-    for path, fixed in ((pair.urdf, False), (pair.mjcf, True)):
-        root = ElementTree.parse(path).getroot()
-        for leg in LEGS:
-            hinged(root, leg, mjcf=fixed)
-        path.write_text(ElementTree.tostring(root, encoding="unicode"))
-    one, two = load(plain), load(pair)
+    one, two = load(four_bars(folders[0])), load(hinged(four_bars(folders[1])))
     assert two.closure is not None
     assert len(two.closure.following) == 12
     stand = pa.stance.solve_stand_on_soft_ground(two)
@@ -366,16 +343,13 @@ def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> No
     assert max(seen.torque_error, seen.force_error) < 1e-5
     (mode,) = seen.stability.leaving()[:1]
     assert not mode.shakes
-    wanted = pa.stance.stand_statics(
-        one, pa.solve_stand(one, pa.StandTask(height=stand.task.height))
+    task = pa.StandTask(height=stand.task.height)
+    wanted, torques = (
+        pa.stance.stand_statics(each, pa.solve_stand(each, task)).joint_torques
+        for each in (one, two)
     )
-    torques = pa.stance.stand_statics(two, pa.solve_stand(two, stand.task)).joint_torques
-    for leg in LEGS:
-        for joint in ("roll", "pitch", "motor"):
-            name = f"{leg}_{joint}"
-            assert at(two, torques, name) == pytest.approx(
-                at(one, wanted.joint_torques, name), abs=1e-2
-            )
+    for name in (f"{leg}_{joint}" for leg in LEGS for joint in ("roll", "pitch", "motor")):
+        assert at(two, torques, name) == pytest.approx(at(one, wanted, name), abs=1e-2)
 
 
 @pytest.mark.longest
@@ -418,7 +392,7 @@ def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
 def test_what_ties_a_robot_to_the_world_is_named_where_its_stand_fails(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     tie = '<equality><connect name="tied" body1="trunk" anchor="0.1 0 0"/></equality><actuator>'
-    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", tie))
+    rewritten(pair.mjcf, ("<actuator>", tie))
     robot = load(pair)
     found = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
     assert not found.passed

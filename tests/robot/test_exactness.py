@@ -65,7 +65,7 @@ def test_dense_matrices_are_taken_where_sparse_ones_leave_forces_out(tmp_path: P
     pair = quadruped(tmp_path)
     text = pair.mjcf.read_text()
     pair.mjcf.write_text(text.replace("<worldbody>", '<option jacobian="sparse"/><worldbody>', 1))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     assert robot.mj_model.opt.jacobian == DENSE
     (said,) = [str(note) for note in robot.notes if note.code in EXACT]
     assert "90 % of the weight" in said
@@ -77,10 +77,10 @@ def test_an_inexact_solver_is_told_and_stays(tmp_path: Path) -> None:
     text = pair.mjcf.read_text()
     option = '<option solver="CG" iterations="1" ls_iterations="1"/><worldbody>'
     pair.mjcf.write_text(text.replace("<worldbody>", option, 1))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     assert robot.mj_model.opt.iterations == 1
     (said,) = [str(note) for note in robot.notes if note.code in EXACT]
     assert "not to be trusted" in said
     pair.mjcf.write_text(text)
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     assert not any(note.code in EXACT for note in robot.notes)

@@ -32,7 +32,7 @@ def scene(folder: Path, floor: str, contacts: str = "") -> Pair:
 
 
 def loaded(pair: Pair) -> Robot:
-    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    return pa.load_robot(*pair)
 
 
 def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:

@@ -23,7 +23,7 @@ def write(folder: Path, urdf: str = TINY_URDF, mjcf: str = TINY_MJCF) -> Files:
 
 
 def load_files(files: Files, feet: object = ("foot",), **more: object) -> pa.Robot:
-    return pa.load_robot(urdf=files.urdf, mjcf=files.mjcf, feet=feet, **more)  # type: ignore[arg-type]
+    return pa.load_robot(*files, feet=feet, **more)  # type: ignore[arg-type]
 
 
 def replaced(text: str, old: str, new: str) -> str:

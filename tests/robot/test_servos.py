@@ -75,7 +75,7 @@ SPEED = '<intvelocity joint="{0}" kp="150" kv="5" actrange="-3 3"/>'
 
 
 def loaded(pair: Pair) -> pa.Robot:
-    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    return pa.load_robot(*pair)
 
 
 def holds(robot: pa.Robot) -> None:
@@ -135,7 +135,7 @@ def test_motors_of_tendons_exert_nothing_and_are_told(
         f'<{kind} name="winch" tendon="rope"/>'
     )
     pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", rope))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    robot = pa.load_robot(*pair)
     (message,) = [note for note in robot.notes if note.code == "motors-commanded-zero"]
     assert (message.values["motors"], message.values["kinds"]) == (("winch",), ("tendon",))
     assert message.values["servos"] == (("winch",) if pulls else ())
@@ -145,7 +145,7 @@ def test_motors_of_tendons_exert_nothing_and_are_told(
     np.testing.assert_array_equal(drive.command(robot, rows, rows), one_by_one)
     assert bool(np.ptp([row[0] for row in one_by_one]) > 0.1) is pulls
     plain = quadruped(tmp_path)
-    notes = pa.load_robot(urdf=plain.urdf, mjcf=plain.mjcf).notes
+    notes = pa.load_robot(*plain).notes
     assert not [note for note in notes if note.code == "motors-commanded-zero"]
 
 
