@@ -103,6 +103,7 @@ class Step:
         centre: (3,) of its box (m); that of a pit ends at its bottom.
         half: (3,) half of the box's sides (m).
         rotation: (3, 3) of the box's axes.
+        round: Whether it is a bar: a cylinder in that box, along the third of its axes.
     """
 
     foot: str
@@ -110,6 +111,7 @@ class Step:
     centre: Array
     half: Array
     rotation: Array
+    round: bool
 
     @property
     def turn(self) -> Array:
@@ -185,7 +187,7 @@ def describe_scene(
         if ground.planes and not robot.welded
         else polygon_corners(over),
         steps=tuple(
-            Step(foot, ground.heights.get(foot, 0.0), *step[:3]) for foot, step in steps.items()
+            Step(foot, ground.heights.get(foot, 0.0), *step) for foot, step in steps.items()
         ),
         com=com,
         below=np.array([com[0], com[1], height_at(points, com)]),

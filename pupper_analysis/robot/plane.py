@@ -38,14 +38,8 @@ class Plane:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", _point("plane.point", self.point))
-        way = check_vector("plane.normal", self.normal, 3).tolist()
-        size = math.hypot(*way)
-        if not size:
-            raise ConfigurationError("plane.normal", diagnose("normal-has-no-direction"))
-        object.__setattr__(self, "normal", tuple(one / size for one in way))
-        if self.friction is not None:
-            friction = _between("plane.friction", self.friction, MOST_FRICTION)
-            object.__setattr__(self, "friction", friction)
+        object.__setattr__(self, "normal", _direction("plane.normal", self.normal))
+        object.__setattr__(self, "friction", _friction("plane.friction", self.friction))
 
     @property
     def kind(self) -> str:
@@ -103,7 +97,7 @@ class Slope:
     def __post_init__(self) -> None:
         object.__setattr__(self, "angle", _between("slope.angle", self.angle, math.pi, "rad"))
         object.__setattr__(self, "uphill", check_finite("slope.uphill", self.uphill))
-        object.__setattr__(self, "friction", self.through((0.0, 0.0, 0.0)).friction)
+        object.__setattr__(self, "friction", _friction("slope.friction", self.friction))
 
     @property
     def normal(self) -> Point:
@@ -146,11 +140,10 @@ class Bar:
         radius = check_length("bar.radius", self.radius)
         if not radius > 0:
             raise ConfigurationError("bar.radius", diagnose("not-above", value=radius, bound=0))
-        along = Plane(self.point, self.direction, self.friction)
-        object.__setattr__(self, "point", along.point)
-        object.__setattr__(self, "direction", along.normal)
+        object.__setattr__(self, "point", _point("bar.point", self.point))
+        object.__setattr__(self, "direction", _direction("bar.direction", self.direction))
         object.__setattr__(self, "radius", radius)
-        object.__setattr__(self, "friction", along.friction)
+        object.__setattr__(self, "friction", _friction("bar.friction", self.friction))
 
     @property
     def number(self) -> float:
@@ -255,6 +248,17 @@ class Contact:
         """Whether its number is an angle, of a slope."""
         return isinstance(self.plane, Slope)
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Those that can give where it is out of reach: its plane's, or a bar's point (m, rad)."""
+        return self.plane.point if isinstance(self.plane, Bar) else (self.plane.number,)
+
+    def moved(self, numbers: Sequence[float]) -> Contact:
+        """Returns one with others (m, rad)."""
+        if isinstance(self.plane, Bar):
+            return replace(self, plane=replace(self.plane, point=_point("point", numbers)))
+        return self.at(*numbers)
+
     def at(self, number: float) -> Contact:
         """Returns a contact with the parallel plane at another ``number`` (m, rad)."""
         return replace(self, plane=self.plane.moved(number))
@@ -306,6 +310,15 @@ class Weld:
         if self.place is not None:
             object.__setattr__(self, "place", _point("place", self.place))
         object.__setattr__(self, "offset", _point("offset", self.offset))
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Those that can give where it is out of reach: its place, if that is said (m)."""
+        return self.place or ()
+
+    def moved(self, numbers: Sequence[float]) -> Weld:
+        """Returns one at another place (m)."""
+        return replace(self, place=_point("place", numbers))
 
     def __str__(self) -> str:
         """Returns it as it is typed: ``weld,offset=0.0m/0.0m/0.1m``."""
@@ -394,6 +407,23 @@ def _between(name: str, value: float, high: float, unit: str = "") -> float:
         given, most = (Quantity(one, unit) if unit else one for one in (number, high))
         raise ConfigurationError(name, diagnose("not-between", given=given, low=0, high=most))
     return number
+
+
+def _friction(name: str, value: float | None) -> float | None:
+    return None if value is None else _between(name, value, MOST_FRICTION)
+
+
+def _direction(name: str, value: Any) -> Point:
+    """Returns a unit vector.
+
+    Raises:
+        ConfigurationError: If it has no length.
+    """
+    x, y, z = check_vector(name, value, 3).tolist()
+    size = math.hypot(x, y, z)
+    if not size:
+        raise ConfigurationError(name, diagnose("normal-has-no-direction"))
+    return x / size, y / size, z / size
 
 
 def _point(name: str, value: Any) -> Point:

@@ -103,9 +103,7 @@ def close_welds(
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_forward(model, data)
     for name, number in welds.items():
-        rows = np.flatnonzero(
-            (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value) & (data.efc_id == number)
-        )
+        rows = _rows(data, number)
         moved, chosen = np.zeros((len(rows), model.nv)), np.zeros((len(rows), data.nefc))
         chosen[np.arange(len(rows)), rows] = 1.0
         for row, one in zip(moved, chosen, strict=True):
@@ -114,6 +112,18 @@ def close_welds(
         forces = np.linalg.lstsq(moved[:, robot.mj_convention.qvel_index].T, push)[0]
         stiff, impedance = data.efc_KBIP[rows, 0], data.efc_KBIP[rows, 2]
         _place_weld(model, data, number, -forces / (data.efc_D[rows] * stiff * impedance))
+
+
+def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Array]:
+    """Returns {what is welded, or grips: (3,) the force of its constraint on it} (N)."""
+    welds = {name: model.equality(weld_name(name)).id for name in robot.welds}
+    return {name: data.efc_force[_rows(data, number)[:3]] for name, number in welds.items()}
+
+
+def _rows(data: mujoco.MjData, number: int) -> NDArray[np.int64]:
+    """Returns the rows of an equality constraint; ways come before turns."""
+    own = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
+    return np.flatnonzero(own & (data.efc_id == number))
 
 
 def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened: Array) -> None:

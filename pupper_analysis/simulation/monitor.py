@@ -24,6 +24,7 @@ from pupper_analysis.robot.fall import (
     lean_between,
 )
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.terrain import weld_forces
 from pupper_analysis.simulation.rollout import STATE
 from pupper_analysis.stance.stand import Stand
 
@@ -120,7 +121,7 @@ class Sight:
 
     def idle(self, feet: Iterable[str]) -> list[str]:
         """Returns those of the feet that carry nothing."""
-        return [foot for foot in feet if foot not in self.forces or self.forces[foot][2] <= 0]
+        return [foot for foot in feet if foot not in self.forces or not self.forces[foot].any()]
 
 
 class Watcher:
@@ -244,7 +245,7 @@ class Watch:
             to touch anything, what does.
         touching: Pairs of its bodies that push on each other, settled.
         torques: (nu,) of motors, settled (N m).
-        forces: Of each foot (3,) (N).
+        forces: Of each foot (3,), and of what is welded or grips that of its constraint (N).
         feet_settled: Where each is (3,) (m).
     """
 
@@ -279,7 +280,7 @@ def watch_contacts(
     touched: dict[str, float] = {}
     lost: dict[str, float] = {}
     torques = np.zeros(robot.nu)
-    total = {foot: np.zeros(3) for foot in robot.feet}
+    total = {name: np.zeros(3) for name in (*robot.feet, *robot.welds)}
     carrying = robot.feet_with(stand.stance_feet)
     feet = {foot: np.zeros(3) for foot in robot.contact_points}
     count, touching, pressed = 0, set[tuple[str, str]](), set[tuple[str, str]]()
@@ -300,8 +301,8 @@ def watch_contacts(
             pushing = pushing_bodies(model, watcher.data, least)
             touching |= {pair for pair in pushing if "world" not in pair}
             torques += watcher.data.qfrc_actuator[robot.mj_convention.qvel_index[-robot.nu :]]
-            for foot in total:
-                total[foot] += seen.forces.get(foot, np.zeros(3))
+            for name, force in (seen.forces | weld_forces(robot, model, watcher.data)).items():
+                total[name] += force
             for foot, centre in foot_centres(robot, watcher.data).items():
                 feet[foot] += centre
     failures = [

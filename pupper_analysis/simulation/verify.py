@@ -217,11 +217,12 @@ class StandVerification(Outcome, SimulationSettings, Tabular):
         predicted_torques: (nu,) (N m).
         torque_error: Largest deviation / largest predicted torque, or that of the weight on
             ``LEVER``, if that is more.
-        foot_forces: {foot: (3,)} of the ground on the foot, settled, in world axes (N).
-        predicted_forces: {foot: (3,)} (N).
+        foot_forces: {foot: (3,)} of the ground on the foot, settled, in world axes (N); of what is
+            welded or grips, that of MuJoCo's constraint.
+        predicted_forces: {foot: (3,)} (N); likewise.
         force_error: Largest deviation of a vertical foot force / its prediction (or / ``LIGHT`` of
             the weight, where a foot is predicted to carry less than that); on a plane of its own
-            the force that presses counts. None where no foot carries.
+            the force that presses counts, and of a grip all of it. None where no foot carries.
         mujoco_foot_error: Largest distance of a foot from its target at ``stand.qpos`` by MuJoCo's
             kinematics of the MJCF (m).
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
@@ -437,14 +438,14 @@ def _measured(
     off = float(np.abs(watch.torques - prediction.joint_torques).max())
     predicted = robot.per_foot(prediction.contact_forces)
     out = stand.ways_out(robot)
-    force_error = max(
-        (
-            abs(float((watch.forces[foot] - force) @ out[foot]))
-            / max(float(force @ out[foot]), light)
-            for foot, force in predicted.items()
-        ),
-        default=None,
-    )
+    errors = [
+        abs(float((watch.forces[foot] - force) @ out[foot])) / max(float(force @ out[foot]), light)
+        for foot, force in predicted.items()
+    ]
+    held = {name: wrench[:3] for name, wrench in prediction.weld_wrenches.items()}
+    for name in robot.grips:
+        off_grip = float(np.linalg.norm(watch.forces[name] - held[name]))
+        errors.append(off_grip / max(float(np.linalg.norm(held[name])), light))
     step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE_TIME, _FRAME))
     foot_error, residual = balance_by_mujoco(robot, stand, prediction)
     return StandVerification(
@@ -477,8 +478,8 @@ def _measured(
         predicted_torques=prediction.joint_torques,
         torque_error=off / torque_scale(robot, prediction.joint_torques),
         foot_forces=watch.forces,
-        predicted_forces=predicted,
-        force_error=force_error,
+        predicted_forces=predicted | held,
+        force_error=max(errors, default=None),
         mujoco_foot_error=foot_error,
         mujoco_residual=residual,
         stability=run.stability,

@@ -39,6 +39,9 @@ _FARTHEST = 3.0
 _LEAST_HEIGHT = 1e-3
 """Part of a height that is always left of it: none is zero or less."""
 
+_ROUNDING = 1e-12
+"""A number that is no further from what was asked is that (m, rad)."""
+
 _ROUNDING_SHARE = 0.005
 """A value is rounded by no more than this part of its distance from the nominal stand's."""
 
@@ -122,8 +125,8 @@ class Numbers:
 
     def _one(self, field: str, foot: str, parts: list[float]) -> Any:
         contact = self._task.contacts.get(foot)
-        if FIELDS[field].kind == "contact" and isinstance(contact, Contact):
-            return contact.at(parts[0])
+        if FIELDS[field].kind == "contact" and contact is not None:
+            return contact.moved(parts)
         return parts[0] if len(parts) == 1 else tuple(parts)
 
     def inside(self, values: Array) -> Array:
@@ -136,8 +139,8 @@ def _parts(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]:
     """Yields the axis, the value and the nominal value of each number of a field."""
     if isinstance(value, tuple):
         yield from zip("xy", value, nominal, strict=True)
-    elif isinstance(value, Contact):  # how far off its plane is
-        yield "", value.plane.number, nominal.plane.number
+    elif isinstance(value, Contact | Weld):  # how far off its plane is, or where
+        yield from zip("xyz", value.numbers, nominal.numbers, strict=False)
     else:
         yield "", value, nominal
 
@@ -146,19 +149,24 @@ def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
     """Yields what a field has that is in numbers, with its foot; empty if it is of none."""
     value = getattr(task if field.part == "task" else task.ground, field.name)
     if field.per:
-        yield from ((foot, one) for foot, one in value.items() if not isinstance(one, Weld))
+        yield from value.items()
     elif value is not None and not isinstance(value, str):
         yield "", value
 
 
 def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
     if field.kind == "contact":
-        contact, place = task.contacts[foot], usual_place(robot, foot)
-        assert isinstance(contact, Contact)
+        contact = task.contacts[foot]
+        if not contact.numbers:
+            return contact
+        place = usual_place(robot, foot)
+        if isinstance(contact, Weld):
+            return contact.moved(place.tolist())
         if isinstance(contact.plane, Slope):
             return contact.at(0.0)
         if isinstance(contact.plane, Bar):
-            return contact.at(float(place[2]))
+            below = contact.plane.radius + robot.contact_radius[robot.feet[foot][0]]
+            return contact.moved((place - (0.0, 0.0, below)).tolist())
         if foot in robot.hands:  # it is its ball's
             place -= robot.contact_radius[robot.feet[foot][0]] * np.array(contact.plane.normal)
         x, y, z = place.tolist()
@@ -249,7 +257,9 @@ def round_demands(
 def _rounded(number: float, usual: float, asked: float, *, angle: bool, back: bool) -> float:
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
-    if number in (asked, usual):
+    if abs(number - asked) < _ROUNDING:
+        return asked
+    if number == usual:
         return number
     digits = max(1, math.ceil(-math.log10(_ROUNDING_SHARE * abs(value - nominal))))
     step, up = 10.0 ** -min(_MOST_DIGITS, digits), (number > asked) != back

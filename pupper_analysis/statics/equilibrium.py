@@ -493,7 +493,7 @@ def explain_infeasibility(
         )
         return StaticsInfeasibleError(
             Infeasibility.FRICTION,
-            diagnose("friction-too-low", least=friction, needed=high),
+            diagnose("friction-too-low", least=friction, needed=_up(high)),
             margin=margin,
             friction_needed=high,
             feet=feet,
@@ -526,6 +526,11 @@ def _least(holds: Callable[[float], bool]) -> float:
     return high
 
 
+def _up(least: float) -> float:
+    """Returns what is stated of a least number: typed back, it is no less."""
+    return math.ceil(1e3 * least) / 1e3
+
+
 def _tell_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
     """Returns that grips are too weak, all in the same proportion, if that is why."""
 
@@ -537,7 +542,7 @@ def _tell_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibleEr
         return None
     names, times = [*carrying.welds][-len(carrying.grips) :], _least(holds)
     needed = [
-        diagnose("grip-needs", name=name, force=Quantity(times * grip, "N"))
+        diagnose("grip-needs", name=name, force=Quantity(_up(times * grip), "N"))
         for name, grip in zip(names, carrying.grips.tolist(), strict=True)
     ]
     detail = diagnose("grip-too-weak", grips=needed)
@@ -567,12 +572,15 @@ def _tell_stated(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError
                 "stated-force-out-of-reach",
                 feet=feet,
                 force=Quantity(force, "N"),
-                least=Quantity(max(low, 0.0), "N"),
-                most=Quantity(high, "N"),
+                least=Quantity(_up(max(low - 1e-6, 0.0)), "N"),  # rounding
+                most=Quantity(-_up((_EDGE - 1) * high), "N"),
             )
             return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=math.nan, feet=feet)
     return None
 
+
+_EDGE = 1e-3
+"""Share of a stated force that is left, as corners of where a com is in balance are so near."""
 
 _HARDEST = 10.0
 """Weights with which contacts may press in all where a stated force is out of reach."""

@@ -184,7 +184,8 @@ def contact_table(
         (
             doc.Name(name),
             *(doc.number_cell(value, "+.3f") for value in wrench[:3]),
-            *(doc.number_cell(None, ".1f"),) * (1 + len(more)),
+            doc.number_cell(None, ".1f"),
+            *(cells.get(name, doc.number_cell(None, ".1f")) for cells in more.values()),
         )
         for name, wrench in statics.weld_wrenches.items()
     ]

@@ -34,6 +34,7 @@ from pupper_analysis.robot.contact import foot_site, limb_ends
 
 Array = NDArray[np.float64]
 
+_ROUND = np.linspace(0.0, 2 * math.pi, 24, endpoint=False)
 BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
@@ -128,9 +129,16 @@ def ground_corners(stand: Stand) -> Array:
 
 
 def step_corners(seen: StandingScene) -> list[Array]:
-    """Returns the corners (8, 3) of each step's box (m), in the order of ``BOX_FACES``."""
+    """Returns the corners (8, 3) of each step's box (m), in the order of ``BOX_FACES``.
+
+    Of a bar points (n, 3) on its rims, whose outline it is.
+    """
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    return [step.centre + (signs * step.half) @ step.rotation.T for step in seen.steps]
+    rims = np.array([[math.cos(t), math.sin(t), z] for t in _ROUND for z in (-1, 1)])
+    return [
+        one.centre + ((rims if one.round else signs) * one.half) @ one.rotation.T
+        for one in seen.steps
+    ]
 
 
 def _seen_from(elevation: float, azimuth: float) -> Array:
@@ -222,6 +230,10 @@ def _draw_stand(
     boxes = [(box, _STEP, _EDGE, 0.5) for box in step_corners(seen)]
     boxes += [(box, _BASE_FACE, _BASE_EDGE, 3) for box in lines.boxes]
     for box, face, edge, order in boxes:
+        if len(box) > 8:  # a bar's rims
+            outline = shapely.MultiPoint(box @ projection.T).convex_hull.exterior.coords
+            axes.add_patch(Polygon(outline, fc=face, ec=edge, alpha=0.4, lw=0.8, zorder=order))
+            continue
         for corners in BOX_FACES:
             area(box[list(corners)], fc=face, ec=edge, alpha=0.4, lw=0.8, zorder=order)
     area(seen.polygon, fc=_SUPPORT, ec=drawing.BLUE, hatch="//", alpha=0.7, lw=1.2, zorder=1)

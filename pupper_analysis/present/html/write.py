@@ -117,6 +117,7 @@ def _stand(scene: StandScene) -> dict[str, Any]:
                 "half": short_numbers(one.half),
                 "quat": short_numbers(one.turn),
                 "pit": one.height < 0,
+                "round": one.round,
             }
             for one in seen.steps
         ],

@@ -215,8 +215,8 @@ class Scene:
         """Shows a stance, and what holds it; without one, nothing but the ground."""
         robot, stand = answer.robot, answer.stand
         self.hide("twin")
+        self._draw_only(())
         if robot is None:
-            self._draw_only(())
             self.hide("stand")
             self.hide("ghost")
             return
@@ -225,7 +225,6 @@ class Scene:
             self._ground(answer.task.ground)
         if stand is None:
             self.hide("stand")
-            self._draw_only(())
             return
         self.hide("ghost")
         self._figure("stand").pose(stand.qpos)
@@ -327,16 +326,19 @@ class Scene:
 
     def _steps(self, seen: StandingScene) -> None:
         """Draws the steps under the feet that stand on some: as high as each, or as deep."""
-        for name in [name for name in self._nodes if name.startswith("steps/")]:
-            self._nodes[name].visible = False
         out, thin = seen.normal, 2e-3 * self._size
         for number, step in enumerate(seen.steps):
             # A pit is a dark square on the ground, which nobody can look through.
             pit = step.height < 0
             half = np.array([*step.half[:2], thin]) if pit else step.half
             rise = float(out @ step.centre) if pit else 0.0
-            box = self._node(f"steps/{number}", "add_box", dimensions=tuple(2 * half))
-            box.dimensions, box.color = tuple(2 * half), PIT if pit else STONE
+            if step.round:
+                box = self._node(f"steps/bar{number}", "add_cylinder")
+                box.radius, box.height = half[0], 2 * half[2]
+            else:
+                box = self._node(f"steps/{number}", "add_box")
+                box.dimensions = tuple(2 * half)
+            box.color = PIT if pit else STONE
             box.wxyz, box.position = step.turn, step.centre - rise * out
 
     def _support(self, seen: StandingScene, *, held: bool) -> None:
@@ -372,8 +374,6 @@ class Scene:
 
     def _load(self, answer: Answer, stand: Stand) -> None:
         if not answer.state.payload:
-            if "load" in self._nodes:
-                self._nodes["load"].visible = False
             return
         ball = self._node("load", "add_icosphere", 0.13 * self._size, LOAD)
         assert answer.robot is not None
@@ -397,8 +397,6 @@ class Scene:
 
     def _forces(self, seen: StandingScene) -> None:
         if not seen.contacts:
-            if "forces" in self._nodes:
-                self._nodes["forces"].visible = False
             return
         assert self._robot is not None
         arrows = force_arrows(self._robot, seen.contacts)

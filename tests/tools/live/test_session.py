@@ -309,6 +309,16 @@ def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:
     move(controls.foot, "FL")  # on the ground: nothing to move
     move(controls.sliders["contact"], 50.0)
     assert controls.state == state
+    bar = "FL=bar:0.1m,0.0m,0.02m,0.0,1.0,0.0,0.01m"
+    for typed in ("FL=bar:0,0,1cm", f"{bar},grip=-1N", f"{bar},grip=x", bar[:-5] + "0m"):
+        move(controls.contacts, typed)
+        assert controls.state == state  # none of them is a contact
+    move(controls.contacts, f"{bar},grip=60N")
+    wait_for(lambda: page.shows(controls.state), "not shown")
+    assert str(controls.state.contacts["FL"]) == f"{bar},grip=60.0N".removeprefix("FL=")
+    seen = {name: node for name, node in page.session._scene._nodes.items() if "steps/" in name}
+    (rod,) = (node for node in seen.values() if node.visible)
+    assert rod.radius == pytest.approx(0.01)
 
 
 def test_a_bug_is_told_and_the_page_lives_on(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:

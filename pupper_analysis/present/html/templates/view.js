@@ -221,9 +221,11 @@
       floor.position.set(ground[0], ground[1], ground[2] - 0.002 * size);
       floor.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), vector(normal).normalize());
       this.scene.add(floor);
-      for (const { centre, half, quat, pit } of this.data.steps) {
+      for (const { centre, half, quat, pit, round } of this.data.steps) {
         const [x, y, z] = half.map((side) => 2 * side);
-        const box = new THREE.Mesh(new THREE.BoxGeometry(x, y, z), new THREE.MeshStandardMaterial({
+        const shape = round ? new THREE.CylinderGeometry(half[0], half[0], z, 24).rotateX(Math.PI / 2)
+          : new THREE.BoxGeometry(x, y, z);
+        const box = new THREE.Mesh(shape, new THREE.MeshStandardMaterial({
           color: color("--line"), transparent: pit, opacity: pit ? 0.4 : 1 }));
         box.position.set(...centre);
         box.quaternion.copy(quaternion(quat));
