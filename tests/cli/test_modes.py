@@ -14,14 +14,6 @@ from tests.support.commands import answer
 from tests.support.repository import ROOT
 
 
-def test_the_refusal_names_the_option_and_whose_it_is(tmp_path: Path) -> None:
-    asked = ("fit", "v3", "--plan", "2")
-    shown = answer(*asked, "--weight", "3kg", folder=tmp_path).stderr.removeprefix("error: ")
-    assert shown == (
-        "--weight: it does nothing with --plan, it is of --stands; leave one of the two out\n"
-    )
-
-
 def test_defaults_are_not_typed_and_new_options_are_refused() -> None:
     @click.command()
     @click.option("--mode", is_flag=True)

@@ -15,15 +15,14 @@ from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
-from tests.support.legged import quadruped
+from tests.support.legged import quadruped, rewritten
 from tests.support.random_legged import drawn, written
 
 
 def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> None:
     """At the joint they are what is said; the file's own motors, told by their law, hold it too."""
     pair = quadruped(tmp_path, floor=True)
-    text = pair.mjcf.read_text()
-    pair.mjcf.write_text(text.replace('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))
+    rewritten(pair.mjcf, ('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))
     robot = pa.load_robot(*pair)
     made = {servo.joint: servo for servo in robot.description.made_servos}
     assert set(made) == set(robot.joint_names)

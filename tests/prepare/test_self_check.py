@@ -20,6 +20,7 @@ from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged
 from tests.support.every_command import Truth, truth_of
+from tests.support.legged import rewritten
 from tests.support.slips import SLIPS, standing
 
 
@@ -62,8 +63,8 @@ def test_what_stands_by_itself_holds(tmp_path: Path) -> None:
 def test_a_drop_from_the_air_is_no_height_that_is_lost(tmp_path: Path) -> None:
     """Pupper v3's own keyframe is 0.15 m above the ground, as many that are dropped from."""
     pair = standing(tmp_path)
-    text = pair.mjcf.read_text().replace('qpos="0 0 0.35 ', 'qpos="0 0 0.5 ')
-    pair.mjcf.write_text(text.replace("<position ", '<position forcerange="-40 40" '))
+    force = ("<position ", '<position forcerange="-40 40" ')
+    rewritten(pair.mjcf, ('qpos="0 0 0.35 ', 'qpos="0 0 0.5 '), force)
     own = own_run(pa.load_robot(*pair))
     assert own is not None
     assert not own.collapses
@@ -77,9 +78,8 @@ def test_what_leaves_its_place_collapses(tmp_path: Path) -> None:
     """It stands upright, as high as ever, and slides away on its feet by g x t^2 / 2."""
     pair = standing(tmp_path)
     robot = pa.load_robot(*pair)
-    text = pair.mjcf.read_text().replace("<option ", '<option gravity="0.6 0 -9.81" ')
-    text = text.replace('type="plane"', 'priority="1" friction="0.01" type="plane"')
-    pair.mjcf.write_text(text)
+    ice = ('type="plane"', 'priority="1" friction="0.01" type="plane"')
+    rewritten(pair.mjcf, ("<option ", '<option gravity="0.6 0 -9.81" '), ice)
     run = own_run(replace(robot, published=PublishedFile(read_mjcf(pair.mjcf))))
     assert run is not None
     assert run.end_height == pytest.approx(run.height, rel=0.1)
@@ -108,8 +108,7 @@ def test_a_servo_whose_bias_is_all_zero_is_no_motor(tmp_path: Path) -> None:
     """``biastype="affine"`` is of a servo: its own commands are tried, and it falls."""
     pair = standing(tmp_path)
     servo = 'general gainprm="150" biastype="affine" biasprm="0 0 0"'
-    text = pair.mjcf.read_text().replace('kp="150" kv="5"', "").replace("<position", f"<{servo}")
-    pair.mjcf.write_text(text)
+    rewritten(pair.mjcf, ('kp="150" kv="5"', ""), ("<position", f"<{servo}"))
     robot = pa.load_robot(*pair)
     own = own_run(robot)
     assert own is not None
@@ -148,28 +147,16 @@ def test_what_is_replaced_is_named(tmp_path: Path) -> None:
 
 
 # By an edit of the file that stands: (what, old, new, cause, its element, its line's beginning).
+_TIED = "<equality>\n<{}/></equality><actuator>"
+_OVERRIDE = '<option o_solref="0.05 1">\n<flag override="enable"/></option><option '
+_EXCLUDE = '<contact>\n<exclude body1="world" body2="FL_calf"/></contact><actuator>'
 CAUSES = {
-    "exclude": (
-        "<actuator>",
-        '<contact>\n<exclude body1="world" body2="FL_calf"/></contact><actuator>',
-        "world and FL_calf",
-        "<exclude",
-    ),
-    "override": (
-        "<option ",
-        '<option o_solref="0.05 1">\n<flag override="enable"/></option><option ',
-        "flag override",
-        "<flag",
-    ),
-    "weld": (
-        "<actuator>",
-        '<equality>\n<weld name="hung" body1="trunk"/></equality><actuator>',
-        "hung",
-        "<weld",
-    ),
+    "exclude": ("<actuator>", _EXCLUDE, "world and FL_calf", "<exclude"),
+    "override": ("<option ", _OVERRIDE, "flag override", "<flag"),
+    "weld": ("<actuator>", _TIED.format('weld name="hung" body1="trunk"'), "hung", "<weld"),
     "connect": (
         "<actuator>",
-        '<equality>\n<connect name="hung" body1="trunk" anchor="0 0 0"/></equality><actuator>',
+        _TIED.format('connect name="hung" body1="trunk" anchor="0 0 0"'),
         "hung",
         "<connect",
     ),
@@ -182,7 +169,7 @@ CAUSES = {
 def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str) -> None:
     old, new, element, line = CAUSES[cause]
     pair = standing(tmp_path)
-    pair.mjcf.write_text(pair.mjcf.read_text().replace(old, new))
+    rewritten(pair.mjcf, (old, new))
     robot = pa.load_robot(*pair)
     verdict = study_stance(robot, pa.StandTask()).verdict
     assert verdict.published is not None
@@ -199,8 +186,7 @@ def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str)
 
 def test_files_of_two_robots_are_told_from_a_file_that_differs(tmp_path: Path) -> None:
     pair = standing(tmp_path)
-    heavier = pair.mjcf.read_text().replace('mass="4"', 'mass="5"')
-    pair.mjcf.write_text(heavier)
+    rewritten(pair.mjcf, ('mass="4"', 'mass="5"'))
     published = verdict_of(pair).published
     assert published is not None
     assert published.differs
@@ -215,8 +201,7 @@ def test_a_keyframes_angles_are_no_torques(tmp_path: Path) -> None:
     assert own.collapses  # as motors do that nobody commands
     assert not own.fails
     angles = " ".join(["0 0.6 -1.2"] * 4)
-    text = pair.mjcf.read_text().replace('name="home"', f'name="home" ctrl="{angles}"')
-    pair.mjcf.write_text(text)
+    rewritten(pair.mjcf, ('name="home"', f'name="home" ctrl="{angles}"'))
     robot = pa.load_robot(*pair)
     own = own_run(robot)
     assert own is not None

@@ -11,6 +11,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.self_check import published_nominal
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged
+from tests.support.legged import rewritten
 from tests.support.slips import standing
 
 REFUSED = {
@@ -40,8 +41,7 @@ REFUSED = {
 def test_what_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path, case: str) -> None:
     old, new, said = REFUSED[case]
     pair = standing(tmp_path)
-    text = pair.mjcf.read_text().replace(old, new, 1)
-    pair.mjcf.write_text(text)
+    text = rewritten(pair.mjcf, (old, new), count=1).read_text()
     line = next(n for n, row in enumerate(text.splitlines(), 1) if new.strip() in row)
     with pytest.raises(pa.ModelError, match=rf"robot\.xml:{line}: .*{re.escape(said)}"):
         pa.load_robot(*pair)
@@ -50,13 +50,9 @@ def test_what_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path, case:
 @pytest.mark.parametrize("upper", ["-2.6", "-0.5"])
 def test_limits_the_wrong_way_round_are_refused(tmp_path: Path, upper: str) -> None:
     pair = standing(tmp_path)
-    text = pair.urdf.read_text()
-    changed = text.replace('lower="-2.6" upper="-0.4"', f'lower="-0.4" upper="{upper}"', 1)
-    assert changed != text
-    pair.urdf.write_text(changed)
-    with pytest.raises(
-        pa.ModelError, match=r"robot\.urdf: joint 'FL_knee': its lower limit -0.4 is"
-    ):
+    stated = ('lower="-2.6" upper="-0.4"', f'lower="-0.4" upper="{upper}"')
+    rewritten(pair.urdf, stated, count=1)
+    with pytest.raises(pa.ModelError, match=r"robot\.urdf: joint 'FL_knee': its lower limit -0.4"):
         pa.solve_stand(pa.load_robot(*pair))
 
 
@@ -65,11 +61,8 @@ def test_a_ball_in_the_scene_and_named_feet(tmp_path: Path, first: bool) -> None
     """The keyframe is of the robot alone: MuJoCo fills it up with zeros."""
     urdf, mjcf = pa.pupper.write_variant("heavy", tmp_path)
     ball = '<body name="ball" pos="2 0 0.1"><freejoint/><geom size="0.1"/></body>'
-    text = mjcf.read_text()
-    where = (
-        ("<worldbody>", f"<worldbody>{ball}") if first else ("</worldbody>", f"{ball}</worldbody>")
-    )
-    mjcf.write_text(text.replace(*where, 1))
+    begin, end = "<worldbody>", "</worldbody>"
+    rewritten(mjcf, (begin, begin + ball) if first else (end, ball + end), count=1)
     feet = {foot: f"{foot}_foot" for foot in ("FL", "FR", "RL", "RR")}
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf, feet=feet)
     verdict = study_stance(robot, pa.StandTask(height=0.15)).verdict

@@ -12,7 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.prepare.bare import published_model
 from pupper_analysis.prepare.touching import leave_out_visuals
-from tests.support.legged import quadruped
+from tests.support.legged import quadruped, rewritten
 
 SPEC = """<mujoco><worldbody><body name="a"><freejoint/>
   <geom name="seen" type="box" size=".1 .2 .3" contype="0" conaffinity="0" mass="2"/>
@@ -41,8 +41,7 @@ def test_in_a_fluid_they_stay() -> None:
 def test_a_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     seen = '<geom name="hat" type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/>'
-    text = pair.mjcf.read_text()
-    pair.mjcf.write_text(text.replace("<freejoint/>", f"<freejoint/>{seen}", 1))
+    rewritten(pair.mjcf, ("<freejoint/>", f"<freejoint/>{seen}"))
     robot = pa.load_robot(*pair)
     assert robot.mj_model.geom("hat").contype[0] == 0
     assert not robot.description.mjcf.compiler.discardvisual

@@ -9,14 +9,13 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from tests.support.commands import run_command
-from tests.support.legged import quadruped
+from tests.support.legged import quadruped, rewritten
 from tests.support.tiny import TINY_MJCF, TINY_URDF
 
 
 def loaded(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
     pair = quadruped(folder)
-    text = pair.mjcf.read_text().replace("<worldbody>", f"{option}<worldbody>", 1)
-    pair.mjcf.write_text(text.replace("<freejoint/>", free))
+    rewritten(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"), ("<freejoint/>", free))
     return pa.load_robot(*pair)
 
 

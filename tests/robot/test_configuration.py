@@ -16,13 +16,6 @@ from tests.support.variants import NAMES, load
 GRAVITY = 9.81  # [m/s^2]
 
 
-@pytest.fixture(scope="module", params=[*NAMES, "v3 fixed", "tiny"])
-def any_robot(request: pytest.FixtureRequest, tiny: pa.Robot) -> pa.Robot:
-    if request.param == "tiny":
-        return tiny
-    return load(request.param.split()[0], fixed_base="fixed" in request.param)
-
-
 def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
     """Compares relative to the largest element."""
     size = max(1e-3, float(np.abs(expected).max()))

@@ -9,15 +9,6 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from tests.support.engines import integrate, velocity_map
 from tests.support.states import positions, velocities
-from tests.support.variants import load
-
-
-@pytest.fixture(scope="module", params=["v3", "original", "v3 fixed", "tiny"])
-def any_robot(request: pytest.FixtureRequest, tiny: pa.Robot) -> pa.Robot:
-    """Robots with a free and with a fixed base, and with a continuous joint."""
-    if request.param == "tiny":
-        return tiny
-    return load(request.param.split()[0], fixed_base="fixed" in request.param)
 
 
 @given(data=st.data())

@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.prepare import simulable
 from pupper_analysis.prepare.simulable import INEXACT, left_out
-from tests.support.legged import quadruped
+from tests.support.legged import quadruped, rewritten
 from tests.support.variants import load, stand_of
 
 EXACT = ("solver-made-dense", "solver-inexact")
@@ -63,8 +63,7 @@ def sparse_newton_fails(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("sparse_newton_fails")
 def test_dense_matrices_are_taken_where_sparse_ones_leave_forces_out(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
-    text = pair.mjcf.read_text()
-    pair.mjcf.write_text(text.replace("<worldbody>", '<option jacobian="sparse"/><worldbody>', 1))
+    rewritten(pair.mjcf, ("<worldbody>", '<option jacobian="sparse"/><worldbody>'))
     robot = pa.load_robot(*pair)
     assert robot.mj_model.opt.jacobian == DENSE
     (said,) = [str(note) for note in robot.notes if note.code in EXACT]
@@ -74,13 +73,12 @@ def test_dense_matrices_are_taken_where_sparse_ones_leave_forces_out(tmp_path: P
 
 def test_an_inexact_solver_is_told_and_stays(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
-    text = pair.mjcf.read_text()
-    option = '<option solver="CG" iterations="1" ls_iterations="1"/><worldbody>'
-    pair.mjcf.write_text(text.replace("<worldbody>", option, 1))
+    option = '<option solver="CG" iterations="1" ls_iterations="1"/>'
+    rewritten(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"))
     robot = pa.load_robot(*pair)
     assert robot.mj_model.opt.iterations == 1
     (said,) = [str(note) for note in robot.notes if note.code in EXACT]
     assert "not to be trusted" in said
-    pair.mjcf.write_text(text)
+    rewritten(pair.mjcf, (option, ""))
     robot = pa.load_robot(*pair)
     assert not any(note.code in EXACT for note in robot.notes)

@@ -8,13 +8,11 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance.sag.equilibrium import integrate_step
 from tests.stance.sag.test_contact_kinematics import differences
 from tests.support.states import random_state
-from tests.support.variants import NAMES, load
 
 QUANTITIES: dict[str, Callable[[pa.Configuration], object]] = {
     "feet": lambda config: list(config.foot_positions().values()),
@@ -32,13 +30,6 @@ QUANTITIES: dict[str, Callable[[pa.Configuration], object]] = {
         config.foot_accelerations(np.ones(config.robot.nv)).values()
     ),
 }
-
-
-@pytest.fixture(scope="module", params=[*NAMES, "v3 fixed", "tiny"])
-def any_robot(request: pytest.FixtureRequest, tiny: pa.Robot) -> pa.Robot:
-    if request.param == "tiny":
-        return tiny
-    return load(request.param.split()[0], fixed_base="fixed" in request.param)
 
 
 def looked_at(config: pa.Configuration, order: np.ndarray) -> dict[str, np.ndarray]:
