@@ -158,26 +158,18 @@ def test_what_is_wrong_is_named(call: Callable[[], object], message: str) -> Non
     assert message in str(caught.value)
 
 
+RIGHT = (
+    *((1, float), (np.float32(1), float), (np.int64(1), int), (np.True_, bool)),
+    *((None, float | None), (Path("x"), str | Path), ("x", str | Path)),
+    *(({"a": 1.0}, Mapping[str, float]), ([1.0], Sequence[float]), (np.ones(3), Sequence[float])),
+)
+WRONG = ((True, float), (1, bool), ("x", Sequence[str]), ({1: 1.0}, Mapping[str, float]))
+
+
 def test_types_are_told() -> None:
-    for value, hint in (
-        (1, float),
-        (np.float32(1), float),
-        (np.int64(1), int),
-        (np.True_, bool),
-        (None, float | None),
-        (Path("x"), str | Path),
-        ("x", str | Path),
-        ({"a": 1.0}, Mapping[str, float]),
-        ([1.0], Sequence[float]),
-        (np.ones(3), Sequence[float]),
-    ):
+    for value, hint in RIGHT:
         check_type("x", value, hint)
-    for value, hint in (
-        (True, float),
-        (1, bool),
-        ("x", Sequence[str]),
-        ({1: 1.0}, Mapping[str, float]),
-    ):
+    for value, hint in WRONG:
         with pytest.raises(pa.ConfigurationError, match=r"^x: "):
             check_type("x", value, hint)
 

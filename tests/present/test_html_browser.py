@@ -54,6 +54,10 @@ class Opened:
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.goto(file.as_uri())
 
+    def close(self) -> None:
+        self.context.close()
+        assert self.complaints == []
+
     def _hear(self, message: Any) -> None:
         # A driver that renders in software says that reading pixels is slow.
         if message.type in ("error", "warning") and "GPU stall" not in message.text:
@@ -74,9 +78,8 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def opened(browser: Any, file: Path) -> Iterator[Opened]:
     one = Opened(browser, file, viewport={"width": 1200, "height": 1000})
     yield one
-    assert one.complaints == []
     assert [url for url in one.asked if not url.startswith(("file:", "data:", "blob:"))] == []
-    one.context.close()
+    one.close()
 
 
 def stage(opened: Opened) -> Any:
@@ -86,23 +89,30 @@ def stage(opened: Opened) -> Any:
     return canvas
 
 
+def share_of_torso(pixels: np.ndarray) -> float:  # type: ignore[type-arg]
+    """It alone is yellow."""
+    return float(((pixels[..., 0] > 150) & (pixels[..., 2] < 90)).mean())
+
+
+def share_changed(one: np.ndarray, other: np.ndarray) -> float:  # type: ignore[type-arg]
+    return float((np.abs(one - other).max(axis=-1) > 20).mean())
+
+
 def test_the_robot_is_drawn_and_turns(opened: Opened) -> None:
     canvas = stage(opened)
     before = opened.pixels(canvas)
-    yellow = (before[..., 0] > 150) & (before[..., 2] < 90)  # the torso
-    assert yellow.mean() > 0.005
+    assert share_of_torso(before) > 0.005
     assert len(np.unique(before.reshape(-1, 3), axis=0)) > 500
     opened.page.locator(".canvas").press("ArrowLeft")
-    turned = opened.pixels(canvas)
-    assert (np.abs(turned - before).max(axis=-1) > 20).mean() > 0.01
+    assert share_changed(opened.pixels(canvas), before) > 0.01
     opened.page.locator(".reset").click()
-    assert (np.abs(opened.pixels(canvas) - before).max(axis=-1) > 20).mean() < 0.001
+    assert share_changed(opened.pixels(canvas), before) < 0.001
     box = canvas.bounding_box()
     opened.page.mouse.move(box["x"] + 300, box["y"] + 200)
     opened.page.mouse.down()
     opened.page.mouse.move(box["x"] + 400, box["y"] + 220, steps=4)
     opened.page.mouse.up()
-    assert (np.abs(opened.pixels(canvas) - before).max(axis=-1) > 20).mean() > 0.01
+    assert share_changed(opened.pixels(canvas), before) > 0.01
     opened.page.locator(".reset").click()
 
 
@@ -113,14 +123,11 @@ def test_views_that_nobody_has_scrolled_to_are_on_paper_too(browser: Any, file: 
     one.page.emulate_media(media="print")
     picture = one.page.locator(".canvas .printed")
     picture.wait_for()
-    shown = one.pixels(picture)
-    yellow = (shown[..., 0] > 150) & (shown[..., 2] < 90)  # the torso
-    assert yellow.mean() > 0.005
+    assert share_of_torso(one.pixels(picture)) > 0.005
     assert one.page.evaluate("document.documentElement.scrollWidth") <= 900
     one.page.evaluate("dispatchEvent(new Event('afterprint'))")
     assert picture.count() == 0
-    assert one.complaints == []
-    one.context.close()
+    one.close()
 
 
 def test_joints_are_drawn_where_pinocchio_has_them(opened: Opened) -> None:
@@ -176,7 +183,7 @@ def test_the_simulated_motion_can_be_stepped_through(opened: Opened) -> None:
     assert count > 20
     slider.fill(str(count))
     assert opened.page.locator(".at").inner_text() == "11.90 s"
-    assert (np.abs(opened.pixels(canvas) - first).max(axis=-1) > 20).mean() > 0.001  # it sinks
+    assert share_changed(opened.pixels(canvas), first) > 0.001  # it sinks
     opened.page.locator("select.motion").select_option(index=0)
     assert opened.page.evaluate(forces)
 
@@ -250,8 +257,7 @@ def test_a_page_begins_in_the_language_of_a_chinese_browser(browser: Any, file: 
     one = Opened(browser, file, locale="zh-CN")
     assert one.page.locator("html").get_attribute("lang") == "zh-Hans"
     assert one.page.locator("#language").inner_text() == "English"
-    assert one.complaints == []
-    one.context.close()
+    one.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -266,8 +272,7 @@ def test_a_page_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, sch
     assert light == (scheme == "light")
     one.page.locator("#theme").click()
     assert one.page.evaluate("getComputedStyle(document.body).backgroundColor") != colour
-    assert one.complaints == []
-    one.context.close()
+    one.close()
 
 
 def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
@@ -279,8 +284,7 @@ def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
     sync_api.expect(message).to_contain_text("The browser has no WebGL")
     one.page.get_by_role("button", name="leg_front_r_2", exact=True).focus()
     sync_api.expect(message).to_contain_text("leg_front_r_2: roll")
-    assert one.complaints == []
-    one.context.close()
+    one.close()
 
 
 def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
@@ -289,8 +293,7 @@ def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
     one = Opened(browser, file)
     assert EVIL[0] in one.page.locator("h2").nth(1).inner_text()
     assert one.page.locator("img").count() == 0
-    assert one.complaints == []
-    one.context.close()
+    one.close()
 
 
 @pytest.mark.longest
@@ -320,5 +323,4 @@ def test_parts_are_folded_and_verdicts_are_seen_on_a_screen(browser: Any, tmp_pa
     assert page.evaluate(seen) == page.locator(".canvas").count() == 1
     page.evaluate("dispatchEvent(new Event('afterprint'))")
     assert page.evaluate(parts) == [True, False]
-    assert one.complaints == []
-    one.context.close()
+    one.close()

@@ -21,6 +21,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.compare.differences import Difference
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
+from tests.support import robots
 
 Element = ElementTree.Element
 PLACES = 3  # randomly chosen places per kind and pair
@@ -239,25 +240,23 @@ def missing_base_mass(files: Files) -> Expected:
 
 @mutation
 def inertial_turned(files: Files) -> Expected | None:
-    link = files.heavy_link()
-    inertia = link.find("inertial/inertia")
-    moments = [float(inertia.get(name)) for name in ("ixx", "iyy", "izz")]
+    found, name = link(files)
+    inertia = found.find("inertial/inertia")
+    moments = [float(inertia.get(moment)) for moment in ("ixx", "iyy", "izz")]
     if max(moments) < 1.2 * min(moments):
         return None  # a sphere may be turned
-    origin = link.find("inertial/origin")
-    write(origin, "rpy", [0.4, 0.3, 0.2])
-    return {"inertia"}, {files.mover(link)}
+    write(found.find("inertial/origin"), "rpy", [0.4, 0.3, 0.2])
+    return {"inertia"}, {name}
 
 
 @mutation
 def inertia_axes_swapped(files: Files) -> Expected | None:
     link = files.heavy_link()
-    inertia = link.find("inertial/inertia")
-    one, two = inertia.get("ixx"), inertia.get("izz")
-    if abs(float(one) - float(two)) < 0.1 * float(one):
+    moments = link.find("inertial/inertia").attrib
+    one, two = float(moments["ixx"]), float(moments["izz"])
+    if abs(one - two) < 0.1 * one:
         return None
-    inertia.set("ixx", two)
-    inertia.set("izz", one)
+    moments["ixx"], moments["izz"] = moments["izz"], moments["ixx"]
     return {"inertia"}, {files.mover(link)}
 
 
@@ -265,10 +264,8 @@ def inertia_axes_swapped(files: Files) -> Expected | None:
 def swapped_legs(files: Files) -> Expected:
     hips = [j for j in files.urdf.iter("joint") if j.find("parent").get("link") == "base_link"]
     one, two = files.choose.sample([j for j in hips if j.get("type") != "fixed"], 2)
-    for tag in ("xyz",):
-        a, b = one.find("origin").get(tag), two.find("origin").get(tag)
-        one.find("origin").set(tag, b)
-        two.find("origin").set(tag, a)
+    a, b = one.find("origin"), two.find("origin")
+    a.attrib["xyz"], b.attrib["xyz"] = b.get("xyz"), a.get("xyz")
     return {"position"}, {one.get("name"), two.get("name")}
 
 
@@ -297,20 +294,18 @@ def dropped_link(files: Files) -> Expected | None:
 
 @mutation
 def limits_lost(files: Files) -> Expected:
-    joint = files.moving_joint()
-    joint.set("type", "continuous")
-    del joint.find("limit").attrib["lower"], joint.find("limit").attrib["upper"]
-    return {"lower limit", "upper limit"}, {joint.get("name")}
+    found, name = joint(files)
+    found.set("type", "continuous")
+    del found.find("limit").attrib["lower"], found.find("limit").attrib["upper"]
+    return {"lower limit", "upper limit"}, {name}
 
 
 @mutation
 def foot_frame(files: Files) -> Expected:
     feet = [j for j in files.urdf.iter("joint") if "foot" in j.get("name")]
     joint = files.choose.choice(feet)
-    origin = joint.find("origin")
-    xyz = numbers(origin, "xyz")
-    xyz[2] += 0.002
-    write(origin, "xyz", xyz)
+    x, y, z = numbers(joint.find("origin"), "xyz")
+    write(joint.find("origin"), "xyz", [x, y, z + 0.002])
     # A foot with mass takes it along.
     links = {link.get("name"): link for link in files.urdf.iter("link")}
     foot = joint.find("child").get("link")
@@ -322,25 +317,21 @@ def foot_frame(files: Files) -> Expected:
 
 @mutation
 def mjcf_mass(files: Files) -> Expected | None:
-    body = files.mjcf_body()
-    inertial = body.find("inertial")
-    if inertial is not None:
-        inertial.set("mass", repr(0.9 * float(inertial.get("mass"))))
-        return {"mass"}, {body.find("joint").get("name")}
-    geom = next((geom for geom in body.findall("geom") if geom.get("mass")), None)
-    if geom is None:
+    found, name = body(files)
+    inertial = found.findall("inertial")
+    weighing = inertial or [geom for geom in found.findall("geom") if geom.get("mass")]
+    if not weighing:
         return None
-    geom.set("mass", repr(0.9 * float(geom.get("mass"))))
-    return {"mass"}, {body.find("joint").get("name")}
+    weighing[0].set("mass", repr(0.9 * float(weighing[0].get("mass"))))
+    return {"mass"}, {name}
 
 
 @mutation
 def mjcf_axis(files: Files) -> Expected:
-    joint = files.mjcf_joint()
-    kind = joint.get("class")
+    joint, name = hinge(files)
     axis = {"HAA": [-1.0, 0, 0], "HFE": [0, -1.0, 0], "KFE": [0, -1.0, 0]}
-    write(joint, "axis", axis.get(str(kind), [0, 0, -1.0]))
-    return {"axis"}, {joint.get("name")}
+    write(joint, "axis", axis.get(str(joint.get("class")), [0, 0, -1.0]))
+    return {"axis"}, {name}
 
 
 @mutation
@@ -389,6 +380,14 @@ def mjcf_inertia_from_geoms(files: Files) -> Expected | None:
     return {"mass", "com", "inertia"}, names
 
 
+def text_of(root: Element) -> str:
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def compared(folder: Path, urdf: str, mjcf: str, **options: int) -> Comparison:
+    return compare_models(*robots.write(folder, urdf, mjcf), **options)
+
+
 @cache
 def sources(name: str) -> tuple[str, str]:
     """The texts of an agreeing pair; the MJCF in one file, with paths to its meshes taken out."""
@@ -403,7 +402,7 @@ def sources(name: str) -> tuple[str, str]:
                     parent.remove(child)
         for key in root.findall("keyframe"):
             root.remove(key)
-        return urdf.read_text(), ElementTree.tostring(root, encoding="unicode")
+        return urdf.read_text(), text_of(root)
 
 
 def mutate(name: str, kind: str, seed: int, folder: Path) -> tuple[Comparison, Expected] | None:
@@ -418,10 +417,7 @@ def mutate(name: str, kind: str, seed: int, folder: Path) -> tuple[Comparison, E
             break
     if expected is None:
         return None
-    paths = folder / "robot.urdf", folder / "robot.xml"
-    for path, root in zip(paths, (files.urdf, files.mjcf), strict=True):
-        path.write_text(ElementTree.tostring(root, encoding="unicode"))
-    return compare_models(*paths, configurations=3), expected
+    return compared(folder, text_of(files.urdf), text_of(files.mjcf), configurations=3), expected
 
 
 def is_named_first(comparison: Comparison, expected: Expected) -> bool:
@@ -431,10 +427,7 @@ def is_named_first(comparison: Comparison, expected: Expected) -> bool:
 
 def test_the_unchanged_pairs_agree(tmp_path: Path) -> None:
     for name in ("v3", "original"):
-        urdf, mjcf = sources(name)
-        (tmp_path / "robot.urdf").write_text(urdf)
-        (tmp_path / "robot.xml").write_text(mjcf)
-        comparison = compare_models(tmp_path / "robot.urdf", tmp_path / "robot.xml")
+        comparison = compared(tmp_path, *sources(name))
         assert comparison.agree
         assert comparison.complete
 
@@ -462,9 +455,7 @@ def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) 
 
 def test_a_renamed_joint_is_matched_by_structure_and_said_so(tmp_path: Path) -> None:
     urdf, mjcf = sources("v3")
-    (tmp_path / "robot.urdf").write_text(urdf.replace('"leg_back_l_2"', '"left_hind_roll"'))
-    (tmp_path / "robot.xml").write_text(mjcf)
-    comparison = compare_models(tmp_path / "robot.urdf", tmp_path / "robot.xml")
+    comparison = compared(tmp_path, urdf.replace('"leg_back_l_2"', '"left_hind_roll"'), mjcf)
     assert comparison.guessed == {"left_hind_roll": "leg_back_l_2"}
     assert comparison.agree
 
@@ -474,9 +465,7 @@ def test_a_joint_that_is_fixed_in_one_file_is_named(tmp_path: Path) -> None:
     root = ElementTree.fromstring(urdf.encode())
     joint = next(joint for joint in root.iter("joint") if joint.get("name") == "RL_KFE")
     joint.set("type", "fixed")
-    (tmp_path / "robot.urdf").write_text(ElementTree.tostring(root, encoding="unicode"))
-    (tmp_path / "robot.xml").write_text(mjcf)
-    comparison = compare_models(tmp_path / "robot.urdf", tmp_path / "robot.xml")
+    comparison = compared(tmp_path, text_of(root), mjcf)
     assert not comparison.agree
     assert comparison.only_mjcf == ("RL_KFE",)
     assert not comparison.differences  # with the knee fixed in both, they agree
