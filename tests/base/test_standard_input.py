@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import sys
 from pathlib import Path
 
@@ -38,14 +37,6 @@ def given(monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(raw))
 
     return give
-
-
-def results(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
-    status, _, err = run_command(capfd, *arguments, "--json", "out.json")
-    assert err == ""
-    found = json.loads(Path("out.json").read_text())
-    del found["provenance"]  # which has the words of the command
-    return status, json.dumps(found)
 
 
 def test_meshes_are_looked_for_in_the_current_folder(capfd, given) -> None:

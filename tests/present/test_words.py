@@ -17,25 +17,6 @@ SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\
 """What is the same in both languages."""
 
 
-def said() -> Iterator[tuple[str, str, set[str] | None]]:
-    """(where, key, values that are given) of each text that is asked for by a literal."""
-    for module, node in made_calls():
-        by_attribute = getattr(node.func, "attr", "") in ("say", "_say")
-        if not node.args or (
-            not by_attribute and getattr(node.func, "id", "") not in ("text", "say")
-        ):
-            continue
-        given = {one.arg for one in node.keywords if one.arg}
-        known = None if any(one.arg is None for one in node.keywords) else given
-        choices = [node.args[0]]
-        while choices:
-            one = choices.pop()
-            if isinstance(one, ast.IfExp):
-                choices += [one.body, one.orelse]
-            elif isinstance(one, ast.Constant) and isinstance(one.value, str):
-                yield f"{module}:{node.lineno}", one.value, known
-
-
 @pytest.mark.parametrize("words", [TEXTS, TERMS], ids=["texts", "terms"])
 def test_all_is_said_in_both_languages(words: dict[str, dict[str, str]]) -> None:
     for key, both in words.items():

@@ -15,10 +15,6 @@ from tests.support.states import numbers
 from tests.support.variants import BASES, load
 
 MJCF = ROOT / "mjcf"
-LEGS = {
-    "v3": {"FR": "leg_front_r_", "FL": "leg_front_l_", "RR": "leg_back_r_", "RL": "leg_back_l_"},
-    "original": {leg: f"{leg}_" for leg in ("FL", "FR", "RL", "RR")},
-}
 
 
 @pytest.fixture(scope="module", params=BASES)

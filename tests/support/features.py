@@ -61,10 +61,6 @@ def feet(attributes: str) -> Edit:
     return put('<geom name="foot"', f'<geom {attributes} name="foot"')
 
 
-def trunk(inside: str) -> Edit:
-    return put("<freejoint/>", f"<freejoint/>{inside}", 1)
-
-
 def floor(attributes: str) -> Edit:
     plane = '<geom name="floor" type="plane" size="0 0 1"/>'
     return put(plane, f'<geom name="floor" type="plane" {attributes}/>', 1)

@@ -145,14 +145,3 @@ def test_files_that_a_mesh_names_are_beside_it(tmp_path: Path) -> None:
     model.write_text(model.read_text().replace(buffer, f"../{buffer}"))
     with pytest.raises(UnreadableError, match="broken"):
         obj_of(model)
-
-
-def published(folder: Path) -> Path:
-    """A package as it is published: a URDF and its meshes in folders of their own."""
-    for place in ("robot/urdf", "robot/meshes"):
-        (folder / place).mkdir(parents=True)
-    BOX.export(folder / "robot/meshes/box.stl")
-    shape = shape_of("visual", '<mesh filename="../meshes/box.stl"/>', "0 0 0")
-    path = folder / "robot/urdf/arm.urdf"
-    path.write_text(urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1))
-    return path
