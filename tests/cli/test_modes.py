@@ -12,6 +12,7 @@ from pupper_analysis.cli import COMMANDS
 from pupper_analysis.cli.modes import refuse_unused
 from tests.support.commands import answer
 from tests.support.repository import ROOT
+from tests.support.robots import arm, urdf_text
 
 
 def test_defaults_are_not_typed_and_new_options_are_refused() -> None:
@@ -80,7 +81,7 @@ IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMANDS}
 def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_path: Path) -> None:
     study = 'robot = "v3"\nmeasure = ["servo_sag"]\n[vary]\nkp = { values = [5] }\n'
     (tmp_path / "study.toml").write_text(study)
-    (tmp_path / "arm.urdf").write_text(ARM)
+    (tmp_path / "arm.urdf").write_text(urdf_text(arm()))
     (tmp_path / "stands.csv").touch()
     for more in IDLE[line]:
         given = answer(*line, *more, folder=tmp_path)
@@ -90,13 +91,6 @@ def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_pat
         shown = option.get(more[0], more[0])
         assert given.stderr.startswith(f"error: {shown}: "), given
     assert {path.name for path in tmp_path.iterdir()} == {"study.toml", "arm.urdf", "stands.csv"}
-
-
-ARM = """<robot name="arm"><link name="base"/>
-<link name="arm"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
-<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
-<limit lower="-1" upper="1" effort="10" velocity="5"/></joint></robot>"""
 
 
 def test_a_stance_of_a_file_may_say_more_than_a_command_uses(tmp_path: Path) -> None:

@@ -286,19 +286,16 @@ def test_every_command_with_a_path_is_swept() -> None:
                 assert isinstance(option.type, OutputPath), (command.name, option.name)
 
 
-def tiny(folder: Path, command: click.Command) -> list[str]:
+def tiny(command: click.Command) -> list[str]:
     """Returns a command line that is soon done, without outputs."""
     line = next(lines_of(command))
-    if "-o" in line:
-        del line[line.index("-o") : line.index("-o") + 2]
-    drop = ("--stance", "--map-file")  # which are of other robots
-    for name in drop:
+    for name in ("-o", "--stance", "--map-file"):  # the last two are of other robots
         if name in line:
             del line[line.index(name) : line.index(name) + 2]
     return line
 
 
-def all_outputs(folder: Path, command: Command) -> list[str]:
+def all_outputs(command: Command) -> list[str]:
     """Returns the options of a command's outputs, each in a new folder."""
     names = {"convert": "new.xml"}
     return [
@@ -315,7 +312,7 @@ def test_a_folder_that_takes_no_file_is_found_before_the_work(
 ) -> None:
     # By a stand-in: who runs the tests may be root, who may do everything.
     monkeypatch.setattr(os, "access", lambda path, how: not how & os.W_OK)
-    words, before, outputs = tiny(folder, command), sums(folder), all_outputs(folder, command)
+    words, before, outputs = tiny(command), sums(folder), all_outputs(command)
     needed = [word for at, word in enumerate(outputs) if "-o" in (word, outputs[at - 1])]
     for place in range(0, len(outputs), 2):
         out = outputs[place : place + 2]

@@ -19,6 +19,7 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
+from tests.support.corpus import INERTIAL, joint, link, urdf
 
 # No two alike: a swapped column is seen.
 VALUES = {
@@ -32,13 +33,8 @@ VALUES = {
     "spring": 0.7,
 }
 
-URDF = (
-    '<robot name="r"><link name="a"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" '
-    'ixy="0" ixz="0" iyz="0"/></inertial></link><link name="b"><inertial><mass value="1"/>'
-    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-    '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>'
-    "</joint></robot>"
-)
+PLAIN = joint("j", "a", "b", '<axis xyz="0 1 0"/>')
+URDF = urdf(link("a", INERTIAL.replace('mass value="1"', 'mass value="2"')), link("b"), PLAIN)
 
 MJCF = (
     '<mujoco><compiler angle="radian"/><worldbody><body name="a"><freejoint/>'
@@ -59,10 +55,10 @@ def stated_urdf() -> UrdfTree:
 
 @pytest.fixture
 def files(tmp_path: Path) -> tuple[Path, Path]:
-    urdf, mjcf = tmp_path / "r.urdf", tmp_path / "r.xml"
-    urdf.write_text(to_text(stated_urdf().root))
-    mjcf.write_text(MJCF)
-    return urdf, mjcf
+    there = tmp_path / "r.urdf", tmp_path / "r.xml"
+    there[0].write_text(to_text(stated_urdf().root))
+    there[1].write_text(MJCF)
+    return there
 
 
 def test_engines_read_what_the_files_state(files: tuple[Path, Path]) -> None:
@@ -81,8 +77,8 @@ def test_a_tree_becomes_models_of_both_engines_and_back(files: tuple[Path, Path]
     model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
     tree = from_pinocchio(model, "a", ["j"], {})
     numbers = {one.field: VALUES[one.kind] for one in IN_A_TREE}
-    joint = replace(tree.joints["j"], **numbers)  # type: ignore[arg-type]
-    tree = replace(tree, joints={"j": joint})
+    numbered = replace(tree.joints["j"], **numbers)  # type: ignore[arg-type]
+    tree = replace(tree, joints={"j": numbered})
     back = from_pinocchio(to_pinocchio(tree), "a", ["j"], {}).joints["j"]
     assert {field: getattr(back, field) for field in numbers} == numbers
     compiled = MujocoTree(tree).model

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import tempfile
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -72,8 +73,6 @@ def page_of(*results: object, robots: bool = True, language: str = "en") -> Page
 
 
 def written(results: object, *, robots: bool = True, language: str = "en") -> str:
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "report.html"
         given = [load("v3")] if robots else []
@@ -84,8 +83,6 @@ def written(results: object, *, robots: bool = True, language: str = "en") -> st
 @cache
 def comparison() -> pa.checks.Comparison:
     """Of a URDF whose base is heavier, and whose knee is stronger, than the MJCF's."""
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         urdf, mjcf = pa.pupper.write_variant(
             pa.pupper.VariantSpec(base="v3", leg_scale=1.1), folder
@@ -177,8 +174,6 @@ def test_an_element_on_several_lines_is_quoted_whole(tmp_path: Path) -> None:
 
 @cache
 def audit() -> pa.checks.Audit:
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "bad.urdf"
         text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()

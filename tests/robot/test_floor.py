@@ -36,9 +36,8 @@ def loaded(pair: Pair) -> Robot:
 
 
 def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
-    found = pa.verify_stand(
-        robot, pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(**task))
-    )
+    stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(**task))
+    found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
     return found
 
@@ -75,9 +74,8 @@ def test_what_stands_in_the_world_is_left_out(tmp_path: Path) -> None:
     assert any("(stair)" in str(note) for note in robot.notes if note.code == OTHERS)
     assert any("'table' is not part of the robot" in str(note) for note in robot.notes)
     stands(robot)
-    robot = loaded(
-        scene(tmp_path, '<geom name="floor" type="box" size="5 5 0.05" pos="0 0 -0.05"/>')
-    )
+    box = '<geom name="floor" type="box" size="5 5 0.05" pos="0 0 -0.05"/>'
+    robot = loaded(scene(tmp_path, box))
     assert any(note.code == "ground-added" for note in robot.notes)
     stands(robot)
 
@@ -125,7 +123,4 @@ def test_of_a_pair_with_two_frictions_the_lesser_counts(tmp_path: Path) -> None:
 def test_softness_of_a_pairs_friction_is_not_left_out_in_silence(tmp_path: Path) -> None:
     pairs = '<pair geom1="ground" geom2="foot0" solreffriction="0.05 1"/>'
     notes = loaded(scene(tmp_path, PLANE + "/>", pairs)).notes
-    assert [str(note) for note in notes if note.code == "friction-softness-dropped"] == [
-        "the contact of 'foot0' with the floor states a softness of its own for friction "
-        "(solreffriction): that of the contact was used"
-    ]
+    assert any(note.code == "friction-softness-dropped" for note in notes)

