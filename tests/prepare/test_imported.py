@@ -15,20 +15,16 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.own_run import own_run, raw_model
 from pupper_analysis.present.verdict import in_words, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
-from tests.support.legged import biped, quadruped
+from tests.support.legged import biped, quadruped, rewritten
 
 
 def touching(urdf: Path, *shapes: tuple[str, str]) -> Path:
     """Gives links of a URDF collision shapes, each as it is in a <geometry>, 0.2 m below."""
-    text = urdf.read_text()
     for link, shape in shapes:
         begin = f'<link name="{link}">'
-        assert begin in text
         low = "" if "mesh" in shape else '<origin xyz="0 0 -0.2"/>'
-        text = text.replace(
-            begin, f"{begin}<collision>{low}<geometry>{shape}</geometry></collision>"
-        )
-    urdf.write_text(text)
+        collision = f"<collision>{low}<geometry>{shape}</geometry></collision>"
+        rewritten(urdf, (begin, begin + collision))
     return urdf
 
 

@@ -12,6 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.present.verdict import in_words
 from tests.prepare.test_imported import four_legs, verdict_of
 from tests.support import features
+from tests.support.legged import edited_by
 
 Slip = Callable[[str], str]
 
@@ -49,13 +50,8 @@ SLIPS: dict[str, tuple[Slip, str | None]] = {
 
 
 def slipped(folder: Path, slip: Slip) -> Path:
-    urdf = four_legs(folder)
     (folder / "bad.stl").write_text("no mesh")
-    text = urdf.read_text()
-    changed = slip(text)
-    assert changed != text
-    urdf.write_text(changed)
-    return urdf
+    return edited_by(four_legs(folder), slip)
 
 
 @pytest.mark.parametrize("rule", SLIPS)

@@ -15,6 +15,7 @@ from pupper_analysis.present.verdict import verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from tests.prepare.test_planted import stands
+from tests.support.legged import edited_by
 from tests.support.slips import standing
 
 Slip = Callable[[str], str]
@@ -34,10 +35,7 @@ def _option(words: str) -> Slip:
 
 def slipped(folder: Path, slip: Slip) -> pa.Robot:
     pair = standing(folder)
-    text = pair.mjcf.read_text()
-    changed = slip(text)
-    assert changed != text
-    pair.mjcf.write_text(changed)
+    edited_by(pair.mjcf, slip)
     return pa.load_robot(*pair)
 
 
@@ -64,11 +62,8 @@ def test_zeros_that_are_stated_count_and_a_resets_are_told(tmp_path: Path, state
     assert own.falls
     assert own.commands is (OwnCommands.STATED if stated else OwnCommands.ABSENT)
     assert own.fails is stated
-    if stated:
-        assert own.held is None
-    else:
-        assert own.held is not None
-        assert not own.held.falls
+    assert (own.held is None) is stated
+    assert own.held is None or not own.held.falls
 
 
 @pytest.mark.parametrize("below", [0.0, 0.6])

@@ -12,7 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.passes import PASSES, PassRun, Request, prepare_robot
-from tests.support.legged import Pair, quadruped
+from tests.support.legged import Pair, quadruped, rewritten
 from tests.support.repository import ROOT
 
 
@@ -83,9 +83,8 @@ def test_a_site_of_the_name_that_a_foot_would_be_given_stays_what_it_is(tmp_path
     plain = pa.load_robot(pair.urdf, pair.mjcf)
     point, (link, frame) = next(iter(plain.description.contact_points.items()))
     assert link == frame == f"{point} (contact)"
-    text = pair.mjcf.read_text()
     site = f'<site name="{frame}" pos="0.3 0.2 0.1"/>'
-    pair.mjcf.write_text(text.replace("<freejoint", f"{site}<freejoint", 1))
+    rewritten(pair.mjcf, ("<freejoint", f"{site}<freejoint"))
     other = pa.load_robot(pair.urdf, pair.mjcf)
     assert other.description.contact_points[point] == (f"{frame}_", f"{frame}_")
     np.testing.assert_allclose(other.mj_model.site(frame).pos, (0.3, 0.2, 0.1))

@@ -20,7 +20,7 @@ from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged
 from tests.support.every_command import Truth, truth_of
-from tests.support.legged import rewritten
+from tests.support.legged import edited_by, rewritten
 from tests.support.slips import SLIPS, standing
 
 
@@ -29,11 +29,8 @@ def verdict_of(pair: legged.Pair) -> Verdict:
 
 
 def slipped(folder: Path, name: str, seed: int = 0) -> legged.Pair:
-    pair = standing(folder)
-    text = pair.mjcf.read_text()
-    changed = SLIPS[name](text, np.random.default_rng(seed))
-    assert changed != text
-    pair.mjcf.write_text(changed)
+    pair, random = standing(folder), np.random.default_rng(seed)
+    edited_by(pair.mjcf, lambda text: SLIPS[name](text, random))
     return pair
 
 

@@ -18,7 +18,7 @@ from pupper_analysis.prepare import start
 from pupper_analysis.prepare.start import clip_to_limits
 from pupper_analysis.robot.servos import own_servos
 from tests.support import random_legged
-from tests.support.legged import biped, quadruped
+from tests.support.legged import biped, quadruped, rewritten
 from tests.support.variants import load
 
 
@@ -37,15 +37,14 @@ def test_a_keyframe_in_which_no_stand_exists_is_left_for_a_height_that_one_has(
 ) -> None:
     """The base would be 77 mm high, where nobody asked for it, and legs overlap."""
     whole = load("v3").description
-    text = whole.mjcf_source.read_text()
     straight = "1 0 0 0 " + " ".join(["0"] * 12)
     folded = "1 0 0 0 " + " ".join(["0 0 0.7", "0 0 -0.7"] * 2)
-    assert straight in text
     mjcf = tmp_path / "mjcf/robot.xml"
     mjcf.parent.mkdir()
     for part in whole.mjcf_source.parent.glob("*.xml"):
         shutil.copy(part, mjcf.parent)
-    mjcf.write_text(text.replace(straight, folded))
+    mjcf.write_text(whole.mjcf_source.read_text())
+    rewritten(mjcf, (straight, folded))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # meshes are not beside it
         robot = pa.load_robot(whole.urdf_source, mjcf, feet=whole.contact_points)
@@ -91,9 +90,8 @@ def test_feet_below_axes_about_the_vertical_are_put_aside(tmp_path: Path) -> Non
 def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> None:
     """Who knows a height for it needs no gains of their own."""
     files = quadruped(tmp_path)
-    text = files.mjcf.read_text()
     deep = '<geom type="box" size="0.02 0.02 0.45"/><body name="FL_hip"'
-    files.mjcf.write_text(text.replace('<body name="FL_hip"', deep))
+    rewritten(files.mjcf, ('<body name="FL_hip"', deep))
     robot = pa.load_robot(*files)
     assert start.first_stand(robot) is None
     assert own_servos(robot).keys() == set(robot.joint_names)

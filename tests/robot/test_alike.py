@@ -11,15 +11,12 @@ from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.alike import structure
 from pupper_analysis.simulation.verdict import VerdictCode
 from tests.support.conversions import standing_urdf
+from tests.support.legged import edited_by
 
 
 def slipped(folder: Path, old: str, new: str) -> Path:
     """The quadruped with something changed in its last leg alone."""
-    path = standing_urdf(folder)
-    text = path.read_text()
-    at = text.rindex(old)
-    path.write_text(text[:at] + new + text[at + len(old) :])
-    return path
+    return edited_by(standing_urdf(folder), lambda text: new.join(text.rsplit(old, 1)))
 
 
 def test_four_legs_that_are_alike_are_no_news(tmp_path: Path) -> None:
@@ -80,8 +77,6 @@ def test_feet_that_are_named_are_as_they_are_meant(tmp_path: Path) -> None:
 def test_a_joint_with_another_number_than_its_like_is_in_the_verdict(
     slip: str, said: str, tmp_path: Path
 ) -> None:
-    robot = pa.load_robot(standing_urdf(tmp_path))
-    assert structure(robot) == ()
     old = 'effort="80"' if "effort" in slip else 'upper="-0.4"'
     robot = pa.load_robot(slipped(tmp_path, old, slip))
     *_, message = structure(robot)  # one of half the range has no foot where the others stand

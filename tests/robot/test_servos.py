@@ -18,7 +18,7 @@ from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.servos import model_with_servos, own_servos, with_options
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from tests.support.engines import changed, mujoco_at
-from tests.support.legged import Pair, quadruped
+from tests.support.legged import Pair, quadruped, rewritten
 from tests.support.variants import load, stand_of
 
 MOTOR = re.compile(r'<motor joint="(\w+)" ctrlrange="-30 30"/>')
@@ -134,7 +134,7 @@ def test_motors_of_tendons_exert_nothing_and_are_told(
         '<joint joint="FL_pitch" coef="1"/></fixed></tendon><actuator>'
         f'<{kind} name="winch" tendon="rope"/>'
     )
-    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", rope))
+    rewritten(pair.mjcf, ("<actuator>", rope))
     robot = pa.load_robot(*pair)
     (message,) = [note for note in robot.notes if note.code == "motors-commanded-zero"]
     assert (message.values["motors"], message.values["kinds"]) == (("winch",), ("tendon",))

@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.tendons import BONDS, tell_bonds_not_kept, tendon_ranges
 from pupper_analysis.stance.workspace import reachable_heights
-from tests.support.legged import Pair, quadruped
+from tests.support.legged import Pair, quadruped, rewritten
 
 ENDING = "</mujoco>"
 TOLD = ("mjEQ_FLEX", "mjEQ_FLEXVERT", "mjEQ_FLEXSTRAIN")
@@ -23,8 +23,7 @@ def with_tendon(folder: Path, terms: dict[str, float], range_: str) -> Pair:
     pair = quadruped(folder)
     joints = "".join(f'<joint joint="{name}" coef="{size}"/>' for name, size in terms.items())
     cord = f'<fixed name="cord" limited="true" range="{range_}">{joints}</fixed>'
-    text = pair.mjcf.read_text().replace(ENDING, f"<tendon>{cord}</tendon>{ENDING}")
-    pair.mjcf.write_text(text)
+    rewritten(pair.mjcf, (ENDING, f"<tendon>{cord}</tendon>{ENDING}"))
     return pair
 
 
@@ -80,7 +79,7 @@ def test_a_range_that_is_not_kept_is_told(tmp_path: Path) -> None:
     assert "rope (0 to 1)" in str(message)
     # Where MuJoCo does not keep it either, there is nothing to tell.
     off = '<option><flag limit="disable"/></option></mujoco>'
-    pair.mjcf.write_text(pair.mjcf.read_text().replace(ENDING, off))
+    rewritten(pair.mjcf, (ENDING, off))
     assert all(note.code != message.code for note in pa.load_robot(*pair).notes)
 
 

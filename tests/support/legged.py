@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -23,6 +24,15 @@ def rewritten(path: Path, *changes: tuple[str, str], count: int = -1) -> Path:
         assert old in text, old
         text = text.replace(old, new, count)
     path.write_text(text)
+    return path
+
+
+def edited_by(path: Path, edit: Callable[[str], str]) -> Path:
+    """A file to which something is done that makes a difference."""
+    text = path.read_text()
+    changed = edit(text)
+    assert changed != text
+    path.write_text(changed)
     return path
 
 

@@ -16,6 +16,7 @@ from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.stance.task import StandTask
 from tests.support.conversions import standing_urdf
 from tests.support.legged import quadruped as legged
+from tests.support.legged import rewritten
 
 GEOM = (
     *("friction", "solref", "solimp", "solmix", "condim", "contype", "conaffinity", "priority"),
@@ -125,8 +126,7 @@ def test_who_frees_a_base_and_lays_the_ground_says_how_it_grips(
     One that was made of a bolted URDF crept on a slope on which the URDF stood.
     """
     pair = legged(tmp_path, free=False)
-    text = pair.mjcf.read_text().replace("<worldbody>", f"{stated}<worldbody>", 1)
-    pair.mjcf.write_text(text)
+    rewritten(pair.mjcf, ("<worldbody>", f"{stated}<worldbody>"))
     robot = pa.load_robot(mjcf=pair.mjcf)
     assert robot.floating
     gripped = any(note.code == "contacts-made-to-hold" for note in robot.notes)
@@ -138,11 +138,9 @@ def test_what_is_tied_to_the_world_is_written_with_the_servos_that_it_stands_on(
     tmp_path: Path,
 ) -> None:
     """Tied it stays; those of a robot that hangs are so weak that one that was freed fell."""
-    urdf = standing_urdf(tmp_path)
     tie = '<joint name="tie" type="fixed"><parent link="world"/><child link="trunk"/></joint>'
-    tied = urdf.read_text().replace("</robot>", f'<link name="world"/>{tie}</robot>')
-    (tmp_path / "tied.urdf").write_text(tied)
-    free, written, output = both(tmp_path / "tied.urdf", tmp_path)
+    tied = ("</robot>", f'<link name="world"/>{tie}</robot>')
+    free, written, output = both(rewritten(standing_urdf(tmp_path), tied), tmp_path)
     assert written.nkey == 0
     assert not (written.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any()
     for name in MOTOR:
