@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -39,9 +40,8 @@ _ALWAYS = {one.name for one in fields(RobotOptions)} | {
     *("words", "output", "priors", "kp", "everything"),
     *("style", "json_path", "report_path", "force"),
 }
-_OF_MEASUREMENTS = ("priors", "kp")
 _USES = {
-    "--record": {*_ALWAYS, "record", "bridge"} - {*_OF_MEASUREMENTS},
+    "--record": {*_ALWAYS, "record", "bridge"} - {"priors", "kp"},
     "--stands": {*_ALWAYS, "stands", "weight", "anyway"},
     "--log": {*_ALWAYS, "anyway", "logs", "topics", "joints", "hold_out", "kd"},
     "--plan": {*_ALWAYS, "count", "added", "added_at"},
@@ -75,9 +75,10 @@ _USES = {
 )
 @click.option(
     "--hold-out",
-    type=click.FloatRange(0, 0.9),
-    metavar="SHARE",
-    help="Share of each log, at its end, that is predicted instead of fitted; 0.2 by default.",
+    multiple=True,
+    metavar="SHARE|FILE",
+    help="What is predicted instead of fitted: a share of each log, at its end (0.2 by default), "
+    "or a log of another motion. Repeatable.",
 )
 @click.option(
     "--plan",
@@ -143,7 +144,7 @@ def command(
     words: tuple[str, ...],
     stands: Path | None,
     logs: tuple[Path, ...],
-    hold_out: float | None,
+    hold_out: tuple[str, ...],
     topics: tuple[str, ...],
     joints: str | None,
     count: int | None,
@@ -183,7 +184,6 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.fit.result import Fit
 
-    folder = output if count is None else None
     if [stands is not None, count is not None, bool(logs), record is not None].count(True) != 1:
         raise ConfigurationError("--stands", diagnose("fit-of-nothing"))
     mode = (
@@ -223,9 +223,10 @@ def command(
         from pupper_analysis.tools.fit.measurements.stands import read_stands
 
         said = dict(shared.parse_assignment("--topic", one) for one in topics)
-        names = joints.split(",") if joints else ()
-        read = [read_log(path, topics=said, joints=names) for path in logs]
-        measured = read if stands is None else read_stands(stands)
+        read = partial(read_log, topics=said, joints=joints.split(",") if joints else ())
+        measured = list(map(read, logs)) if stands is None else read_stands(stands)
+        share = "".join(hold_out[-1:]).replace(".", "", 1).isdecimal()
+        apart = float(hold_out[-1]) if share else list(map(read, hold_out)) or None
         with shared.show_progress("fitting the robot's numbers to the measurements"):
             result = fit_numbers(
                 robot,
@@ -234,14 +235,14 @@ def command(
                 kp=stiffness,
                 kd=damping,
                 weight=mass,
-                hold_out=hold_out,
+                hold_out=apart,
             )
     if style == "text":
         print_notes(robot, everything=everything)
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
-    if folder is not None and isinstance(result, Fit):
-        _write(robot, meant, result, folder, anyway=anyway)
+    if output is not None and isinstance(result, Fit):
+        _write(robot, meant, result, output, anyway=anyway)
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
 

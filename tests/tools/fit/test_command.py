@@ -62,6 +62,14 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     estimates = {one["name"]: one for one in json.loads(found.read_text())["estimates"]}
     assert estimates["kp turn"]["mean"] == pytest.approx(TRUE["kp"], rel=0.05)
     assert 'kp="5"' not in (tmp_path / "fitted" / "bar.xml").read_text()
+    # What is predicted may be a log of its own, but not one that was fitted.
+    rest, other = log().part(slice(600, None)), tmp_path / "other.csv"
+    write(other, rest.time, rest.position, rest.command)
+    apart = ("--hold-out", str(other), "--json", str(found), "--force")
+    run_command(capfd, *given, *apart)
+    assert json.loads(found.read_text())["held_out"] < 3e-3  # it begins in motion; the file: 0.033
+    status, _, err = run_command(capfd, *given, "--hold-out", str(path))
+    assert (status, err.count("\n")) == (2, 1)
     # Something else moves it: nothing is written, but on demand, with wider intervals.
     shaken = swing.position + 0.05 * np.sin(40 * swing.time)[:, None]
     write(path, swing.time, shaken, swing.command)
