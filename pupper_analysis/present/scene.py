@@ -6,6 +6,7 @@ Made once, and drawn by each in its own way: the page's viewer (``html/write``),
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.models.shapes import CONVEX, Mesh, Shape, read_mesh, read_shape
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.ground import Ground
+from pupper_analysis.robot.ground import Ground, Step
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -94,32 +95,6 @@ class Contact:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """A step under a foot, as it is put into MuJoCo's model.
-
-    Attributes:
-        foot: The foot's name.
-        height: Above the plane of the ground (m); negative for a pit.
-        centre: (3,) of its box (m); that of a pit ends at its bottom.
-        half: (3,) half of the box's sides (m).
-        rotation: (3, 3) of the box's axes.
-        round: Whether it is a bar: a cylinder in that box, along the third of its axes.
-    """
-
-    foot: str
-    height: float
-    centre: Array
-    half: Array
-    rotation: Array
-    round: bool
-
-    @property
-    def turn(self) -> Array:
-        """The same as a quaternion (w, x, y, z)."""
-        return quaternion_from_rotation(self.rotation)
-
-
-@dataclass(frozen=True, eq=False)
 class StandingScene:
     """What acts on a robot that stands, and what it stands on. In the world.
 
@@ -128,7 +103,7 @@ class StandingScene:
         points: (n, 3) where the feet touch it or their steps, which are no softer than rock (m).
         polygon: (m, 3) the support polygon's corners, each as high as the point that it is, or
             where a com is in balance on several planes (m).
-        steps: Under the feet.
+        steps: {foot: what is under it, if that is not the ground}.
         com: (3,) the centre of mass (m).
         below: (3,) where its plumb line meets the plane through the points (m).
         inside: Whether that is inside of the polygon.
@@ -139,7 +114,7 @@ class StandingScene:
     ground: Ground
     points: Array
     polygon: Array
-    steps: tuple[Step, ...]
+    steps: Mapping[str, Step]
     com: Array
     below: Array
     inside: bool
@@ -179,16 +154,13 @@ def describe_scene(
     ground = stand.task.ground
     points = np.array([*stand.contact_points.values()] or [stand.qpos[:3] * (1.0, 1.0, 0.0)])
     over = points[:1] if robot.welded else points  # welds hold a com over any place
-    steps = ground.steps(stand.rigid_targets)
     return StandingScene(
         ground=ground,
         points=points,
         polygon=_balanced(robot, stand, points)
         if ground.planes and not robot.welded
         else polygon_corners(over),
-        steps=tuple(
-            Step(foot, ground.heights.get(foot, 0.0), *step) for foot, step in steps.items()
-        ),
+        steps=ground.steps(stand.rigid_targets),
         com=com,
         below=np.array([com[0], com[1], height_at(points, com)]),
         inside=stand.com_margin >= 0,

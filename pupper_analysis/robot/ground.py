@@ -17,6 +17,7 @@ from pupper_analysis.base.arguments import (
     check_finite,
     check_length,
 )
+from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
@@ -30,19 +31,26 @@ _LEVEL = 0.0
 
 
 class Step(NamedTuple):
-    """The box under a foot, or the bar.
+    """The box under a foot, or the bar, as it is put into MuJoCo's model.
 
     Attributes:
-        centre: (3,) in the world (m).
+        centre: (3,) in the world (m); that of a pit ends at its bottom.
         half: (3,) half of its sides (m).
         rotation: (3, 3) of its axes; the third is out of its top, or along a bar.
         round: Whether it is a bar: a cylinder within these sides.
+        height: Above the plane of the ground (m); negative for a pit, 0 of a plane of its own.
     """
 
     centre: Array
     half: Array
     rotation: Array
     round: bool = False
+    height: float = 0.0
+
+    @property
+    def turn(self) -> Array:
+        """Its rotation as a quaternion (w, x, y, z)."""
+        return quaternion_from_rotation(self.rotation)
 
     @property
     def top(self) -> Array:
@@ -136,9 +144,11 @@ class Ground:
                     middle = top - bar.radius * self.normal(foot)
                     found[foot] = Step(middle, half, turn, round=True)
                     continue
-                thick = abs(self.heights.get(foot, 0.0)) / 2 * math.cos(self.slope)
+                height = self.heights.get(foot, 0.0)
+                thick = abs(height) / 2 * math.cos(self.slope)
                 half = np.array([wide, wide, wide / 2 if foot in self._planes else thick])
-                found[foot] = Step(top - half[2] * self.normal(foot), half, self.rotation(foot))
+                middle = top - half[2] * self.normal(foot)
+                found[foot] = Step(middle, half, self.rotation(foot), height=height)
         return found
 
     def middle(self, foot: str, centres: Array) -> tuple[Array, float]:

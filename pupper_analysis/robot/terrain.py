@@ -157,13 +157,12 @@ def _put_ground(
     free = _leave_floor(robot, spec, floor, steps, alone)
     highest = max(int(geom.priority) for geom in spec.geoms)
     for foot, step in steps.items():
-        quat = quaternion_from_rotation(step.rotation)
         box = spec.worldbody.add_geom(
             name=f"step_{foot}",
             type=mujoco.mjtGeom.mjGEOM_CYLINDER if step.round else mujoco.mjtGeom.mjGEOM_BOX,
             size=np.take(step.half, (0, 2, 2)) if step.round else step.half,
             pos=step.centre,
-            quat=quat,
+            quat=step.turn,
             contype=contype,
             conaffinity=conaffinity,
             rgba=(0.6, 0.62, 0.66, 1.0),
@@ -178,7 +177,7 @@ def _put_ground(
                 type=mujoco.mjtGeom.mjGEOM_PLANE,
                 size=(*step.half[:2], 0.01),
                 pos=step.top,
-                quat=quat,
+                quat=step.turn,
                 contype=0,
                 conaffinity=free[foot],
                 rgba=(0.0, 0.0, 0.0, 0.0),

@@ -276,7 +276,7 @@ def test_com_steps_and_polygon_are_where_they_are_on_a_slope_with_a_step_and_a_p
     stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
     seen = describe_scene(robot, stand, None)
     assert not seen.contacts
-    assert {one.foot: one.height for one in seen.steps} == dict(ground.heights)
+    assert {foot: one.height for foot, one in seen.steps.items()} == dict(ground.heights)
     touched = np.array([stand.contact_points[foot] for foot in ("FL", "FR", "RL", "RR")])
     for corner in seen.polygon:
         assert np.linalg.norm(touched - corner, axis=1).min() < 1e-9

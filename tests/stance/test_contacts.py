@@ -494,7 +494,7 @@ def test_a_foot_stands_on_a_bar_and_on_an_edge(radius: float, lean: float) -> No
     model = on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets).mj_model
     assert model.geom("step_FL").type[0] == mujoco.mjtGeom.mjGEOM_CYLINDER.value
     seen = describe_scene(robot, stand, None)
-    for step, rims in zip(seen.steps, step_corners(seen), strict=True):
+    for step, rims in zip(seen.steps.values(), step_corners(seen), strict=True):
         assert step.round
         away = rims - bar.point
         away -= np.outer(away @ bar.direction, bar.direction)
@@ -755,8 +755,8 @@ def test_a_path_keeps_its_contacts(armed: pa.Robot) -> None:
 def test_a_contact_is_seen_in_a_picture(armed: pa.Robot, tmp_path: Path) -> None:
     stand = pa.solve_stand_as_simulated(armed, pa.StandTask(contacts=table()))
     scene = describe_scene(armed, stand, pa.stance.stand_statics(armed, stand))
-    (step,) = scene.steps
-    assert step.foot == HAND
+    assert [*scene.steps] == [HAND]
+    step = scene.steps[HAND]
     top = step.centre + step.rotation[:, 2] * step.half[2]
     assert top[2] == pytest.approx(TABLE, abs=1e-12)
     assert {contact.foot for contact in scene.contacts} == {*armed.feet, HAND}

@@ -137,7 +137,7 @@ def step_corners(seen: StandingScene) -> list[Array]:
     rims = np.array([[math.cos(t), math.sin(t), z] for t in _ROUND for z in (-1, 1)])
     return [
         one.centre + ((rims if one.round else signs) * one.half) @ one.rotation.T
-        for one in seen.steps
+        for one in seen.steps.values()
     ]
 
 

@@ -119,7 +119,7 @@ def _stand(scene: StandScene) -> dict[str, Any]:
                 "pit": one.height < 0,
                 "round": one.round,
             }
-            for one in seen.steps
+            for one in seen.steps.values()
         ],
         "ground": short_numbers(seen.middle),
         "normal": short_numbers(seen.normal),

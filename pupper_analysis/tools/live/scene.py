@@ -327,7 +327,7 @@ class Scene:
     def _steps(self, seen: StandingScene) -> None:
         """Draws the steps under the feet that stand on some: as high as each, or as deep."""
         out, thin = seen.normal, 2e-3 * self._size
-        for number, step in enumerate(seen.steps):
+        for number, step in enumerate(seen.steps.values()):
             # A pit is a dark square on the ground, which nobody can look through.
             pit = step.height < 0
             half = np.array([*step.half[:2], thin]) if pit else step.half
