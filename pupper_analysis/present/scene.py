@@ -165,11 +165,16 @@ def describe_scene(
         below=np.array([com[0], com[1], height_at(points, com)]),
         inside=stand.com_margin >= 0,
         joints=tuple(joint_axes(config, stand.joint_positions(robot), statics)),
-        contacts=tuple(
-            Contact(foot, load.centre_of_pressure, load.force)
-            for foot, load in (statics.foot_loads if statics else {}).items()
-        ),
+        contacts=_contacts(robot, stand, statics) if statics else (),
     )
+
+
+def _contacts(robot: Robot, stand: Stand, statics: GravityCompensation) -> tuple[Contact, ...]:
+    """Returns the forces on feet, and on what grips."""
+    loads = statics.foot_loads.items()
+    feet = [Contact(foot, load.centre_of_pressure, load.force) for foot, load in loads]
+    pulls = {name: statics.weld_wrenches[name][:3] for name in robot.grips}
+    return (*feet, *(Contact(name, stand.foot_targets[name], pulls[name]) for name in pulls))
 
 
 def height_at(points: Array, place: Array) -> float:

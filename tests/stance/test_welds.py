@@ -18,6 +18,7 @@ from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.markdown import write_markdown
+from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.simulation.rollout import begin_stand, simulate
 from pupper_analysis.statics.contacts import stated_forces
@@ -247,6 +248,10 @@ def test_a_hand_that_grips_pulls_where_the_com_is_beyond_the_feet(armed: pa.Robo
     np.testing.assert_allclose(data.efc_force[rows], pull[:3], atol=1e-6 * np.linalg.norm(pull))
     np.testing.assert_allclose(found.foot_forces["hand"], data.efc_force[rows], atol=1e-6)
     np.testing.assert_array_equal(found.predicted_forces["hand"], pull[:3])
+    drawn = {one.foot: one for one in describe_scene(armed, stand, statics).contacts}
+    np.testing.assert_array_equal(drawn["hand"].force, pull[:3])
+    place = pa.Configuration(robot, stand.qpos).foot_positions()["hand"]
+    np.testing.assert_allclose(drawn["hand"].point, place, atol=1e-9)
     borne = sum(found.foot_forces.values())
     np.testing.assert_allclose(borne, (0, 0, robot.weight), atol=1e-5 * robot.weight)
     alone = pa.verify_stand(armed, stand, integrator="implicitfast", feedforward=False)

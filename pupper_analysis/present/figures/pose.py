@@ -238,7 +238,7 @@ def _draw_stand(
             area(box[list(corners)], fc=face, ec=edge, alpha=0.4, lw=0.8, zorder=order)
     area(seen.polygon, fc=_SUPPORT, ec=drawing.BLUE, hatch="//", alpha=0.7, lw=1.2, zorder=1)
     hips = np.array([leg[0] for leg in lines.legs.values()])
-    small = 1.0 if len(seen.contacts) == len(seen.points) else 0.45  # of feet with several points
+    small = 1.0 if len(seen.contacts) >= len(seen.points) else 0.45  # of feet with several points
     for foot, leg in lines.legs.items():
         # The viewer stands on the right: the legs of that side hide the base, it hides the others.
         near = leg[0, 1] < hips[:, 1].mean()
