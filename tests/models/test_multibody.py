@@ -12,13 +12,7 @@ from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.robot.compare.differences import changes_between
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
-from tests.support.robots import (
-    matched,
-    mjcf_text,
-    quadruped,
-    urdf_text,
-    write,
-)
+from tests.support.robots import matched, mjcf_text, quadruped, urdf_text, write
 from tests.support.variants import load
 
 

@@ -10,13 +10,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.urdf_file import MAX_DEPTH, read_urdf
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO
-from tests.support.robots import (
-    compared,
-    mjcf_text,
-    quadruped,
-    urdf_text,
-    write,
-)
+from tests.support.robots import compared, mjcf_text, quadruped, urdf_text, write
 
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
 POINTER = (

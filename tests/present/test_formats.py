@@ -22,12 +22,7 @@ from pupper_analysis.present.document import (
     Table,
     tell,
 )
-from pupper_analysis.present.formats import (
-    Annotation,
-    escape_control,
-    write_github,
-    write_junit,
-)
+from pupper_analysis.present.formats import Annotation, escape_control, write_github, write_junit
 from pupper_analysis.present.terminal import SafeConsole, print_document
 from tests.support.stubs import problem
 

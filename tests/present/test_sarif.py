@@ -56,33 +56,22 @@ def test_a_finding_is_a_sarif_result() -> None:
     ]
     (one,) = run["results"]
     assert one.pop("partialFingerprints").keys() == {"subject/v1"}
+    place = {"artifactLocation": {"uri": "a.urdf"}, "region": {"startLine": 3}}
     assert one == {
-        "ruleId": "audit/mass",
-        "ruleIndex": 0,
-        "level": "error",
+        **{"ruleId": "audit/mass", "ruleIndex": 0, "level": "error"},
         "message": {"text": "too heavy"},
-        "locations": [
-            {
-                "physicalLocation": {
-                    "artifactLocation": {"uri": "a.urdf"},
-                    "region": {"startLine": 3},
-                }
-            }
-        ],
+        "locations": [{"physicalLocation": place}],
         "baselineState": "unchanged",
     }
 
 
 def test_levels_rules_and_states() -> None:
-    run = checked_log(
-        write_sarif(
-            [
-                finding(level="notice", known=False),
-                finding(level="warning", rule="b", place="a.urdf"),
-                finding(rule="b", title="hip", place=None),
-            ]
-        )
-    )
+    findings = [
+        finding(level="notice", known=False),
+        finding(level="warning", rule="b", place="a.urdf"),
+        finding(rule="b", title="hip", place=None),
+    ]
+    run = checked_log(write_sarif(findings))
     first, second, third = run["results"]
     assert [one["level"] for one in run["results"]] == ["note", "warning", "error"]
     assert [one["ruleIndex"] for one in run["results"]] == [0, 1, 1]

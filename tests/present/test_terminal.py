@@ -5,15 +5,7 @@ from __future__ import annotations
 import io
 import re
 
-from pupper_analysis.present.document import (
-    Column,
-    Document,
-    Lines,
-    Name,
-    Number,
-    Table,
-    tell,
-)
+from pupper_analysis.present.document import Column, Document, Lines, Name, Number, Table, tell
 from pupper_analysis.present.terminal import SafeConsole, print_document
 from tests.support.printing import printed
 from tests.support.stubs import problem

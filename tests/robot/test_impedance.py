@@ -6,11 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.robot.impedance import (
-    Softness,
-    clip_solimp,
-    solimp_impedance,
-)
+from pupper_analysis.robot.impedance import Softness, clip_solimp, solimp_impedance
 
 KINDS = {
     "joint": '<joint joint1="a" joint2="b" {words}/>',
