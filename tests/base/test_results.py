@@ -76,12 +76,8 @@ def test_nothing_of_a_result_or_a_task_can_be_written_to() -> None:
             one.qpos[3:7] = 0.0, 1.0, 0.0, 0.0
         with pytest.raises(ValueError, match="read-only"):
             one.foot_targets["FL"][2] += 0.1
-        for mapping in (
-            one.foot_targets,
-            one.depths,
-            one.task.foot_offsets,
-            one.task.ground.heights,
-        ):
+        task = one.task
+        for mapping in (one.foot_targets, one.depths, task.foot_offsets, task.ground.heights):
             before = dict(mapping)
             for change in (
                 lambda m: m.update(FL=(math.nan, 0.0)),

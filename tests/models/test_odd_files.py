@@ -29,16 +29,15 @@ def test_a_urdf_with_a_block_for_mujoco_keeps_its_column(tmp_path: Path) -> None
 
 def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:
     (tmp_path / "shell.stl").write_text(POINTER)
-    text = MJCF.replace(
-        "<worldbody>", '<asset><mesh name="shell" file="shell.stl"/></asset><worldbody>'
-    ).replace("<freejoint/>", '<freejoint/><geom type="mesh" mesh="shell" contype="0"/>')
+    asset = '<asset><mesh name="shell" file="shell.stl"/></asset><worldbody>'
+    seen = '<freejoint/><geom type="mesh" mesh="shell" contype="0"/>'
+    text = MJCF.replace("<worldbody>", asset).replace("<freejoint/>", seen)
     comparison = compared(write(tmp_path, URDF, text))
     assert comparison.agree
     values = {note.code: note for note in comparison.notes if not isinstance(note, str)}
     assert values["files-are-lfs-pointers"].values["files"] == ("shell.stl",)
-    (finding,) = [
-        f for f in audit_model(tmp_path / "robot.xml").findings if f.rule == "mesh-missing"
-    ]
+    findings = audit_model(tmp_path / "robot.xml").findings
+    (finding,) = (one for one in findings if one.rule == "mesh-missing")
     assert "is a pointer of Git LFS, not the mesh: git lfs pull brings it" in finding.message
 
 

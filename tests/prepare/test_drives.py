@@ -108,9 +108,7 @@ def test_a_servo_that_leads_many_light_fingers_lets_the_robot_rest(tmp_path: Pat
     file.write_text(text.replace("</robot>", f"{''.join(parts)}</robot>"))
     robot = pa.load_robot(file)
     assert robot.closure is not None
-    assert not {note.code for note in robot.notes} & {
-        "no-servos-bring-it-to-rest",
-        "rests-with-feed-forward-alone",
-    }
+    restless = {"no-servos-bring-it-to-rest", "rests-with-feed-forward-alone"}
+    assert not {note.code for note in robot.notes} & restless
     seen = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot), nudged=0.0)
     assert seen.passed, seen.failures

@@ -38,9 +38,8 @@ def test_a_payload_on_a_link_weighs_where_it_is_in_both_models(frame: str) -> No
     assert added[2] == pytest.approx(weight)
     assert added[6:] == pytest.approx(weight * rises, abs=1e-8)
     assert np.abs(added[6:]).max() > 1e-3
-    assert load_by_mujoco(loaded, qpos) == pytest.approx(
-        Configuration(loaded, qpos).load(), abs=1e-9
-    )
+    ours = Configuration(loaded, qpos).load()
+    assert load_by_mujoco(loaded, qpos) == pytest.approx(ours, abs=1e-9)
     assert loaded.total_mass == pytest.approx(robot.total_mass + mass)
     with pytest.raises(pa.UnknownNameError, match="leg_front_l_2"):
         find_tool(robot, "hand")
@@ -78,11 +77,8 @@ def test_a_payload_keeps_changed_effort_limits() -> None:
     twice = with_payload(with_payload(robot, 1.0, POINT), 1.0, POINT)
     once = with_payload(robot, 2.0, POINT)
     qpos, _ = random_state(robot, 3)
-    np.testing.assert_allclose(
-        pa.Configuration(twice, qpos).mass_matrix(),
-        pa.Configuration(once, qpos).mass_matrix(),
-        atol=1e-12,
-    )
+    one, two = (pa.Configuration(each, qpos).mass_matrix() for each in (once, twice))
+    np.testing.assert_allclose(two, one, atol=1e-12)
 
 
 def test_a_fixed_base_carries_nothing() -> None:

@@ -128,17 +128,13 @@ def test_a_large_robot_is_compared_without_pinocchios_data(
     result = pa.compare_models(*written(60, 4, heavier=3))
     assert workspaces == []
     masses = [d for d in result.differences if d.kind == "mass"]
-    assert (
-        {d.element for d in result.differences}
-        == {"j0_0", "j0_1", "j0_2"}
-        == {d.element for d in masses}
-    )
+    assert len(masses) == len(result.differences)
+    assert {d.element for d in masses} == {"j0_0", "j0_1", "j0_2"}
     assert all((d.urdf, d.mjcf) == (0.1, 0.11) for d in masses)
     assert result.complete
     assert not result.engines
-    assert any(
-        "246 degrees of freedom would take 0.5 GB" in str(note) for note in result.check.notes
-    )
+    notes = " ".join(map(str, result.check.notes))
+    assert "246 degrees of freedom would take 0.5 GB" in notes
     edges = result.check.quantities[0].edges
     assert set(edges) == {"models (MuJoCo)", "models (reader)", "readers (URDF)", "extras (MJCF)"}
 
