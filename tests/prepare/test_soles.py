@@ -164,12 +164,9 @@ def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
     box = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2" euler="0 0.6 0"/>'
     pair = quadruped(tmp_path, foot=box, floor=True)
     robot = pa.load_robot(*pair)
-    tilted, found = (
-        pa.verify_stand(
-            robot, pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(height=height))
-        )
-        for height in (0.3, 0.36)
-    )
+    tasks = (pa.StandTask(height=height) for height in (0.3, 0.36))
+    stands = (pa.stance.solve_stand_on_soft_ground(robot, task) for task in tasks)
+    tilted, found = (pa.verify_stand(robot, stand) for stand in stands)
     assert tilted.passed  # on an edge each
     assert not found.passed
     cause = found.failures[-1]
@@ -214,9 +211,8 @@ def test_an_ellipsoid_touches_where_it_is_lowest(size: str, tmp_path: Path) -> N
         assert touch.dist == pytest.approx(-1e-4, abs=1e-6)
     if len(set(size.split())) == 1:
         assert set(robot.contact_radius.values()) == {0.02}
-        assert (
-            pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).torque_error < 1e-5
-        )
+        soft = pa.stance.solve_stand_on_soft_ground(robot)
+        assert pa.verify_stand(robot, soft).torque_error < 1e-5
 
 
 def test_a_round_sole_touches_on_its_rim(tmp_path: Path) -> None:

@@ -322,8 +322,8 @@ def test_what_a_urdf_has_in_other_links_is_not_weighed_twice(tmp_path: Path) -> 
 def test_a_rod_called_like_its_ball_joint_keeps_its_connect(tmp_path: Path) -> None:
     """Cassie's achilles rods are: their loops were dropped with the joints."""
     pair = four_bars(tmp_path, in_urdf=False)
-    axis, ball = ('<joint name="{}_pin" axis="0 1 0" range="-3 3" />',
-                  '<joint name="{}_rod" type="ball" />')  # fmt: skip
+    axis = '<joint name="{}_pin" axis="0 1 0" range="-3 3" />'
+    ball = '<joint name="{}_rod" type="ball" />'
     rewritten(pair.mjcf, *((axis.format(leg), ball.format(leg)) for leg in LEGS))
     assert any("were opened: connect #0 (" in str(note) for note in load(pair).notes)
 
