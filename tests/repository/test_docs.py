@@ -139,6 +139,13 @@ def test_the_reference_has_all_there_is(generated: Path) -> None:
     assert tables.count("\n## ") == len(list(DATA.glob("*.csv")))
 
 
+def test_the_picture_of_the_architecture_is_current() -> None:
+    drawing = script("docs/draw_architecture.py")
+    assert drawing.embedded() == drawing.facts(drawing.folder_graph(), drawing.tool_graph()), (
+        "draw it again: python docs/draw_architecture.py"
+    )
+
+
 def test_every_room_is_described_in_the_architecture() -> None:
     described = [row[0] for row in rows("docs/explanation/architecture.md") if len(row) == 4]
     assert described == [f"`{room}/`" for room in FLOOR]

@@ -53,6 +53,7 @@ def without(tool: str, folder: Path) -> Path:
     copy = folder / "checkout"
     shutil.copytree(ROOT, copy, ignore=left_out)
     shutil.copytree(ROOT / "docs/how-to", copy / "docs/how-to")  # of which tests take examples
+    shutil.copy(ROOT / "docs/draw_architecture.py", copy / "docs")  # which knows who imports whom
     for one in gone:
         shutil.rmtree(copy / "pupper_analysis/tools" / one)
         shutil.rmtree(copy / "tests/tools" / one, ignore_errors=True)

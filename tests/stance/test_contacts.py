@@ -25,7 +25,6 @@ from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.problem import ground_normals
 from pupper_analysis.stance.sag.equilibrium import ground_points
 from pupper_analysis.statics.support_polygon import margin_of_place
-from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.stand.stance import largest_presses
 from pupper_analysis.tools.study.design import task_of
 from pupper_analysis.tools.study.study import Study
@@ -729,10 +728,11 @@ def test_what_cannot_be_says_what_can(
 
 def test_a_path_keeps_its_contacts(armed: pa.Robot) -> None:
     """A hand stays on its table, and forces balance the motion; others' tables are refused."""
+    plan = pytest.importorskip("pupper_analysis.tools.path.plan")
     contacts = table(0.6) | {"RL_calf": pa.Contact(pa.Slope(0.2, 0.5))}
     one = pa.StandTask(contacts=contacts)
     tasks = [one, pa.StandTask(contacts=contacts, pitch=0.05, height=0.95 * armed.stand_height)]
-    path = stance_path(armed, tasks, 1.0, rate=20.0, rolling=False)
+    path = plan.stance_path(armed, tasks, 1.0, rate=20.0, rolling=False)
     robot = touching(armed, contacts)
     first, last = (pa.Configuration(robot, qpos).foot_positions() for qpos in path.qpos[[0, -1]])
     for foot, place in path.stances[1].foot_targets.items():
@@ -749,7 +749,7 @@ def test_a_path_keeps_its_contacts(armed: pa.Robot) -> None:
     assert config.robot is robot
     np.testing.assert_allclose(pushed, acceleration, atol=0.02 * np.abs(acceleration).max() + 1e-3)
     with pytest.raises(pa.ConfigurationError, match="different grounds"):
-        stance_path(armed, [one, pa.StandTask(contacts=table(0.6))], 1.0)
+        plan.stance_path(armed, [one, pa.StandTask(contacts=table(0.6))], 1.0)
 
 
 def test_a_contact_is_seen_in_a_picture(armed: pa.Robot, tmp_path: Path) -> None:
