@@ -67,10 +67,10 @@ class Balance:
         return self.solve(friction, metric, np.zeros(self.base.shape[1]))
 
     def pressing(self) -> Array | None:
-        """Returns the f (3 n + 6 w,) of least |tau| that only presses; None if there is none.
+        """Returns the f (3 n + 6 w + 3 g,) of least |tau| that only presses; None if there is none.
 
         Beside a weld, which takes what is left, that is what lasts: no force along a plane, so that
-        nothing creeps, and along normals those that spare the motors. Beside grips alone
+        nothing creeps, and along normals those that spare the motors. Beside grips alone, no weld,
         they are as equal as may be: to spare motors a sole would stand on its edge.
         """
         count, size = len(self.normals), self.base.shape[1]
@@ -83,7 +83,8 @@ class Balance:
             joints=self.joints @ along,
             normals=np.zeros((0, 3)),
         )
-        if 3 * (count + len(self.grips)) == size:
+        welded = size > 3 * (count + len(self.grips))
+        if not welded:
             own = replace(own, joints=np.eye(size - 2 * count), torques=np.zeros(size - 2 * count))
         found, nothing = own._without_cones(own.joints, own.torques), np.zeros(0)
         if found is not None and min([*found[:count], -own._violation(found, nothing)]) < 0:

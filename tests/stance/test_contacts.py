@@ -24,11 +24,10 @@ from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.problem import ground_normals
 from pupper_analysis.stance.sag.equilibrium import ground_points
-from pupper_analysis.statics.support_polygon import margin_of_place
 from pupper_analysis.tools.stand.stance import largest_presses
 from pupper_analysis.tools.study.design import task_of
 from pupper_analysis.tools.study.study import Study
-from tests.stance.test_slopes import edges_of, in_balance, sideways
+from tests.stance.test_slopes import edges_of, search_region, sideways
 from tests.support.legged import biped, quadruped, with_arm
 from tests.support.variants import load
 
@@ -383,17 +382,8 @@ def test_where_a_com_is_in_balance_is_what_a_search_says(armed: pa.Robot, seed: 
         edges_of(stand.normals[point], robot.contacts[point].sliding_friction)
         for point in stand.contact_points
     ]
-    ends = np.array(corners)
-    low, high = ends.min(axis=0), ends.max(axis=0)
-    size = float((high - low).max())
-    tried = {True: 0, False: 0}
-    random = np.random.default_rng(seed)
-    for place in random.uniform(low - 0.2 * size, high + 0.2 * size, (1000, 2)):
-        margin = margin_of_place((float(place[0]), float(place[1])), corners)
-        if abs(margin) > 0.01 * size:
-            assert in_balance(points, cones, place) is (margin > 0)
-            tried[margin > 0] += 1
-    assert min(tried.values()) > 100
+    shares = np.random.default_rng(seed).uniform(size=(1000, 2))
+    assert min(search_region(corners, points, cones, shares, 0.01)) > 100
 
 
 def test_a_task_comes_back_from_json_and_from_what_is_typed() -> None:
