@@ -384,3 +384,15 @@ def test_bad_arguments_are_refused(tmp_path: Path) -> None:
     with pytest.raises(pa.OutputError):
         pa.report.write_report(audit(), tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_rounded_below_zero_draws_no_second_side() -> None:
+    """Hips that hold nothing are -1e-17 N m by one robot's numbers, and 0 by another's."""
+
+    def limits(least: float) -> int:
+        bars = [document.Bar(Name("hip"), least, limit=18.0), document.Bar(Name("knee"), 0.4)]
+        axis, names = Axis(Name("torque"), "N m", "+.3f"), (Name("held"), None, None)
+        drawn = plots.draw_svg(document.BarPlot(Name("torques"), axis, bars, names))
+        return sum(mark.get("class") == "limit" for mark in drawn.marks)
+
+    assert (limits(0.0), limits(-1e-17), limits(-0.01)) == (1, 1, 2)

@@ -140,6 +140,10 @@ def _lines(plot: LinePlot) -> Drawing:
     return Drawing(plot.title, WIDTH, HEIGHT, tuple(marks), draw_legend(series), plot.note)
 
 
+_ROUNDED = 1e-9
+"""Of what is drawn: less below zero is rounding, and draws no second side."""
+
+
 @draw_svg.register
 def _bars(plot: BarPlot) -> Drawing:
     axis, bars = plot.axis, plot.bars
@@ -148,7 +152,7 @@ def _bars(plot: BarPlot) -> Drawing:
     wide, tall = WIDTH - names - values, step * len(bars)
     limits = [bar.limit for bar in bars if bar.limit is not None and math.isfinite(bar.limit)]
     reach = max([abs(bar.value) for bar in bars] + limits + [1e-9])
-    one_sided = all(bar.value >= 0 for bar in bars)
+    one_sided = all(bar.value >= -_ROUNDED * reach for bar in bars)
     low = 0.0 if one_sided else -reach
 
     def at(value: float) -> float:
