@@ -259,6 +259,20 @@ def test_a_hand_that_grips_pulls_where_the_com_is_beyond_the_feet(armed: pa.Robo
     np.testing.assert_allclose(sag.joint_torques, alone.joint_torques, atol=most)
 
 
+def test_a_grip_bears_what_a_foot_on_a_slope_pushes(armed: pa.Robot) -> None:
+    """What feet push aside, x more than y, the hand takes: no other force is level."""
+    task = gripping(armed)
+    slope = {"RL_calf": pa.Contact(pa.Slope(0.3, 0.5))}
+    stand = pa.solve_stand(armed, replace(task, contacts={**task.contacts, **slope}))
+    robot = stand.check(armed)
+    statics = pa.stance.stand_statics(robot, stand)
+    pull = statics.weld_wrenches["hand"][:3]
+    aside = sum(statics.contact_forces.values())[:2]
+    np.testing.assert_allclose(pull[:2], -aside, atol=1e-7 * robot.weight)
+    assert abs(pull[0]) > 1.5 * abs(pull[1]) > 0.1
+    assert not statics.weld_wrenches["hand"][3:].any()
+
+
 @pytest.mark.parametrize("strength", [30.0, 4.0])
 def test_what_grips_is_what_an_independent_programme_finds(
     armed: pa.Robot, strength: float
