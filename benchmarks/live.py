@@ -22,7 +22,7 @@ from pupper_analysis.tools.live.model import Model, predict_sag
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.server import LOOPBACK
 from pupper_analysis.tools.live.session import Panels, Session
-from pupper_analysis.tools.live.state import LiveVariants, State
+from pupper_analysis.tools.live.state import State, source_of_variant
 
 
 class Still(Session):
@@ -34,14 +34,14 @@ class Still(Session):
 
 def measure(variant: str, moves: int) -> dict[str, list[float]]:
     """Returns the times (s) of the parts of each move."""
-    model = Model(LiveVariants(pa.VARIANTS[variant]))
+    model = Model(source_of_variant(pa.VARIANTS[variant]))
     port = render.free_port(LOOPBACK, None)
     server = render.start_server(LOOPBACK, port, "benchmark")
     taken: dict[str, list[float]] = {name: [] for name in ("solve and forces", "scene", "words")}
     wall = taken["all, by the clock"] = []
     try:
         scene = Scene(server.scene)
-        panels = Panels(server, model, f"{LOOPBACK}:{port}", Still())
+        panels = Panels(server, model, Still(), render.Language())
         for angle in np.sin(np.linspace(0.0, 12.0, moves)):
             begun, since = time.perf_counter(), time.thread_time()
             answer = model.answer(State(roll=float(12 * angle), height=130.0))

@@ -17,22 +17,22 @@ from playwright.sync_api import Browser, sync_playwright
 
 import pupper_analysis as pa
 from pupper_analysis.tools.live.server import Page
-from pupper_analysis.tools.live.state import LiveVariants, parse_state, write_link
+from pupper_analysis.tools.live.state import State, source_of_variant
 from pupper_analysis.tools.stand.stance import study_stance
 
 IMAGES = Path(__file__).resolve().parent / "images"
 OPTIONS = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
-STATE = "height:128;pitch:-3;lift:FL,25;place:inside;com_margin:10;slope:7"
+STATE = State("inside", height=128.0, pitch=-3.0, swing={"FL": 25.0}, com_margin=10.0, slope=7.0)
 PATIENCE = 120_000.0
 """ms: without graphics hardware a picture takes seconds."""
 
 
 def live(browser: Browser, path: Path) -> None:
     """The live page: v3 on three legs, uphill, and the simulated robot beside it."""
-    served = Page(LiveVariants(pa.VARIANTS["v3"]))
+    served = Page(source_of_variant(pa.VARIANTS["v3"]), STATE)
     page = browser.new_page(viewport={"width": 1240, "height": 840})
     page.set_default_timeout(PATIENCE)
-    page.goto(write_link(served.address.removeprefix("http://").rstrip("/"), parse_state(STATE)))
+    page.goto(served.address)
     page.add_style_tag(content=".mantine-Notification-root {visibility: hidden}")
     page.get_by_text("leg_back_l_3").first.wait_for()
     page.locator("[role=tab]", has_text="MuJoCo").first.click()

@@ -185,7 +185,7 @@ def kinds() -> tuple[Kind, ...]:
         Kind(
             "stance.toml", b"height = '12cm'\nroll = 0.1\n[swing]\nFL = '2cm'\n", read_stance_file
         ),
-        Kind("study.toml", _STUDY, lambda path: Study.read(path, own_metrics=False)),
+        Kind("study.toml", _STUDY, Study.read),
         Kind("study.json", b'{"format": 1, "study": {"robot": "v3", "seed": 1}}\n', _read_store),
         Kind("map.toml", b'"hip" = "hip_joint"\n"knee" = "knee_joint"\n', read_mapping),
         Kind("pupper-analysis.toml", _CONFIG, read_config),

@@ -107,7 +107,6 @@ STAND_TABLE: Final = Kind("table of a stand", begins("joint,position (rad),torqu
 PLAN: Final = Kind("plan of stands", _is_plan, keeps=_is_filled_in)
 RECORD: Final = Kind("table of stands", lambda file: _plan_cells(file) is not None, edits=True)
 OFFSETS: Final = Kind("table of offsets", begins("joint,offset_rad,offset_deg\n"))
-RANGES: Final = Kind("file of ranges", begins("# Domain randomization."))
 MODEL: Final = Kind("model")
 """A model: people go on with it, so that it is replaced when it is asked for alone."""
 

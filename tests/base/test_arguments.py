@@ -21,7 +21,7 @@ from tests.support.variants import load, stand_of
 
 APART = {  # below, each with an argument that is wrong
     *("to_json", "load_robot", "fit", "fit_motion", "fit_stands", "pareto_front", "study_outcome"),
-    *("plan_stands", "tool_payload", "write_design", "write_plan", "write_randomisation"),
+    *("plan_stands", "tool_payload", "write_design", "write_plan"),
     "write_report",
 }
 OFFERED = {
@@ -180,7 +180,6 @@ def test_what_studies_and_reports_are_given_wrong(junk: Any, tmp_path: Path) -> 
         "table": lambda: pa.study.pareto_front(junk, {"mass": "min"}),
         "study": lambda: pa.study.study_outcome(junk, tmp_path / "x"),
         "study:": lambda: pa.study.write_design(junk, 1, tmp_path / "x"),
-        "spreads": lambda: pa.study.write_randomisation(junk, tmp_path / "x.yaml"),
         "results": lambda: pa.report.write_report(junk, tmp_path / "x.html"),
     }
     for field, call in calls.items():

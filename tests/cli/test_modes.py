@@ -28,7 +28,6 @@ def test_defaults_are_not_typed_and_new_options_are_refused() -> None:
 
 
 V3 = (str(ROOT / "urdf/pupper_v3.urdf"), str(ROOT / "mjcf/pupper_v3.xml"))
-STUDY = ("study", "study.toml", "-o", "out")
 _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("analyze", "v3", "--no-figures"): (("-o", "out"),),
     ("analyze", "v3", "--format", "markdown"): (("-q",),),
@@ -48,10 +47,6 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
         *(("--armature", "1"), ("--sag", "1deg"), ("--damping-ratio", "1")),
         *(("--repair-inertia",), ("--copy-meshes",)),
     ),
-    (*STUDY, "--dry-run"): (
-        ("--report", "r.html"),
-        *(("--minimise", "servo_sag"), ("--maximise", "servo_sag"), ("--write", "1")),
-    ),
     ("walk", "v3", "--policy", "policy.json"): (("--fit", "fit.json"),),
     ("walk", "v3", "--policy", "policy.json", "--orders"): (
         *(("--command", "1,0,0"), ("--seeds", "2"), ("--vary", "mass"), ("--fit", "fit.json")),
@@ -59,7 +54,7 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("live", "v3", "--drop", "--headless"): (("--port", "1"), ("--fixed-base",)),
     ("live", "v3", "--mujoco", "--headless"): (("--port", "1"),),
     ("live", "v3", "--no-browser"): (("--headless",),),
-    ("live", "arm.urdf", "--no-browser"): (("--stance", "height:120"),),
+    ("live", "arm.urdf", "--no-browser"): (("--stance", "stands.csv"),),
     ("check", "--init"): (("--format", "sarif"), ("--json", "a.json")),
     ("analyze", "--list"): (("--height", "12cm"), ("--verbose",)),
     ("audit", "--list-rules"): (("--json", "a.json"),),
@@ -79,8 +74,6 @@ IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMANDS}
 
 @pytest.mark.parametrize("line", IDLE, ids=lambda line: " ".join(Path(one).name for one in line))
 def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_path: Path) -> None:
-    study = 'robot = "v3"\nmeasure = ["servo_sag"]\n[vary]\nkp = { values = [5] }\n'
-    (tmp_path / "study.toml").write_text(study)
     (tmp_path / "arm.urdf").write_text(urdf_text(arm()))
     (tmp_path / "stands.csv").touch()
     for more in IDLE[line]:
@@ -90,7 +83,7 @@ def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_pat
         option = {"-o": "--output", "-q": "--quiet", "--free-base": "--fixed-base"}
         shown = option.get(more[0], more[0])
         assert given.stderr.startswith(f"error: {shown}: "), given
-    assert {path.name for path in tmp_path.iterdir()} == {"study.toml", "arm.urdf", "stands.csv"}
+    assert {path.name for path in tmp_path.iterdir()} == {"arm.urdf", "stands.csv"}
 
 
 def test_a_stance_of_a_file_may_say_more_than_a_command_uses(tmp_path: Path) -> None:

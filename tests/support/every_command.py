@@ -228,10 +228,12 @@ def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
     from pupper_analysis.tools.live import model as live
     from pupper_analysis.tools.live.documents import simulation_document
     from pupper_analysis.tools.live.render import Language, render_panel
-    from pupper_analysis.tools.live.state import State, load_source
+    from pupper_analysis.tools.live.state import State, source_of_files
 
     try:
-        asked = live.Model(load_source(RobotFiles.of(str(urdf), mjcf=str(mjcf)))).answer(State())
+        asked = live.Model(source_of_files(RobotFiles.of(str(urdf), mjcf=str(mjcf)))).answer(
+            State()
+        )
         if asked.refusal is not None:
             raise asked.refusal
         stance = live.simulate_stance(asked)

@@ -23,13 +23,13 @@ from pupper_analysis.cli.robots import (
 )
 from pupper_analysis.cli.stance_fields import TYPED, options_of, stance_option, task_of
 from pupper_analysis.cli.stance_options import GAINS, LOAD
-from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
+from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.tools.walk.modes import COMMAND, CONTRACT, walked_robot
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.tools.live.server import Served, Where
-    from pupper_analysis.tools.live.state import LiveSource, State
+    from pupper_analysis.tools.live.state import State
 
 _ROBOT = frozenset(("words", *(one.name for one in fields(RobotOptions))))
 _USES = {
@@ -46,9 +46,8 @@ _USES = {
 @add_options(FILES, VARIANT)
 @click.option(
     "--stance",
-    default="",
-    help="Initial stance of the page: a TOML file, as it saves one, or what its address shows; "
-    "e.g. 'height:120;roll:5'.",
+    type=click.Path(path_type=Path),
+    help="TOML file of the page's initial stance, as it saves one; e.g. stance.toml.",
 )
 @click.option(
     "--language",
@@ -87,7 +86,7 @@ def command(
     policy: Path | None,
     contract: Path | None,
     asked: str,
-    stance: str,
+    stance: Path | None,
     language: str,
     host: str,
     port: int | None,
@@ -113,7 +112,7 @@ def command(
       pupper-analysis live
       pupper-analysis live long-leg --port 8080 --no-browser
       pupper-analysis live v3 --language zh
-      pupper-analysis live v3 --stance 'height:120;roll:5;lift:FL,20'
+      pupper-analysis live v3 --stance stance.toml
       pupper-analysis live go1.urdf
       pupper-analysis live v3 --policy policy_latest.json --command 0.5,0,0
       pupper-analysis live long-leg --mujoco --fixed-base
@@ -142,22 +141,19 @@ def command(
     _open_page(meant, stance, browser=not no_browser, **where)
 
 
-def read_stance(text: str) -> State:
-    """Returns the state of a page's address, or of a stance's file.
+def read_stance(path: Path) -> State:
+    """Returns the state of a stance's file.
 
     Raises:
         ConfigurationError: If it is none, or none that the sliders have.
     """
-    from pupper_analysis.tools.live.state import OF_THE_ROBOT, on_page, parse_state, state_of_task
-
-    if not Path(text).is_file():
-        return parse_state(text)
+    from pupper_analysis.tools.live.state import OF_THE_ROBOT, on_page, state_of_task
 
     def typed(**_: object) -> None:
         """Takes the options of a stance."""
 
     options = add_options((stance_option,), LOAD, GAINS, options_of())
-    given = click.command(options(typed)).make_context("stance", ["--stance", text]).params
+    given = click.command(options(typed)).make_context("stance", ["--stance", str(path)]).params
     more = {"payload": given["payload"]}
     if given["payload_at"] is not None:
         place = shared.parse_place("payload-at", given["payload_at"])
@@ -169,34 +165,32 @@ def read_stance(text: str) -> State:
 
 
 def _open_page(
-    meant: str | VariantSpec | RobotFiles, stance: str, *, browser: bool, **where: Unpack[Where]
+    meant: str | VariantSpec | RobotFiles,
+    stance: Path | None,
+    *,
+    browser: bool,
+    **where: Unpack[Where],
 ) -> None:
     """Serves the page until Ctrl-C."""
     from pupper_analysis.tools.live.held import HeldPage
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.server import Page
-    from pupper_analysis.tools.live.state import load_source
+    from pupper_analysis.tools.live.state import source_of_files, source_of_variant
 
     import_viser()  # before anything is loaded
-    begin = read_stance(stance)
-    source: LiveSource
+    begin = None if stance is None else read_stance(stance)
     if isinstance(meant, RobotFiles):
         with shared.show_progress("preparing the robot: feet, start pose, servos"):
-            source = load_source(RobotFiles.of(*meant.models, **meant.options))
-        if not source.loaded.floating:
+            source = source_of_files(RobotFiles.of(*meant.models, **meant.options))
+        if not source.robot.floating:
             refuse_idle(str(meant), "stance")
-        print_notes(source.robot({}))
+        print_notes(source.robot)
     else:
         from pupper_analysis.pupper.variants import variant_spec
-        from pupper_analysis.tools.live.state import LiveVariants
 
-        source = LiveVariants(variant_spec(meant))
+        source = source_of_variant(variant_spec(meant))
     with shared.show_progress("making the page"):
-        page: Page | HeldPage
-        if isinstance(source, FileSource) and not source.loaded.floating:
-            page = HeldPage(source, **where)
-        else:
-            page = Page(source, begin, **where)
+        page = Page(source, begin, **where) if source.robot.floating else HeldPage(source, **where)
     _serve(page, where["host"], browser=browser)
 
 

@@ -44,7 +44,6 @@ class Controls:
     Args:
         gui: viser's interface of one page.
         robot: The robot as it is on a page just opened.
-        scales: {name of a scale that it can be made with: its own}.
         say: The page's language.
         changed: What is called when the state has changed.
     """
@@ -53,7 +52,6 @@ class Controls:
         self,
         gui: Any,
         robot: Robot,
-        scales: Mapping[str, float],
         say: Language,
         changed: Callable[[], None],
     ) -> None:
@@ -61,7 +59,7 @@ class Controls:
         self._robot = robot
         self._lock = threading.RLock()
         self._state = State()
-        self._ranges = ranges_of(robot, scales)
+        self._ranges = ranges_of(robot)
         self._feet = {escape_control(foot): foot for foot in robot.feet}
         self.sliders: dict[str, Any] = {}
 
@@ -105,20 +103,19 @@ class Controls:
     def body(self) -> None:
         """Adds what says what it carries, and which robot it is."""
         gui, say = self._gui, self._say
-        for folder in ("Payload", "Legs and torso", "Servos"):
-            if any(_folder(CONTROLS[name].field) == folder for name in self._ranges):
-                with gui.add_folder(term(folder, say.code)):
-                    if folder == "Payload":
-                        links = {escape_control(link): link for link in self._robot.structure.links}
-                        self.on = gui.add_dropdown(say("payload-on"), list(links))
-                        self._links = links
-                    self._add(folder)
+        for folder in ("Payload", "Servos"):
+            with gui.add_folder(term(folder, say.code)):
+                if folder == "Payload":
+                    links = {escape_control(link): link for link in self._robot.structure.links}
+                    self.on = gui.add_dropdown(say("payload-on"), list(links))
+                    self._links = links
+                self._add(folder)
         self.on.on_update(self._when(self._with_link))
 
     def _add(self, folder: str, *but: str) -> None:
         """Adds the sliders under a heading."""
         for name, control in CONTROLS.items():
-            if name in self._ranges and name not in but and _folder(control.field) == folder:
+            if name not in but and _folder(control.field) == folder:
                 self._add_one(control)
 
     def _add_one(self, control: Control) -> None:
@@ -285,15 +282,6 @@ class Controls:
                 values = getattr(state, control.field.name)
                 usual = self._ranges[name].value
                 self._slide(name, control.of(values[foot]) if foot in values else usual)
-
-    def follow(self, robot: Robot) -> None:
-        """Lets what nobody has set be what is usual for a robot."""
-        with self._lock:
-            for name, field in FIELDS.items():
-                if field.per or field.nominal == "zero" or not field.slider:
-                    continue
-                if getattr(self._state, name) is None:
-                    self._slide(field.address, round(1e3 * getattr(robot, field.nominal), 2))
 
 
 def _folders(fields: Mapping[str, Field]) -> list[str]:
@@ -473,23 +461,16 @@ class Range:
     value: float
 
 
-def ranges_of(robot: Robot, scales: Mapping[str, float]) -> dict[str, Range]:
+def ranges_of(robot: Robot) -> dict[str, Range]:
     """Returns the range of each slider: in mm, degrees, kg and N m/rad.
 
     Lengths are parts of the height of the nominal stand, so that they suit a robot of any size.
-
-    Args:
-        robot: The robot.
-        scales: {name of a scale that it can be made with: its own}.
     """
     found = {}
     for name, control in CONTROLS.items():
         field, slider = control.field, control.field.slider
         assert slider is not None  # or the page would not show it
-        if field.kind == "ratio":
-            if name in scales:
-                found[name] = _scale(slider, scales[name])
-        elif field.kind in ("stiffness", "damping"):
+        if field.kind in ("stiffness", "damping"):
             found[name] = _gain(field, slider, robot)
         elif field.kind == "angle":
             found[name] = Range(slider.low, slider.high, slider.step or 0.1, 0.0)
@@ -508,10 +489,6 @@ def _span(field: Field, slider: Slider, robot: Robot) -> Range:
     if slider.start is not None:
         value = min(1e3 * slider.start, high)
     return Range(step if field.open and low == 0.0 else low, high, step, value)
-
-
-def _scale(slider: Slider, own: float) -> Range:
-    return Range(min(slider.low, own), max(slider.high, own), slider.step or 0.01, own)
 
 
 def _gain(field: Field, slider: Slider, robot: Robot) -> Range:

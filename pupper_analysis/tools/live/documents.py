@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-import numpy as np
-
 from pupper_analysis.base.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
@@ -23,7 +21,6 @@ from pupper_analysis.present.verdict import clause_text, verdict_clauses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.tools.hold.document import hardest_motor
 from pupper_analysis.tools.live.access import without_folders
 from pupper_analysis.tools.live.model import Answer, PredictedSag
 from pupper_analysis.tools.push.bench import PushTrial
@@ -141,14 +138,8 @@ _AS_SIMULATED = doc.Lines((text("orange-as-simulated"),))
 
 def held_document(robot: Robot, statics: GravityCompensation) -> doc.Document:
     """Returns what the motors hold with the base held: without a simulation there is no verdict."""
-    limits = np.array(robot.effort_limits)
-    blocks: list[doc.Block] = [torque_table(statics, limits.tolist())]
-    hardest = tuple(hardest_motor(statics, limits))
-    if hardest:
-        blocks.insert(-1, doc.Lines(hardest))
-    return doc.Document(
-        text("held-posture"), doc.Name(robot.name), tuple(blocks), passed=None, verdict=None
-    )
+    table = torque_table(statics, robot.effort_limits.tolist())
+    return doc.Document(text("held-posture"), doc.Name(robot.name), (table,))
 
 
 def failure_document(error: PupperAnalysisError) -> doc.Document:

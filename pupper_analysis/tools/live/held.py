@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.prepare.convert.files import FileSource
-from pupper_analysis.present.document import text
-from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.present.scene import joint_axes
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.posture import Posture, find_posture
 from pupper_analysis.statics.equilibrium import gravity_compensation
-from pupper_analysis.tools.hold.hold import hold_posture
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.controls import JointSliders, led_joints
 from pupper_analysis.tools.live.documents import (
@@ -36,7 +31,7 @@ from pupper_analysis.tools.live.scene import (
     quaternion_along,
 )
 from pupper_analysis.tools.live.server import Served, Where
-from pupper_analysis.tools.live.state import hold_command
+from pupper_analysis.tools.live.state import LiveSource, hold_command
 
 Array = NDArray[np.float64]
 
@@ -47,7 +42,7 @@ _DISC, _ABOVE = 0.035, 0.1
 class HeldSession:
     """What a browser sees and does.
 
-    One thread answers it: where the sliders are, and a simulation when that is asked for.
+    One thread answers it.
 
     Args:
         client: viser's handle of the browser.
@@ -55,12 +50,10 @@ class HeldSession:
         say: The page's language.
     """
 
-    def __init__(self, client: Any, source: FileSource, say: Language) -> None:
+    def __init__(self, client: Any, source: LiveSource, say: Language) -> None:
         self._client, self._source, self._say = client, source, say
-        self._robot = robot = source.loaded
+        self._robot = robot = source.robot
         self._asked, self._closed = threading.Event(), threading.Event()
-        self._lock = threading.Lock()
-        self._simulate = False
         start = find_posture(robot)
         gui, scene = client.gui, client.scene
         self._numbers = render.Numbers(gui, say, "solving")
@@ -68,9 +61,6 @@ class HeldSession:
             gui, robot, led_joints(robot), start.qpos, lambda _joint, _at: self._asked.set()
         )
         self._command = gui.add_text(say("as-a-command"), "", multiline=True)
-        simulate = gui.add_button(say("simulate"), hint=say("hint-simulate"))
-        self._result = gui.add_html(render.render_hint(text("not-simulated-yet"), say))
-        simulate.on_click(lambda _: self.simulate())
         self._figure = Figure(scene, "/held", robot, parts_of(robot.mj_model))
         self._size = size = robot_size(robot, start)
         scene.add_grid("/ground", 4 * size, 4 * size, cell_size=size / 10, section_size=size / 2)
@@ -89,34 +79,20 @@ class HeldSession:
         self._closed.set()
         self._asked.set()
 
-    def simulate(self) -> None:
-        """Simulates the posture."""
-        with self._lock:
-            self._simulate = True
-        self._result.content = render.render_waiting(text("simulating"), self._say)
-        self._asked.set()
-
     def _answering(self) -> None:
         while not self._closed.is_set():
             self._asked.wait()
             self._asked.clear()
             if self._closed.is_set():
                 return
-            with self._lock:
-                simulate, self._simulate = self._simulate, False
-            self._safely(self._show)
-            if simulate:
-                self._safely(self._hold)
-
-    def _safely(self, work: Callable[[], None]) -> None:
-        """Does some work; what is wrong with it is shown, and the page lives on."""
-        try:
-            work()
-        except PupperAnalysisError as error:
-            self._numbers.content = render.render_panel(failure_document(error), self._say)
-        except Exception as error:  # a bug: the page tells of it, and goes on
-            if not self._closed.is_set():
-                self._numbers.content = render.render_panel(unexpected_document(error), self._say)
+            try:
+                self._show()
+            except PupperAnalysisError as error:
+                self._numbers.content = render.render_panel(failure_document(error), self._say)
+            except Exception as error:  # a bug: the page tells of it, and goes on
+                if not self._closed.is_set():
+                    message = unexpected_document(error)
+                    self._numbers.content = render.render_panel(message, self._say)
 
     def _show(self) -> None:
         """Shows the posture that the sliders say, and what its motors hold."""
@@ -129,21 +105,13 @@ class HeldSession:
         hardest = max(axes, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
         with self._client.atomic():
             self._numbers.content = message
-            self._command.value = escape_control(hold_command(self._source, {}, positions))
+            self._command.value = escape_control(hold_command(self._source, positions))
             self._figure.pose(posture.qpos)
             for disc, one in zip(self._discs, axes, strict=True):
                 disc.color, disc.position = colour_of(one.share), one.place
                 disc.wxyz = quaternion_along(one.direction)
             self._label.text = joint_text(hardest.name, hardest.torque or 0.0, hardest.share)
             self._label.position = hardest.place + np.array([0.0, 0.0, _ABOVE * self._size])
-
-    def _hold(self) -> None:
-        """Simulates the posture; what is wrong with it is its result."""
-        try:
-            message = build_document(hold_posture(self._robot, self.joints.changed()))
-        except PupperAnalysisError as error:
-            message = failure_document(error)
-        self._result.content = render.render_panel(message, self._say)
 
 
 class HeldPage(Served):
@@ -158,14 +126,14 @@ class HeldPage(Served):
         MissingPackageError: If viser is not installed.
     """
 
-    def __init__(self, source: FileSource, **where: Unpack[Where]) -> None:
+    def __init__(self, source: LiveSource, **where: Unpack[Where]) -> None:
         render.import_viser()  # before the work
-        robot = source.loaded
+        robot = source.robot
         size = robot_size(robot, find_posture(robot))
         super().__init__(
             robot.name,
             size,
-            lambda client, _at, _asked, say: HeldSession(client, source, say),
+            lambda client, say: HeldSession(client, source, say),
             **where,
         )
 

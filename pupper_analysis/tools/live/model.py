@@ -94,26 +94,21 @@ class Model:
         self._robots: OrderedDict[object, Robot] = OrderedDict()
         self._lock = threading.Lock()
 
-    @staticmethod
-    def _key(state: State) -> object:
-        at = state.payload_point() if state.payload else None
-        return tuple(sorted(state.scales().items())), state.payload, at
-
     def robot(self, state: State) -> Robot:
         """Returns a state's robot, with its payload.
 
         Raises:
             PupperAnalysisError: If there is none.
         """
-        key = self._key(state)
+        if not state.payload:
+            return self.source.robot
+        key = state.payload, state.payload_point()
         with self._lock:
             if key in self._robots:
                 self._robots.move_to_end(key)
                 return self._robots[key]
         # Made without the lock: other pages go on meanwhile.
-        robot = self.source.robot(state.scales())
-        if state.payload:
-            robot = with_payload(robot, state.payload, state.payload_point())
+        robot = with_payload(self.source.robot, *key)
         with self._lock:
             robot = self._robots.setdefault(key, robot)
             while len(self._robots) > _MOST_CACHED_ROBOTS:

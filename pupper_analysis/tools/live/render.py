@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gzip
 import io
 import logging
 import socket
@@ -14,8 +13,8 @@ from functools import singledispatch
 from html import escape
 from http import HTTPStatus
 from importlib import import_module
-from typing import Any, Final
-from urllib.parse import parse_qs, urlsplit
+from typing import Any
+from urllib.parse import urlsplit
 
 from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
@@ -123,10 +122,8 @@ def _behind(access: Access) -> Iterator[None]:
                 message = "".join(f"{refusal.text(language)}\n" for language in LANGUAGES)
                 return connection.respond(HTTPStatus.FORBIDDEN, message)
             response = answer(connection, request)
-            if response is not None and urlsplit(request.path).path == "/":
-                _follow_scheme(response)
-                if access.token:
-                    response.headers["Set-Cookie"] = access.cookie
+            if response is not None and access.token and urlsplit(request.path).path == "/":
+                response.headers["Set-Cookie"] = access.cookie
             return response
 
         own = {"process_request": answered, "max_size": MOST_BYTES, "close_timeout": FAREWELL}
@@ -137,25 +134,6 @@ def _behind(access: Access) -> Iterator[None]:
         yield
     finally:
         websockets.serve = serve
-
-
-_SCHEME: Final = b"""<head><script>
-{
-  const here = new URL(location), dark = matchMedia("(prefers-color-scheme: dark)").matches
-  here.searchParams[dark ? "set" : "delete"]("darkMode", "")
-  if (dark || location.search.includes("darkMode")) history.replaceState(null, "", here)
-}
-</script>"""
-"""viser's page is dark where its address says so: here, if the browser's other pages are."""
-
-
-def _follow_scheme(response: Any) -> None:
-    packed = response.headers.get("Content-Encoding") == "gzip"
-    page = gzip.decompress(response.body) if packed else response.body
-    page = page.replace(b"<head>", _SCHEME, 1)
-    response.body = gzip.compress(page, 1) if packed else page
-    del response.headers["Content-Length"]
-    response.headers["Content-Length"] = str(len(response.body))
 
 
 def stop_server(server: Any) -> None:
@@ -191,20 +169,6 @@ class Numbers:
 
 
 _PHONE = "<style>.pa-phone{display:none}@media (max-width:36em){.pa-phone{display:block}}</style>"
-
-
-def asked_for(server: Any, client_id: int) -> tuple[str, str]:
-    """Returns how a browser reaches the server, and which state it asks for.
-
-    viser keeps the request to itself; where that is not found, it asks for none.
-    """
-    try:
-        request = server._websock_server._live_connections[client_id].request
-        address = str(request.headers["Host"])
-        given = parse_qs(urlsplit(request.path).query, separator="&")
-    except (AttributeError, KeyError, TypeError, ValueError):
-        return f"{server.get_host()}:{server.get_port()}", ""
-    return address, given.get("state", [""])[0]
 
 
 # The language of a page: its texts are those of the report's catalogue, and so is its Chinese.

@@ -9,7 +9,6 @@ import webbrowser
 from collections.abc import Callable
 from typing import Any, TypedDict, Unpack
 
-from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.joints import placed_joints
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.tools.live import render
@@ -17,7 +16,7 @@ from pupper_analysis.tools.live.access import Access
 from pupper_analysis.tools.live.model import Model
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.session import Session
-from pupper_analysis.tools.live.state import LiveSource, State, parse_state
+from pupper_analysis.tools.live.state import LiveSource, State
 
 LOOPBACK = "127.0.0.1"
 
@@ -41,8 +40,7 @@ class Served:
     Args:
         robot: The robot's name, which the page is called by.
         size: How large it is (m): where it is looked at from.
-        session: Makes a browser's session of viser's handle of it, host and port as it reaches the
-            server, the state that it asks for, and the language.
+        session: Makes a browser's session of viser's handle of it, and the language.
         language: ``"en"`` or ``"zh"``.
         host: Where it can be reached: by default from this machine alone.
         port: Where; any free one by default.
@@ -60,7 +58,7 @@ class Served:
         self,
         robot: str,
         size: float,
-        session: Callable[[Any, str, str, Language], Any],
+        session: Callable[[Any, Language], Any],
         *,
         language: str = "en",
         host: str = LOOPBACK,
@@ -82,8 +80,7 @@ class Served:
     def _opened(self, client: Any) -> None:
         if self._closed:  # it has waited in viser's queue until now, and would keep the process
             return
-        asked = render.asked_for(self._server, client.client_id)
-        session = self._session(client, *asked, self._language)
+        session = self._session(client, self._language)
         with self._lock:
             self.sessions[client.client_id] = session
         if self._closed or client.client_id not in self._server.get_clients():  # or it left
@@ -128,28 +125,21 @@ class Page(Served):
         self, source: LiveSource, state: State | None = None, **where: Unpack[Where]
     ) -> None:
         render.import_viser()  # before the work
-        self._model, self._state = Model(source), state or State()
-        robot = self._model.robot(self._state)
-        self._model.robot(State())
-        check_state(self._model, self._state)
-        super().__init__(robot.name, robot.stand_height, self._begin, **where)
-
-    def _begin(self, client: Any, address: str, words: str, say: Language) -> Session:
-        state, problem = self._state, None
-        if words:
-            try:
-                state = parse_state(words)
-                check_state(self._model, state)
-            except PupperAnalysisError as error:
-                state, problem = self._state, error.diagnostic
-        return Session(client, self._model, state, address, problem, say)
+        model, begin = Model(source), state or State()
+        check_state(model, begin)
+        super().__init__(
+            source.robot.name,
+            source.robot.stand_height,
+            lambda client, say: Session(client, model, begin, say),
+            **where,
+        )
 
 
 def check_state(model: Model, state: State) -> None:
     """Checks that a state is one of a robot.
 
     Raises:
-        PupperAnalysisError: If not: it has no such foot, or cannot be scaled so.
+        PupperAnalysisError: If not: it has no such foot, or no such link for a payload.
     """
     robot = touching(model.robot(state), state.task().contacts)
     for field, value in state.asked():

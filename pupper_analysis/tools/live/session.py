@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.present.document import Document, text
 from pupper_analysis.present.formats import escape_control
@@ -36,7 +35,7 @@ from pupper_analysis.tools.live.documents import (
 from pupper_analysis.tools.live.model import Answer, Model, PredictedSag
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.scene import Scene
-from pupper_analysis.tools.live.state import State, write_command, write_link, write_stance_file
+from pupper_analysis.tools.live.state import State, write_command, write_stance_file
 
 
 class Panels:
@@ -45,20 +44,16 @@ class Panels:
     Args:
         client: viser's handle of a browser.
         model: Answers for the robot.
-        address: Host and port, as the browser reaches the server.
         acts: What buttons do.
         say: The language.
     """
 
-    def __init__(
-        self, client: Any, model: Model, address: str, acts: Session, say: Language | None = None
-    ) -> None:
-        self._client, self._model, self._address, self._acts = client, model, address, acts
-        self.say = say = say or Language()
+    def __init__(self, client: Any, model: Model, acts: Session, say: Language) -> None:
+        self._client, self._model, self._acts, self.say = client, model, acts, say
         gui = client.gui
         robot = model.robot(State())
         self._numbers = render.Numbers(gui, say, "solving", 330)
-        self.controls = Controls(gui, robot, model.source.scales, say, acts.changed)
+        self.controls = Controls(gui, robot, say, acts.changed)
         tabs = gui.add_tab_group()
         with tabs.add_tab(say("stance")):
             self.controls.stance()
@@ -94,7 +89,6 @@ class Panels:
 
     def _share(self, gui: Any) -> None:
         say = self.say
-        self._link = gui.add_text(say("link-to"), "", hint=say("opens-a-page"))
         self._command = gui.add_text(say("as-a-command"), "", multiline=True)
         gui.add_button(say("save-the-stance")).on_click(lambda _: self._save())
 
@@ -131,13 +125,9 @@ class Panels:
 
     def answered(self, answer: Answer) -> None:
         """Shows all that follows from a state at once."""
-        source, state = self._model.source, answer.state
         self.nearest(False)
-        if answer.robot is not None:
-            self.controls.follow(answer.robot)
         self.hint("not-simulated-yet")
-        self._link.value = write_link(self._address, state)
-        self._command.value = escape_control(write_command(source, state))
+        self._command.value = escape_control(write_command(self._model.source, answer.state))
 
     def nearest(self, there: bool) -> None:
         """Shows the way to the nearest stance, if there is one."""
@@ -157,9 +147,7 @@ class Session:
         client: viser's handle of the browser.
         model: Answers for the robot.
         state: What it begins with.
-        address: Host and port, as the browser reaches the server.
-        problem: What was wrong with the state that it asked for; None if nothing.
-        say: The language that it begins with.
+        say: The page's language.
     """
 
     def __init__(
@@ -167,11 +155,9 @@ class Session:
         client: Any,
         model: Model,
         state: State,
-        address: str,
-        problem: Diagnostic | None = None,
-        say: Language | None = None,
+        say: Language,
     ) -> None:
-        self._client, self._model, self._address = client, model, address
+        self._client, self._model = client, model
         self._asked, self._think = threading.Event(), threading.Event()
         self._closed = threading.Event()
         self._lock = threading.RLock()
@@ -180,12 +166,8 @@ class Session:
         self._job: Callable[[Answer], None] | None
         self._begin(None, None)
         self._scene = Scene(client.scene)
-        self._panels = Panels(client, model, address, self, say)
+        self._panels = Panels(client, model, self, say)
         self._panels.controls.put(state, notify=False)
-        if problem is not None:
-            say = self._panels.say
-            title, body = say("this-state-cannot-be-shown"), escape_control(say.sentence(problem))
-            client.add_notification(title, body, color="red")
         self.threads = [
             threading.Thread(target=work, name=f"live-{name}", daemon=True)
             for name, work in (("solve", self._solving), ("look", self._looking))

@@ -1,4 +1,4 @@
-"""What a page asks for, in the units of its sliders: as an address, a command, a file, a link."""
+"""What a page asks for, in the units of its sliders: as a command, and as a file."""
 
 from __future__ import annotations
 
@@ -9,25 +9,36 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
-from urllib.parse import quote, unquote
 
 from pupper_analysis.base.arguments import check_finite
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
-from pupper_analysis.cli.stance_fields import parse_contact
-from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
+from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.pupper.variant_files import load_variant
-from pupper_analysis.pupper.variants import VARIANTS, Scaled, VariantSpec
+from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
 from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS, UNITS, Field, read_table
+from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS, UNITS, Field
 from pupper_analysis.stance.task import StandTask
 
 # Which robot a page is about, and how a script or a command line names it.
 
 
-def load_source(files: RobotFiles) -> FileSource:
+@dataclass(frozen=True, eq=False)
+class LiveSource:
+    """The robot of a page, and how a command line names it.
+
+    Attributes:
+        robot: The robot.
+        arguments: The words and options that the command line takes.
+    """
+
+    robot: Robot
+    arguments: tuple[str, ...]
+
+
+def source_of_files(files: RobotFiles) -> LiveSource:
     """Loads the robot of a page.
 
     Raises:
@@ -37,40 +48,39 @@ def load_source(files: RobotFiles) -> FileSource:
     robot = files.load()
     if robot.floating and not robot.contact_points:
         raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
-    return FileSource(files, robot)
+    return LiveSource(robot, tuple(files.arguments()))
+
+
+def source_of_variant(spec: VariantSpec) -> LiveSource:
+    """Loads a variant: by its name, if it has one, or by its scales."""
+    spec = {one: one for one in VARIANTS.values()}.get(spec, spec)
+    words = [spec.name]
+    if spec.name not in VARIANTS:
+        scales = {"--leg-scale": spec.leg_scale, "--torso-mass-scale": spec.torso_mass_scale}
+        words = ["--base", spec.base]
+        words += [word for one, value in scales.items() for word in (one, repr(value))]
+    return LiveSource(load_variant(spec), tuple(words))
 
 
 PLACES = ("centre", "inside", "offset")
 """What decides where the base is: com over the centre, com anywhere inside, or an offset."""
 
-OF_THE_ROBOT = {
-    name: field
-    for name, field in {
-        **ROBOT_FIELDS,
-        **read_table("pupper_analysis.tools.live", "fields.toml"),
-    }.items()
-    if field.slider
-}
+OF_THE_ROBOT = {name: field for name, field in ROBOT_FIELDS.items() if field.slider}
 """Fields that make another robot, which takes longer than a stance, or no other stance."""
 
 SHOWN = {name: field for name, field in FIELDS.items() if field.slider} | OF_THE_ROBOT
 """{name: field} of all that a page asks for by sliders."""
 
-_BY_ADDRESS = {field.address: field for field in SHOWN.values()}
-
 PAGE_UNITS = {kind: (unit, 1.0) for kind, unit in UNITS.items()} | {
     **dict.fromkeys(("length", "point", "point3"), ("mm", 1e3)),
     "angle": ("°", math.degrees(1.0)),
-    **dict.fromkeys(("ratio", "position"), ("", 1.0)),  # a joint's is in rad, or in m
+    "position": ("", 1.0),  # a joint's is in rad, or in m
     "contact": ("mm, °", 1.0),  # which says its own
 }
 """{kind of a field: unit of a page, and how many are an SI unit}."""
 
 _WORDS = str, Contact, Weld
 """What is no number, and is written as it is typed."""
-
-_MOST_LETTERS = 4000
-"""Letters of a state: 50 feet's worth; a longer one is none of ours."""
 
 
 @dataclass(frozen=True, init=False)
@@ -140,10 +150,6 @@ class State:
             {field.name: in_si(field, value) for field, value in self.asked()}
         )
 
-    def scales(self) -> dict[str, float]:
-        """Returns the scales that are not the robot's own."""
-        return {name: v for name, v in self.values.items() if SHOWN[name].kind == "ratio"}
-
     def payload_point(self) -> tuple[str | float, ...]:
         """Returns where the payload is (m); see ``robot.tool.find_place``."""
         place: tuple[str | float, ...] = in_si(SHOWN["payload_at"], self.payload_at)
@@ -162,19 +168,6 @@ class State:
             if name in SHOWN and value is not None and getattr(self, name) is not None
         }
         return self.having(**found)
-
-    def __str__(self) -> str:
-        """Returns what differs from a page just opened, as ``parse_state`` reads it."""
-        parts, feet = [], []
-        for name, value in self.values.items():
-            field = SHOWN[name]
-            if field.per:
-                for of, one in sorted(value.items()):
-                    feet.append(f"{field.address}:{quote(of, safe='')},{_plainly(one)}")
-            else:
-                parts.append(f"{field.address}:{_plainly(value)}")
-        place = [] if self.place == PLACES[0] else [f"place:{self.place}"]
-        return ";".join([*parts, *place, *feet])
 
 
 def factor_of(contact: Contact | Weld) -> float:
@@ -253,11 +246,6 @@ def parse_angle(degrees: float) -> float:
     return degrees * (math.pi / 180)
 
 
-def format_number(number: float) -> str:
-    """Returns a number in as few letters as say it exactly."""
-    return repr(number).removesuffix(".0")
-
-
 def state_of_task(task: StandTask, **more: Any) -> State:
     """Returns the state of a page that asks for a task.
 
@@ -281,130 +269,26 @@ def state_of_task(task: StandTask, **more: Any) -> State:
     return State(place, **asked, **more)
 
 
-def _plainly(value: Any) -> str:
-    parts = value if isinstance(value, tuple) else (value,)
-    return ",".join(
-        quote(str(p), safe=":,=/" * (not isinstance(p, str)))
-        if isinstance(p, _WORDS)
-        else format_number(p)
-        for p in parts
-    )
-
-
-def parse_state(text: str) -> State:
-    """Returns the state that a text says, as ``str(state)`` writes it.
-
-    ``height:120;roll:5;place:offset;offset:10,0;move:FR,10,0;lift:FL,20``: names and numbers, in mm
-    and degrees; ``move``, ``lift`` and ``step`` once per foot, ``joint`` once per joint (rad, m),
-    ``contact:FL,wall:0.4m,mu=0.6`` once per contact, as it is typed.
-
-    Raises:
-        ConfigurationError: If it says none.
-    """
-    if len(text) > _MOST_LETTERS:
-        raise ConfigurationError(
-            "stance", diagnose("text-too-long", count=len(text), most=_MOST_LETTERS)
-        )
-    given: dict[str, Any] = {}
-    for part in filter(None, (part.strip() for part in text.split(";"))):
-        name, _, value = part.partition(":")
-        field = _BY_ADDRESS.get(name)
-        if field is not None and field.kind == "contact":
-            of, _, typed = unquote(value).partition(",")
-            given.setdefault(field.name, {})[of] = parse_contact("stance", typed, part)
-        elif field is not None and field.per:
-            of, *said = _split(name, value, 1 + max(1, len(field.axes)))
-            given.setdefault(field.name, {})[unquote(of)] = _value(name, said)
-        elif (field.name if field else name) in given:
-            raise ConfigurationError("stance", diagnose("said-twice", entry=name))
-        elif name == "place":
-            given[name] = value
-        elif field is not None:
-            framed = field.frame and value.count(",") == len(field.axes)
-            frame, _, numbers = value.partition(",") if framed else ("", "", value)
-            found = _value(name, _split(name, numbers, max(1, len(field.axes))))
-            given[field.name] = (unquote(frame), *found) if framed else found  # type: ignore[misc]
-        else:
-            message = diagnose("entry-unknown", entry=name, known=[*_BY_ADDRESS, "place"])
-            raise ConfigurationError("stance", message)
-    return State(**given)
-
-
-def _split(name: str, value: str, count: int) -> list[str]:
-    parts = value.split(",")
-    if len(parts) != count:
-        message = diagnose("values-by-commas", given=f"{name}:{value}", count=count)
-        raise ConfigurationError("stance", message)
-    return parts
-
-
-def _value(name: str, texts: list[str]) -> float | tuple[float, ...]:
-    numbers = tuple(_number(name, text) for text in texts)
-    return numbers if len(numbers) > 1 else numbers[0]
-
-
-def _number(name: str, text: str) -> float:
-    try:
-        return check_finite(name, float(text))
-    except ValueError:
-        message = diagnose("part-is-no-number", part=text, given=name)
-        raise ConfigurationError("stance", message) from None
-
-
-class LiveVariants(Scaled):
-    """The robots that scales make of a variant."""
-
-    def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Makes the variant of some scales.
-
-        Raises:
-            VariantError: If a scale is not a finite positive number, or nothing can be made so.
-        """
-        return load_variant(self._spec(scales))
-
-    def arguments(self, scales: Mapping[str, float]) -> list[str]:
-        """Returns a variant's name, or the options of its scales."""
-        spec = self._spec(scales)
-        if spec.name in VARIANTS:
-            return [spec.name]
-        words = ["--base", spec.base]
-        for name, value in (
-            ("--leg-scale", spec.leg_scale),
-            ("--torso-mass-scale", spec.torso_mass_scale),
-        ):
-            words += [name, repr(value)] if value != 1.0 else []
-        return words
-
-    def _spec(self, scales: Mapping[str, float]) -> VariantSpec:
-        """Returns the variant of some scales, by the name that it has, if any."""
-        made = self.scaled(scales)
-        return {spec: spec for spec in VARIANTS.values()}.get(made, made)
-
-
-LiveSource = FileSource | LiveVariants
-"""Makes the robots of a page, and says how others make them."""
-
-
-# A stance for elsewhere: as a command, as a file of options, as a link.
+# A stance for elsewhere: as a command, as a file of options.
 
 
 def write_command(source: LiveSource, state: State) -> str:
     """Returns the command that solves and simulates the same stand."""
-    words = source.arguments(state.scales())
-    return shlex.join(["pupper-analysis", "stand", *words, *_options(state)])
+    typed = (
+        f"--{option}={of}={value}" if of else f"--{option}={value}"
+        for option, of, value in _typed_options(state)
+    )
+    return shlex.join(["pupper-analysis", "stand", *source.arguments, *typed])
 
 
-def hold_command(
-    source: LiveSource, scales: Mapping[str, float], positions: Mapping[str, float]
-) -> str:
+def hold_command(source: LiveSource, positions: Mapping[str, float]) -> str:
     """Returns the command that holds a posture with the base fixed.
 
     Args:
         source: The robot.
-        scales: Its own scales.
         positions: {joint: where it is (rad, m)}.
     """
-    words = ["pupper-analysis", "hold", *source.arguments(scales)]
+    words = ["pupper-analysis", "hold", *source.arguments]
     return shlex.join([*words, *(f"--joints={n}={at:.6g}" for n, at in positions.items())])
 
 
@@ -417,14 +301,6 @@ def write_stance_file(state: State) -> str:
         else:
             lines.append(f"{option} = {json.dumps(value)}")
     return "".join(f"{line}\n" for line in (*lines, *tables))
-
-
-def _options(state: State) -> list[str]:
-    """Returns what the command line's options of stance, payload and servos say."""
-    return [
-        f"--{option}={of}={value}" if of else f"--{option}={value}"
-        for option, of, value in _typed_options(state)
-    ]
 
 
 def _typed_options(state: State) -> Iterator[tuple[str, str, str]]:
@@ -440,21 +316,7 @@ def _typed_options(state: State) -> Iterator[tuple[str, str, str]]:
 
 def _typed(field: Field, value: Any) -> str:
     if field.kind == "angle":
-        return f"{format_number(value)}deg"
+        return f"{value!r}deg"
     if isinstance(value, tuple):
         return ",".join(p if isinstance(p, str) else repr(p) for p in in_si(field, value))
     return str(value) if isinstance(value, _WORDS) else repr(in_si(field, value))
-
-
-def write_link(address: str, state: State) -> str:
-    """Returns the address of a page with the same state, of a server as a browser reaches it.
-
-    What viser's page takes to be its server's address is, with a state behind it, what the server
-    is asked for: so it learns what it is to show.
-
-    Args:
-        address: Host and port.
-        state: The state.
-    """
-    asked = f"?websocket=ws://{address}/?state={quote(str(state), safe=':;,.%')}"
-    return f"http://{address}/{asked if str(state) else ''}"

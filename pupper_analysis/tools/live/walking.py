@@ -231,6 +231,6 @@ class WalkPage(Served):
         super().__init__(
             robot.name,
             robot.stand_height,
-            lambda client, _at, _asked, say: WalkSession(client, stage, command, say),
+            lambda client, say: WalkSession(client, stage, command, say),
             **where,
         )

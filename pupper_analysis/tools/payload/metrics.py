@@ -12,5 +12,5 @@ def _measure(design: Any) -> float:
 
 
 METRICS: dict[str, dict[str, Any]] = {
-    "payload_limit": {"function": _measure, "unit": "kg", "simulates": True, "better": "max"},
+    "payload_limit": {"function": _measure, "unit": "kg", "simulates": True},
 }

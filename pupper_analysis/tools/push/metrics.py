@@ -12,5 +12,5 @@ def _measure(design: Any) -> float:
 
 
 METRICS: dict[str, dict[str, Any]] = {
-    "push_recovery": {"function": _measure, "unit": "N s", "simulates": True, "better": "max"},
+    "push_recovery": {"function": _measure, "unit": "N s", "simulates": True},
 }

@@ -8,4 +8,3 @@ from .variables import uniform as uniform
 from .variables import values as values
 from .write import WrittenDesign as WrittenDesign
 from .write import write_design as write_design
-from .write import write_randomisation as write_randomisation

@@ -10,7 +10,6 @@ import click
 
 from pupper_analysis.base import kinds
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.modes import refuse_idle
 
 if TYPE_CHECKING:
     from pupper_analysis.present.document import Document
@@ -42,9 +41,6 @@ _FOLDER = kinds.Folder(
     required=True,
     holds=_FOLDER,
     help="Folder of the results; a run that was interrupted is resumed.",
-)
-@click.option(
-    "--dry-run", is_flag=True, help="Only print the number of designs and the estimated time."
 )
 @click.option(
     "--workers", type=click.IntRange(min=1), help="Number of processes. By default one per core."
@@ -85,7 +81,6 @@ _FOLDER = kinds.Folder(
 def command(
     file: Path,
     folder: Path,
-    dry_run: bool,
     workers: int | None,
     minimise: tuple[str, ...],
     maximise: tuple[str, ...],
@@ -99,8 +94,7 @@ def command(
 
     Results are stored in a folder, as Parquet. A study can be interrupted at any time and
     resumes where it stopped; after the file is changed, only new designs are measured. A design
-    that fails is a row with the reason. A metric written as module:function is imported from
-    the file's folder, so its code is executed; --dry-run imports nothing.
+    that fails is a row with the reason.
 
     \b
     Example of a file:
@@ -113,7 +107,7 @@ def command(
 
     \b
     Examples:
-      pupper-analysis study legs.toml -o legs/ --dry-run
+      pupper-analysis study legs.toml -o legs/
       pupper-analysis study legs.toml -o legs/ --minimise servo_sag \\
         --maximise leg_scale
       pupper-analysis study legs.toml -o legs/ --report legs.html \\
@@ -123,34 +117,19 @@ def command(
     Exit status: 0 all designs were measured, 1 the files of a written design give other numbers,
     2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.tools.study import document as report
-    from pupper_analysis.tools.study.outcome import check_objectives, rests_on, study_outcome
-    from pupper_analysis.tools.study.study import Study, estimate_study
+    from pupper_analysis.tools.study.document import progress_bar
+    from pupper_analysis.tools.study.outcome import check_objectives, study_outcome
+    from pupper_analysis.tools.study.study import Study
 
-    if dry_run:
-        refuse_idle("--dry-run", "report_path", "minimise", "maximise", "numbers")
-    study = Study.read(file, own_metrics=not dry_run)
-    objectives = check_objectives(study, minimise, maximise)
-    if dry_run:
-        expected = estimate_study(study, folder)
-        _show(report.estimate_document(expected, workers=workers), style, everything)
-        shared.finish_command(json_path, expected, passed=True)
-        return
-    with report.progress_bar() as show:
+    study = Study.read(file)
+    check_objectives(study, minimise, maximise)
+    with progress_bar() as show:
         _run(study, folder, workers, show)
-    table = study.table(folder)
-    if style == "text":
-        finding = report.measured_document(
-            file.stem, study.variables, table, rests_on(study.base), objectives
-        )
-        _show(finding, style, everything)
-    if report_path or style == "markdown":
-        outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
-        if style == "markdown":
-            shared.show_results([("", outcome)], style)
-        shared.write_page(report_path, outcome)
+    outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
+    shared.show_results([("", outcome)], style, everything=everything)
+    shared.write_page(report_path, outcome)
     passed = _write_designs(study, numbers, folder, style, everything) if numbers else True
-    shared.finish_command(json_path, table.to_dict(orient="list"), passed=passed)
+    shared.finish_command(json_path, outcome.table.to_dict(orient="list"), passed=passed)
 
 
 def _write_designs(

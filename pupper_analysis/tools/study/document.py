@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress
 
-from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
@@ -24,13 +21,8 @@ from pupper_analysis.tools.study.outcome import (
     MetricSummary,
     StudyOutcome,
     column_label,
-    metrics_in,
-    pareto_front,
-    standing_designs,
     unit_of,
 )
-from pupper_analysis.tools.study.plots import LINES, MeansPlot, front_plot, study_plots
-from pupper_analysis.tools.study.study import Estimate
 from pupper_analysis.tools.study.write import WrittenDesign
 
 if TYPE_CHECKING:
@@ -40,33 +32,34 @@ if TYPE_CHECKING:
 
 _ALONE = "alone-the-variance"
 
-_PARTIAL = "of-the-designs"
-
 MOST_ROWS = 300
 """Of a table of designs: more than anyone reads, and pages stay small."""
+
+
+_MOST_METRICS = 4
+"""Metrics beside the objectives in a table of the front."""
 
 
 @build_document.register(StudyOutcome)
 def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Document:
     """Returns what is shown of a study; see ``build``."""
-    blocks: list[doc.Block] = [_variables(outcome), _measured(outcome)]
-    blocks += _failures(outcome)
-    blocks += _drawings(outcome)
-    blocks += _front(outcome)
-    blocks += _shares(outcome)
-    blocks.append(_designs(outcome))
     failed = sum(one.designs for one in outcome.failures)
-    finding: list[doc.Words] = [
-        text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
-    ]
-    finding += map(doc.tell, outcome.rests_on)
+    counted = text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
+    if outcome.failures:
+        named = join_words(
+            text("count-kind", count=one.designs, kind=word(one.kind)) for one in outcome.failures
+        )
+        counted = text("designs-kinds", designs=counted, kinds=named)
+    finding: list[doc.Words] = [counted, *map(doc.tell, outcome.rests_on)]
     if outcome.converted:
         finding.append(text("study-from-one-file"))
     if len(outcome.table) < outcome.designs:
         left = outcome.designs - len(outcome.table)
         finding.append(text("count-more-are-not-measured", count=left))
+    blocks = (_variables(outcome), _measured(outcome), *_failures(outcome), *_front(outcome),
+              *_shares(outcome), _designs(outcome))  # fmt: skip
     return doc.Document(
-        text("study-of-designs"), doc.Name(outcome.robot), tuple(blocks), findings=tuple(finding)
+        text("study-of-designs"), doc.Name(outcome.robot), blocks, findings=tuple(finding)
     )
 
 
@@ -76,10 +69,6 @@ def _left(name: str) -> doc.Column:
 
 def _right(name: str, unit: str = "") -> doc.Column:
     return doc.Column(text(name), unit)
-
-
-def _ranges() -> tuple[doc.Column, ...]:
-    return *map(_right, ("least", "median", "greatest")), _right("designs", "1")
 
 
 def _source() -> tuple[doc.Words, ...]:
@@ -106,6 +95,7 @@ def _variables(outcome: StudyOutcome) -> doc.Table:
         tuple(rows),
         (),
         _source(),
+        detail=True,
     )
 
 
@@ -120,17 +110,21 @@ def _listed(kind: str, numbers: Sequence[float]) -> str:
 def _measured(outcome: StudyOutcome) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.Name(one.metric),
+            doc.Name(column_label(one.metric)),
             *(doc.number_cell(value, ".5g") for value in (one.least, one.median, one.greatest)),
             doc.number_cell(one.designs, ".0f"),
-            doc.Name(one.unit),
             _meaning(one),
         )
         for one in outcome.measured
     ]
     return doc.Table(
         text("what-was-measured"),
-        (_left("metric"), *_ranges(), _left("unit"), _left("meaning")),
+        (
+            _left("metric"),
+            *map(_right, ("least", "median", "greatest")),
+            _right("designs", "1"),
+            doc.Column(text("meaning"), left=True, detail=True),
+        ),
         tuple(rows),
     )
 
@@ -143,7 +137,7 @@ def _meaning(one: MetricSummary) -> doc.Words:
 
 def _failures(outcome: StudyOutcome) -> list[doc.Block]:
     if not outcome.failures:
-        return [doc.Lines((text("no-design-failed"),))]
+        return []
     rows: list[tuple[doc.Cell, ...]] = [
         (
             word(one.kind),
@@ -165,16 +159,9 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
                 _left("reason-of-the-first"),
             ),
             tuple(rows),
+            detail=True,
         )
     ]
-
-
-def _drawings(outcome: StudyOutcome) -> Iterable[doc.Block]:
-    """Yields the plots; below a metric's, what is missing in its means."""
-    for shown in study_plots(outcome.table, tuple(outcome.variables), outcome.axes).values():
-        yield from shown
-        if any(isinstance(one, MeansPlot) and one.found.partial.any() for one in shown):
-            yield doc.Lines((text(_PARTIAL),), "warn")
 
 
 def _front(outcome: StudyOutcome) -> list[doc.Block]:
@@ -183,22 +170,19 @@ def _front(outcome: StudyOutcome) -> list[doc.Block]:
         return []
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
-        blocks.append(front_plot(standing_designs(outcome.table), front, objectives))
-    blocks.append(_front_table(front, objectives, tuple(outcome.variables), outcome.table))
-    return blocks
-
-
-def _front_table(
-    front: pd.DataFrame,
-    objectives: Mapping[str, str],
-    variables: Sequence[str],
-    whole: pd.DataFrame,
-) -> doc.Table:
+        across, up = (
+            doc.Axis(doc.Name(f"{name}, {sense}"), unit_of(name), ".4g")
+            for name, sense in objectives.items()
+        )
+        x, y = (front[name].to_numpy(float) for name in objectives)
+        line = doc.Series(text("no-other-design-beats-these"), x, y, points=True)
+        blocks.append(doc.LinePlot(text("designs-worth-building-the-front"), across, up, [line]))
     named = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
     title = text("designs-worth-building-no-other", objectives=named)
-    others = [name for name in variables if name not in objectives]
-    measured = [name for name in metrics_in(front, tuple(variables)) if name not in objectives]
-    return _table(title, front, [*objectives, *others, *measured[:LINES]], whole)
+    others = [name for name in outcome.variables if name not in objectives]
+    measured = [one.metric for one in outcome.measured if one.metric not in objectives]
+    columns = [*objectives, *others, *measured[:_MOST_METRICS]]
+    return [*blocks, _table(title, front, columns, outcome.table)]
 
 
 def _shares(outcome: StudyOutcome) -> list[doc.Block]:
@@ -215,7 +199,7 @@ def _shares(outcome: StudyOutcome) -> list[doc.Block]:
         return []
     columns = (_left("metric"), _left("number"), _right("alone", "1"), _left("designs"))
     title = text("which-number-matters-shares")
-    return [doc.Table(title, columns, tuple(rows), (text(_ALONE),), _source())]
+    return [doc.Table(title, columns, tuple(rows), (text(_ALONE),), _source(), detail=True)]
 
 
 def _share(value: float) -> doc.Number:
@@ -262,34 +246,6 @@ def _table(
     return doc.Table(title, tuple(heads), tuple(rows), notes)
 
 
-@build_document.register(Estimate)
-def estimate_document(
-    expected: Estimate, _: Robot | None = None, workers: int | None = None
-) -> doc.Document:
-    """Returns what a study would take; see ``build``.
-
-    Args:
-        expected: The estimate.
-        workers: On how many processes; by default as many as this machine has cores.
-    """
-    count = workers or os.cpu_count() or 1
-    each, slowest = (f"{1e3 * one:.0f}" for one in (expected.seconds_each, expected.slowest))
-    time = duration_text(expected.seconds(count))
-    finding = [
-        text("count-designs-of-which-there", count=expected.designs, there=expected.there),
-        text("mean-ms-each-on-average", mean=each, slowest=slowest),
-        text("about-time-on-count-workers", time=time, count=count),
-    ]
-    if expected.left_out:
-        finding.append(text("not-timed", names=join_words(map(doc.Name, expected.left_out))))
-    if expected.failures:
-        kinds = join_words(map(word, expected.failures))
-        finding.append(text("timed-that-failed", kinds=kinds))
-    return doc.Document(
-        text("study-of-designs"), text("estimate-title"), (), findings=tuple(finding)
-    )
-
-
 def duration_text(seconds: float) -> str:
     """Returns a time as people say it."""
     if not math.isfinite(seconds):
@@ -300,49 +256,6 @@ def duration_text(seconds: float) -> str:
     if whole < 7200:
         return f"{whole // 60} min"
     return f"{whole / 3600:.1f} h"
-
-
-def measured_document(
-    name: str,
-    variables: Mapping[str, object],
-    table: pd.DataFrame,
-    rests_on: Sequence[Diagnostic] = (),
-    objectives: Mapping[str, str] = MappingProxyType({}),
-) -> doc.Document:
-    """Returns the range of each metric, failures by kind, and the front if one is asked for.
-
-    Args:
-        name: What was studied.
-        variables: Of the study, by name.
-        table: Of the study.
-        rests_on: What its stands rest on; see ``StudyOutcome``.
-        objectives: {column: ``min`` or ``max``} of the front.
-    """
-    rows: list[tuple[doc.Cell, ...]] = []
-    for metric in metrics_in(table, tuple(variables)):
-        column = table[metric].dropna()
-        ends = (column.min(), column.median(), column.max())
-        numbers = (doc.number_cell(float(value), ".5g") for value in ends)
-        rows.append((doc.Name(column_label(metric)), *numbers, doc.number_cell(len(column), ".0f")))
-    measured = doc.Table(
-        text("what-was-measured"),
-        (_left("metric"), *_ranges()),
-        tuple(rows),
-    )
-    kinds = table["failure"].dropna().value_counts()
-    finding = text("count-designs-of-which-failed", count=len(table), failed=int(kinds.sum()))
-    if len(kinds):
-        named = join_words(
-            text("count-kind", count=int(count), kind=word(str(kind)))
-            for kind, count in kinds.items()
-        )
-        finding = text("designs-kinds", designs=finding, kinds=named)
-    lines = (finding, *map(doc.tell, rests_on))
-    blocks = [measured]
-    if objectives:
-        front = pareto_front(standing_designs(table), objectives)
-        blocks.append(_front_table(front, objectives, tuple(variables), table))
-    return doc.Document(text("study-of-designs"), doc.Name(name), tuple(blocks), findings=lines)
 
 
 def metrics_document() -> doc.Document:

@@ -6,7 +6,6 @@ import hashlib
 import importlib
 import inspect
 import pickle
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose, phrase
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
-from pupper_analysis.base.runs import note_input
 from pupper_analysis.base.tools import offering
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import own_run
@@ -30,12 +28,11 @@ from pupper_analysis.robot.tool import Place
 from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.stability import rest_stability
 from pupper_analysis.simulation.verdict import Verdict
-from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.workspace import BaseWorkspace, base_workspace
-from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
+from pupper_analysis.statics.equilibrium import GravityCompensation
 
 Value = float | bool
 Function = Callable[[Robot, Stand], Any]
@@ -125,11 +122,6 @@ class Design:
         """What ``stand`` says of it."""
         return judge_stand(self.robot, self.stand, **self.gains)
 
-    @cached_property
-    def simulated_rest(self) -> StandVerification:
-        """What MuJoCo makes of it, without feed-forward."""
-        return verify_stand(self.robot, self.held, feedforward=False)
-
     def per_joint(self, values: Iterable[float]) -> dict[str, float]:
         """Returns values by joint."""
         named = zip(self.robot.joint_names, values, strict=True)
@@ -154,7 +146,6 @@ class Metric:
         function: Of a design; of one of a file, ``of_file`` makes it.
         unit: Its unit; ``1`` of a ratio, empty of one's own functions.
         simulates: Whether it takes a simulation, or some seconds.
-        better: ``min`` or ``max``, where one is better whatever the robot is for.
         fallen: Its value of a design that cannot stand so; None where it has none.
         own: What its docstring says, of one's own function; the catalogue has the others' words.
         of_file: Of what is written after a colon, such as a policy's file: returns the function,
@@ -167,7 +158,6 @@ class Metric:
     function: Callable[[Design], Value | Mapping[str, Value]]
     unit: str
     simulates: bool = False
-    better: str = ""
     fallen: float | None = None
     own: str = ""
     of_file: Callable[[str], tuple[Callable[[Design], Value], str]] | None = None
@@ -210,35 +200,25 @@ def _minimum_stiffness(design: Design) -> float:
     return minimum_stiffness(design.robot, design.stand)
 
 
-def _least_peak(design: Design) -> float:
-    held = stand_statics(design.robot, design.stand, distribution=ForceDistribution.MIN_MAX_TORQUE)
-    return float(held.motor_utilisation.max())
-
-
 _ALL = (
     Metric("total_mass", lambda d: d.robot.total_mass, "kg"),
-    Metric("peak_utilisation", lambda d: _peak(d.statics.motor_utilisation), "1", better="min"),
-    Metric("peak_torque", lambda d: _peak(d.statics.joint_torques), "N m", better="min"),
-    Metric("least_peak_utilisation", _least_peak, "1"),
+    Metric("peak_utilisation", lambda d: _peak(d.statics.motor_utilisation), "1"),
+    Metric("peak_torque", lambda d: _peak(d.statics.joint_torques), "N m"),
     Metric("torque", lambda d: d.per_joint(d.statics.joint_torques), "N m"),
     Metric("utilisation", lambda d: d.per_joint(d.statics.motor_utilisation), "1"),
-    Metric("friction_utilisation", _friction_utilisation, "1", better="min"),
-    Metric("com_margin", lambda d: d.stand.com_margin, "m", better="max"),
+    Metric("friction_utilisation", _friction_utilisation, "1"),
+    Metric("com_margin", lambda d: d.stand.com_margin, "m"),
     Metric("base_height", lambda d: d.rest.base_height, "m"),
-    Metric("sag", lambda d: d.rest.height_loss, "m", better="min"),
-    Metric("servo_sag", lambda d: d.rest.servo_sag, "m", better="min"),
-    Metric("contact_sag", lambda d: d.rest.contact_sag, "m"),
-    Metric("stiffness", lambda d: d.equilibrium.stiffness, "rad^2/s^2", better="max"),
-    Metric("release_margin", lambda d: d.equilibrium.release_margin, "1", better="max"),
-    Metric("rest_utilisation", lambda d: d.utilisation_at_rest(), "1", better="min"),
+    Metric("sag", lambda d: d.rest.height_loss, "m"),
+    Metric("servo_sag", lambda d: d.rest.servo_sag, "m"),
+    Metric("stiffness", lambda d: d.equilibrium.stiffness, "rad^2/s^2"),
+    Metric("rest_utilisation", lambda d: d.utilisation_at_rest(), "1"),
     Metric("stands", _stands, "1", fallen=0.0),
-    Metric("minimum_stiffness", _minimum_stiffness, "N m/rad", simulates=True, better="min"),
+    Metric("minimum_stiffness", _minimum_stiffness, "N m/rad", simulates=True),
     Metric("height_range", lambda d: d.span("height"), "m", simulates=True),
     Metric("roll_range", lambda d: d.span("roll"), "rad", simulates=True),
     Metric("pitch_range", lambda d: d.span("pitch"), "rad", simulates=True),
-    Metric("yaw_range", lambda d: d.span("yaw"), "rad", simulates=True),
     Metric("verified", lambda d: d.verdict.passed, "1", simulates=True, fallen=0.0),
-    Metric("simulated_height", lambda d: d.simulated_rest.base_height, "m", simulates=True),
 )
 
 
@@ -260,32 +240,34 @@ def metric_of(given: str | Function) -> Metric:
     """Returns a named metric, or makes one of a function of (robot, stand).
 
     Args:
-        given: A name of ``METRICS``, with ``:FILE`` where it is of one, ``module:function``, or a
-            function that other processes can import: it stands at the top of a module.
+        given: A name of ``METRICS``, with ``:FILE`` where it is of one, or a function that other
+            processes can import: it stands at the top of a module.
 
     Raises:
         ConfigurationError: If there is no such metric, or the function does not fit.
     """
-    if isinstance(given, str) and (named := METRICS.get(given.partition(":")[0])) is not None:
-        return _of_file(named, given)
-    function = _imported(given) if isinstance(given, str) else given
-    if not callable(function):
+    if isinstance(given, str):
+        if (named := METRICS.get(given.partition(":")[0])) is not None:
+            return _of_file(named, given)
+        finding = diagnose("metric-unknown", name=given, known=METRICS)
+        raise ConfigurationError("measure", finding)
+    if not callable(given):
         raise ConfigurationError("measure", diagnose("metric-no-function", given=repr(given)))
     try:
-        inspect.signature(function).bind(None, None)
+        inspect.signature(given).bind(None, None)
     except (TypeError, ValueError) as error:
         problem = diagnose("metric-of-another-signature", given=repr(given), problem=str(error))
         raise ConfigurationError("measure", problem) from error
     try:
-        pickle.dumps(function)
+        pickle.dumps(given)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         problem = diagnose("metric-not-picklable", given=repr(given))
         raise ConfigurationError("measure", problem) from error
-    name = getattr(function, "__name__", type(function).__name__)
+    name = getattr(given, "__name__", type(given).__name__)
     if name in METRICS:
         problem = diagnose("metric-name-taken", name=name)
         raise ConfigurationError("measure", problem)
-    return Metric(name, OfRobotAndStand(function), "", own=inspect.getdoc(function) or "")
+    return Metric(name, OfRobotAndStand(given), "", own=inspect.getdoc(given) or "")
 
 
 def _of_file(metric: Metric, given: str) -> Metric:
@@ -306,27 +288,6 @@ def beside(folder: Path, given: object) -> object:
     name, _, file = given.partition(":") if isinstance(given, str) else ("", "", "")
     named = METRICS.get(name)
     return f"{name}:{folder / file}" if file and named and named.of_file else given
-
-
-def modules_in(metrics: object) -> tuple[str, ...]:
-    """Returns those of a file's metrics that are ``module:function``."""
-    listed = metrics if isinstance(metrics, list) else []
-    found = (name for name in listed if isinstance(name, str) and ":" in name)
-    return tuple(name for name in found if name.partition(":")[0] not in METRICS)
-
-
-def _imported(name: str) -> Function:
-    """Returns the function that ``module:function`` means."""
-    module, separator, attribute = name.partition(":")
-    if not separator:
-        raise ConfigurationError("measure", diagnose("metric-unknown", name=name, known=METRICS))
-    try:
-        found: Function = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        finding = diagnose("metric-not-importable", name=name, problem=str(error))
-        raise ConfigurationError("measure", finding) from error
-    note_input(getattr(sys.modules[module], "__file__", None) or "")
-    return found
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -103,7 +102,6 @@ class StudyOutcome(Result):
         designs: How many the study asks for.
         measured: What was measured.
         failures: What failed, the most frequent first.
-        axes: The two variables over which maps are drawn; empty if there are no two.
         objectives: {column: ``min`` or ``max``} of the front; empty if there is none.
         front: The designs that no other beats in these, of those that stay up where that was
             measured.
@@ -117,7 +115,6 @@ class StudyOutcome(Result):
     designs: int
     measured: tuple[MetricSummary, ...]
     failures: tuple[Failures, ...]
-    axes: tuple[str, ...]
     objectives: dict[str, str]
     front: pd.DataFrame
 
@@ -135,8 +132,7 @@ def study_outcome(
         study: The study.
         folder: Where its results are.
         minimise: Columns in which the designs of the front are least.
-        maximise: Columns in which they are greatest. If neither is given, they are the first two
-            metrics of which it is known which way is better.
+        maximise: Columns in which they are greatest. If neither is given, there is no front.
 
     Raises:
         ConfigurationError: If a column is not there, or no design is.
@@ -153,7 +149,7 @@ def study_outcome(
         raise ConfigurationError("folder", finding)
     variables = tuple(study.variables)
     metrics = metrics_in(table, variables)
-    objectives = check_objectives(study, minimise, maximise) or _better(metrics)
+    objectives = check_objectives(study, minimise, maximise)
     spread = spread_in(table, variables)
     return StudyOutcome(
         robot=_named(study.source.asked()),
@@ -164,7 +160,6 @@ def study_outcome(
         designs=len(study),
         measured=tuple(_measured(table, name, spread, study) for name in metrics),
         failures=_failures(table),
-        axes=tuple(spread[:2]) if len(spread) > 1 else (),
         objectives=objectives,
         front=pareto_front(standing_designs(table), objectives) if objectives else table.iloc[:0],
     )
@@ -225,7 +220,7 @@ def main_effects(
     found = {}
     for name in variables:
         column = known[name].to_numpy(float)
-        index = np.unique(Cells(column).index if sampled else column, return_inverse=True)[1]
+        index = np.unique(_cells(column) if sampled else column, return_inverse=True)[1]
         counts = np.bincount(index)
         free = len(values) - len(counts)
         if whole <= 0 or len(counts) < 2 or (sampled and free < 1):
@@ -274,11 +269,6 @@ def _read_diagnostic(kept: object) -> Diagnostic | None:
         return from_record(orjson.loads(kept)) if isinstance(kept, str) else None
     except (KeyError, ValueError):
         return None
-
-
-def _better(metrics: Sequence[str]) -> dict[str, str]:
-    known = {n: METRICS[n].better for n in metrics if n in METRICS and METRICS[n].better}
-    return dict(list(known.items())[:2]) if len(known) > 1 else {}
 
 
 def _named(source: Any) -> str:
@@ -347,125 +337,23 @@ def _unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
     return found
 
 
-# A study's designs in cells over two of its numbers: what a map of them shows.
-
-BINS, FEWEST = 24, 4
-"""Cells along one side of a map, of a variable that has more than ``BINS`` values."""
-
-PANELS = 6
-"""Maps beside each other, one for each combination of the other variables: more are no picture."""
-
-EACH = 3
-"""Designs that a cell then has, on average: fewer cells of more designs, than a map of holes."""
+BINS, FEWEST, EACH = 24, 4, 3
+"""Values of a sampled variable that are cells of their own; of more, fewest cells, and how many
+designs each has on average."""
 
 SAME = 1e-9
 """Relative: what differs by less differs by rounding."""
 
 
-class Cells:
-    """Values in cells: one per value where they are few, evenly wide ones where they are many.
-
-    Attributes:
-        levels: Whether each cell has one value.
-        edges: (n + 1,) between which the cells are.
-        centres: (n,) their values, or their middles.
-        index: (designs,) in which cell each design is.
-    """
-
-    def __init__(self, values: Array) -> None:
-        levels = np.unique(values)
-        self.levels = len(levels) <= BINS
-        if self.levels:
-            middle = (levels[1:] + levels[:-1]) / 2
-            first, last = levels[0], levels[-1]
-            half = (middle[0] - first, last - middle[-1]) if len(middle) else (0.5, 0.5)
-            self.edges = np.concatenate([[first - half[0]], middle, [last + half[1]]])
-            self.index = np.searchsorted(levels, values)
-            self.centres = levels
-            return
-        count = int(np.clip(np.sqrt(len(values) / EACH), FEWEST, BINS))
-        self.edges = np.linspace(levels[0], levels[-1], count + 1)
-        self.index = np.clip(np.searchsorted(self.edges, values, "right") - 1, 0, count - 1)
-        self.centres = (self.edges[1:] + self.edges[:-1]) / 2
-
-
-@dataclass(frozen=True, eq=False)
-class MeanMap:
-    """Means of a metric over two variables.
-
-    Attributes:
-        x: The cells along.
-        y: The cells upwards.
-        means: (ny, nx); not a number where nothing was measured.
-        counts: (ny, nx) how many designs each is the mean of.
-        designs: (ny, nx) how many are there: where they are more, those of which there is nothing
-            to measure, as they do not stand, are missing in the mean.
-    """
-
-    x: Cells
-    y: Cells
-    means: Array
-    counts: Array
-    designs: Array
-
-    @property
-    def partial(self) -> NDArray[np.bool_]:
-        """(ny, nx) whether some designs of a cell are missing in its mean."""
-        found: NDArray[np.bool_] = (self.counts > 0) & (self.counts < self.designs)
-        return found
-
-
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """Designs of one map.
-
-    Attributes:
-        fixed: {variable: the value that all of them have}.
-        averaged: The other variables, over which a cell's mean goes.
-        table: Their rows.
-    """
-
-    fixed: dict[str, float]
-    averaged: tuple[str, ...]
-    table: pd.DataFrame
-
-    def values(self) -> str:
-        """Returns the fixed values with their units."""
-        finding = [f"{name} = {value:g} {unit_of(name)}" for name, value in self.fixed.items()]
-        return ", ".join(one.rstrip() for one in finding)
-
-
-def mean_map(table: pd.DataFrame, x: str, y: str, metric: str) -> MeanMap:
-    """Returns the mean of a metric over two variables.
-
-    Raises:
-        ConfigurationError: If a column is not there, or the table is empty.
-    """
-    check_columns(table, x, y, metric)
-    columns, rows = (Cells(table[name].to_numpy(float)) for name in (x, y))
-    values = table[metric].to_numpy(float)
-    sums, counts, there = (np.zeros((len(rows.centres), len(columns.centres))) for _ in range(3))
-    known = np.isfinite(values)
-    np.add.at(there, (rows.index, columns.index), 1.0)
-    at = (rows.index[known], columns.index[known])
-    np.add.at(sums, at, values[known])
-    np.add.at(counts, at, 1.0)
-    with np.errstate(invalid="ignore"):
-        return MeanMap(columns, rows, sums / counts, counts, there)
-
-
-def split_panels(table: pd.DataFrame, variables: Sequence[str], x: str, y: str) -> list[Panel]:
-    """Returns the designs of a map for each, so that no more is averaged than must be.
-
-    Each combination of the other variables' values has a map of its own where these are few, and
-    each cell of it one design; else a cell is a mean over them.
-    """
-    others = [name for name in spread_in(table, variables) if name not in (x, y)]
-    several = math.prod(table[name].nunique() for name in others)
-    if not others or several > PANELS:
-        return [Panel({}, tuple(others), table)]
-    parts = [part for _, part in table.groupby(others, sort=True)]
-    return [Panel({n: float(part[n].iloc[0]) for n in others}, (), part) for part in parts]
+def _cells(values: Array) -> Array:
+    """Returns in which cell each value is: one per value, or evenly wide ones of many."""
+    levels = np.unique(values)
+    if len(levels) <= BINS:
+        return values
+    count = int(np.clip(np.sqrt(len(values) / EACH), FEWEST, BINS))
+    edges = np.linspace(levels[0], levels[-1], count + 1)
+    found: Array = np.clip(np.searchsorted(edges, values, "right") - 1, 0, count - 1)
+    return found
 
 
 def unit_of(column: str) -> str:
@@ -505,17 +393,3 @@ def spread_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
 def standing_designs(table: pd.DataFrame) -> pd.DataFrame:
     """Returns the designs that stay up, or all where that was not measured."""
     return table[table["stands"] == 1] if "stands" in table else table
-
-
-def check_columns(table: pd.DataFrame, *columns: str) -> None:
-    """Checks that a table has columns, and rows.
-
-    Raises:
-        ConfigurationError: If not; says which columns there are.
-    """
-    for name in columns:
-        if name not in table:
-            finding = diagnose("column-unknown", column=name, known=map(str, table.columns))
-            raise ConfigurationError("column", finding)
-    if table.empty:
-        raise ConfigurationError("table", diagnose("nothing-to-draw"))

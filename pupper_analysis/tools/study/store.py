@@ -33,19 +33,6 @@ if TYPE_CHECKING:
 FORMAT = 1
 """Of the folder; a later one may differ."""
 
-_README = """\
-# A study
-
-`study.json` says what was asked, with the versions and a hash of the robot's files. `shards/` has
-the results, as Parquet: one row per design, with its hash, its numbers, what was measured, and why,
-if it failed. From Python:
-
-    import pupper_analysis as pa
-    table = pa.read_study("FOLDER")
-
-The run can be ended and begun again at any time: what is there is not computed again.
-"""
-
 
 def require_library(library: str) -> None:
     """Checks that a library of the extra ``study`` is there.
@@ -99,19 +86,15 @@ class Store:
                 _held.discard(place)
 
     def write_asked(self, asked: dict[str, Any]) -> None:
-        """Writes what was asked, and what the folder is where it is a study's alone.
+        """Writes what was asked.
 
         Raises:
             OutputError: If it cannot be written.
         """
-        before, readme = self.folder / "study.json", self.folder / "README.md"
-        known = before.is_file() and bool(self.asked())
-        mine = known or {path.name for path in self.folder.iterdir()} <= {".lock", "shards"}
+        file = self.folder / "study.json"
+        known = file.is_file() and bool(self.asked())
         content = orjson.dumps({"format": FORMAT, **asked}, option=orjson.OPT_INDENT_2)
-        writings = [Writing(before, content + b"\n", EDITED if known else MODEL)]
-        if mine and not readme.exists():
-            writings.append(Writing(readme, _README.encode(), MODEL))
-        write_all(writings)
+        write_all([Writing(file, content + b"\n", EDITED if known else MODEL)])
 
     def asked(self) -> dict[str, Any]:
         """Reads what was asked.

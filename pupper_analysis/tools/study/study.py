@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import pickle
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -28,7 +27,6 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.inputs import is_input, read_toml
 from pupper_analysis.base.provenance import list_versions
-from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.convert.files import FileSource
 from pupper_analysis.robot.joints import placed_joints
 from pupper_analysis.robot.robot import Robot
@@ -51,7 +49,6 @@ from pupper_analysis.tools.study.measures import (
     metric_fingerprint,
     metric_of,
     metric_text,
-    modules_in,
 )
 from pupper_analysis.tools.study.parameters import (
     OF_JOINTS,
@@ -61,14 +58,8 @@ from pupper_analysis.tools.study.parameters import (
     groups_of,
     joints_of,
 )
-from pupper_analysis.tools.study.running import (
-    Chunk,
-    Progress,
-    Run,
-    Work,
-    measure_designs,
-)
-from pupper_analysis.tools.study.store import Store, design_keys, require_library
+from pupper_analysis.tools.study.running import Progress, Run, Work
+from pupper_analysis.tools.study.store import Store, require_library
 from pupper_analysis.tools.study.variables import Sampling, make_variable
 
 if TYPE_CHECKING:
@@ -88,12 +79,10 @@ class Study:
         source: Where the robots come from.
         variables: {name: what it varies over}; of ``KIND:each:PATTERN`` one for
             each that matches.
-        groups: {name as it was given: the variables that it stands for}.
         sampling: The designs.
         metrics: What is measured.
         task: The stance, where a design does not say otherwise.
         time_limit: Of one design (s).
-        left_out: Measures of its file that were not imported; see ``read``.
     """
 
     def __init__(
@@ -140,13 +129,12 @@ class Study:
         given = {str(name): make_variable(str(name), one) for name, one in vary.items()}
         for name in given:
             check_name(name, self.source)
-        self.groups = groups_of(self.base, given)
-        self.variables = {one: given[name] for name, of in self.groups.items() for one in of}
+        groups = groups_of(self.base, given)
+        self.variables = {one: given[name] for name, of in groups.items() for one in of}
         self.task = stand or StandTask()
         self._check_variables()
         self.sampling = Sampling(self.variables, samples, seed)
         self.metrics = tuple(metric_of(one) for one in measure)
-        self.left_out: tuple[str, ...] = ()
         self._given = tuple(measure)
         frame, point = split_place(payload_point)
         self.point = (*filter(None, (frame,)), *check_point(point).tolist())
@@ -167,11 +155,6 @@ class Study:
         if isinstance(self.source, FileSource):
             return FileSource(self.source.files, self.source.files.load())
         return Variants(self.source.spec, whole=True)
-
-    @property
-    def spreads(self) -> dict[str, dict[str, Any]]:
-        """What varies as it was given, {name: {kind: numbers}}: of ``each`` one entry for all."""
-        return {name: self.variables[of[0]].asked() for name, of in self.groups.items()}
 
     def _check_variables(self) -> None:
         moved = (name for name in self.variables if name in STANCE)
@@ -279,13 +262,8 @@ class Study:
         )
 
     @classmethod
-    def read(cls, path: str | Path, *, own_metrics: bool = True) -> Study:
-        """Reads a study from a TOML file; paths and modules in it are looked for beside it.
-
-        Args:
-            path: The file.
-            own_metrics: Import metrics that are ``module:function``, and so run code beside the
-                file; otherwise they are left out.
+    def read(cls, path: str | Path) -> Study:
+        """Reads a study from a TOML file; paths in it are looked for beside it.
 
         Raises:
             ConfigurationError: If it cannot be read, or makes no sense.
@@ -306,20 +284,11 @@ class Study:
             given["robot"] = _beside(path, robot)
         metrics = given.get("measure")
         if isinstance(metrics, list):
-            given["measure"] = metrics = [beside(path.parent, one) for one in metrics]
-        folder = str(path.parent.absolute())
-        own = modules_in(metrics)
-        if own and own_metrics and folder not in sys.path:
-            sys.path.append(folder)  # last: no library is hidden; and workers are given it
-        if metrics and own and not own_metrics:
-            # Where no other is left: what every design takes at least, its stand and its statics.
-            given["measure"] = [one for one in metrics if one not in own] or ["peak_utilisation"]
+            given["measure"] = [beside(path.parent, one) for one in metrics]
         try:
-            study = cls.of(given)
+            return cls.of(given)
         except (ConfigurationError, VariantError) as error:
             raise error.at(str(path)) from error
-        study.left_out = () if own_metrics else own
-        return study
 
     def run(
         self,
@@ -419,12 +388,8 @@ def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame
     )
 
 
-def read_study(folder: str | Path, *, everything: bool = False) -> pd.DataFrame:
+def read_study(folder: str | Path) -> pd.DataFrame:
     """Reads the results in a study's folder.
-
-    Args:
-        folder: The folder.
-        everything: Also the designs of what was asked before, in the order of their hashes.
 
     Returns:
         One row per design, as ``Study.run`` returns it; those that are there.
@@ -436,8 +401,6 @@ def read_study(folder: str | Path, *, everything: bool = False) -> pd.DataFrame:
     require_library("pandas")
     store = Store(Path(folder))
     stored = store.asked()
-    if everything:
-        return store.table()
     try:
         study, digest = stored["study"], str(stored["digest"])
         variables = {name: make_variable(name, given) for name, given in study["vary"].items()}
@@ -450,67 +413,3 @@ def read_study(folder: str | Path, *, everything: bool = False) -> pd.DataFrame:
         raise StudyError(folder, diagnose("study-does-not-say", what=what)) from error
     blocks = (names_of(digest, tuple(variables), block) for block in sampling.blocks())
     return order_rows(store.table(), blocks)
-
-
-# How many designs a study has, and about how long it takes: some are timed.
-
-TIMED = 5
-"""So many designs are timed, evenly drawn, once the first has loaded what all need."""
-
-
-@dataclass(frozen=True)
-class Estimate(Result):
-    """What a study would take.
-
-    Attributes:
-        designs: How many it has.
-        there: How many of these are there.
-        seconds_each: How long a design takes, on average of those that were timed (s).
-        slowest: The slowest of these (s).
-        failures: Their failures, by kind.
-        left_out: Measures that were not timed, as their code would have had to be imported.
-    """
-
-    designs: int
-    there: int
-    seconds_each: float
-    slowest: float
-    failures: tuple[str, ...]
-    left_out: tuple[str, ...]
-
-    def seconds(self, workers: int) -> float:
-        """Returns about how long the rest takes on some workers (s)."""
-        return (self.designs - self.there) * self.seconds_each / workers
-
-
-def estimate_study(study: Study, folder: Path) -> Estimate:
-    """Times some designs of a study's first block, in this process; nothing is written."""
-    # Without some of its measures it is another study, of which nothing is there.
-    begun = (folder / "shards").is_dir() and not study.left_out
-    done = Store(folder).designs() if begun else np.zeros(0, np.uint64)
-    there, numbers = 0, np.zeros((0, len(study.variables)))
-    names: list[str] = []
-    for block_names, block in study.designs():
-        there += int(np.isin(design_keys(block_names), done).sum())
-        if not names:
-            names, numbers = block_names, block
-        if not len(done):  # nothing is there to be counted
-            break
-    chosen = np.unique(np.linspace(0, len(names) - 1, TIMED).astype(int))
-    work = study.work()
-    seconds: list[float] = []
-    failures: list[str] = []
-    for index in (chosen[0], *chosen):
-        chunk = Chunk(work, (names[index],), (tuple(numbers[index].tolist()),))
-        found = measure_designs(chunk)
-        seconds.append(found.seconds)
-        failures += [row["failure"] for row in found.rows if row["failure"] is not None]
-    timed = seconds[1:]
-    return Estimate(
-        designs=len(study),
-        there=there,
-        seconds_each=float(np.mean(timed)),
-        slowest=max(timed),
-        failures=tuple(sorted(set(failures))),
-        left_out=study.left_out,
-    )

@@ -42,13 +42,11 @@ METRICS: dict[str, dict[str, Any]] = {
         **_SHARED,
         "of_file": partial(_of_policy, lambda gait: gait.margin if gait.tracks else 0.0),
         "unit": "1",
-        "better": "max",
         "fallen": 0.0,
     },
     "walk_torque": {
         **_SHARED,
         "of_file": partial(_of_policy, lambda gait: float(gait.torque_rms.max())),
         "unit": "N m",
-        "better": "min",
     },
 }

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
+from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.live.held import HeldPage, HeldSession
 from pupper_analysis.tools.live.render import Language
-from pupper_analysis.tools.live.state import load_source
+from pupper_analysis.tools.live.state import LiveSource, source_of_files
 from tests.tools.live.test_session import Browser, end, server, wait_for  # noqa: F401
 
 pytest.importorskip("viser", reason="viser is not installed")
@@ -35,14 +35,14 @@ ARM = f"""<robot name="arm"><link name="base"/>
 
 
 @pytest.fixture
-def source(tmp_path: Path) -> FileSource:
+def source(tmp_path: Path) -> LiveSource:
     file = tmp_path / "arm.urdf"
     file.write_text(ARM)
-    return load_source(RobotFiles.of(str(file)))
+    return source_of_files(RobotFiles.of(str(file)))
 
 
 @pytest.fixture
-def session(source: FileSource, server: Any) -> Iterator[HeldSession]:  # noqa: F811
+def session(source: LiveSource, server: Any) -> Iterator[HeldSession]:  # noqa: F811
     one = HeldSession(Browser(server), source, Language("en"))
     yield one
     end(one)
@@ -73,15 +73,9 @@ def test_a_slide_is_told_in_millimetres(session: HeldSession) -> None:
     assert session.joints.changed() == {"grip": pytest.approx(0.03)}
 
 
-def test_what_is_simulated_is_what_the_sliders_say(session: HeldSession) -> None:
-    session.joints.sliders["shoulder"].value = 60.0
-    session.simulate()
-    wait_for(lambda: "HOLDS (from one file)" in session._result.content, "it does not hold")
-
-
-def test_a_page_is_served_and_ends(source: FileSource) -> None:
+def test_a_page_is_served_and_ends(source: LiveSource) -> None:
     page = HeldPage(source)
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", page.address)
     page.close()
     with pytest.raises(ConfigurationError, match="has a free base"):
-        HeldPage(load_source(RobotFiles.of(str(model_folder("mjcf") / "pupper_v3.xml"))))
+        HeldPage(source_of_files(RobotFiles.of(str(model_folder("mjcf") / "pupper_v3.xml"))))

@@ -12,12 +12,10 @@ import pandas as pd
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.present.document import Report
+from pupper_analysis.present.document import LinePlot, Report, Table
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.study.document import study_document
-from pupper_analysis.tools.study.outcome import (
-    main_effects,
-)
+from pupper_analysis.tools.study.outcome import main_effects
 from tests.present.test_html import written
 from tests.support.commands import answer
 from tests.support.html_page import Page, shown
@@ -34,7 +32,7 @@ def outcome() -> pa.study.StudyOutcome:
     study = pa.Study("v3", VARY, ASKED)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as thread:
         study.run(folder, executor=thread)
-        return pa.study.study_outcome(study, folder)
+        return pa.study.study_outcome(study, folder, minimise=["peak_utilisation", "servo_sag"])
 
 
 # What came of it
@@ -54,11 +52,10 @@ def test_the_report_counts_what_the_table_has() -> None:
     assert (sag.least, sag.median, sag.greatest) == (known.min(), known.median(), known.max())
     assert sag.designs == len(known) == 12
     assert (sag.unit, "servos" in sag.meaning) == ("m", True)
-    assert found.axes == ("leg_scale", "height")  # of most values, in the study's order
     assert found.robot == "v3"
 
 
-def test_the_front_is_of_what_stands_in_what_is_better() -> None:
+def test_the_front_is_of_what_stands() -> None:
     found = outcome()
     assert found.objectives == {"peak_utilisation": "min", "servo_sag": "min"}
     assert (found.front["stands"] == 1).all()
@@ -97,29 +94,21 @@ def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.stud
 # The page
 
 
-def drawing(page: Page, title: str) -> object:
-    for figure in page.root.iter("figure"):
-        if figure.get("class") == "plot" and title in shown(figure.find("figcaption")):
-            return figure.find("svg")
-    raise AssertionError(title)
-
-
-def test_no_mean_leaves_out_what_does_not_stand_in_silence() -> None:
-    """Of two designs in a cell one falls: it has no sag, and the cell is marked and says so."""
+def test_the_front_is_drawn_and_in_a_table() -> None:
+    """Each design of it by its two objectives, and by its number in the study."""
     found = outcome()
-    table = found.table[found.table["height"] < 0.5].assign(mass=range(12))  # too many for maps
-    names = {**found.variables, "mass": {"values": list(range(12))}}
-    worst = table["kp"].eq(5.0) & table["leg_scale"].eq(1.2) & table["height"].eq(0.12)
-    table.loc[worst, "servo_sag"] = np.nan
-    fallen = replace(found, table=table, variables=names)
-    page = Page(written(fallen, robots=False))
-    svg = drawing(page, "servo_sag (m) over leg_scale and height: mean over mass, kp")
-    (line,) = [one for one in svg.iter("polyline") if one.get("class") == "unseen"]
-    message = line.get("data-labels").split("|")
-    assert [label.rpartition(" (")[2] for label in message].count("2 / 2)") == 5
-    (partial,) = [label for label in message if label.endswith(" (1 / 2)")]
-    assert partial.startswith("leg_scale 1.2, height 0.12: ")
-    assert "contain designs that do not stand; the mean is of the others" in page.shown()
+    document = study_document(found)
+    (plot,) = (one for one in document.blocks if isinstance(one, LinePlot))
+    (line,) = plot.series
+    np.testing.assert_array_equal(line.x, found.front["peak_utilisation"])
+    np.testing.assert_array_equal(line.y, found.front["servo_sag"])
+    assert [axis.unit for axis in (plot.x, plot.y)] == ["", "m"]
+    (table,) = (one for one in document.blocks if "Pareto" in str(getattr(one, "title", ""))
+                and isinstance(one, Table))  # fmt: skip
+    numbers = [found.table["design"].tolist().index(one) + 1 for one in found.front["design"]]
+    assert [row[0].value for row in table.rows] == numbers
+    sags = [row[2].value for row in table.rows]
+    assert sags == pytest.approx(found.front["servo_sag"].tolist())
 
 
 def test_a_failure_s_reason_is_in_chinese_too() -> None:

@@ -100,10 +100,8 @@ def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
 
 
 def test_a_measure_of_several_values_and_a_wrong_one(threads: Executor, tmp_path: Path) -> None:
-    named = "tests.support.study_metrics:places"
-    table = study({"kp": [5.0]}, named, study_metrics.wrong, "torque").run(
-        tmp_path, executor=threads
-    )
+    own = study_metrics.places, study_metrics.wrong
+    table = study({"kp": [5.0]}, *own, "torque").run(tmp_path, executor=threads)
     places = pa.solve_stand(load("v3")).contact_points
     for foot, place in places.items():
         assert table[f"places.{foot}"][0] == pytest.approx(place[0])
@@ -184,9 +182,6 @@ def test_a_changed_study_has_its_own_rows_alone(tmp_path: Path, threads: Executo
     assert other.execute(tmp_path, executor=threads).done == 2  # other metrics: other designs
     assert len(pa.read_study(tmp_path)) == 2
     assert "peak_utilisation" not in pa.read_study(tmp_path)
-    everything = pa.read_study(tmp_path, everything=True)
-    assert len(everything) == 3
-    assert everything["peak_utilisation"].notna().sum() == 1
 
 
 @pytest.mark.parametrize("sole", some([True, False], 2), ids=["boxes", "spheres"])
@@ -479,22 +474,6 @@ def test_a_damaged_shard_and_a_strange_folder_are_named(tmp_path: Path, threads:
         study({"kp": [5.0]}).execute(tmp_path, executor=threads)
 
 
-def test_a_readme_is_written_only_beside_a_study(tmp_path: Path, threads: Executor) -> None:
-    made, project, bare = tmp_path / "made", tmp_path / "project", tmp_path / "bare"
-    for folder in (project, bare):
-        folder.mkdir()
-        (folder / "robot.py").touch()
-    (project / "README.md").write_text("# my project\n")
-    for folder in (made, project, bare):
-        study({"kp": [5.0]}).execute(folder, executor=threads)
-    assert (made / "README.md").read_text().startswith("# A study")
-    assert (project / "README.md").read_text() == "# my project\n"
-    assert not (bare / "README.md").exists()
-    (made / "README.md").write_text("# what I make of it\n")
-    assert study({"kp": [5.0]}).execute(made, executor=threads).there == 1
-    assert (made / "README.md").read_text() == "# what I make of it\n"
-
-
 # ----------------------------------------------------------------------------- commands
 
 
@@ -512,14 +491,9 @@ def test_the_study_command_writes_its_results(
 ) -> None:
     file, folder = tmp_path / "legs.toml", tmp_path / "legs"
     file.write_text(LEGS)
-    status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--dry-run")
-    assert status == 0
-    assert "4 designs, 0 of them already measured" in out
-    assert "no equilibrium" in out
-    assert not folder.exists()
     status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--workers", "1")
     assert status == 0
-    assert "legs: 4 designs, of which 2 failed: " in out
+    assert "v3: 4 designs, of which 2 failed: " in out
     assert "2 no equilibrium" in out
     table = pa.read_study(folder)
     _, unit, *line = next(row for row in out.splitlines() if row.startswith("servo_sag")).split()
@@ -527,8 +501,6 @@ def test_the_study_command_writes_its_results(
     least, most = table["servo_sag"].min(), table["servo_sag"].max()
     assert [float(line[0]), float(line[2])] == pytest.approx([least, most], rel=1e-4)
     assert line[3] == "2"
-    status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--dry-run")
-    assert "4 designs, 4 of them already measured" in out
     written = tmp_path / "study.json"
     arguments = ("study", str(file), "-o", str(folder), "--json", str(written))
     status, out, _ = run_command(capfd, *arguments)
@@ -542,7 +514,7 @@ def test_the_study_command_writes_its_results(
 @pytest.mark.longest
 def test_ctrl_c_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(
-        'robot = "v3"\nmeasure = ["tests.support.study_metrics:slow"]\n[vary]\n'
+        'robot = "v3"\nmeasure = ["minimum_stiffness"]\n[vary]\n'
         "torso_mass_scale = { linspace = [1.0, 2.0, 400] }\n"
     )
     folder = tmp_path / "study"
