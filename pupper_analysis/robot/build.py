@@ -80,7 +80,7 @@ def build_robot(
     pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
     notes = [*added, *option_notes(mj_model), *_at_rest(mj_model)]
-    notes += tell_ranges_not_kept(mj_model, joint_names)
+    notes += tell_ranges_not_kept(mj_model)
     notes += tell_bonds_not_kept(mj_model)
     notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention, joint_names)
     contact_frames = {point: frames[0] for point, frames in description.contact_points.items()}

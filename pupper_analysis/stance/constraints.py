@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.structure import Kinematics
-from pupper_analysis.robot.tendons import TendonRanges, tendon_ranges
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import SIDES, margin_of_place, polygon_sides
@@ -29,7 +28,7 @@ TASK_TOLERANCE = 1e-9
 """Error up to which a task counts as satisfied (m, rad)."""
 
 TOUCHING = 1e-6
-"""How much nearer than allowed parts may come, and tendons be longer (m, rad): rounding. A search
+"""How much nearer than allowed parts may come (m): rounding. A search
 aims within half of it: at the end of reach it is all that there is."""
 
 _PAIRS = 12
@@ -259,34 +258,6 @@ class JointLimits(Constraint):
         return np.isfinite(self._begun.lower), np.isfinite(self._begun.upper)
 
 
-class TendonLimits(Constraint):
-    """Sums of joint positions are in the ranges that tendons of the MJCF give them."""
-
-    name = "tendon-ranges"
-
-    def __init__(self, shapes: ClearanceShapes, goal: Goal, ranges: TendonRanges) -> None:
-        super().__init__(shapes, goal)
-        self._ranges = ranges
-
-    def residual(self, _: Goal, at: Kinematics) -> Array:
-        """See ``Constraint``."""
-        return self._room(at) + TOUCHING / 2
-
-    def rates(self, _: Goal, at: Configuration) -> Array:
-        """See ``Constraint``."""
-        each = self._ranges.coefficients
-        still = np.zeros((len(each), at.robot.nv - at.robot.nu))
-        return np.vstack([np.hstack([still, each]), np.hstack([still, -each])])
-
-    def missed(self, _: Goal, at: Kinematics) -> float:
-        """See ``Constraint``: rounding, where feet are put exactly in their places, is no miss."""
-        beyond = -float(self._room(at).min())
-        return beyond if beyond > TOUCHING else 0.0
-
-    def _room(self, at: Kinematics) -> Array:
-        return self._ranges.room(at.qpos[-self._ranges.coefficients.shape[1] :])
-
-
 class GroundClearance(Constraint):
     """Every part but the feet is above the ground by the task's clearance."""
 
@@ -394,9 +365,6 @@ def constraints_of(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
     if asked and not shapes.robot.welded:
         yield SupportMargin(shapes, goal)
     yield JointLimits(shapes, goal)
-    ranges = tendon_ranges(shapes.robot)
-    if ranges.names:
-        yield TendonLimits(shapes, goal, ranges)
     yield GroundClearance(shapes, goal)
     if goal.task.self_clearance is not None:
         yield SelfClearance(shapes, goal)

@@ -8,7 +8,6 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
@@ -16,7 +15,6 @@ from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.joints import check_in_range, joint_unit, named_positions
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tendons import tendon_ranges
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.task import StandTask
 
@@ -26,12 +24,8 @@ _SLACK = 1e-3
 """What keyframes may be beyond limits (rad, m), as they are rounded: they are cut to these; and by
 which joints of a loop that are given may be moved to close it."""
 
-_OFF_ENDS = 0.1
-"""Part of a tendon's range that joints in the middle of theirs are kept off its ends: MuJoCo's
-limits are soft, and push before a joint is there."""
-
 AT_END = 1e-6
-"""What is nearer to a tendon's end is at it (rad, m): rounding."""
+"""What is nearer to a limit is at it (rad, m): rounding."""
 
 
 class PostureSource(StrEnum):
@@ -98,8 +92,7 @@ def find_posture(
     """Finds the posture that is asked for.
 
     Joints that are not given are where a keyframe has them, or else in the middle of their ranges,
-    at zero where they have none, moved by what tendons of the MJCF ask for. Joints that follow
-    others are where these take them.
+    at zero where they have none. Joints that follow others are where these take them.
 
     Args:
         robot: A robot whose base is held.
@@ -109,8 +102,8 @@ def find_posture(
             it is within the joints' ranges.
 
     Raises:
-        ConfigurationError: If the base is free, a position is out of its joint's range, a tendon
-            would be beyond its own, or loops and couplings of joints cannot be closed there.
+        ConfigurationError: If the base is free, a position is out of its joint's range, or
+            loops and couplings of joints cannot be closed there.
         UnknownNameError: If a joint or the keyframe is not there; the message lists what is.
     """
     check_held(robot)
@@ -120,17 +113,13 @@ def find_posture(
     for joint, position in given.items():
         qpos[robot.joint_names.index(joint)] = position
     placed = np.array([robot.joint_names.index(joint) for joint in given], dtype=np.int64)
-    start, tendons = qpos, tendon_ranges(robot)
+    start = qpos
     qpos = _closed(robot, start, placed)
-    if source is PostureSource.MIDDLE and (tendons.room(qpos) < 0).any():
-        qpos = _closed(robot, _within(robot, qpos, ranges, placed), placed)
     moved = np.abs(qpos - start) > _SLACK
     for joint, position, ends, by in zip(robot.joint_names, qpos, ranges, moved, strict=True):
         bonds = robot.closure.bonds if robot.closure is not None and by else ()
         stated = "keyframe" if source is PostureSource.KEYFRAME and joint not in given else "joints"
         check_in_range(robot, joint, float(position), tuple(ends.tolist()), stated, bonds)
-    for problem in tendons.at_ends(qpos, -AT_END):
-        raise ConfigurationError("joints", problem)
     return Posture(robot.joint_names, qpos, source, name, tuple(given))
 
 
@@ -153,32 +142,6 @@ def _closed(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
         problem = diagnose("posture-does-not-close", bonds=robot.closure.bonds)
         raise ConfigurationError("joints", problem)
     return closed
-
-
-def _within(robot: Robot, qpos: Array, ranges: Array, placed: NDArray[np.int64]) -> Array:
-    """Returns the posture (nu,) next to another that leaves tendons in their ranges, if any does.
-
-    Joints that are given stay, and loops and couplings closed to first order.
-    """
-    from scipy import optimize  # slow to import
-
-    tendons = tendon_ranges(robot)
-    basis = np.eye(robot.nu) if robot.closure is None else robot.closure.null_space(qpos)
-    basis = basis @ linalg.null_space(basis[placed]) if len(placed) else basis
-    rows, here = tendons.coefficients @ basis, tendons.coefficients @ qpos
-    off = _OFF_ENDS * (tendons.upper - tendons.lower)
-    limits = (
-        optimize.LinearConstraint(rows, tendons.lower + off - here, tendons.upper - off - here),
-        optimize.LinearConstraint(basis, *(ranges.T - qpos)),
-    )
-    found = optimize.minimize(
-        lambda along: along @ basis.T @ basis @ along / 2,
-        np.zeros(basis.shape[1]),
-        jac=lambda along: basis.T @ basis @ along,
-        method="SLSQP",
-        constraints=limits,
-    )
-    return qpos + basis @ found.x if found.success else qpos
 
 
 def held_stand(robot: Robot, posture: Posture) -> Stand:

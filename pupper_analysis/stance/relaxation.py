@@ -13,8 +13,7 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tendons import tendon_ranges
-from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING
+from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.demands import (
     DEMANDS,
     Numbers,
@@ -81,8 +80,7 @@ def explain_refusal(
         for index in np.flatnonzero((np.abs(joints - limits) < 1e-6) & ~placed):
             at_limit[robot.joint_names[index]] = float(limits[index])
     missed = {foot: gap for foot, gap in gaps.items() if gap >= TASK_TOLERANCE}
-    tendons = tuple(tendon_ranges(robot).at_ends(joints, TOUCHING))
-    blocked = tendons if missed else (*nearest.blocked, *tendons)
+    blocked = () if missed else nearest.blocked
     if not missed and not blocked:  # the feet are in place with loops or couplings open
         blocked = (diagnose("loops-stay-open", most=Quantity(nearest.foot_error, "rad or m")),)
     if not at_limit and _is_dead_point(robot, nearest):

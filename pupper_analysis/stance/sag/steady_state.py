@@ -28,7 +28,6 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead
 from pupper_analysis.robot.stability import LASTING
-from pupper_analysis.robot.tendons import tendon_ranges
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.posture import AT_END, joint_ranges
@@ -696,7 +695,6 @@ def _failures(
         diagnose("joint-beyond-limit", subject=("joint", robot.joint_names[i]))
         for i in np.flatnonzero((joints < low - AT_END) | (joints > high + AT_END))
     ]
-    failures += tendon_ranges(robot).at_ends(joints, -AT_END)
     with lend(robot, _data_of) as data:  # what is asked of them depends on qpos alone
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_kinematics(robot.mj_model, data)

@@ -1,8 +1,7 @@
-"""How joints of a robot whose base is held move: alone, with others, along tendons, in loops."""
+"""How joints of a robot whose base is held move: alone, with others, in loops."""
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import mujoco
@@ -11,8 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tendons import tendon_ranges
-from pupper_analysis.stance.posture import AT_END, Posture, joint_ranges
+from pupper_analysis.stance.posture import Posture, joint_ranges
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -48,8 +46,7 @@ class JointMotions:
 
     Attributes:
         origin: (nu,) the posture.
-        free: Numbers of the joints that lead ways: those that follow none, each by itself, and
-            then of each two on a tendon one, which move so that it keeps its length.
+        free: Numbers of the joints that lead ways: those that follow none.
         steps: (nu, n) how all joints move with each, near the posture.
         moved: Numbers of the joints that move with each.
         bent: (n,) whether joints follow it otherwise than in proportion: in a loop.
@@ -76,10 +73,8 @@ class JointMotions:
         self.moved = [np.array([joint]) for joint in self.free]
         self._loop = [np.array([joint]) for joint in self.free]
         self._closed: dict[tuple[float, ...], Array | None] = {}
-        self._tendons = tendon_ranges(robot)
         if self._closure is not None:
             self._bind(self._closure)
-        self._go_along_tendons()
 
     def random(self, count: int) -> list[Array]:
         """Returns so many random postures (nu,), their loops closed: the same ones each time."""
@@ -107,11 +102,6 @@ class JointMotions:
             ends = self.ranges[[lead]] - qpos[lead]
         else:
             ends = (self.ranges[moving] - qpos[moving, None]) / step[moving, None]
-        tendons = self._tendons
-        rates = tendons.coefficients @ step
-        pulled = np.abs(rates) > _UNMOVED
-        room = tendons.room(qpos).reshape(2, -1)[:, pulled] / rates[pulled]
-        ends = np.vstack([ends, np.column_stack([-room[0], room[1]])])
         ends.sort(axis=1)
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
@@ -124,7 +114,7 @@ class JointMotions:
     def along(self, qpos: Array, way: int, length: float) -> Array | None:
         """Returns the posture (nu,) that is so far along a way (rad, m), its loop closed.
 
-        None if that does not close there, or takes others, or tendons, beyond their ranges.
+        None if that does not close there, or takes others beyond their ranges.
         """
         if not self.bent[way]:
             moved: Array = qpos + length * self.steps[:, way]
@@ -147,20 +137,7 @@ class JointMotions:
         if followed is None:
             return None
         bent[following] = followed
-        return bent if (self._tendons.room(bent) >= -AT_END).all() else None
-
-    def _go_along_tendons(self) -> None:
-        """Adds the ways of two joints on one tendon: at its end neither has a way of its own."""
-        rates = self._tendons.coefficients @ self.steps
-        for row in rates:
-            pulled = [way for way in np.flatnonzero(row).tolist() if not self.bent[way]]
-            for one, other in itertools.combinations(pulled, 2):
-                step = self.steps[:, one] - self.steps[:, other] * row[one] / row[other]
-                self.steps = np.column_stack([self.steps, step])
-                self.free += (self.free[one],)
-                self.moved.append(np.flatnonzero(np.abs(step) > _UNMOVED))
-                self.bent = np.append(self.bent, False)
-                self._loop.append(np.array([self.free[one]]))
+        return bent
 
     def _bind(self, closure: Closure) -> None:
         """Takes loops and couplings into account."""
