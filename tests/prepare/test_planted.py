@@ -29,9 +29,8 @@ NEVER = {
 }
 """Codes of what is seen, and is no cause."""
 
-CONSEQUENCES = {"motors-overloaded", "limbs-unlike", "foot-buried"}
-"""Of what is too weak, or loads it; of one joint whose range is no longer its like's; of feet that
-sink: told beside the cause, and true."""
+CONSEQUENCES = {"motors-overloaded", "foot-buried"}
+"""Of what is too weak, or loads it; of feet that sink: told beside the cause, and true."""
 
 
 def servos(words: str) -> Edit:
@@ -148,7 +147,7 @@ PLANTS: dict[str, tuple[Edit, str]] = {
     "a base without weight": (put('name="trunk"', 'gravcomp="1" name="trunk"'), "files-differ"),
     "a range that cuts the pose": (
         put('range="-2.6 -0.4"', 'range="-2.6 -1.5"', 1),
-        "range-stops, limbs-unlike",
+        "range-stops",
     ),
     "a margin of contacts": (feet('margin="0.02"'), "files-differ"),
     "condim 1": (floor('condim="1"'), "feet-without-friction"),
