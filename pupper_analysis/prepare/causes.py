@@ -23,7 +23,6 @@ from pupper_analysis.prepare.bare import (
 from pupper_analysis.robot.as_published import Cause
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.rollout import FILTERS
-from pupper_analysis.statics.equilibrium import GravityCompensation
 
 Array = NDArray[np.float64]
 
@@ -66,7 +65,6 @@ _SECTIONS = {
     "timeconst": "actuator",
     "bias": "actuator",
     "gain": "actuator",
-    "gaintype": "actuator",
     "gear": "actuator",
     "delay": "actuator",
     "motors-elsewhere": "actuator",
@@ -81,19 +79,14 @@ _SECTIONS = {
 _OPTIONS = {
     "override": ("flag", {"override"}),
     "actuatorgroupdisable": ("option", {"actuatorgroupdisable"}),
-    "solver": ("option", {"jacobian"}),
     "timestep": ("option", {"timestep"}),
     "iterations": ("option", {"solver", "iterations", "tolerance"}),
-    "gravity": ("option", {"gravity"}),
-    "fluid": ("option", {"density", "viscosity", "wind"}),
 }
 """The elements of options, and their attributes."""
 
 
 def with_line(cause: Cause, mjcf: MjcfFile) -> Cause:
     """Returns a cause with the line where its first element stands, where that is known."""
-    if cause.code in ("slippery", "soft"):
-        cause = replace(cause, elements=_as_stated(cause, mjcf))
     name = cause.elements[0] if cause.elements else ""
     line = None
     if cause.code in _SECTIONS:
@@ -111,17 +104,6 @@ def with_line(cause: Cause, mjcf: MjcfFile) -> Cause:
     return replace(cause, line=line)
 
 
-def _as_stated(cause: Cause, mjcf: MjcfFile) -> tuple[str, ...]:
-    """Returns the names of contacts: of a pair where that states what a geom was given of it."""
-    model = mjcf.model
-    pairs = _pair_names(model, np.flatnonzero(_are_bad(model, "pair", cause.code)))
-    found = (
-        next((pair for pair in pairs if name in pair.split(" and ")), name)
-        for name in cause.elements
-    )
-    return tuple(dict.fromkeys(found))
-
-
 def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
     """Returns what in an MJCF may make it differ from what is computed of its robot."""
     model = bare.model
@@ -133,7 +115,6 @@ def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
         *_limits(bare, robot),
         *_servos(bare, robot),
         *_motors(bare),
-        *_pairs(model),
         *_passive(bare, robot),
         *_shapes(bare, robot),
     ]
@@ -142,12 +123,6 @@ def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
 def physical_causes(bare: Bare, robot: Robot) -> list[Candidate]:
     """Returns what in an MJCF, though its robot is computed with it, may be what makes it fail."""
     return [*_signs(bare, robot), *_forces(bare, robot), *_contacts(bare)]
-
-
-def shaking_causes(bare: Bare, robot: Robot) -> list[Candidate]:
-    """Returns what of these changes how a stand is simulated, and not which stand it is."""
-    model = bare.model
-    return [*_numerics(model), *_pairs(model), *_signs(bare, robot), *_contacts(bare)]
 
 
 def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
@@ -167,13 +142,10 @@ def _motor_names(model: mujoco.MjModel, motors: Iterable[int]) -> tuple[str, ...
     )
 
 
-LIMITS = ("forcerange", "actuatorfrcrange")
-"""The codes of what limits forces."""
-
 NUMERICS = ("timestep", "iterations")
 """The codes of how MuJoCo integrates and solves."""
 
-COMMANDS = ("bias", "gain", "gaintype", "gear")
+COMMANDS = ("bias", "gain", "gear")
 """The codes of what makes another target of a command."""
 
 
@@ -238,21 +210,19 @@ def _motors_of(bare: Bare, robot: Robot) -> NDArray[np.int64]:
 def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Forces beside the law of position servos: biases, gains that are no stiffness, delays."""
     model, motors = bare.model, _motors_of(bare, robot)
-    fixed, affine = mujoco.mjtGain.mjGAIN_FIXED.value, mujoco.mjtBias.mjBIAS_AFFINE.value
+    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     controls = model.actuator_ctrladr[motors]
     served = motors[model.actuator_biastype[motors] == affine]
     gain, stiffness = model.actuator_gainprm[served, 0], -model.actuator_biasprm[served, 1]
     biased = served[model.actuator_biasprm[served, 0] != 0]
     uneven = served[(stiffness > 0) & (stiffness != gain) & (gain > 0)]
-    varying = served[model.actuator_gaintype[served] != fixed]
     late = model.actuator_delay[controls] > 0
     named = {code: _motor_names(model, which) for code, which in (
-        ("bias", biased), ("gain", uneven), ("gaintype", varying), ("delay", motors[late])
+        ("bias", biased), ("gain", uneven), ("delay", motors[late])
     )}  # fmt: skip
     even = -model.actuator_biasprm[uneven, 1]
     yield from _if_any("bias", named["bias"], "actuator_biasprm", (biased, 0))
     yield from _if_any("gain", named["gain"], "actuator_gainprm", (uneven, 0), even)
-    yield from _if_any("gaintype", named["gaintype"], "actuator_gaintype", varying, fixed)
     yield from _if_any("delay", named["delay"], "actuator_delay", controls[late])
 
 
@@ -270,7 +240,7 @@ def _signs(bare: Bare, robot: Robot) -> Iterator[Candidate]:
 
 
 def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
-    """Forces beside gravity and motors: springs, joints' limits, fluids; and gravity aside."""
+    """Forces beside gravity and motors: springs, joints' limits."""
     model, joints = bare.model, _joints_of(bare, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
     sprung = [
@@ -283,41 +253,6 @@ def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     yield from _if_any("spring", (*sprung[0], *sprung[1]), f"{linear} {higher}", slice(None))
     limited = joints[model.jnt_limited[joints] != 0]
     yield from _if_any("range", _names(model, _OBJ.mjOBJ_JOINT, limited), "jnt_limited", limited)
-    if model.opt.density or model.opt.viscosity:
-        parts = [f"density {model.opt.density:g} kg/m^3", f"viscosity {model.opt.viscosity:g} Pa s"]
-        if model.opt.wind.any():
-            parts.append(f"wind ({', '.join(f'{speed:g}' for speed in model.opt.wind)}) m/s")
-        yield Candidate("fluid", tuple(parts), _set(("density viscosity", None, 0.0)))
-    if model.opt.gravity[:2].any():
-        down = 0.0, 0.0, -np.linalg.norm(model.opt.gravity)
-        stated = ", ".join(f"{part:g}" for part in model.opt.gravity)
-        upright = _set(("opt.gravity", slice(None), down))
-        yield Candidate("gravity", (f"({stated}) m/s^2",), upright)
-
-
-def overloading_springs(
-    robot: Robot, qpos: Array, statics: GravityCompensation
-) -> tuple[Cause, ...]:
-    """Returns the springs without which motors that are beyond their limits would be within.
-
-    Args:
-        robot: The robot.
-        qpos: (nq,) where it is.
-        statics: What its motors hold there, springs and all.
-    """
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_fwdPosition(model, data)
-    mujoco.mj_passive(model, data)
-    pulled = data.qfrc_spring[robot.mj_convention.qvel_index][-robot.nu :]
-    torque, used = statics.joint_torques, statics.motor_utilisation
-    beyond = used > 1
-    with np.errstate(invalid="ignore", divide="ignore"):
-        alone = used * np.abs(torque + pulled) / np.abs(torque)
-    loaded = beyond & (pulled != 0)
-    if not beyond.any() or not (loaded == beyond).all() or (alone[beyond] > 1).any():
-        return ()
-    return (Cause("spring", tuple(np.array(robot.joint_names)[loaded].tolist())),)
 
 
 _SLIPPERY = 0.3
@@ -336,9 +271,8 @@ def _contacts(bare: Bare) -> Iterator[Candidate]:
     """Contacts that slip, and contacts that give way."""
     model = bare.model
     touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    even = model.pair_friction[:, 0] == model.pair_friction[:, 1]  # else see ``_pairs``
     slips = np.flatnonzero(_are_bad(model, "geom", "slippery") & touch)
-    paired = np.flatnonzero(_are_bad(model, "pair", "slippery") & even)
+    paired = np.flatnonzero(_are_bad(model, "pair", "slippery"))
     gives = np.flatnonzero(_are_bad(model, "geom", "soft") & touch)
     both = np.flatnonzero(_are_bad(model, "pair", "soft"))
     for code, geoms, pairs, sound in (
@@ -382,8 +316,6 @@ def _excludes(model: mujoco.MjModel) -> Iterator[Candidate]:
 
 def _options(model: mujoco.MjModel) -> Iterator[Candidate]:
     flags, override = model.opt.enableflags, mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
-    dense = mujoco.mjtJacobian.mjJAC_DENSE.value
-    sparse = model.opt.jacobian != dense and mujoco.mj_isSparse(model)
     for acts, code, element, field, value in (
         (flags & override, "override", "flag override", "enableflags", flags & ~override),
         (
@@ -393,7 +325,6 @@ def _options(model: mujoco.MjModel) -> Iterator[Candidate]:
             "disableactuator",
             0,
         ),
-        (sparse, "solver", "option jacobian", "jacobian", dense),
     ):
         yield from _if_any(code, (element,) if acts else (), field, None, value)
 
@@ -438,21 +369,11 @@ def _motors(bare: Bare) -> Iterator[Candidate]:
     yield from _if_any("timeconst", named, "actuator_dynprm", (slow, 0), SETTLES)
 
 
-def _pairs(model: mujoco.MjModel) -> Iterator[Candidate]:
-    """Friction of a pair of geoms that is not the same along both of its axes."""
-    uneven = np.flatnonzero(model.pair_friction[:, 0] != model.pair_friction[:, 1])
-    most = model.pair_friction[uneven][:, :2].max(axis=1, initial=0.0)[:, None]
-    at, named = (uneven, slice(2)), _pair_names(model, uneven)
-    yield from _if_any("pair-friction", named, "pair_friction", at, most)
-
-
 def _passive(bare: Bare, robot: Robot) -> Iterator[Candidate]:
-    """Joints that are held at zero in what is computed, and move in the file; soft bodies."""
+    """Joints that are held at zero in what is computed, and move in the file."""
     model, loose = bare.model, loose_joints(bare, robot)
     named = _names(model, _OBJ.mjOBJ_JOINT, loose)
     yield from _if_any("loose-joints", named, "dof_damping", model.jnt_dofadr[loose], _LOCKED)
-    named = _names(model, _OBJ.mjOBJ_FLEX, range(model.nflex))
-    yield from _if_any("flex", named, "flex_contype flex_conaffinity", slice(None))
 
 
 def _shapes(bare: Bare, robot: Robot) -> Iterator[Candidate]:

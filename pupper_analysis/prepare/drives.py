@@ -31,9 +31,8 @@ from pupper_analysis.prepare.servo_tuning import FINER, held_gains, suggested_ga
 from pupper_analysis.prepare.touching import take_visuals_of
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import model_with_servos, own_servos
-from pupper_analysis.simulation.causes import too_stiff
-from pupper_analysis.simulation.settling import UPRIGHT, comes_to_rest
+from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.simulation.settling import comes_to_rest
 from pupper_analysis.simulation.verify import ANOTHER_ROBOT, StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -229,39 +228,6 @@ def _driven(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
     return replace(built, description=described)
 
 
-def suggest_servos(robot: Robot, stand: Stand) -> Diagnostic | None:
-    """Tells so, with gains that would hold it, if a robot falls over on servos of its own.
-
-    They are the robot's, and so they stay as they are.
-    """
-    if comes_to_rest(robot, stand):
-        return None
-    fallen = verify_stand(robot, stand)
-    if not _falls(fallen):
-        return None
-    own = np.array(list(own_servos(robot).values()))  # of those that have a motor
-    torques = stand_statics(robot, stand).joint_torques
-    stiffness = describe_span(own[:, 0], "N m/rad")
-    drive = model_with_servos(robot)
-    if too_stiff(robot, stand, drive):
-        seen = verify_stand(robot, stand, integrator="implicitfast")
-        if not _falls(seen):
-            step = Quantity(robot.mj_model.opt.timestep, "s")
-            return diagnose(
-                "own-servos-too-stiff",
-                stiffness=stiffness,
-                integrator=drive.integrator,
-                timestep=step,
-            )
-    for sag in () if _another(robot, fallen) else _SAGS:
-        kp, kd = (
-            np.full(robot.nu, gains.min()) for gains in suggested_gains(robot, stand, torques, sag)
-        )
-        if comes_to_rest(robot, stand, kp=kp, kd=kd):
-            return diagnose("own-servos-let-it-fall", stiffness=stiffness, kp=kp[0], kd=kd[0])
-    return diagnose("own-servos-let-it-fall", stiffness=stiffness, kp=None, kd=None)
-
-
 def _kept(
     robot: Robot, own: Mapping[str, tuple[float, float]], kp: Array, kd: Array
 ) -> tuple[Array, Array]:
@@ -270,11 +236,6 @@ def _kept(
     both = np.array([own.get(name, (stiffness, damping)) for name, stiffness, damping in given])
     both[following_joints(robot)] = 0.0
     return both[:, 0], both[:, 1]
-
-
-def _falls(seen: StandVerification) -> bool:
-    """Tells whether a robot does not stay up; MuJoCo begins anew where a simulation diverges."""
-    return seen.tilt > UPRIGHT or seen.collapses
 
 
 def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:

@@ -9,18 +9,13 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.prepare.causes import LIMITS, overloading_springs
 from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
 from pupper_analysis.prepare.self_check import (
     as_published_in,
-    makes_it_shake,
     own_run_explained,
-    with_lines,
 )
 from pupper_analysis.robot.alike import structure
-from pupper_analysis.robot.as_published import Cause, Published
 from pupper_analysis.robot.build import efforts_nobody_meant
-from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.trial import (
@@ -79,12 +74,6 @@ def judge(
     if statics is not None and fed.passed:
         fed = _nudged(robot, stand, fed, statics, trial, kp, kd)
     published = as_published_in(robot, stand, servos)
-    shakes = fed.stability is not None and not fed.stability.lasts()
-    if asked is Asked.STANDS and not fed.passed and shakes:
-        published = _first(_shaking(published, robot, stand, kp, kd), published)
-    if statics is not None:
-        springs = with_lines(overloading_springs(robot, stand.qpos, statics), robot)
-        published = _first(springs, published, instead=LIMITS)
     return judge_stance(
         fed,
         alone,
@@ -98,24 +87,8 @@ def judge(
             *structure(robot),
             *(robot.description.replaced_soles() if stand.stance_feet else ()),
             *remarks_of_files(robot),
-            *_buried(robot, stand, statics),
         ),
     )
-
-
-def _buried(
-    robot: Robot, stand: Stand, statics: GravityCompensation | None
-) -> tuple[Diagnostic, ...]:
-    """Tells if a foot's sphere sinks by more than its radius: what stands so stands on no floor."""
-    if statics is None:
-        return ()
-    for foot, force in statics.contact_forces.items():
-        radius, pressing = robot.contact_radius[foot], float(force @ stand.normals[foot])
-        depth = GroundLaw.of(robot, foot).depth(max(0.0, pressing))
-        if depth > radius > 0:
-            deep, size = Quantity(depth, "m"), Quantity(radius, "m")
-            return (diagnose("foot-buried", subject=("foot", foot), depth=deep, radius=size),)
-    return ()
 
 
 def _nudged(
@@ -145,36 +118,6 @@ def _nudged(
         time=Quantity(trial.time or 0.0, "s"),
     )
     return replace(fed, passed=False, failures=(upset,))
-
-
-def _shaking(
-    published: Published | None,
-    robot: Robot,
-    stand: Stand,
-    kp: ArrayLike | None,
-    kd: ArrayLike | None,
-) -> tuple[Cause, ...]:
-    """Returns the time step, the solver or the contacts, if these make a stand shake, or sink."""
-
-    def fails(other: Robot) -> bool:
-        held = solve_stand_as_simulated(other, stand)
-        return not verify_stand(other, held, kp=kp, kd=kd).passed
-
-    known = () if published is None else published.causes
-    found = makes_it_shake(robot, fails)
-    return tuple(cause for cause in found if cause.code not in {one.code for one in known})
-
-
-def _first(
-    causes: tuple[Cause, ...], published: Published | None, instead: tuple[str, ...] = ()
-) -> Published | None:
-    """Puts causes before those by which a file differs, and instead of some of these."""
-    if not causes:
-        return published
-    if published is None:
-        return Published((), causes, differs=False)
-    kept = (cause for cause in published.causes if cause.code not in instead)
-    return replace(published, causes=(*causes, *kept))
 
 
 _BEARING = {

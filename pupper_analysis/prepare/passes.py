@@ -1,7 +1,7 @@
 """What makes two published files a robot that can stand: named passes, in the order of `PASSES`.
 
 Each takes what has been made so far and returns it with what it had to do, told to whoever loads
-the robot. A file that is ready needs none of it.
+the robot.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from pupper_analysis.models.additions import (
     Options,
 )
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import JointKind, has_free_joint, name_all
+from pupper_analysis.models.mjcf import has_free_joint, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import (
@@ -50,29 +50,22 @@ from pupper_analysis.prepare.feet import (
 from pupper_analysis.prepare.joints import (
     bound_turning_joints,
     couple_mimics,
-    joints_of_several_motors,
     narrow_limits,
     one_at_each_joint,
-    with_parts,
 )
 from pupper_analysis.prepare.simulable import (
     check_masses,
     check_simulable,
-    choose_exact_solver,
-    solver_error,
 )
-from pupper_analysis.prepare.start import find_start_pose, first_stand, start_of
+from pupper_analysis.prepare.start import find_start_pose, start_of
 from pupper_analysis.prepare.touching import leave_out_visuals, take_visuals_of
 from pupper_analysis.robot.build import build_robot, equipped_robot, with_knowledge_of
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.matching.match import Match, match_models
-from pupper_analysis.robot.matching.trees import urdf_mimics
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
-
-_FEWEST = 3  # contact points on which a robot stands
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,104 +87,6 @@ class Request:
     joints: Mapping[str, str] | None = None
     keyframe: str | None = None
     as_is: bool = False
-
-
-def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:
-    """Builds the robot of two files as they are; None if something is to be made up for.
-
-    They are ready where feet are named, whose frames both have, and joints alike; where nothing
-    else lies in the scene, and the ground is level or missing. A robot without feet, whose base is
-    held, is ready only if it is to be taken as it is: it may lack servos, or overlap.
-
-    Raises:
-        ModelError: If they are ready, and make no robot all the same.
-    """
-    if request.feet is None or request.joints or request.keyframe is not None:
-        return None
-    if not _same_joints(urdf, mjcf.spec) or not _known(urdf, mjcf.spec, request):
-        return None
-    if not request.fixed_base and not _may_stand(urdf, mjcf.spec):
-        return None
-    robot = _built(urdf, mjcf, request)
-    if robot is None or (robot.floating and _needs_more(robot)):
-        return None
-    if robot.floating and not request.as_is and not _may_be_commanded_to_stand(robot):
-        return None
-    if not (robot.floating or request.feet or request.as_is):
-        return None
-    said = (*notes.bound_joints(robot), *notes.tell_uncommanded(robot))
-    return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))
-
-
-def _same_joints(urdf: UrdfFile, spec: mujoco.MjSpec) -> bool:
-    """Tells whether both have joints of the same names, of one robot alone."""
-    tree = urdf.tree
-    moving = {
-        joint.name for joint in tree.joints.values() if joint.kind not in ("fixed", "floating")
-    }
-    free = [joint for joint in spec.joints if joint.type == JointKind.FREE]
-    hinges = {joint.name for joint in spec.joints if joint.type != JointKind.FREE}
-    return moving == hinges and len(free) <= 1
-
-
-def _known(urdf: UrdfFile, spec: mujoco.MjSpec, request: Request) -> bool:
-    """Tells whether both have the frames of the feet that are named."""
-    places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
-    named = (request.feet or {}).values()
-    return all(one in urdf.tree.links and other in places for one, other in named)
-
-
-def _may_stand(urdf: UrdfFile, spec: mujoco.MjSpec) -> bool:
-    """Tells whether nothing is to be done to the ground, and no joint follows in the URDF alone.
-
-    A ground that is missing is no reason; one that is not level at z = 0, or has more on it, is.
-    So is a base that hangs by its free joint's friction.
-    """
-    if urdf_mimics(urdf.root):
-        return False
-    if not any(joint.type == JointKind.FREE for joint in spec.joints):
-        return True
-    mine = spec.copy()
-    changed = [*level_ground(mine), *free_of_friction(mine)]
-    return all(change.code == "ground-added" for change in changed)
-
-
-def _built(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:
-    """Builds the robot; None if a foot is named for a body whose sole is no sphere around it."""
-    feet = request.feet or {}
-    description = Description(
-        name=request.name or mjcf.spec.modelname,
-        urdf=urdf.text,
-        urdf_source=urdf.path,
-        mjcf=mjcf.spec,
-        mjcf_source=mjcf.path,
-        contact_points=feet,
-    )
-    try:
-        return build_robot(description, fixed_base=request.fixed_base)
-    except ModelError:
-        bodies = {body.name for body in mjcf.spec.bodies}
-        if request.fixed_base or not all(other in bodies for _, other in feet.values()):
-            raise
-        return None
-
-
-def _may_be_commanded_to_stand(robot: Robot) -> bool:
-    """Tells whether there are servos, and a stand at the height that the keyframe gives it.
-
-    What stands at no height, on two points, needs none.
-    """
-    if len(robot.contact_points) < _FEWEST:
-        return True
-    return set(robot.joint_names) <= own_servos(robot).keys() and first_stand(robot) is not None
-
-
-def _needs_more(robot: Robot) -> bool:
-    """Tells whether joints lack limits, have several motors, or are not solved for exactly."""
-    endless = robot.closure is not None and bool(robot.pin_convention.unbounded.any())
-    return (
-        endless or bool(joints_of_several_motors(robot.mj_model)) or solver_error(robot) is not None
-    )
 
 
 _FREE_IN_PARTS = 4
@@ -225,7 +120,6 @@ class Draft:
         keyframes: {name: {joint: position}} of the MJCF's that may be started from.
         found: Whose joint is whose; from the pass ``match`` on.
         description: Both files made alike; from the pass ``match`` on.
-        ready: The robot of both files as they are, if they are ready: then no pass applies.
         built: The robot; from the pass ``build`` on.
         refused: Why no robot with a free base can be made: then only ``hold-base`` applies.
         runs: The passes that were run.
@@ -238,19 +132,9 @@ class Draft:
     keyframes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     found: Match | None = None
     description: Description | None = None
-    ready: Robot | None = None
     built: Robot | None = None
     refused: ModelError | None = None
     runs: tuple[PassRun, ...] = ()
-
-    @classmethod
-    def of(cls, urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Draft:
-        """Begins with two files.
-
-        Raises:
-            ModelError: If they are ready, and make no robot.
-        """
-        return cls(urdf, mjcf, request, mjcf.spec, ready=ready_robot(urdf, mjcf, request))
 
     @property
     def may_be_held(self) -> bool:
@@ -275,9 +159,8 @@ class Draft:
     @property
     def robot(self) -> Robot:
         """The robot."""
-        made = self.built or self.ready
-        assert made is not None
-        return made
+        assert self.built is not None
+        return self.built
 
 
 Array = NDArray[np.float64]
@@ -297,7 +180,7 @@ class Pass:
         name: What it is called.
         does: What it does, in words.
         apply: Does it; returns the draft with what was done.
-        concerns: Tells whether it concerns a draft that is not ready.
+        concerns: Tells whether it concerns a draft.
         after_refusal: Whether it is for drafts of which no robot could be made, too.
     """
 
@@ -308,10 +191,8 @@ class Pass:
     after_refusal: bool = False
 
     def applies(self, draft: Draft) -> bool:
-        """Tells whether it is to be run: none is where the files are ready."""
-        if draft.ready is not None or (draft.refused is not None and not self.after_refusal):
-            return False
-        return self.concerns(draft)
+        """Tells whether it is to be run."""
+        return (draft.refused is None or self.after_refusal) and self.concerns(draft)
 
 
 _PASSES: list[Pass] = []
@@ -405,16 +286,10 @@ def _place_base_frame(draft: Draft) -> Made:
 def _match(draft: Draft) -> Made:
     files = draft.urdf, replace(draft.mjcf, spec=draft.spec)
     found = match_models(*files, names=draft.request.joints, complete=True)
-    description = found.robot.description
+    name = draft.request.name or draft.spec.modelname
+    description = replace(found.robot.description, name=name)
     messages = (*found.notes, *notes.tell_joints(found))
     return replace(draft, found=found, description=description), messages
-
-
-@_pass(Term("adds parts that only the MJCF has"), _any)
-def _weigh_parts(draft: Draft) -> Made:
-    whole, messages = with_parts(draft.match, draft.spec)
-    name = draft.request.name or draft.spec.modelname
-    return replace(draft, description=replace(whole or draft.described, name=name)), messages
 
 
 @_pass(Term("couples joints that follow others"), _any)
@@ -425,9 +300,8 @@ def _couple_mimics(draft: Draft) -> Made:
 
 @_pass(Term("builds the robot on its fixed base"), _held)
 def _build_held(draft: Draft) -> Made:
-    if draft.request.feet:
-        raise ModelError(draft.mjcf.path, diagnose("feet-of-fixed-base"))
     described = start.with_keyframes(draft.described, draft.keyframes)
+    described = replace(described, contact_points=draft.request.feet or {})
     robot = build_robot(described, fixed_base=draft.request.fixed_base)
     return replace(draft, description=described, built=robot), ()
 
@@ -536,12 +410,6 @@ def _keep_apart(draft: Draft) -> Made:
     return replace(draft, built=robot), messages
 
 
-@_pass(Term("chooses a solver that solves the equations of motion"), _altered)
-def _solve_exactly(draft: Draft) -> Made:
-    robot, messages = choose_exact_solver(draft.robot)
-    return replace(draft, built=robot), messages
-
-
 @_pass(
     Term("tells which joints and motors are not commanded"),
     lambda draft: _on_feet(draft) or _held(draft),
@@ -558,9 +426,7 @@ def _add_servos(draft: Draft) -> Made:
         add = drives.with_added_servos if robot.floating else drives.with_held_servos
         robot, made = add(robot, draft.mjcf)
         return replace(draft, built=robot), made
-    stand = start.first_stand(robot) if robot.floating else None
-    advice = None if stand is None else drives.suggest_servos(robot, stand)
-    return draft, () if advice is None else (advice,)
+    return draft, ()
 
 
 @_pass(Term("has the start pose that was found as the robot rests in it"), _altered)
@@ -593,7 +459,7 @@ def _hold_base(draft: Draft) -> Made:
     refused, request = draft.refused, replace(draft.request, fixed_base=True)
     why = diagnose("stands-on-no-feet") if refused is None else refused.cause
     try:
-        held = _passed(Draft.of(draft.urdf, draft.mjcf, request))
+        held = _passed(Draft(draft.urdf, draft.mjcf, request, draft.mjcf.spec))
     except ModelError:
         if refused is None:
             raise
@@ -648,7 +514,7 @@ def robot_of(
     keyframe: str | None = None,
     as_is: bool = False,
 ) -> Robot:
-    """Makes a robot of two files that have been read, as they are, or made ready in memory.
+    """Makes a robot of two files that have been read, made ready in memory.
 
     What its arguments mean says ``load_robot``, which reads the files.
     """
@@ -662,14 +528,14 @@ def prepare_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Rob
     """Makes two files a robot, whose notes are what the passes did.
 
     Returns:
-        The robot, and each pass that was run: none if the files are ready.
+        The robot, and each pass that was run.
 
     Raises:
         ModelError: If no robot can be made of them.
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
     check_simulable(mjcf)
-    draft = _passed(Draft.of(urdf, mjcf, request))
+    draft = _passed(Draft(urdf, mjcf, request, mjcf.spec))
     messages = (note for run in draft.runs for note in run.done)
     robot = draft.robot
     return replace(robot, notes=tuple(dict.fromkeys((*messages, *robot.notes)))), list(draft.runs)

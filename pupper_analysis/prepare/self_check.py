@@ -33,7 +33,6 @@ from pupper_analysis.prepare.causes import (
     altered_on_loading,
     candidate_causes,
     physical_causes,
-    shaking_causes,
     with_line,
 )
 from pupper_analysis.prepare.own_run import (
@@ -52,9 +51,8 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.contact import foot_geoms, ground_contacts
 from pupper_analysis.robot.fall import body_moved, nudge_velocity
-from pupper_analysis.robot.robot import Robot, with_friction
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servo_gains
 from pupper_analysis.simulation.verify import JOINT_TOLERANCE, dry_friction, torque_scale
 from pupper_analysis.stance.sag.steady_state import steady_state
@@ -292,26 +290,6 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
 def own_run_explained(robot: Robot) -> OwnRun | None:
     """Returns what a robot's file does by itself, and if it fails by what; made once."""
     return as_loaded(robot).once(_own_run_explained)
-
-
-def makes_it_shake(robot: Robot, fails: Callable[[Robot], bool]) -> tuple[Cause, ...]:
-    """Returns what makes a simulation of a robot fail: its step, solver, contacts.
-
-    What a nudged file does from its stand may not tell: dry friction hides that it would shake.
-
-    Args:
-        robot: The robot, which fails.
-        fails: Tells whether it does so when its model is another one.
-    """
-    for candidate in shaking_causes(Bare.of(robot.mj_model, robot), robot):
-        model = copy.copy(robot.mj_model)
-        candidate.switch_off(model)
-        geoms = foot_geoms(robot.description, model, robot.contact_places)
-        contacts = with_friction(ground_contacts(model, geoms), robot.feet, robot.touching)
-        other = replace(robot, mj_model=model, contacts=contacts, bare=None)
-        if not fails(other):
-            return with_lines([candidate.cause(0.0)], robot)
-    return ()
 
 
 def _own_run_explained(robot: Robot) -> OwnRun | None:

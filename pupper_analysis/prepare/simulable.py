@@ -1,24 +1,20 @@
-"""Numbers with which no simulation, or no equation of motion, means anything: they are refused.
-
-And MuJoCo's constraint solver, where a model is more than it solves as it is set.
-"""
+"""Numbers with which no simulation, or no equation of motion, means anything: they are refused."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.base.units import EARTH
-from pupper_analysis.models.additions import Options
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.robot.build import equipped_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
@@ -31,95 +27,69 @@ _GEARS = 1e-6, 1e6
 of digits."""
 
 
+_LEAST = 1e-9
+"""Of an ``impratio``: friction that is so soft is none."""
+
 _FARTHEST = 1e4
 """m: no robot is as large, nor feels the ground from so far; a float32's micrometre is lost at 8 m,
 and a double's, squared, at this."""
 
 
 def check_simulable(mjcf: MjcfFile) -> None:
-    """Checks the options, rotors and gears on which all simulations rest.
+    """Checks the options, rotors, lengths and gears on which all simulations rest.
 
     Raises:
         ModelError: If one is beyond what has a meaning; it names the file, the line and the value.
     """
-    model = mjcf.model
-    low, high = TIMESTEPS
-    step, ratio = float(model.opt.timestep), float(model.opt.impratio)
-    rounds, tolerance = int(model.opt.iterations), float(model.opt.tolerance)
-    for word, good, problem in (
-        (
-            "timestep",
-            low <= step <= high,
-            diagnose("timestep-not-simulated", value=step, low=low, high=high),
-        ),
-        ("impratio", 0 < ratio < math.inf, diagnose("impratio-not-valid", value=ratio)),
-        ("iterations", rounds >= 1, diagnose("iterations-not-valid", value=rounds)),
-        (
-            "tolerance",
-            0 <= tolerance <= _TOLERANCE,
-            diagnose("tolerance-not-valid", value=tolerance, most=_TOLERANCE),
-        ),
-    ):
-        if not good:
-            stated = (place for words, place in mjcf.elements("option") if word in words)
-            raise refuse_file(next(stated, Place(mjcf.path)), problem)
-    _check_rotors(mjcf, model)
-    _check_lengths(mjcf, model)
-    _check_motors(mjcf, model)
-
-
-def _check_lengths(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
-    for kind, field, numbers in (
-        ("body", "pos", model.body_pos),
-        ("joint", "pos", model.jnt_pos),
-        ("geom", "margin", model.geom_margin[:, None]),
-        ("pair", "margin", model.pair_margin[:, None]),
-    ):
-        far = ~(np.abs(numbers) <= _FARTHEST).all(axis=1)
-        if kind == "body":  # what stands in the world for itself may be hidden far away
-            far &= model.body_weldid != 0
-        for found in np.flatnonzero(far)[:1]:
-            name = str(getattr(model, kind)(int(found)).name)
-            place = mjcf.place("contact" if kind == "pair" else kind, name)
-            most = Quantity(_FARTHEST, "m")
-            problem = diagnose(
-                "length-of-no-robot",
-                subject=(kind, name),
-                field=field,
-                value=" ".join(f"{number:g}" for number in numbers[found]),
-                most=most,
+    for kind, field, stated, (least, most) in _bounded(mjcf.model):
+        numbers = np.atleast_2d(np.asarray(stated, dtype=float).T).T
+        bad = ~((least <= numbers) & (numbers <= most)).all(axis=1)
+        for row in np.flatnonzero(bad).tolist():
+            raise refuse_file(
+                _place(mjcf, kind, field, row),
+                diagnose(
+                    "number-not-simulated",
+                    subject=None if kind == "option" else (kind, _name(mjcf.model, kind, row)),
+                    field=field,
+                    value=" ".join(f"{number:g}" for number in numbers[row]),
+                    least=None if least == -most else f"{least:g}",
+                    most=f"{most:g}" if math.isfinite(most) else None,
+                ),
             )
-            raise refuse_file(place, problem)
 
 
-def _check_rotors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
-    of_joints = zip(model.dof_jntid.tolist(), model.dof_armature.tolist(), strict=True)
-    of_motors = enumerate(model.actuator_armature.tolist())
-    for kind, rotors in (("joint", of_joints), ("actuator", of_motors)):
-        for number, armature in rotors:
-            if armature >= 0:
-                continue
-            name = str(getattr(model, kind)(number).name)
-            unnamed = kind == "actuator" and not name
-            place = mjcf.numbered(kind, number) if unnamed else mjcf.place(kind, name)
-            problem = diagnose("rotor-inertia-negative", subject=(kind, name), armature=armature)
-            raise refuse_file(place, problem)
+def _bounded(model: mujoco.MjModel) -> Iterator[tuple[str, str, ArrayLike, tuple[float, float]]]:
+    """Yields elements and attributes, their numbers, and between which these have a meaning."""
+    option, near, any_mass = model.opt, (-_FARTHEST, _FARTHEST), (0.0, math.inf)
+    yield "option", "timestep", [option.timestep], TIMESTEPS
+    yield "option", "impratio", [option.impratio], (_LEAST, math.inf)
+    yield "option", "iterations", [option.iterations], (1, math.inf)
+    yield "option", "tolerance", [option.tolerance], (0.0, _TOLERANCE)
+    yield "joint", "armature", model.dof_armature[model.jnt_dofadr], any_mass
+    yield "actuator", "armature", model.actuator_armature, any_mass
+    # What stands in the world for itself may be hidden far away.
+    yield "body", "pos", model.body_pos * (model.body_weldid != 0)[:, None], near
+    yield "joint", "pos", model.jnt_pos, near
+    yield "geom", "margin", model.geom_margin, near
+    yield "pair", "margin", model.pair_margin, near
+    gears = [actuator_gear(model, motor) for motor in range(model.nactuator)]
+    at_joints = [abs(gear[0]) if len(gear) == 1 and gear[0] else 1.0 for gear in gears]
+    yield "actuator", "gear", at_joints, _GEARS
 
 
-def _check_motors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
-    for motor in range(model.nactuator):
-        if not is_at_one_joint(model, motor):
-            continue
-        gear = float(actuator_gear(model, motor)[0])
-        if gear and not _GEARS[0] <= abs(gear) <= _GEARS[1]:
-            joint = str(model.joint(int(model.actuator_trnid[motor, 0])).name)
-            place = mjcf.place("actuator", model.actuator(motor).name or joint)
-            least, most = _GEARS
-            driven = "joint", joint
-            problem = diagnose(
-                "gear-of-no-motor", subject=driven, gear=gear, least=least, most=most
-            )
-            raise refuse_file(place, problem)
+def _name(model: mujoco.MjModel, kind: str, row: int) -> str:
+    """Returns an element's name; of an actuator without one, its joint's."""
+    name = str(getattr(model, kind)(row).name)
+    if kind == "actuator" and not name and is_at_one_joint(model, row):
+        return str(model.joint(int(model.actuator_trnid[row, 0])).name)
+    return name
+
+
+def _place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
+    if kind == "option":
+        stated = (place for words, place in mjcf.elements("option") if field in words)
+        return next(stated, Place(mjcf.path))
+    return mjcf.place("contact" if kind == "pair" else kind, _name(mjcf.model, kind, row))
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:
@@ -133,74 +103,3 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
         if inertia <= 0:
             problem = diagnose("joint-moves-no-mass", subject=("joint", name))
             raise refuse_file(urdf.place("joint", name), problem)
-
-
-INEXACT = 0.01
-"""Of a robot's weight: what is left out of its equation of motion is to be below what simulations
-are compared to."""
-
-_PUSH = 0.1
-"""Of the weight: at rest constraints balance what acts, and nothing shows."""
-
-_SOLVES = 20
-"""Solvers of few iterations begin where they ended before, as they do from step to step."""
-
-
-def left_out(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
-    """Returns how much of the weight is missing in M qacc = f when a free base is pushed.
-
-    Args:
-        model: The model.
-        data: Its state; the base is pushed, and what follows of it computed.
-        base: The body with the free joint.
-
-    Returns:
-        The largest of the base's three forces that is left out, in parts of the robot's weight.
-    """
-    # What weighs nothing is pushed with a tenth of its weight on Earth.
-    gravity = float(np.linalg.norm(model.opt.gravity)) or EARTH
-    weight = float(model.body_subtreemass[base]) * gravity
-    first = int(model.body_dofadr[base])
-    data.xfrc_applied[base, :3] = _PUSH * weight
-    for _ in range(_SOLVES):
-        mujoco.mj_forward(model, data)
-    data.xfrc_applied[base] = 0.0
-    moved = np.zeros(model.nv)
-    mujoco.mj_mulM(model, data, moved, data.qacc)
-    missing = (moved - data.qfrc_smooth - data.qfrc_constraint)[first : first + 3]
-    return float(np.abs(missing).max()) / weight
-
-
-_INTO_GROUND = 1e-3  # m: where feet that just touch push
-
-
-def solver_error(robot: Robot) -> float | None:
-    """Returns what the solver leaves out, in parts of the weight, if it is too much."""
-    model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
-    data = mujoco.MjData(model)
-    qpos = robot.home.copy()
-    qpos[2] -= _INTO_GROUND
-    robot.mj_convention.set_state(data, qpos)
-    share = left_out(model, data, base)
-    return share if share > INEXACT else None
-
-
-def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Gives a robot dense matrices if MuJoCo's solver is exact with these alone.
-
-    Args:
-        robot: The robot, with a free base.
-
-    Returns:
-        The robot, and that it was done, or that nothing helps.
-    """
-    part = solver_error(robot)
-    if part is None:
-        return robot, []
-    share = Quantity(part, "1")
-    if mujoco.mj_isSparse(robot.mj_model):
-        message = diagnose("solver-made-dense", share=share)
-        dense = equipped_robot(robot, Options(message, {"jacobian": "dense"}))
-        if solver_error(dense) is None:
-            return dense, [message]
-    return robot, [diagnose("solver-inexact", share=share)]

@@ -13,7 +13,6 @@ from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.passes import PASSES, PassRun, Request, prepare_robot
 from tests.support.legged import Pair, quadruped, rewritten
-from tests.support.repository import ROOT
 
 
 def prepared(pair: Pair, **asked: object) -> tuple[pa.Robot, list[PassRun]]:
@@ -65,16 +64,6 @@ def test_as_it_is_nothing_is_added(tmp_path: Path) -> None:
     assert not names & {"add-servos", "add-motors", "keep-apart", "touch-with-feet-alone"}
     motors = robot.mj_model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE.value
     assert motors.all()
-
-
-def test_files_that_are_ready_need_no_pass() -> None:
-    files = (
-        read_urdf(ROOT / "urdf/pupper_skeleton.urdf"),
-        read_mjcf(ROOT / "mjcf/pupper_skeleton.xml"),
-    )
-    feet = pa.load_variant("original").description.contact_points
-    _, runs = prepare_robot(*files, Request(feet=feet))
-    assert runs == []
 
 
 def test_a_site_of_the_name_that_a_foot_would_be_given_stays_what_it_is(tmp_path: Path) -> None:

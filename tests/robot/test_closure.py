@@ -311,14 +311,6 @@ def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
         assert knee == pytest.approx(-0.2 - 0.8 * motor, abs=give)
 
 
-def test_what_a_urdf_has_in_other_links_is_not_weighed_twice(tmp_path: Path) -> None:
-    pair = four_bars(tmp_path, in_urdf=False)
-    rewritten(pair.urdf, ('mass value="4.0"', 'mass value="4.6"'))
-    robot = load(pair)
-    assert not any(note.code == "parts-weigh-in-both" for note in robot.notes)
-    assert robot.total_mass == pytest.approx(float(robot.mj_model.body_subtreemass[0]), rel=1e-9)
-
-
 def test_a_rod_called_like_its_ball_joint_keeps_its_connect(tmp_path: Path) -> None:
     """Cassie's achilles rods are: their loops were dropped with the joints."""
     pair = four_bars(tmp_path, in_urdf=False)

@@ -198,7 +198,6 @@ class Match:
             the same but for prefixes and suffixes.
         only_urdf: Joints that the MJCF does not have; fixed at zero for the comparison.
         only_mjcf: Joints that the URDF does not have; likewise.
-        cut_joints: Those of these by which closed loops led, which were cut.
         notes: What was assumed or left out.
         reference: The MJCF as it is, with all else in its scene. Where it has joints that the URDF
             lacks, these are fixed at zero.
@@ -216,7 +215,6 @@ class Match:
     guessed: Mapping[str, str]
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
-    cut_joints: tuple[str, ...]
     notes: tuple[Diagnostic, ...]
     reference: Reference
     mimics: Mimics
@@ -322,7 +320,7 @@ def match_models(
     only_mjcf = (*balls, *(name for name in theirs if name not in partners))
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
-    opened, freed = open_loops(spec, at_bodies, only_mjcf) if complete else ((), [])
+    freed = open_loops(spec, at_bodies, only_mjcf) if complete else []
     sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
     ways = ways_off(sides[0], only_urdf), ways_off(sides[1], only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
@@ -344,7 +342,6 @@ def match_models(
         guessed=found.guessed,
         only_urdf=only_urdf,
         only_mjcf=only_mjcf,
-        cut_joints=opened,
         notes=(*notes, *freed, *moved),
         reference=Reference(
             robot.mj_model if only_mjcf else models[1],
@@ -713,7 +710,7 @@ def ball_joints(spec: mujoco.MjSpec) -> dict[str, list[str]]:
 
 def open_loops(
     spec: mujoco.MjSpec, balls: dict[str, list[str]], gone: Collection[str]
-) -> tuple[tuple[str, ...], list[Diagnostic]]:
+) -> list[Diagnostic]:
     """Takes out what would bind joints through others that are about to be held, in place.
 
     A rod that is held at zero would hold the ankle that it turns. Opened, the tree of the URDF is
@@ -726,21 +723,19 @@ def open_loops(
         gone: The joints that only the MJCF has.
 
     Returns:
-        Those of the joints that are gone by which the loops led, and what was opened.
+        What was opened.
     """
     driven = {actuator.target for actuator in spec.actuators}
-    opened, freed, through = [], dict[str, None](), dict[str, None]()
+    opened, freed = [], dict[str, None]()
     for index, equality in enumerate(list(spec.equalities)):
         joints = _joints_between(spec, equality, balls)
         if equality.active and not joints.isdisjoint(gone):
             kind = mujoco.mjtEq(equality.type).name.removeprefix("mjEQ_").lower()
             ends = [equality.name1, equality.name2 or "world"]
             opened.append(f"{kind} {equality.name or numbered(index, *ends)}")
-            through |= dict.fromkeys(name for name in gone if name in joints)
             freed |= dict.fromkeys(sorted(joints - set(gone) - driven))
             spec.delete(equality)
-    messages = [diagnose("loops-opened", constraints=opened, freed=freed)] if opened else []
-    return tuple(through), messages
+    return [diagnose("loops-opened", constraints=opened, freed=freed)] if opened else []
 
 
 def _joints_between(
