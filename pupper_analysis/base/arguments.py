@@ -30,17 +30,6 @@ from pupper_analysis.base.errors import ConfigurationError
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-_MADE_BY = {
-    "Robot": "load_variant('v3')",
-    "Stand": "solve_stand(robot)",
-    "StandTask": "StandTask(height=0.12)",
-    "StancePath": "stance_path(robot, task, 2.0)",
-    "Configuration": "Configuration(robot, qpos)",
-    "Ground": "Ground(slope=0.1)",
-    "VariantSpec": "VariantSpec('v3', leg_scale=1.2)",
-}
-"""How those who have none get one."""
-
 
 def check_finite(name: str, value: object) -> float:
     """Returns a finite number.
@@ -198,12 +187,10 @@ def check_type(name: str, value: object, hint: Any) -> None:
     """
     if _test(hint)(value):
         return
-    kinds = {getattr(option, "__name__", "") for option in _options(hint)}
     message = diagnose(
         "of-another-type",
         value=reprlib.repr(value),
         wanted=[_kind(option) for option in _options(hint)],
-        made_by=[maker for kind, maker in _MADE_BY.items() if kind in kinds],
     )
     raise ConfigurationError(name, message)
 

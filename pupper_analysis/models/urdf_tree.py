@@ -343,12 +343,6 @@ class UrdfTree:
             self.root.remove(self.links[name].element)
         self._forget()
 
-    def remove(self, link: str) -> None:
-        """Takes a link out, with the joint that holds it."""
-        self.root.remove(self.above[link].element)
-        self.root.remove(self.links[link].element)
-        self._forget()
-
     def remove_base(self) -> None:
         """Takes out the base, and the joints that it carries."""
         base = self.base

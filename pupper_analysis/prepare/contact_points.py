@@ -18,7 +18,7 @@ from scipy import linalg
 from scipy.spatial import ConvexHull, QhullError
 
 from pupper_analysis.models.mjcf import free_joints
-from pupper_analysis.models.shapes import Shape, read_shape
+from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.robot.contact import ground_geom
 
 BALL = 2e-3
@@ -114,21 +114,6 @@ _CAP = math.radians(50.0)
 
 _BALL = 0.1
 """A foot is a ball if no point of that cap is off the sphere by more than this part of it."""
-
-
-def osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
-    """Returns centre (3,) and radius of the sphere that an ellipsoid is like where it is lowest.
-
-    With half axes S, it reaches h = |S d| in a direction d, at S^2 d / h. The radii of its
-    curvature there are the eigenvalues of the second derivative of h across d, which is
-    S^2 / h - S^2 d d^T S^2 / h^3. The sphere has their mean.
-    """
-    turn, squares = shape.pose.rotation, np.array(shape.size) ** 2
-    local = turn.T @ down
-    reach = math.sqrt(float(local @ (squares * local)))
-    tip = squares * local / reach
-    radius = float((squares.sum() - tip @ tip) / reach) / 2  # d itself has the eigenvalue 0
-    return shape.pose.position + turn @ tip - radius * down, radius
 
 
 def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
@@ -267,9 +252,7 @@ def _tip(
         return ()
     outline = list(_outline(model, data, geom))
     place, radius = min(outline, key=lambda sphere: float(sphere[0][2]) - sphere[1])
-    if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value:
-        place, radius = osculating_sphere(read_shape(model, geom, data), down)
-    elif not radius and len(outline) > 3:
+    if not radius and len(outline) > 3:
         points = np.array([point for point, _ in outline])
         place, radius = fit_sphere(points, place, down)
         if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:

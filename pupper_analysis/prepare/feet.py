@@ -350,17 +350,6 @@ def _in_urdf(
     return world + across(apart, still.joint_axis(joint))
 
 
-def apart_at(robot: Robot, foot: Foot) -> float:
-    """Returns how far the last joints of a foot that turn are from each other in the files (m)."""
-    joint = _last_joint(robot, foot.body, turning=True)
-    if joint is None:
-        return 0.0
-    data = robot.placed(robot.posed(np.zeros(robot.nu)))
-    still = Configuration(robot, robot.neutral())
-    apart = still.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
-    return float(np.linalg.norm(across(apart, still.joint_axis(joint))))
-
-
 def _name_geoms(spec: mujoco.MjSpec) -> None:
     """Names the geoms that have no name, so that they are found again."""
     known = {geom.name for geom in spec.geoms}

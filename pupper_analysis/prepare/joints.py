@@ -7,13 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import mujoco
-import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.models.transmission import actuator_gear, drives_by_joint, law_of
+from pupper_analysis.models.transmission import drives_by_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.matching.match import Match
@@ -112,93 +111,13 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
     return (replace(description, mjcf=spec) if added else description), notes
 
 
-def one_at_each_joint(spec: mujoco.MjSpec, source: Path) -> list[Diagnostic]:
-    """Takes the motors at a joint together, in place.
+def check_motors(model: mujoco.MjModel, source: Path) -> None:
+    """Refuses joints of several motors: a stand has one command for each joint.
 
-    A stand has one command per joint, from which all of them would have to be determined: MuJoCo
-    adds up what position and velocity servos do, and so are their gains added. Motors beside a
-    servo, and all but one of several, are left out: they are not commanded.
-
-    Args:
-        spec: The MJCF's; it has no keyframes.
-        source: Its file.
-
-    Returns:
-        What was done.
+    Raises:
+        ModelError: If a hinge or slide has several.
     """
-    joint = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
-    driven = [actuator.target for actuator in spec.actuators if actuator.trntype in joint]
-    if len(driven) == len(set(driven)):
-        return []
-    model = compile_spec(spec.copy(), source)
-    joints = joints_of_several_motors(model)
-    if not joints:
-        return []
-    actuators = list(spec.actuators)
-    gone = set[int]()
-    for drives in joints.values():
-        kept = _kept(model, drives)
-        _take_gains(model, actuators[kept], kept, [drive for drive in drives if drive != kept])
-        gone |= set(drives) - {kept}
-    for index in sorted(gone, reverse=True):
-        _delete(spec, actuators[index])
-    names = [str(model.joint(joint).name) for joint in joints]
-    return [diagnose("motors-taken-together", joints=names)]
-
-
-def joints_of_several_motors(model: mujoco.MjModel) -> dict[int, list[int]]:
-    """Returns {hinge or slide: its motors} of those that have several."""
-    return {joint: motors for joint, motors in drives_by_joint(model).items() if len(motors) > 1}
-
-
-def _kept(model: mujoco.MjModel, drives: list[int]) -> int:
-    """Returns the motor that stays: a position servo, else a plain motor, else the first."""
-
-    def rank(motor: int) -> int:
-        law = law_of(model, motor)
-        if law.at_joint[0] > 0:
-            return 0
-        plain = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_FIXED.value
-        return 1 if plain and not law.at_joint[1] else 2
-
-    return min(drives, key=rank)
-
-
-def _take_gains(
-    model: mujoco.MjModel, servo: mujoco.MjsActuator, kept: int, others: list[int]
-) -> None:
-    """Adds other servos' gains, and their limits, to a servo."""
-    law = law_of(model, kept)
-    gear = law.gear
-    if not (law.at_joint[0] > 0 and gear):
-        return
-    given = [law_of(model, motor).at_joint for motor in others]
-    more = sum(each[0] for each in given) / gear**2
-    bias = np.array(servo.biasprm)
-    bias[1] -= more
-    bias[2] -= sum(each[1] for each in given) / gear**2
-    servo.biasprm = bias
-    if more:
-        gain = np.array(servo.gainprm)
-        gain[0] += more
-        servo.gainprm = gain
-    acting = [m for m, each in zip(others, given, strict=True) if each[0] or each[1]]
-    if not acting:
-        return
-    if model.actuator_forcelimited[[kept, *acting]].all():
-        gears = [abs(float(actuator_gear(model, motor)[0]) / gear) for motor in acting]
-        limits = np.array(servo.forcerange)
-        for motor, ratio in zip(acting, gears, strict=True):
-            most = float(np.abs(model.actuator_forcerange[motor]).max()) * ratio
-            limits += (-most, most)
-        servo.forcerange = limits
-    else:
-        servo.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
-
-
-def _delete(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
-    """Deletes an actuator with the sensors of it."""
-    for sensor in list(spec.sensors):
-        if sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and sensor.objname == actuator.name:
-            spec.delete(sensor)
-    spec.delete(actuator)
+    several = [joint for joint, motors in drives_by_joint(model).items() if len(motors) > 1]
+    if several:
+        names = [str(model.joint(joint).name) for joint in several]
+        raise ModelError(source, diagnose("joints-of-several-motors", joints=names))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -124,20 +123,7 @@ def tell_uncommanded(robot: Robot) -> Iterator[Diagnostic]:
     if not others:
         return
     names = [model.actuator(motor).name or f"#{motor}" for motor in others]
-    driven = sorted({_driven(model, motor) for motor in others})
-    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
-    pulling = [
-        name
-        for motor, name in zip(others, names, strict=True)
-        if model.actuator_biastype[motor] == affine and model.actuator_biasprm[motor, :2].any()
-    ]
-    kinds = [Term(kind) for kind in driven]
-    yield diagnose("motors-commanded-zero", motors=names, kinds=kinds, servos=pulling)
-
-
-def _driven(model: mujoco.MjModel, motor: int) -> str:
-    kind = mujoco.mjtTrn(int(model.actuator_trntype[motor])).name.removeprefix("mjTRN_").lower()
-    return "ball or free joint" if kind.startswith("joint") else kind
+    yield diagnose("motors-commanded-zero", motors=names)
 
 
 def describe_span(values: ArrayLike, unit: str) -> Diagnostic:

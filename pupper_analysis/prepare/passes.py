@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
-    Quantity,
     Term,
     diagnose,
 )
@@ -41,7 +40,6 @@ from pupper_analysis.prepare import (
 from pupper_analysis.prepare.base import free_base, free_of_friction, place_base_frame
 from pupper_analysis.prepare.feet import (
     Foot,
-    apart_at,
     find_feet,
     limbs_aside,
     named_foot,
@@ -49,9 +47,9 @@ from pupper_analysis.prepare.feet import (
 )
 from pupper_analysis.prepare.joints import (
     bound_turning_joints,
+    check_motors,
     couple_mimics,
     narrow_limits,
-    one_at_each_joint,
 )
 from pupper_analysis.prepare.simulable import (
     check_masses,
@@ -164,9 +162,6 @@ class Draft:
 
 
 Array = NDArray[np.float64]
-
-_AXIS_TOLERANCE = 2e-3
-"""Joints whose axes are further apart are not rounded, but different (m)."""
 
 
 Made = tuple[Draft, Iterable[Diagnostic]]
@@ -326,13 +321,9 @@ def _free_of_friction(draft: Draft) -> Made:
     return draft, free_of_friction(draft.described.mjcf)
 
 
-@_pass(Term("leaves one motor at each joint"), _stands)
-def _one_motor_at_each_joint(draft: Draft) -> Made:
-    return draft, one_at_each_joint(draft.described.mjcf, draft.mjcf.path)
-
-
 @_pass(Term("builds the robot"), _stands)
 def _build(draft: Draft) -> Made:
+    check_motors(draft.mjcf.model, draft.mjcf.path)
     return replace(draft, built=build_robot(draft.described)), ()
 
 
@@ -376,11 +367,6 @@ def _put_feet(draft: Draft) -> Made:
     if not feet:
         return draft, ()
     messages = [notes.named_feet(bare, feet, given=given is not None)]
-    apart = {foot.name: apart_at(bare, foot) for foot in feet}
-    worst = max(apart, key=apart.__getitem__)
-    if apart[worst] > _AXIS_TOLERANCE:
-        off = Quantity(apart[worst], "m")
-        messages.append(diagnose("last-joint-elsewhere", subject=("foot", worst), off=off))
     balls = notes.tell_balls(bare, feet)
     messages += dict.fromkeys(balls.values())
     return replace(draft, built=build_robot(with_feet(bare, feet, balls))), messages

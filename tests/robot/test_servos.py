@@ -15,7 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.pupper.variant_files import load_variant
-from pupper_analysis.robot.servos import model_with_servos, own_servos, with_options
+from pupper_analysis.robot.servos import model_with_servos, with_options
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from tests.support.engines import changed, mujoco_at
 from tests.support.legged import Pair, quadruped, rewritten
@@ -85,39 +85,15 @@ def holds(robot: pa.Robot) -> None:
     assert found.torque_error < 1e-5
 
 
-def test_a_position_and_a_velocity_servo_are_one(tmp_path: Path) -> None:
-    """One of them was commanded, and the other pulled every joint to zero."""
-    robot = loaded(with_motors(quadruped(tmp_path), BOTH))
-    assert robot.mj_model.nactuator == 12
-    own = own_servos(robot)
-    assert set(own.values()) == {(150.0, 5.0)}
-    (note,) = (note for note in robot.notes if note.code == "motors-taken-together")
-    assert note.values["joints"] == robot.joint_names
-    holds(robot)
+@pytest.mark.parametrize("element", [BOTH, BRAKED])
+def test_several_motors_at_a_joint_are_refused(element: str, tmp_path: Path) -> None:
+    with pytest.raises(pa.ModelError, match="FL_roll, FL_pitch, FL_knee and 9 more have sev"):
+        loaded(with_motors(quadruped(tmp_path), element))
 
 
-def test_gains_that_are_added_are_mujocos(tmp_path: Path) -> None:
-    """The one servo gives what both give together, at random angles and rates."""
-    geared = BOTH.replace('kp="150"', 'kp="150" gear="2"').replace('kv="5"', 'kv="5" gear="-3"')
-    pair = with_motors(quadruped(tmp_path), geared)
-    robot = loaded(pair)
-    both = mujoco.MjModel.from_xml_path(str(pair.mjcf))
-    one, data = mujoco.MjData(robot.mj_model), mujoco.MjData(both)
-    random = np.random.default_rng(1)
-    for _ in range(3):
-        data.qpos[7:], data.qvel[6:] = random.normal(size=(2, 12))
-        one.qpos[:], one.qvel[:] = data.qpos, data.qvel
-        wanted = random.normal(size=12)
-        data.ctrl[::2] = 2 * wanted
-        one.ctrl[:] = 2 * wanted
-        mujoco.mj_forward(robot.mj_model, one)
-        mujoco.mj_forward(both, data)
-        np.testing.assert_allclose(one.qfrc_actuator, data.qfrc_actuator, rtol=1e-12)
-
-
-@pytest.mark.parametrize("element", [BRAKED, LAGGING, BIASED, SPEED])
+@pytest.mark.parametrize("element", [LAGGING, BIASED, SPEED])
 def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None:
-    """A brake is not commanded; a filter begins at rest; who has a force of its own is no servo."""
+    """A filter begins at rest; who has a force of its own is no servo."""
     robot = loaded(with_motors(quadruped(tmp_path), element))
     lagging = element is LAGGING
     assert any(note.code == "servos-added" for note in robot.notes) != lagging
@@ -137,8 +113,7 @@ def test_motors_of_tendons_exert_nothing_and_are_told(
     rewritten(pair.mjcf, ("<actuator>", rope))
     robot = pa.load_robot(*pair)
     (message,) = [note for note in robot.notes if note.code == "motors-commanded-zero"]
-    assert (message.values["motors"], message.values["kinds"]) == (("winch",), ("tendon",))
-    assert message.values["servos"] == (("winch",) if pulls else ())
+    assert message.values["motors"] == ("winch",)
     holds(robot)
     drive, rows = model_with_servos(robot), robot.home[7:] + np.array([[0.0], [0.1], [-0.2]])
     one_by_one = [drive.command(robot, row, row) for row in rows]

@@ -25,9 +25,8 @@ from pupper_analysis.models.conversion import UrdfImport
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.urdf_file import UrdfFile, states_no_limits
-from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree, set_origin
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
 from pupper_analysis.models.xml import (
-    DIGITS,
     add_element,
     free_name,
     is_zero,
@@ -42,7 +41,6 @@ from pupper_analysis.prepare.convert.repair import (
     Repair,
     carry_shapes,
     mend_inertials,
-    merge_fixed,
     repaired_urdf,
 )
 from pupper_analysis.prepare.passes import Feet
@@ -156,7 +154,6 @@ class UrdfBodies:
         urdf: The file.
         tree: Its links, as they are to be bodies.
         floats: Whether the URDF has its base on a floating joint.
-        sites: {link that became a site: the body that has it, where it is in that}.
         meshes: Its meshes.
         armature: {joint: rotor inertia (kg m^2)}.
         notes: What an MJCF cannot say, or what was left out.
@@ -170,7 +167,6 @@ class UrdfBodies:
     urdf: UrdfFile
     tree: UrdfTree
     floats: bool
-    sites: Mapping[str, tuple[str, pin.SE3]]
     meshes: Meshes
     armature: Mapping[str, float]
     notes: list[Diagnostic] = field(default_factory=list)
@@ -186,7 +182,7 @@ class UrdfBodies:
             if material.find("color") is not None and material.get("name")
         }
         self._geoms = {FLOOR}
-        self.frames = {*self.tree.links, *self.sites}
+        self.frames = set(self.tree.links)
 
     def add(self, mjcf: MjcfXml, *, free: bool) -> None:
         """Adds all bodies to an MJCF.
@@ -226,12 +222,6 @@ class UrdfBodies:
             inner = add_element(body, "body", name=joint.child, pos=xyz, euler=rpy)
             self._add_joint(inner, joint)
             self._fill(inner, self.tree.links[joint.child])
-        for name, (carrier, placement) in self.sites.items():
-            if carrier == link.name:
-                site = etree.Element("link")
-                set_origin(site, placement, DIGITS)
-                xyz, rpy = _origin(site)
-                add_element(body, "site", name=name, pos=xyz, euler=rpy)
 
     def _add_joint(self, body: etree._Element, stated: UrdfJoint) -> None:
         if stated.is_fixed:
@@ -422,7 +412,6 @@ class MjcfOptions:
     Attributes:
         feet: The feet's links, or {foot: link}; None: they are found.
         fixed_base: Whether the base is fixed; None: a base with two limbs or more is free.
-        merge_fixed: Whether links on fixed joints become part of the body that carries them.
         armature: {joint: rotor inertia (kg m^2)}.
         sag: What the joint that holds most gives way (rad); None: it is found by trial.
         damping_ratio: Of the base's bounce on its servos; None: it is found by trial.
@@ -432,7 +421,6 @@ class MjcfOptions:
 
     feet: Feet | None = None
     fixed_base: bool | None = None
-    merge_fixed: bool = False
     armature: Mapping[str, float] | None = None
     sag: float | None = None
     damping_ratio: float | None = None
@@ -474,14 +462,11 @@ class BareMjcf:
         moved, repairs = mend_inertials(urdf, links, repair=options.repair_inertia)
         mended = repaired_urdf(urdf, links, repairs)
         notes = [*urdf.notes, *moved, *(repair.diagnostic for repair in repairs)]
-        merged = merge_fixed(links) if options.merge_fixed else {}
-        if merged:
-            notes.append(diagnose("fixed-links-are-sites", links=merged))
         carried = carry_shapes(links)
         if carried:
             notes.append(diagnose("shapes-carried", links=carried))
         meshes, rotors = Meshes(urdf, output, copied=options.copy_meshes), options.armature or {}
-        bodies = UrdfBodies(urdf, tree, floats, merged, meshes, rotors)
+        bodies = UrdfBodies(urdf, tree, floats, meshes, rotors)
         mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
         bodies.add(mjcf, free=freed)
         for name, rgba in bodies.materials.items():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import struct
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Final
@@ -42,7 +41,6 @@ class Meshes:
         self._names: dict[tuple[Path, str], str] = {}
         self._taken: set[str] = set()
         self._places: dict[Path, Path] = {}
-        self._named: dict[Path, Path] = {}
         self._stems: set[str] = set()
         self._touching: set[tuple[Path, str]] = set()
         self._shells: set[Path] = set()
@@ -91,8 +89,7 @@ class Meshes:
         if path is None:
             self._leave(diagnose("no-such-mesh-file"), file, touches=touches)
             return None
-        named, path = path, path.resolve()
-        self._named.setdefault(path, named.absolute())
+        path = path.resolve()
         if (path, scale) in self._names and (not touches or (path, scale) in self._touching):
             return self._names[path, scale]
         if not touches and file in self._collided:
@@ -156,8 +153,7 @@ class Meshes:
             if used is not None and name not in used:
                 continue
             place = self._place(path)
-            named = self._named[path] if place == path else place
-            file = _relative(named, place, self.output)
+            file = self._relative(place)
             if assets is not None:
                 file = str(place)
                 if place in self.made:
@@ -178,7 +174,7 @@ class Meshes:
     def elsewhere(self) -> Diagnostic | None:
         """Says where meshes are that do not move with the MJCF's folder; empty if all do."""
         outside = {
-            Path(_relative(self._named.get(path, path), path, self.output)).parent
+            Path(self._relative(path)).parent
             for path, _ in self._names
             if self._place(path) == path
         }
@@ -187,6 +183,10 @@ class Meshes:
             return None
         folders = sorted(folder.as_posix() for folder in outside)
         return diagnose("meshes-elsewhere", folders=folders)
+
+    def _relative(self, path: Path) -> str:
+        """Returns a file's path from the folder of the MJCF."""
+        return os.path.relpath(path, self.output.parent.resolve())
 
     def _place(self, path: Path) -> Path:
         """Returns the file that the MJCF names for a file of the URDF."""
@@ -218,19 +218,6 @@ class Meshes:
             files = found.setdefault(why, [])
             if file not in files:
                 files.append(file)
-
-
-def _relative(named: Path, path: Path, output: Path) -> str:
-    """Returns a file's path from the folder of another, as it is named if that leads there.
-
-    A name that goes through links stays one: what is linked together is moved together.
-    """
-    folder = output.parent.absolute()
-    lexical = os.path.relpath(named, folder)
-    there = folder / lexical
-    if named != path and there.exists() and there.samefile(path):
-        return lexical
-    return os.path.relpath(path, output.parent.resolve())
 
 
 def _compile(content: bytes | None, path: Path, scale: str, *, touches: bool, shell: bool) -> None:
@@ -265,7 +252,7 @@ def _said(error: ValueError) -> str:
     return one_line(error).removeprefix("Error: ").split(" Element name")[0].rstrip(". ,")
 
 
-READABLE: Final = (".stl", ".obj", ".msh")
+READABLE: Final = (".stl", ".obj")
 """Endings of the mesh files that MuJoCo reads."""
 
 _CONVERTIBLE: Final = (".dae", ".glb", ".gltf", ".off", ".ply")
@@ -283,9 +270,6 @@ MOST_TOUCHING: Final = 300_000
 
 MOST_TRIANGLES: Final = 500_000
 """Most triangles of a mesh. MuJoCo takes 200,000 of an STL file, and names no limit of an OBJ."""
-
-_MSH: Final = struct.Struct("<4i")
-"""Counts of vertices, normals, texture coordinates and triangles, at the start of MuJoCo's own."""
 
 
 class UnreadableError(Exception):
@@ -349,7 +333,7 @@ def read_mesh(path: Path) -> bytes:
 
 
 def check_detail(data: bytes, ending: str, *, touches: bool) -> None:
-    """Refuses an OBJ or MSH file of more detail than MuJoCo compiles in seconds.
+    """Refuses an OBJ file of more detail than MuJoCo compiles in seconds.
 
     Of an STL file MuJoCo itself refuses more than 200,000 triangles.
 
@@ -363,9 +347,7 @@ def check_detail(data: bytes, ending: str, *, touches: bool) -> None:
     """
     most = MOST_TOUCHING if touches else MOST_VERTICES
     vertices, triangles = 0, 0
-    if ending == ".msh" and len(data) >= _MSH.size:
-        vertices, _, _, triangles = _MSH.unpack_from(data)
-    elif ending == ".obj":
+    if ending == ".obj":
         for line in io.BytesIO(data):
             words = line.split(None, MOST_TRIANGLES + 3)  # a polygon of many corners is many
             vertices += words[:1] == [b"v"]

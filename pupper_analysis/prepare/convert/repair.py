@@ -126,15 +126,6 @@ class Bodies:
                     known.add(other)
                     waiting.append((other, there * placement))
 
-    def give_shapes(self, body: str, carrier: str, placement: pin.SE3, *tags: str) -> None:
-        """Gives shapes to a body that stands in a place; collision shapes are called as before."""
-        for tag, shape, _ in list(self.tree.links[body].shapes):
-            if tag in tags:
-                set_origin(shape, placement * origin_of(shape), DIGITS)
-                if tag == "collision" and not shape.get("name"):
-                    shape.set("name", f"{body}_collision")
-                self.tree.links[carrier].element.append(shape)
-
 
 def mend_inertials(
     urdf: UrdfFile, bodies: Bodies, *, repair: bool
@@ -311,30 +302,6 @@ def _three(values: Array) -> tuple[float, float, float]:
     return one, two, three
 
 
-def merge_fixed(bodies: Bodies) -> dict[str, tuple[str, pin.SE3]]:
-    """Merges bodies without joints into those that carry them.
-
-    Masses, coms and inertias add up, shapes and bodies go along.
-
-    Returns:
-        {body: the one that it was merged into, where it is in that}: a site of its name stays.
-    """
-    tree, merged = bodies.tree, {}
-    for body in filter(bodies.carried, bodies.names):
-        carrier, placement = merged[body] = _carrier(bodies, body)
-        inertia, own = bodies.inertia(body), bodies.inertia(carrier)
-        if inertia is not None:
-            moved = placement.act(inertia)
-            tree.links[carrier].set_inertia(moved if own is None else own + moved, DIGITS)
-        bodies.give_shapes(body, carrier, placement, "visual", "collision")
-    for body, (carrier, placement) in merged.items():
-        for joint in tree.below.get(body, ()):
-            set_origin(joint.element, placement * joint.origin, DIGITS)
-            joint.element.find("parent").set("link", carrier)
-        tree.remove(body)
-    return merged
-
-
 def carry_shapes(bodies: Bodies) -> list[str]:
     """Moves collision shapes of bodies without joint and mass to the body that carries them.
 
@@ -349,5 +316,9 @@ def carry_shapes(bodies: Bodies) -> list[str]:
     carriers = {name: _carrier(bodies, name, bare=True) for name in bodies.names}
     moved = [name for name, (to, _) in carriers.items() if to != name and name in touching]
     for name in moved:
-        bodies.give_shapes(name, *carriers[name], "collision")
+        carrier, placement = carriers[name]
+        for shape in bodies.tree.links[name].element.findall("collision"):
+            set_origin(shape, placement * origin_of(shape), DIGITS)
+            shape.set("name", shape.get("name") or f"{name}_collision")
+            bodies.tree.links[carrier].element.append(shape)
     return moved

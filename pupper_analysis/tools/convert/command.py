@@ -15,7 +15,7 @@ from pupper_analysis.cli.modes import refuse_unused
 
 _ALWAYS = {"source", "output", "packages", "json_path", "style", "everything", "force"}
 _OF_AN_MJCF = {
-    *("feet", "fixed_base", "merge_fixed", "armature", "sag", "damping_ratio"),
+    *("feet", "fixed_base", "armature", "sag", "damping_ratio"),
     *("repair_inertia", "copy_meshes"),
 }
 _USES = {".urdf": _ALWAYS, ".xml": _ALWAYS | _OF_AN_MJCF}
@@ -44,7 +44,6 @@ _USES = {".urdf": _ALWAYS, ".xml": _ALWAYS | _OF_AN_MJCF}
     default=None,
     help="Fix or free the base. By default a base with two or more limbs is free.",
 )
-@click.option("--merge-fixed", is_flag=True, help="Turn links on fixed joints into sites.")
 @click.option(
     "--armature",
     multiple=True,
@@ -79,7 +78,6 @@ def command(
     output: Path,
     feet: tuple[str, ...],
     fixed_base: bool | None,
-    merge_fixed: bool,
     armature: tuple[str, ...],
     sag: float | None,
     damping_ratio: float | None,
@@ -102,7 +100,7 @@ def command(
       pupper-analysis convert robot.urdf -o new.xml
       pupper-analysis convert robot.urdf -o stiff.xml --sag 1deg \\
         --damping-ratio 1 --armature 0.005
-      pupper-analysis convert arm.urdf -o arm.xml --fixed-base --merge-fixed
+      pupper-analysis convert arm.urdf -o arm.xml --fixed-base
       pupper-analysis convert robot.xml -o new.urdf
 
     Exit status: 0 both files agree and the robot stands, 1 they do not or it falls (the file is
@@ -129,7 +127,6 @@ def command(
             output,
             feet=named or None,
             fixed_base=fixed_base,
-            merge_fixed=merge_fixed,
             armature=rotors or None,
             sag=sag,
             damping_ratio=damping_ratio,

@@ -56,7 +56,6 @@ def convert_model(
     *,
     feet: Feet | None = None,
     fixed_base: bool | None = None,
-    merge_fixed: bool = False,
     armature: Mapping[str, float] | None = None,
     sag: float | None = None,
     damping_ratio: float | None = None,
@@ -84,7 +83,6 @@ def convert_model(
         feet: The feet's links, or {foot: link}; by default they are found, as by ``load_robot``.
         fixed_base: Whether the base is fixed in the world; by default a base with two limbs or more
             is free, unless it is called ``world``.
-        merge_fixed: Merge links on fixed joints into the body that carries them, as sites.
         armature: {joint: rotor inertia (kg m^2)}, which no URDF states.
         sag: What the joint that holds the greatest torque gives way in the stand (rad), from which
             the servos' stiffness follows; by default it is found by trial.
@@ -122,7 +120,7 @@ def convert_model(
         )
         raise OutputError(output, made)
     options = MjcfOptions(
-        feet, fixed_base, merge_fixed, armature, sag, damping_ratio, repair_inertia, copy_meshes
+        feet, fixed_base, armature, sag, damping_ratio, repair_inertia, copy_meshes
     )
     if isinstance(file, UrdfFile):
         check_joints(file, dict(armature or {}))

@@ -76,18 +76,13 @@ def test_random_robots_are_the_same_in_both_formats(tmp_path: Path) -> None:
         parts = _random_tree(random)
         urdf = tmp_path / f"tree{number}.urdf"
         urdf.write_text(urdf_text(parts, ()))
-        for merged in (False, True):
-            mjcf, found = converted(
-                urdf, f"tree{number}.xml", fixed_base=True, merge_fixed=merged, force=True
-            )
-            assert found.passed, found.failures
-            assert same_dynamics(urdf, mjcf) < 1e-9
-            model = compiled(mjcf)
-            fixed = [part for part in parts.values() if part.parent and part.kind == "fixed"]
-            assert model.nbody == 1 + len(parts) - merged * len(fixed)
-            back, again = converted(mjcf, f"back{number}.urdf", force=True)
-            assert again.passed, again.failures
-            assert same_dynamics(back, mjcf) < 1e-9
+        mjcf, found = converted(urdf, f"tree{number}.xml", fixed_base=True)
+        assert found.passed, found.failures
+        assert same_dynamics(urdf, mjcf) < 1e-9
+        assert compiled(mjcf).nbody == 1 + len(parts)
+        back, again = converted(mjcf, f"back{number}.urdf")
+        assert again.passed, again.failures
+        assert same_dynamics(back, mjcf) < 1e-9
 
 
 def _random_tree(random: np.random.Generator) -> Parts:
@@ -303,7 +298,7 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
     for name, value in (("sag", -1.0), ("damping_ratio", math.nan)):
         with pytest.raises(pa.ConfigurationError, match=name):
             pa.convert_model(urdf, output, **{name: value})  # type: ignore[arg-type]
-    for name, value in (("sag", 0.1), ("merge_fixed", True), ("feet", ["rod"])):
+    for name, value in (("sag", 0.1), ("fixed_base", True), ("feet", ["rod"])):
         with pytest.raises(pa.ConfigurationError, match=f"{name}: .* is an MJCF"):
             pa.convert_model(mjcf, tmp_path / "new.urdf", **{name: value})  # type: ignore[arg-type]
     output.write_text("mine")
