@@ -40,7 +40,6 @@ from pupper_analysis.tools.diff.elements import (
     SimulatedPair,
     changed_compiler,
     changed_elements,
-    changed_fusing,
     like_before,
 )
 from pupper_analysis.tools.diff.version import Version, VersionedFile, open_version, version_of
@@ -246,20 +245,20 @@ class _Comparison:
                 effects = judge.effects(before, trial.behaviour(change.apply(first, second)))
             self.differences.append(change.difference(effects))
         self.differences += self._others()
-        one, two, trial_of_both = self.one.file, self.two.file, None
-        if isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
-            trial_of_both = SimulatedPair.of(one, two)
         renamed = {self.two.bodies[new]: self.one.bodies[old] for new, old in self.old_name.items()}
         there = like_before(self.one.elements, self.two.elements, renamed, self.old_name)
-        self.differences += changed_elements(self.one.elements, there, trial_of_both)
+        self.differences += changed_elements(self.one.elements, there)
         combined: tuple[Diagnostic, ...] = ()
-        alone = [isinstance(each, ElementDifference) for each in self.differences] == [True]
-        if trial_of_both is not None and not alone:  # what one does alone is told of it
-            combined = trial_of_both.effect_of_all(explained=bool(self.differences))
+        one, two = self.one.file, self.two.file
         if isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
-            if self.differences:
+            effects, combined = SimulatedPair.of(one, two).effect(explained=bool(self.differences))
+            match self.differences:
+                case [ElementDifference() as only]:  # what one does alone is told of it
+                    told = (*only.consequences, *combined)
+                    self.differences = [replace(only, effects=effects, consequences=told)]
+                    combined = ()
+            if self.differences or combined:
                 self.differences += changed_compiler(one, two)
-            self.differences += changed_fusing(one, two, (self.one.fused, self.two.fused))
         patched = trial.behaviour(apply_changes(first, second, VERSIONS))
         left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
         holding = trial.holding_torques(first), trial.holding_torques(second)

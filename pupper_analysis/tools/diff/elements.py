@@ -1,16 +1,15 @@
-"""Changes of what touches, of MuJoCo's options and of keyframes, and what each does alone.
+"""Changes of what touches, of MuJoCo's options and of keyframes, and what they do.
 
-What a change does, MuJoCo says: both models are simulated from the same keyframe, the old one as it
-is and with this change alone. Robots are published without a ground, in a file that scenes include:
-where neither file has one, both stand on a plane that is laid under them.
+What they do together, MuJoCo says: both files are simulated, each from its first keyframe. Robots
+are published without a ground, in a file that scenes include: where neither file has one, both
+stand on a plane that is laid under them.
 """
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import count
 from typing import Any, Final
@@ -39,12 +38,10 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import DIRECTIONS, Shape, read_shape
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.mjcf import (
-    MUJOCO_ERRORS,
     Value,
     element_values,
     joint_name,
     place_of_geom,
-    rows_of,
     touching_geoms,
 )
 from pupper_analysis.models.stated.model import UrdfModel
@@ -291,8 +288,9 @@ def like_before(
 ) -> dict[Key, Element]:
     """Returns new elements by what the old file calls those that they are like.
 
-    Geoms of one name are one. Of the others of a body, the most alike are: another number in the
-    file is no change. What only the new file has is numbered on.
+    Geoms of one name are one. Of the others of a body those are one that are exactly alike, then
+    those of one shape, and the rest in their order: another number in the file is no change. What
+    only the new file has is numbered on.
 
     Args:
         old: The old file's.
@@ -304,10 +302,10 @@ def like_before(
     calls: dict[str, str] = {}
     taken = {name for _, name in (*old, *new)}
     for (kind, body), (here, there) in _unnamed(old, new, bodies).items():
-        pairs = _most_alike([old[key] for key in here], [new[key] for key in there])
-        for number, key in enumerate(there):
-            name = here[pairs[number]][1] if number in pairs else key[1]
-            if number not in pairs and ((kind, name) in old or (kind, name) in found):
+        pairs = _most_alike(here, there, old, new)
+        for key in there:
+            name = pairs[key][1] if key in pairs else key[1]
+            if key not in pairs and ((kind, name) in old or (kind, name) in found):
                 name = next(free for n in count(2) if (free := f"{body} #{n}") not in taken)
                 taken.add(name)
             found[kind, name], calls[key[1]] = new[key], name
@@ -341,54 +339,32 @@ def _unnamed(
     return found
 
 
-def _most_alike(here: Sequence[Element], there: Sequence[Element]) -> dict[int, int]:
-    """Returns {number of one there: that of the one here which it is most like}."""
-    same = all(_unlike(one, two, quick=True) == 0.0 for one, two in zip(here, there, strict=False))
-    if (same and len(here) == len(there)) or len(here) * len(there) > _MOST_PAIRS:
-        return {number: number for number in range(min(len(here), len(there)))}
-    from scipy.optimize import linear_sum_assignment  # slow to import
+def _most_alike(
+    here: list[Key], there: list[Key], old: Mapping[Key, Element], new: Mapping[Key, Element]
+) -> dict[Key, Key]:
+    """Returns {one there: that of the ones here which it is}."""
 
-    # What stands at the same place is the same, where all else is.
-    costs = [
-        [_unlike(one, two) + 1e-9 * abs(i - j) for j, two in enumerate(there)]
-        for i, one in enumerate(here)
-    ]
-    rows, columns = linear_sum_assignment(np.array(costs).reshape(len(here), len(there)))
-    pairs = zip(columns.tolist(), rows.tolist(), strict=True)
-    return {j: i for j, i in pairs if not _is_another(here[i], there[j])}
+    def is_of_one_shape(one: Element, two: Element) -> bool:
+        assert one.shape is not None
+        assert two.shape is not None
+        return one.shape.kind == two.shape.kind and apart(one.shape, two.shape) <= SAME_SHAPE
 
+    def is_alike(one: Element, two: Element) -> bool:
+        same = all(_same(*values) for values in _numbers_of_both(one, two).values())
+        return same and one.touches == two.touches and is_of_one_shape(one, two)
 
-def _is_another(one: Element, two: Element) -> bool:
-    """Whether one is drawn alone and the other touches, and they have not one shape."""
-    assert one.shape is not None
-    assert two.shape is not None
-    return one.touches != two.touches and apart(one.shape, two.shape) > SAME_SHAPE
+    def touches_alike(one: Element, two: Element) -> bool:
+        return one.touches == two.touches
 
-
-_MOST_PAIRS = 2_500
-"""Of shapes of one body that are compared each with each."""
-
-
-def _unlike(one: Element, two: Element, *, quick: bool = False) -> float:
-    """Counts the numbers in which two elements with shapes differ; a shape counts for as many."""
-    assert one.shape is not None
-    assert two.shape is not None
-    unlike = float(sum(not _same(*values) for values in _numbers_of_both(one, two).values()))
-    unlike += 2.0 * (one.touches != two.touches) + 2.0 * (one.shape.kind != two.shape.kind)
-    ends = [
-        np.concatenate([shape.pose.position, 0.1 * shape.pose.rotation.ravel(), shape.size])
-        for shape in (one.shape, two.shape)
-    ]
-    gap = 0.0
-    if one.shape.kind == two.shape.kind and len(ends[0]) == len(ends[1]):
-        gap = float(np.abs(ends[0] - ends[1]).max())
-    if one.shape.kind == two.shape.kind == "mesh" and not quick:
-        gap = max(gap, apart(one.shape, two.shape))
-    return unlike + (gap / (gap + _NEAR) if math.isfinite(gap) else 1.0)
-
-
-_NEAR = 0.01
-"""m: two shapes that are so far apart are half another."""
+    found: dict[Key, Key] = {}
+    left = list(here)
+    for test in (is_alike, is_of_one_shape, touches_alike):
+        for key in there:
+            near = (each for each in left if key not in found and test(old[each], new[key]))
+            if (match := next(near, None)) is not None:
+                found[key] = match
+                left.remove(match)
+    return found
 
 
 def _numbers_of_both(one: Element, two: Element) -> dict[str, tuple[Value, Value]]:
@@ -405,15 +381,8 @@ def _numbers_of_both(one: Element, two: Element) -> dict[str, tuple[Value, Value
 def changed_elements(
     old: Mapping[Key, Element],
     new: Mapping[Key, Element],
-    trial: SimulatedPair | None,
 ) -> Iterator[ElementDifference]:
-    """Yields what has changed; elements whose number has changed alike are one change.
-
-    Args:
-        old: The old file's.
-        new: The new one's.
-        trial: Simulates both; None where it is not known what a change does.
-    """
+    """Yields what has changed; elements whose number has changed alike are one change."""
     alike: dict[tuple[Any, ...], list[Key]] = {}
     for key in dict.fromkeys((*old, *new)):
         one, two = old.get(key), new.get(key)
@@ -433,7 +402,7 @@ def changed_elements(
         ):
             alike.setdefault((key[0], SHAPE, *_reshaped(one.shape, two.shape)), []).append(key)
     for (kind, word, *_), keys in alike.items():
-        yield _change(kind, word, keys, old, new, trial)
+        yield _change(kind, word, keys, old, new)
 
 
 _COMPILER: Final = {
@@ -442,7 +411,7 @@ _COMPILER: Final = {
         word: word
         for word in (
             "eulerseq", "autolimits", "inertiafromgeom", "inertiagrouprange", "boundmass",
-            "boundinertia", "settotalmass", "balanceinertia", "alignfree", "fitaabb",
+            "boundinertia", "settotalmass", "balanceinertia", "alignfree", "fitaabb", "fusestatic",
         )
     },
 }  # fmt: skip
@@ -450,95 +419,34 @@ _COMPILER: Final = {
 
 
 def changed_compiler(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
-    """Yields what has changed of the compiler: numbers change with it whose lines have not.
-
-    It has made a change if fewer numbers are others with the flag as it was.
-    """
-    one, two = old.spec.compiler, new.spec.compiler
+    """Yields what has changed of the compiler: numbers change with it whose lines have not."""
     for name, word in _COMPILER.items():
-        values = [_stated_flag(name, getattr(compiler, name)) for compiler in (one, two)]
-        if values[0] == values[1]:
+        one, two = (_stated_flag(name, getattr(file.spec.compiler, name)) for file in (old, new))
+        if one == two:
             continue
-        spec = new.spec.copy()
-        setattr(spec.compiler, name, getattr(one, name))
-        try:
-            as_it_was = spec.compile()
-        except MUJOCO_ERRORS:
-            continue
-        if _others_of(old.model, as_it_was) < _others_of(old.model, new.model):
-            whole = _image(as_it_was) == _image(old.model)
-            follows = diagnose("compiler-makes-others", all=whole, some=not whole)
-            yield _flagged((old, new), word, values, {}, (follows,))
-
-
-def changed_fusing(
-    old: MjcfFile, new: MjcfFile, fused: tuple[bool, bool]
-) -> Iterator[ElementDifference]:
-    """Yields that links are fused, or are no more, if a simulation feels it.
-
-    A contact is as soft as the body is heavy that its shape is on, and on another body then.
-
-    Args:
-        old: The old file, its links kept apart.
-        new: The new one, likewise.
-        fused: Whether they fuse them.
-    """
-    if fused[0] == fused[1]:
-        return
-    spec = old.spec.copy()
-    spec.compiler.fusestatic = True
-    other = replace(old, spec=spec, _model=compile_spec(spec.copy(), old.path))
-    pair = SimulatedPair.of(*((other, old) if fused[0] else (old, other)))
-    effects, consequences = pair.compared()
-    if effects:
-        values = [_stated_flag("fusestatic", each) for each in fused]
-        yield _flagged((old, new), "fusestatic", values, effects, consequences)
-
-
-def _others_of(one: mujoco.MjModel, two: mujoco.MjModel) -> float:
-    """Counts the numbers that differ of bodies, joints and geoms; infinite where there are more."""
-    arrays = [(getattr(one, name), getattr(two, name)) for name in _OF_COMPILER]
-    if any(here.shape != there.shape for here, there in arrays):
-        return math.inf
-    near = (np.isclose(here, there, rtol=SAME_NUMBER, atol=1e-12) for here, there in arrays)
-    return float(sum((~each).sum() for each in near))
-
-
-_OF_COMPILER: Final = (
-    "body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat", "jnt_pos",
-    "jnt_axis", "jnt_range", "jnt_limited", "geom_size", "geom_pos", "geom_quat", "site_pos",
-    "site_quat", "qpos0", "qpos_spring", "actuator_ctrlrange", "actuator_ctrllimited",
-    "actuator_forcerange", "actuator_forcelimited", "tendon_range",
-)  # fmt: skip
-"""What numbers follow from the compiler's."""
-
-
-def _flagged(
-    files: tuple[MjcfFile, MjcfFile],
-    word: str,
-    values: Sequence[str],
-    effects: dict[str, Effect],
-    consequences: tuple[Diagnostic, ...],
-) -> ElementDifference:
-    """Returns a change of a number of the compiler."""
-    both = {"one": values[0], "two": values[1], **VERSIONS.named}
-    old, new = (
-        next((at for words, at in file.elements("compiler") if word in words), None)
-        for file in files
-    )
-    return ElementDifference(
-        kind="compiler",
-        element=word,
-        urdf=values[0],
-        mjcf=values[1],
-        unit="",
-        diagnostic=diagnose(
-            "mjcf-element-differs", subject=("compiler", word), others=(), what="", **both
-        ),
-        effects=effects,
-        consequences=consequences,
-        places=(old, new),
-    )
+        message = diagnose(
+            "mjcf-element-differs",
+            subject=("compiler", word),
+            others=(),
+            what="",
+            one=one,
+            two=two,
+            **VERSIONS.named,
+        )
+        places = [
+            next((at for words, at in file.elements("compiler") if word in words), None)
+            for file in (old, new)
+        ]
+        yield ElementDifference(
+            kind="compiler",
+            element=word,
+            urdf=one,
+            mjcf=two,
+            unit="",
+            diagnostic=message,
+            effects={},
+            places=(places[0], places[1]),
+        )
 
 
 def _stated_flag(name: str, value: Any) -> str:
@@ -575,7 +483,6 @@ def _change(
     keys: list[Key],
     old: Mapping[Key, Element],
     new: Mapping[Key, Element],
-    trial: SimulatedPair | None,
 ) -> ElementDifference:
     names = tuple(name for _, name in keys)
     one, two = old.get(keys[0]), new.get(keys[0])
@@ -590,16 +497,11 @@ def _change(
         two=after,
         **VERSIONS.named,
     )
-    effects: dict[str, Effect] = {}
     consequences: tuple[Diagnostic, ...] = ()
-    if trial is not None:
-        effects, consequences = trial.effect(
-            word, [(key, old.get(key), new.get(key)) for key in keys]
-        )
     shapes = [element.shape for element in (one, two) if element is not None and element.shape]
     if word == SHAPE and math.isfinite(distance := apart(*shapes)):
         moved = diagnose("surface-moves", distance=Quantity(distance, "m"))
-        consequences = (moved, *consequences)
+        consequences = (moved,)
     return ElementDifference(
         kind=kind,
         element=word if kind == "option" else names[0],
@@ -609,7 +511,7 @@ def _change(
             (row.unit for row in ELEMENT_ATTRIBUTES if (row.element, row.word) == (kind, word)), ""
         ),
         diagnostic=message,
-        effects=effects,
+        effects={},
         consequences=consequences,
         places=(one.place(word) if one else None, two.place(word) if two else None),
     )
@@ -691,7 +593,7 @@ MOTION: Final = "simulated motion"
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPair:
-    """Two MJCFs that are simulated: the old file as it is, with changes, and the new one.
+    """Two MJCFs that are simulated.
 
     Attributes:
         old: What MuJoCo makes of the old file.
@@ -719,33 +621,23 @@ class SimulatedPair:
         )
         return SimulatedPair(before, after, laid=True)
 
-    def effect_of_all(self, *, explained: bool) -> tuple[Diagnostic, ...]:
-        """Returns what all changes do together: both files are simulated as they are.
+    def effect(self, *, explained: bool) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
+        """Returns by how much the two differ as they are, and what of it a user would see.
 
         Args:
             explained: Whether a change was found; if not, what rounding can do is no effect.
         """
         old, new = self.old, self.new
         if not self._common or (not explained and _image(old) == _image(new)):
-            return ()
-        before, after = self._simulate(old, 0), self._simulate(new, 0)
-        start = old.key(0).name if old.nkey else ""
-        effects, messages = self._weigh(before, after, start)
+            return {}, ()
+        before, after = self._simulate(old), self._simulate(new)
+        effects, messages = self._weigh(before, after)
         if explained or not effects:
-            return messages if explained else ()
-        nudged, _ = self._weigh(before, self._simulate(old, 0, ROUNDING), start)
+            return (effects, messages) if explained else ({}, ())
+        nudged, _ = self._weigh(before, self._simulate(old, ROUNDING))
         # A tenth: where both have left their course, they are apart by any part of the way.
         rounding = nudged and nudged[MOTION].deviation > 0.1 * effects[MOTION].deviation
-        return () if rounding else messages
-
-    def compared(self) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Returns by how much the two differ as they are, and what of it a user would see."""
-        runs = [self._simulate(model, 0) for model in (self.old, self.new)]
-        return self._weigh(runs[0], runs[1], self.old.key(0).name if self.old.nkey else "")
-
-    @cached_property
-    def _unchanged(self) -> dict[int, _Run]:
-        return {}
+        return ({}, ()) if rounding else (effects, messages)
 
     @cached_property
     def _common(self) -> list[str]:
@@ -755,39 +647,15 @@ class SimulatedPair:
         ]
         return [name for name in names[0] if name in names[1]]
 
-    def _simulate(self, model: mujoco.MjModel, key: int, nudge: float = 0.0) -> _Run:
+    def _simulate(self, model: mujoco.MjModel, nudge: float = 0.0) -> _Run:
         number = {joint_name(model, n): n for n in range(model.njnt)}
-        return _simulate(model, key, [number[name] for name in self._common], nudge)
+        return _simulate(model, [number[name] for name in self._common], nudge)
 
-    def effect(
-        self, word: str, elements: Iterable[tuple[Key, Element | None, Element | None]]
-    ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Returns what a change does alone, or, where it cannot be made alone, with all others."""
-        model, key, joined = copy.copy(self.old), 0, False
-        for (kind, name), one, two in elements:
-            if kind == "flag":
-                _switch(model, self.new, name)
-            elif one is None or two is None or not _apply(model, self.new, kind, word, one, two):
-                model, joined = self.new, True
-                break
-            elif kind == "key":
-                key = one.row
-        if key not in self._unchanged:
-            self._unchanged[key] = self._simulate(self.old, key)
-        before, after = self._unchanged[key], self._simulate(model, key)
-        start = self.old.key(key).name if self.old.nkey else ""
-        return self._weigh(before, after, start, joined=joined)
-
-    def _weigh(
-        self, before: _Run, after: _Run, start: str, *, joined: bool = False
-    ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
+    def _weigh(self, before: _Run, after: _Run) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
         """Returns by how much two simulations differ, and what of it a user would see."""
         seconds = Quantity(min(before.seconds, after.seconds), "s")
-        return _weigh(
-            before,
-            after,
-            {"seconds": seconds, "start": start, "joined": joined, "laid": self.laid},
-        )
+        start = self.old.key(0).name if self.old.nkey else ""
+        return _weigh(before, after, {"seconds": seconds, "start": start, "laid": self.laid})
 
 
 def _stays(model: mujoco.MjModel) -> NDArray[np.bool_]:
@@ -812,71 +680,17 @@ def _ground_under(model: mujoco.MjModel) -> float:
     return lowest if -lowest > 0.25 * (com - lowest) else 0.0
 
 
-_OF_BODIES = {"contype": np.bitwise_or, "conaffinity": np.bitwise_or, "margin": np.maximum}
-"""What MuJoCo keeps of all geoms of a body together, and how it is put together."""
-
-
-def _touches(model: mujoco.MjModel, geom: Element) -> bool:
-    return bool(model.geom_contype[geom.row] | model.geom_conaffinity[geom.row])
-
-
-def _apply(
-    model: mujoco.MjModel, new: mujoco.MjModel, kind: str, word: str, one: Element, two: Element
-) -> bool:
-    """Makes one change in a model, in place; returns whether it could be made alone."""
-    if kind == "option":
-        row = next(row for row in ELEMENT_ATTRIBUTES if (row.element, row.word) == (kind, word))
-        setattr(model.opt, row.mujoco, getattr(new.opt, row.mujoco))
-        return True
-    if word == SHAPE:
-        mesh = mujoco.mjtGeom.mjGEOM_MESH.value
-        if mesh in (model.geom_type[one.row], new.geom_type[two.row]):
-            return False
-        arrays = ["geom_type", "geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb"]
-        model.geom_sameframe[one.row] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE.value
-    else:
-        arrays = [
-            row.mujoco for row in ELEMENT_ATTRIBUTES if (row.element, row.word) == (kind, word)
-        ]
-    if kind == "geom" and word in _OF_BODIES and _touches(model, one) != _touches(new, two):
-        return False  # one that touches nothing is not in the trees in which contacts are sought
-    if kind == "actuator" and (model.na, model.nhistory) != (new.na, new.nhistory):
-        return False  # it has a state more, or less
-    for array in arrays:
-        here, there = getattr(model, array), getattr(new, array)
-        own, its = rows_of(model, array, one.row), rows_of(new, array, two.row)
-        if here[own].shape != there[its].shape:
-            return False
-        here[own] = there[its]
-    if kind == "geom" and word in _OF_BODIES:  # what MuJoCo looks at before it looks at geoms
-        body = model.geom_bodyid[one.row]
-        geoms = model.geom_bodyid == body
-        values = getattr(model, f"geom_{word}")[geoms]
-        getattr(model, f"body_{word}")[body] = _OF_BODIES[word].reduce(values)
-    return True
-
-
-def _switch(model: mujoco.MjModel, new: mujoco.MjModel, flag: str) -> None:
-    """Takes over one flag, in place."""
-    for name, bits in (("disableflags", DISABLE_BITS), ("enableflags", ENABLE_BITS)):
-        for bit in bits:
-            if flag_name(bit) == flag:
-                here, there = getattr(model.opt, name), getattr(new.opt, name)
-                setattr(model.opt, name, here & ~bit.value | there & bit.value)
-
-
-def _simulate(model: mujoco.MjModel, key: int, joints: Sequence[int], nudge: float = 0.0) -> _Run:
-    """Simulates a model from a keyframe, as MuJoCo leaves it when it is reset to it.
+def _simulate(model: mujoco.MjModel, joints: Sequence[int], nudge: float = 0.0) -> _Run:
+    """Simulates a model from its first keyframe, as MuJoCo leaves it when it is reset to it.
 
     Args:
-        model: The model.
-        key: The keyframe's number; the model's ``qpos0`` if there is none.
+        model: The model; it begins at its ``qpos0`` if it has no keyframe.
         joints: Those that are looked at, and the trees that they move.
         nudge: Of all velocities at the start (rad/s, m/s).
     """
     data = mujoco.MjData(model)
-    if key < model.nkey:
-        mujoco.mj_resetDataKeyframe(model, data, key)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qvel += nudge
     step = float(model.opt.timestep)
     seconds = min(SECONDS, _MOST_STEPS * step)

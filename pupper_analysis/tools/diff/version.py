@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -60,7 +60,6 @@ class Version:
         bodies: {base or joint: the body that it moves}.
         sources: Where the numbers stand.
         notes: What was assumed or left out.
-        fused: Whether the file fuses bodies that are fixed to others: here they are kept apart.
     """
 
     file: UrdfFile | MjcfFile
@@ -70,7 +69,6 @@ class Version:
     bodies: Mapping[str, str]
     sources: Sources
     notes: tuple[Diagnostic, ...]
-    fused: bool = False
 
 
 def version_of(file: UrdfFile | MjcfFile) -> Version:
@@ -104,7 +102,8 @@ def _of_urdf(file: UrdfFile) -> Version:
 
 
 def _of_mjcf(file: MjcfFile) -> Version:
-    if fused := bool(file.spec.compiler.fusestatic):
+    published = file
+    if file.spec.compiler.fusestatic:
         file = _kept_apart(file)
     spec = file.spec.copy()
     named, joined = name_all(spec, set()), join_free_base(spec, file.path)
@@ -133,14 +132,13 @@ def _of_mjcf(file: MjcfFile) -> Version:
         if extra.kind != "flag"  # it is among the elements
     }
     return Version(
-        file=file,
+        file=published,
         tree=mjcf_tree(spec, file.path, base, frames),
         others={**others, **_motors(NamedModel(reference))},
         elements=list_elements(file),
         bodies=carriers,
         sources=MjcfSources(file, model, carriers, {}, (base,)),
         notes=tuple(notes),
-        fused=fused,
     )
 
 
@@ -328,7 +326,7 @@ def write_revision(
     """Writes those files of a revision to a folder whose names end in one of some ways.
 
     Files are as they are committed; in place of a pointer of Git LFS is its file, if the repository
-    has that. Symbolic links that lead out of the folder are left out.
+    has that. Symbolic links are left out.
 
     Args:
         given: What the user asked for, for the message.
@@ -347,33 +345,18 @@ def write_revision(
     wanted = [
         entry
         for entry in git_entries(listed) or []
-        if entry.path.lower().endswith(endings) and not _leads_out(entry.path)
+        if entry.path.lower().endswith(endings)
+        and entry.mode != _LINK
+        and not _leads_out(entry.path)
     ]
-    links = []
     for entry, content in _contents(given, wanted, folder):
         place = root / entry.path
         place.parent.mkdir(parents=True, exist_ok=True)
-        if entry.mode == _LINK:
-            links.append((place, os.fsdecode(content)))
-        else:
-            place.write_bytes(_brought(content, Path(kept)))
-    for place, target in links:  # after all files, so that none is written through a link
-        with suppress(OSError, ValueError):
-            place.symlink_to(target)
-    while out := [place for place, _ in links if place.is_symlink() and _is_outside(place, root)]:
-        for place in out:
-            place.unlink()
+        place.write_bytes(_brought(content, Path(kept)))
 
 
 def _leads_out(path: str) -> bool:
     return path.startswith("/") or ".." in path.split("/")
-
-
-def _is_outside(link: Path, root: Path) -> bool:
-    try:
-        return not link.resolve().is_relative_to(root)
-    except (OSError, RuntimeError):  # links in a ring
-        return True
 
 
 def _brought(content: bytes, kept: Path) -> bytes:
