@@ -108,15 +108,18 @@ def read_usd(path: str | Path) -> UsdFile:
             ) from error
         missing = sorted({name for text in said() for name in _MISSING.findall(text)})
     notes = (diagnose("usd-files-missing", files=missing),) if missing else ()
-    bodies, joints = [], []
+    bodies, joints, motors = [], [], 0
     for prim in pxr.Usd.PrimRange(stage.GetPseudoRoot(), pxr.Usd.TraverseInstanceProxies()):
         if prim.HasAPI(pxr.UsdPhysics.RigidBodyAPI):
             if pxr.UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get() is not False:
                 bodies.append(prim)
         elif prim.IsA(pxr.UsdPhysics.Joint):
             joints.append(prim)
+        motors += prim.GetTypeName() == "MjcActuator"
     if not bodies:
         raise refuse_file(Place(path), diagnose("usd-without-bodies"))
+    if motors:
+        notes = (*notes, diagnose("usd-actuators-not-read", count=motors))
     return UsdFile(path, stage, _named(bodies), _named(joints), notes)
 
 

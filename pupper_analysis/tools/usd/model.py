@@ -3,9 +3,9 @@
 Where bodies are follows from the frames of the joints, as engines with reduced coordinates have it;
 the transforms of the prims are a pose of the robot, at whatever angles.
 
-A mass states less than it seems to: where the com or the inertia is not stated, too, they are those
-of the shapes that touch; and a body of which nothing is stated is filled with water. The rules are
-those of ``UsdPhysicsRigidBodyAPI::ComputeMassProperties``, here in double precision.
+A mass states less than it seems to: where the com or the inertia is not stated, too, engines take
+those of the shapes that touch; and they fill a body of which nothing is stated with water. What
+such a body weighs is not known here.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +23,7 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.places import Place, refuse_file
-from pupper_analysis.models.shapes import Array, Mesh, Pose, Shape, Solid
+from pupper_analysis.models.shapes import Array, Pose
 from pupper_analysis.models.stated.model import (
     BALL,
     FIXED,
@@ -48,15 +47,13 @@ _KINDS: Final = {
     "PhysicsFixedJoint": FIXED,
 }
 
-_FREEDOMS: Final = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
-
 
 @dataclass(frozen=True)
 class Statement:
     """An attribute that states a number of a joint, in the schema of an engine.
 
     Attributes:
-        name: Its name; ``{axis}`` is ``angular`` or ``linear``, or ``rotX`` and the like.
+        name: Its name; ``{axis}`` is ``angular`` or ``linear``.
         per_angle: Whether it is per degree, of a hinge.
         angle: Whether it is in degrees (per second), of a hinge.
     """
@@ -100,25 +97,6 @@ the least, as each of them limits."""
 
 
 @dataclass(frozen=True, eq=False)
-class UsdDrive:
-    """A motor of a joint.
-
-    Attributes:
-        stiffness: N m/rad or N/m.
-        damping: N m s/rad or N s/m.
-        target: The position that it holds (rad, m); None if not stated.
-        accelerates: Whether gains are per inertia: it gives an acceleration, not a force.
-        written: The stiffness as it is written, per degree.
-    """
-
-    stiffness: float
-    damping: float
-    target: float | None
-    accelerates: bool
-    written: float
-
-
-@dataclass(frozen=True, eq=False)
 class Edge:
     """A joint between two bodies of a USD.
 
@@ -133,9 +111,8 @@ class Edge:
         upper: rad or m.
         numbers: {kind: what is stated}; what is not there is not known.
         stated: {kind: {attribute: what it states}}, in the same units, of all that do.
-        drive: Its motor, as UsdPhysics states it; None if it has none.
-        gains: Stiffness and damping of the servo that holds it (N m/rad, N m s/rad; N/m, N s/m), by
-            UsdPhysics or MuJoCo's schema; None where nothing holds it, or holds it by inertia.
+        gains: Stiffness and damping of the drive that holds it (N m/rad, N m s/rad; N/m, N s/m);
+            None where nothing holds it, or holds it by inertia.
         outside: Whether it is to be left out of the tree.
         mimic: The joint that it follows as q = multiplier q' + offset; None if it follows none.
     """
@@ -150,7 +127,6 @@ class Edge:
     upper: float
     numbers: Mapping[str, float] = field(default_factory=dict)
     stated: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    drive: UsdDrive | None = None
     gains: tuple[float, float] | None = None
     outside: bool = False
     mimic: tuple[str, float, float] | None = None
@@ -163,7 +139,6 @@ def edge_of(
     frames: tuple[Pose, Pose],
     units: StageUnits,
     paths: Mapping[str, str],
-    motors: Sequence[Any] = (),
 ) -> Edge:
     """Reads a joint, between bodies that have been found.
 
@@ -174,25 +149,17 @@ def edge_of(
         frames: Its frame in each.
         units: Of the stage.
         paths: {path of a joint's prim: its name}.
-        motors: The prims of MuJoCo's schema that drive it.
     """
     kind, axis, lower, upper = _freedom(prim)
     turns, moves = kind == HINGE, kind in (HINGE, SLIDE)
     unit = DEGREE if turns else units.length
-    word = _word(prim, kind, axis)
+    word = "angular" if turns else "linear"
     ends = {"lower limit": lower * unit, "upper limit": upper * unit}
     stated = {
         what: found
         for what, statements in STATEMENTS.items()
         if moves and (found := _stated(prim, what, statements, word, turns, units))
     }
-    drive = _drive(prim, word, turns, units) if moves else None
-    efforts = [_effort(motor, units.inertia if turns else units.force) for motor in motors]
-    if efforts and None not in efforts:
-        stated["effort"] = {
-            **stated.get("effort", {}),
-            "mjc:forceRange": sum(filter(None, efforts)),
-        }
     return Edge(
         name=name,
         prim=prim,
@@ -206,42 +173,23 @@ def edge_of(
         | {what: next(iter(found.values())) for what, found in stated.items()}
         | {what: min(found.values()) for what, found in stated.items() if what == "effort"},
         stated=stated,
-        drive=drive,
-        gains=_gains(drive, motors, units.inertia if turns else units.mass) if moves else None,
+        gains=_gains(prim, word, turns, units) if moves else None,
         outside=bool(value_of(prim, "physics:excludeFromArticulation", "number")),
         mimic=_mimic(prim, turns, units, paths),
     )
 
 
 def _freedom(prim: Any) -> tuple[str, int, float, float]:
-    """Returns a joint's kind, its axis, and its limits as they are written."""
-    kind = _KINDS.get(str(prim.GetTypeName()))
-    if kind is not None:
-        axis = AXES[axis_of(prim, "physics:axis", "X")]
-        lower = number_of(prim, "physics:lowerLimit", -math.inf)
-        upper = number_of(prim, "physics:upperLimit", math.inf)
-        return (kind, axis, *((lower, upper) if kind in (HINGE, SLIDE) else (-math.inf, math.inf)))
-    # A general joint is free about and along all axes but those whose limits are exchanged.
-    free: dict[str, tuple[float, float]] = {}
-    for word in _FREEDOMS:
-        low = number_of(prim, f"limit:{word}:physics:low", -math.inf)
-        high = number_of(prim, f"limit:{word}:physics:high", math.inf)
-        if not low > high:
-            free[word] = low, high
-    if not free:
-        return FIXED, 0, -math.inf, math.inf
-    if len(free) == 1:
-        (word, (low, high)), *_ = free.items()
-        return HINGE if word.startswith("rot") else SLIDE, AXES[word[-1]], low, high
-    ball = set(free) == set(_FREEDOMS[3:])
-    return BALL if ball else FREE, 0, -math.inf, math.inf
+    """Returns a joint's kind, its axis, and its limits as they are written.
 
-
-def _word(prim: Any, kind: str, axis: int) -> str:
-    """Returns what a joint's axis is called in the names of its drive's attributes."""
-    if str(prim.GetTypeName()) in _KINDS:
-        return "angular" if kind == HINGE else "linear"
-    return ("rot" if kind == HINGE else "trans") + "XYZ"[axis]
+    A general joint counts as free: such are refused where joints are compared.
+    """
+    kind = _KINDS.get(str(prim.GetTypeName()), FREE)
+    if kind not in (HINGE, SLIDE):
+        return kind, 0, -math.inf, math.inf
+    axis = AXES[axis_of(prim, "physics:axis", "X")]
+    lower = number_of(prim, "physics:lowerLimit", -math.inf)
+    return kind, axis, lower, number_of(prim, "physics:upperLimit", math.inf)
 
 
 def _stated(
@@ -274,66 +222,18 @@ def _stated(
     return found
 
 
-def _effort(motor: Any, unit: float) -> float | None:
-    """Returns what a motor of MuJoCo's schema gives at most at its joint; None if without limit.
-
-    That is its forceRange; or, of a motor without bias, its ctrlRange times its gain.
-    """
-
-    def greatest(name: str) -> float | None:
-        ends = [abs(number_of(motor, f"mjc:{name}Range:{end}")) for end in ("min", "max")]
-        off = str(value_of(motor, f"mjc:{name}Limited", "text")) == "false"
-        return None if off or math.isnan(sum(ends)) else max(ends) or None
-
-    limit = greatest("force")
-    if limit is None and str(value_of(motor, "mjc:biasType", "text") or "none") == "none":
-        control = greatest("ctrl")
-        limit = None if control is None else control * abs(_entry(motor, "mjc:gainPrm", 0, 1.0))
-    return None if limit is None else limit * abs(_entry(motor, "mjc:gear", 0, 1.0)) * unit
-
-
-def _entry(motor: Any, name: str, place: int, usual: float) -> float:
-    """Returns one number of a list of a motor's; the usual one where that is shorter."""
-    values = value_of(motor, name, "list")
-    return float(values[place]) if values is not None and len(values) > place else usual
-
-
-def _gains(
-    drive: UsdDrive | None, motors: Sequence[Any], unit: float
-) -> tuple[float, float] | None:
-    """Returns stiffness and damping of what holds a joint; see `Edge.gains`.
-
-    MuJoCo's motors that are servos have an affine bias, per rad; several add up.
-    """
-    if drive is not None and drive.stiffness > 0:
-        return None if drive.accelerates else (drive.stiffness, drive.damping)
-    held = np.zeros(2)
-    for motor in motors:
-        if str(value_of(motor, "mjc:biasType", "text")) == "affine":
-            lever = _entry(motor, "mjc:gear", 0, 1.0) ** 2 * unit
-            held -= [_entry(motor, "mjc:biasPrm", place, 0.0) * lever for place in (1, 2)]
-    return (float(held[0]), float(held[1])) if held[0] > 0 else None
-
-
-def _drive(prim: Any, word: str, turns: bool, units: StageUnits) -> UsdDrive | None:
-    """Returns a joint's drive of UsdPhysics; None if it has none."""
-    if f"PhysicsDriveAPI:{word}" not in prim.GetAppliedSchemas():
-        return None
-
+def _gains(prim: Any, word: str, turns: bool, units: StageUnits) -> tuple[float, float] | None:
+    """Returns stiffness and damping of a joint's drive; see `Edge.gains`."""
     start = f"drive:{word}:physics"
-    accelerates = value_of(prim, f"{start}:type", "text") == "acceleration"
-    force = 1.0 if accelerates else units.inertia if turns else units.mass
-    unit = force / DEGREE if turns else force
-    authored = prim.GetAttribute(f"{start}:targetPosition").IsAuthored()
-    target = number_of(prim, f"{start}:targetPosition") * (DEGREE if turns else units.length)
     stiffness = number_of(prim, f"{start}:stiffness", 0.0)
-    return UsdDrive(
-        stiffness=stiffness * unit,
-        damping=number_of(prim, f"{start}:damping", 0.0) * unit,
-        target=target if authored and not math.isnan(target) else None,
-        accelerates=accelerates,
-        written=stiffness,
-    )
+    if (
+        f"PhysicsDriveAPI:{word}" not in prim.GetAppliedSchemas()
+        or value_of(prim, f"{start}:type", "text") == "acceleration"
+        or stiffness <= 0
+    ):
+        return None
+    unit = units.inertia / DEGREE if turns else units.mass
+    return stiffness * unit, number_of(prim, f"{start}:damping", 0.0) * unit
 
 
 def _mimic(
@@ -357,12 +257,6 @@ def _mimic(
     return None
 
 
-WATER: Final = 1000.0
-"""kg/m^3: what a shape has of which no density is stated."""
-
-BALL_RADIUS: Final = 0.1
-"""m: the radius of the ball that a mass without shape and inertia is taken for."""
-
 _SINGLE: Final = 2.0**-24
 """Half a unit of the last digit of a number of 1 in single precision."""
 
@@ -371,13 +265,13 @@ class Origin(StrEnum):
     """Where a body's mass comes from."""
 
     STATED = "stated"
-    """The body says it."""
+    """The body says it, and where it is."""
     SHAPES = "shapes"
-    """Its shapes say their masses or densities, or it says a density."""
+    """Some of mass, com and inertia is not stated: engines take that from its shapes."""
     WATER = "water"
     """Of a shape at least nothing is said: it has the density of water."""
     UNKNOWN = "unknown"
-    """Neither it nor a shape that touches says anything; or a shape's volume is not known."""
+    """Neither it nor a shape that touches says anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,134 +281,57 @@ class Weighed:
     Attributes:
         inertial: None if that is not known.
         origin: Of its mass.
-        inertia_made: Whether the inertia is not stated, but follows from the mass.
-        axes_made: Whether moments are stated, but not their axes: they are taken to be the body's,
-            where USD's own reckoning takes those of the shapes that touch.
-        com_made: Whether the com is not stated, but that of the shapes that touch: not stated is
-            not at the origin.
         newton: (3, 3) What `newton:inertia` states, in the body's axes (kg m^2); None if nothing.
-        water: kg of the mass that are of no stated density.
+        lacks: What of ``"mass"``, ``"com"`` and ``"inertia"`` it does not state.
     """
 
     inertial: Inertial | None
     origin: Origin
-    inertia_made: bool
     newton: Array | None
-    water: float = 0.0
-    axes_made: bool = False
-    com_made: bool = False
+    lacks: tuple[str, ...] = ()
 
 
-def weigh_body(body: Any, place: Placed, shapes: Sequence[UsdShape], units: StageUnits) -> Weighed:
+def weigh_body(body: Any, place: Placed, shapes: Sequence[Any], units: StageUnits) -> Weighed:
     """Returns what a body weighs.
 
     Args:
         body: Its prim.
         place: Where it is.
-        shapes: Its shapes.
+        shapes: The prims of its shapes that touch.
         units: Of the stage.
     """
     below = min(number_of(body, "physics:mass", 0.0), 0.0)
     mass = (_positive(body, "physics:mass") or below) * units.mass
     com = _vector(body, "physics:centerOfMass")
-    com = None if com is None else com * place.scale
     moments = _vector(body, "physics:diagonalInertia")
     newton = _newton(body, units)
     tensor = newton
-    rounding, axes_made = 0.0, False
+    rounding = 0.0
     if moments is not None and moments.any():
         turn = _axes(body)
-        axes_made = turn is None
-        turn = np.eye(3) if turn is None else turn
         tensor = turn @ np.diag(moments * units.inertia) @ turn.T
         rounding = float(np.abs(moments).max() * units.inertia * _SINGLE)
-    made = tensor is None
-    if mass < 0 or (mass > 0 and com is not None and tensor is not None):
-        com, tensor = (
-            one if one is not None else none
-            for one, none in ((com, np.zeros(3)), (tensor, np.zeros((3, 3))))
-        )
-        return Weighed(
-            Inertial(mass, com, tensor, True, rounding),
-            Origin.STATED,
-            made,
-            newton,
-            axes_made=axes_made,
-        )
-    summed = _summed(body, [shape for shape in shapes if shape.collides], units)
-    if summed is None:
-        if mass <= 0:
-            return Weighed(None, Origin.UNKNOWN, made, newton)
-        ball = 0.4 * mass * BALL_RADIUS**2 * np.eye(3)
-        com = np.zeros(3) if com is None else com
-        message = Inertial(mass, com, ball if tensor is None else tensor, True, rounding)
-        return Weighed(message, Origin.STATED, made, newton, axes_made=axes_made)
-    whole, middle, about, water = summed
-    origin = Origin.STATED if mass > 0 else Origin.WATER if water > 0 else Origin.SHAPES
-    factor = mass / whole if mass > 0 else 1.0
-    mass, about = whole * factor, about * factor
-    com_made = com is None
-    com = middle if com is None else com
-    if tensor is None:
-        tensor = about + mass * _square(com - middle)
-    message = Inertial(mass, com, tensor, origin is Origin.STATED and not made, rounding)
-    water = 0.0 if origin is Origin.STATED else water
-    return Weighed(message, origin, made, newton, water, axes_made, com_made)
+    stated = {"mass": mass != 0, "com": com is not None, "inertia": tensor is not None}
+    lacks = tuple(what for what, is_there in stated.items() if not is_there)
+    if mass < 0 or not lacks:
+        com = np.zeros(3) if com is None else com * place.scale
+        tensor = np.zeros((3, 3)) if tensor is None else tensor
+        return Weighed(Inertial(mass, com, tensor, True, rounding), Origin.STATED, newton)
+    if not mass and not shapes:
+        return Weighed(None, Origin.UNKNOWN, newton, lacks)
+    water = not mass and not all(_is_weighed(body, shape) for shape in shapes)
+    return Weighed(None, Origin.WATER if water else Origin.SHAPES, newton, lacks)
 
 
-def _summed(
-    body: Any, shapes: Sequence[UsdShape], units: StageUnits
-) -> tuple[float, Array, Array, float] | None:
-    """Returns mass, com and inertia of a body's shapes, and how much of it is of no stated density.
+def _is_weighed(body: Any, shape: Any) -> bool:
+    """Says whether something states a shape's mass or density."""
+    from pxr import UsdShade
 
-    None where there is no shape, or a volume is not known.
-    """
-    parts: list[tuple[float, Array, Array]] = []
-    water = 0.0
-    usual = _positive(body, "physics:density") * units.density
-    for shape in shapes:
-        solid = shape.solid
-        mass = _positive(shape.prim, "physics:mass") * units.mass
-        if solid is None or not solid.volume > 0:
-            return None
-        density = _positive(shape.prim, "physics:density") * units.density
-        density = density or _of_material(shape.prim) * units.density or usual
-        if mass == 0:
-            mass = (density or WATER) * solid.volume
-            water += 0.0 if density else mass
-        parts.append((mass, *_of_shape(shape, solid, mass, units)))
-    if not parts:
-        return None
-    whole = sum(mass for mass, _, _ in parts)
-    middle = sum((mass * com for mass, com, _ in parts), np.zeros(3)) / whole
-    about = sum((one + mass * _square(com - middle) for mass, com, one in parts), np.zeros((3, 3)))
-    return whole, middle, about, water
-
-
-def _of_shape(shape: UsdShape, solid: Solid, mass: float, units: StageUnits) -> tuple[Array, Array]:
-    """Returns the com of a shape and its inertia about it, in the body's axes."""
-    inertia = solid.inertia * (mass / solid.volume)
-    com = shape.pose.point(solid.com)
-    turn = shape.pose.rotation
-    tensor: Array = turn @ inertia @ turn.T
-    own = _vector(shape.prim, "physics:diagonalInertia")
-    if own is not None and own.any():
-        axes = _axes(shape.prim)
-        turn = turn if axes is None else turn @ axes
-        tensor = turn @ np.diag(own * units.inertia) @ turn.T
-    own_com = _vector(shape.prim, "physics:centerOfMass")
-    if own_com is not None:
-        moved = shape.pose.point(own_com * shape.scale)
-        if own is None or not own.any():
-            tensor = tensor + mass * _square(moved - com)
-        com = moved
-    return com, tensor
-
-
-def _square(d: Array) -> Array:
-    """Returns d^2 1 - d d^T: what moving 1 kg by d adds to an inertia."""
-    moved: Array = float(d @ d) * np.eye(3) - np.outer(d, d)
-    return moved
+    material, _ = UsdShade.MaterialBindingAPI(shape).ComputeBoundMaterial("physics")
+    prims = (body, shape, *([material.GetPrim()] if material else ()))
+    return _positive(shape, "physics:mass") > 0 or any(
+        _positive(prim, "physics:density") > 0 for prim in prims
+    )
 
 
 def _positive(prim: Any, name: str) -> float:
@@ -530,19 +347,10 @@ def _vector(prim: Any, name: str) -> Array | None:
     return None if values is None or not np.isfinite(values).all() else values
 
 
-def _axes(prim: Any) -> Array | None:
-    """Returns the rotation (3, 3) of the principal axes; None where they are not stated."""
+def _axes(prim: Any) -> Array:
+    """Returns the rotation (3, 3) of the principal axes: the body's, where they are not stated."""
     value = value_of(prim, "physics:principalAxes", "quaternion")
-    values = () if value is None else (value.GetReal(), *value.GetImaginary())
-    return rotation_of(values) if any(values) else None
-
-
-def _of_material(prim: Any) -> float:
-    """Returns the density of the physical material that is bound to a shape; 0 if none is."""
-    from pxr import UsdShade
-
-    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
-    return _positive(material.GetPrim(), "physics:density") if material else 0.0
+    return np.eye(3) if value is None else rotation_of((value.GetReal(), *value.GetImaginary()))
 
 
 def _newton(body: Any, units: StageUnits) -> Array | None:
@@ -560,28 +368,21 @@ class UsdModel(RobotModel):
 
     Attributes:
         file: The file.
-        units: What the file's numbers are in.
         edges: {joint: what the file states of it}, all that are switched on.
         weights: {body: what it weighs, and where that comes from}.
         loops: The joints that close loops, or are to be left out of the tree.
-        apart: {joint: (m, rad) how far its two frames are apart, as the prims stand, but for its
-            own motion}.
         floating: Whether the base can move.
         mount: Where the base is, in the world, z up (m).
         gravity: (3,) m/s^2, z up; None where the file leaves it to the engine.
-        idle: {path of a prim: kg} of masses that no engine looks at.
     """
 
     file: UsdFile
-    units: StageUnits
     edges: Mapping[str, Edge]
     weights: Mapping[str, Weighed]
     loops: tuple[Edge, ...]
-    apart: Mapping[str, tuple[float, float]]
     floating: bool
     mount: Pose
     gravity: Array | None
-    idle: Mapping[str, float]
 
     def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
         """Returns what a joint's number is: several schemas have several names for it."""
@@ -597,10 +398,6 @@ class UsdModel(RobotModel):
         """{joint: stiffness and damping of its servo}, see `Edge.gains`."""
         stated = {name: edge.gains for name, edge in self.edges.items()}
         return {name: gains for name, gains in stated.items() if gains is not None}
-
-    def drive(self, joint: str) -> UsdDrive | None:
-        """Returns the motor of a joint; None if it has none."""
-        return self.edges[joint].drive if joint in self.edges else None
 
 
 def read_usd_model(file: UsdFile) -> UsdModel:
@@ -626,8 +423,10 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     base = trees.base
     poses, parents, loops = trees.poses(places)
     to_base = poses[base].inverse()
-    shapes = {name: shapes_of(file, prims[name], places[name], units, cache) for name in prims}
-    weights = {name: weigh_body(prims[name], places[name], shapes[name], units) for name in prims}
+    weights = {
+        name: weigh_body(prim, places[name], list(_touching(file, prim)), units)
+        for name, prim in prims.items()
+    }
     links = {}
     for name in trees.order:
         above = parents.get(name)
@@ -646,7 +445,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
             to_base * poses[name],
             joints,
             weights[name].inertial,
-            tuple(shapes[name]),
+            (),
             tuple(_frames(file, prims[name], places[name], units, cache)),
         )
     return UsdModel(
@@ -656,15 +455,12 @@ def read_usd_model(file: UsdFile) -> UsdModel:
         links,
         file.notes,
         file,
-        units,
         edges,
         weights,
         tuple(loops),
-        {name: _apart(edge, places) for name, edge in edges.items() if all(edge.bodies)},
         trees.hold(base) is None,
         Pose(units.up @ poses[base].position, units.up @ poses[base].rotation),
         _gravity(file, units),
-        _idle(file, prims, units),
     )
 
 
@@ -674,7 +470,6 @@ def _edges(
     """Yields the joints that are switched on, with what they join."""
     names = {path: name for name, path in file.bodies.items()}
     paths = {path: name for name, path in file.joints.items()}
-    motors = _motors(file)
     for name, path in file.joints.items():
         prim = file.stage.GetPrimAtPath(path)
         if value_of(prim, "physics:jointEnabled", "number") is False:
@@ -701,19 +496,7 @@ def _edges(
             frames.append(frame)
         if bodies[0] != bodies[1]:
             ends = (bodies[0], bodies[1]), (frames[0], frames[1])
-            yield edge_of(name, prim, *ends, units, paths, motors.get(path, ()))
-
-
-def _motors(file: UsdFile) -> dict[str, list[Any]]:
-    """Returns {path of a joint: the motors of MuJoCo's schema that drive it}."""
-    from pxr import Usd
-
-    found: dict[str, list[Any]] = {}
-    for prim in Usd.PrimRange(file.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
-        if prim.GetTypeName() == "MjcActuator":
-            for target in prim.GetRelationship("mjc:target").GetTargets():
-                found.setdefault(str(target), []).append(prim)
-    return found
+            yield edge_of(name, prim, *ends, units, paths)
 
 
 def _carrier(target: Any, names: Mapping[str, str]) -> str:
@@ -854,24 +637,6 @@ def _frames(
             yield Frame(prim.GetDisplayName() or prim.GetName(), place.pose.inverse().point(world))
 
 
-def _apart(edge: Edge, places: Mapping[str, Placed]) -> tuple[float, float]:
-    """Returns how far a joint's frames are apart as the prims stand, but for its own motion."""
-    one, two = (places[b].pose * f for b, f in zip(edge.bodies, edge.frames, strict=True))
-    between = one.inverse() * two
-    axis = np.eye(3)[edge.axis]
-    offset = between.position.copy()
-    if edge.kind == SLIDE:
-        offset -= axis * (axis @ offset)
-    cosine = (np.trace(between.rotation) - 1.0) / 2.0
-    if edge.kind == HINGE:
-        cosine = float(axis @ between.rotation @ axis)
-    elif edge.kind not in (SLIDE, FIXED):
-        cosine = 1.0
-    if edge.kind == FREE:
-        offset = np.zeros(3)
-    return float(np.linalg.norm(offset)), float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-
 def _gravity(file: UsdFile, units: StageUnits) -> Array | None:
     """Returns the gravity of the first scene that states one, z up; None where none does."""
     from pxr import Usd, UsdPhysics
@@ -890,33 +655,8 @@ def _gravity(file: UsdFile, units: StageUnits) -> Array | None:
     return None
 
 
-def _idle(file: UsdFile, prims: Mapping[str, Any], units: StageUnits) -> dict[str, float]:
-    """Returns the masses on prims that are neither bodies nor touch anything (kg)."""
-    from pxr import UsdPhysics
-
-    found = {}
-    for body in prims.values():
-        for prim in own_prims(file, body):
-            if prim == body or prim.HasAPI(UsdPhysics.CollisionAPI):
-                continue
-            mass = number_of(prim, "physics:mass", 0.0)
-            if mass:
-                found[str(prim.GetPath())] = mass * units.mass
-    return found
-
-
-# Shapes of a USD's bodies, what they would weigh, and poses of prims.
-
-
 SCALE_ROUNDING: Final = 1e-6
 """A scale so near to 1 is 1: orientations are written in single precision."""
-
-_TO_Z: Final = {
-    "X": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
-    "Y": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
-    "Z": np.eye(3),
-}
-"""Rotations that turn z to the axis of a shape."""
 
 
 @dataclass(frozen=True)
@@ -942,11 +682,6 @@ class StageUnits:
     def inertia(self) -> float:
         """Kg m^2; so are torques in N m."""
         return self.mass * self.length**2
-
-    @property
-    def density(self) -> float:
-        """kg/m^3."""
-        return self.mass / self.length**3
 
 
 def units_of(stage: Any) -> StageUnits:
@@ -1092,47 +827,15 @@ def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) ->
     return Placed(Pose(whole[:3, 3] * units.length, left @ right), scale * units.length)
 
 
-@dataclass(frozen=True, eq=False)
-class UsdShape(Shape):
-    """A shape of a USD.
-
-    Attributes:
-        prim: Its `pxr.Usd.Prim`.
-        scale: (3,) What the prim's own lengths are multiplied by, in m.
-        convex: Whether the engine takes a mesh's convex hull.
-    """
-
-    prim: Any = None
-    scale: Any = None
-    convex: bool = False
-
-    @cached_property
-    def solid(self) -> Solid | None:
-        """What it would weigh; None where that is not known: a mesh that is not closed."""
-        return _mesh_solid(self) if self.kind == "mesh" else super().solid
-
-
-def shapes_of(
-    file: UsdFile, body: Any, place: Placed, units: StageUnits, cache: Any
-) -> list[UsdShape]:
-    """Returns the shapes below a body's prim, but not below another body's."""
+def _touching(file: UsdFile, body: Any) -> Iterator[Any]:
+    """Yields the prims of a body's shapes that touch."""
     from pxr import UsdGeom, UsdPhysics
 
-    found = []
     for prim in own_prims(file, body):
-        if not prim.IsA(UsdGeom.Gprim):
-            continue
-        collides = prim.HasAPI(UsdPhysics.CollisionAPI) and (
-            UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get() is not False
-        )
-        if not collides and UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide:
-            continue
-        world = np.array(world_matrix(file, prim, cache)).T
-        world[:3] *= units.length
-        inverse = place.pose.inverse()
-        local = Pose(inverse.point(world[:3, 3]), inverse.rotation @ world[:3, :3])
-        found.append(_shape(prim, local, bool(collides)))
-    return found
+        stated = prim.IsA(UsdGeom.Gprim) and prim.HasAPI(UsdPhysics.CollisionAPI)
+        enabled = UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr()
+        if stated and enabled.Get() is not False:
+            yield prim
 
 
 def own_prims(file: UsdFile, body: Any) -> Iterator[Any]:
@@ -1146,76 +849,3 @@ def own_prims(file: UsdFile, body: Any) -> Iterator[Any]:
             prims.PruneChildren()
         else:
             yield prim
-
-
-def _shape(prim: Any, local: Pose, collides: bool) -> UsdShape:
-    """Returns a shape, of where it is in its body: a rotation times a scale, in m."""
-    from pxr import UsdGeom
-
-    kind = str(prim.GetTypeName()).removesuffix("_1").lower()
-    axis = axis_of(prim, "axis", "Z")
-    turn = (
-        local.rotation @ _TO_Z[axis] if kind in ("cylinder", "capsule", "cone") else local.rotation
-    )
-    scale = np.linalg.norm(turn, axis=0)
-    pose = Pose(local.position, turn / np.where(scale > 0, scale, 1.0))
-    own = np.linalg.norm(local.rotation, axis=0)
-    size: tuple[float, ...] = ()
-    round_ = abs(scale[0] - scale[1]) <= 1e-4 * scale[0]
-    match kind:
-        case "cube":
-            kind, size = "box", tuple(number_of(prim, "size", 2.0) / 2 * scale)
-        case "sphere":
-            size = tuple(number_of(prim, "radius", 1.0) * scale)
-            alike = float(np.ptp(scale)) <= 1e-4 * float(scale.max())
-            kind, size = ("sphere", size[:1]) if alike else ("ellipsoid", size)
-        case "cylinder" | "capsule" | "cone" if round_:
-            half = number_of(prim, "height", 1.0 if kind == "capsule" else 2.0) / 2
-            radius = number_of(prim, "radius", 0.5 if kind == "capsule" else 1.0)
-            size = (float(radius * scale[0]), float(half * scale[2]))
-        case "mesh":
-            approximation = str(value_of(prim, "physics:approximation", "text") or "none")
-
-            read = partial(_read_mesh, prim, local.rotation)
-            place = Pose(local.position, np.eye(3))
-            name, convex = prim.GetName(), approximation == "convexHull"
-            return UsdShape(name, kind, place, (), collides, read, prim, own, convex)
-        case _:
-            kind = "plane" if prim.IsA(UsdGeom.Plane) else "other"
-    return UsdShape(prim.GetName(), kind, pose, size, collides, prim=prim, scale=own)
-
-
-def _read_mesh(prim: Any, turn: Array) -> Mesh | None:
-    """Returns a mesh, its faces as triangles; without faces where they name other points."""
-    points = np.array(value_of(prim, "points", "list") or (), dtype=float).reshape(-1, 3)
-    counts = np.array(value_of(prim, "faceVertexCounts", "list") or (), dtype=int)
-    indices = np.array(value_of(prim, "faceVertexIndices", "list") or (), dtype=int)
-    if not len(points):
-        return None
-    known = counts.sum() == len(indices) and np.isin(indices, np.arange(len(points))).all()
-    faces = [
-        (indices[start], indices[start + k], indices[start + k + 1])
-        for start, count in zip(np.cumsum(counts) - counts, counts, strict=True)
-        for k in range(1, count - 1)
-        if known
-    ]
-    return Mesh(points @ turn.T, np.array(faces, dtype=np.int64).reshape(-1, 3))
-
-
-def _mesh_solid(shape: UsdShape) -> Solid | None:
-    """Returns the volume and second moments of a mesh, or of its convex hull."""
-    import trimesh  # slow to import; yourdfpy depends on it
-
-    if shape.mesh is None or not np.isfinite(shape.mesh.vertices).all():
-        return None
-    try:
-        mesh = trimesh.Trimesh(shape.mesh.vertices, shape.mesh.faces)
-        mesh = mesh.convex_hull if shape.convex else mesh
-        if not mesh.is_watertight or not abs(mesh.volume) > 0:
-            return None
-        if mesh.volume < 0:
-            mesh.invert()
-        mesh.density = 1.0
-        return Solid(float(mesh.volume), np.array(mesh.center_mass), np.array(mesh.moment_inertia))
-    except Exception:  # whatever a degenerate mesh makes qhull or trimesh raise
-        return None

@@ -102,13 +102,25 @@ def test_a_gain_per_radian_is_57_times_too_large(tmp_path: Path) -> None:
     assert difference.mjcf == pytest.approx(0.1 * 57.29577951)
 
 
-def test_a_body_that_states_no_mass_is_full_of_water(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "change",
+    [("float physics:mass = 2000\n", "\n"), ("physics:centerOfMass = (1", "physics:velocity = (1")],
+)
+def test_a_body_that_leaves_its_mass_to_shapes_is_refused(
+    tmp_path: Path, change: tuple[str, str]
+) -> None:
     """What a converter wrote of a link without <inertial>: 2 kg became 30 kg."""
-    found = compared(tmp_path, ("float physics:mass = 2000\n", "\n"))
-    (mass,) = (one for one in found.differences if one.kind == "mass")
-    assert mass.mjcf == pytest.approx(0.3 * 0.5 * 0.2 * 1000)
-    (water,) = (note for note in found.notes if note.code == "usd-bodies-of-water")
-    assert list(water.values["names"]) == ["base"]
+    for pair in ((usd.write_urdf(tmp_path), usd.write(tmp_path, change)),
+                 (usd.write(tmp_path, change), usd.write(tmp_path, name="old.usda"))):  # fmt: skip
+        with pytest.raises(ModelError, match=r"leg\.usda:</leg/base>: what base weighs"):
+            compare_models(*pair, configurations=2)
+
+
+def test_actuators_of_another_schema_are_said_not_to_be_read(tmp_path: Path) -> None:
+    motor = 'def MjcActuator "motor"\n{\n}\ndef PhysicsFixedJoint "ankle"'
+    found = compared(tmp_path, ('def PhysicsFixedJoint "ankle"', motor))
+    (note,) = (note for note in found.notes if note.code == "usd-actuators-not-read")
+    assert note.values["count"] == 1
 
 
 def test_what_the_usd_leaves_open_is_the_urdfs(tmp_path: Path) -> None:
@@ -263,34 +275,9 @@ def test_gains_of_a_drive_are_compared_per_radian(
         assert ("degrees" in one.message) == (kp == 0.5)
 
 
-SERVO = """
-        def MjcActuator "servo"
-        {
-            rel mjc:target = </leg/joints/knee>
-            uniform token mjc:biasType = "affine"
-            uniform double[] mjc:gainPrm = [3e7]
-            uniform double[] mjc:biasPrm = [0, -3e7, -2e5]
-            uniform double[] mjc:gear = [2]
-        }
-
-        def PhysicsFixedJoint "ankle"
-"""
-
-
 def test_gains_of_two_usds_are_compared(tmp_path: Path) -> None:
-    """MuJoCo's schema states them per radian, before the gear; UsdPhysics per degree."""
-    one = usd.write(tmp_path, ('def PhysicsFixedJoint "ankle"', SERVO.strip()))
-    drive = (
-        f"{limit}\n            float drive:angular:physics:stiffness = {kp!r}"
-        f"\n            float drive:angular:physics:damping = {kd!r}"
-        for limit, kp, kd in (
-            ("maxForce = 90000000", math.radians(1.2e8), math.radians(8e5)),
-            ("maxForce = 90000000", 1.2e8, 8e5),
-        )
-    )
-    for number, (text, kinds) in enumerate(
-        zip(drive, ([], ["servo stiffness", "servo damping"]), strict=True)
-    ):
-        two = usd.write(tmp_path, ("maxForce = 90000000", text), name=f"two{number}.usda")
-        found = compare_models(one, two, configurations=2)
-        assert [each.kind for each in found.differences] == kinds
+    old = usd.write(tmp_path, name="old.usda")
+    new = usd.write(tmp_path, ("stiffness = 5000000", "stiffness = 6000000"))
+    (found,) = compare_models(old, new, configurations=2).differences
+    assert (found.kind, found.element) == ("servo stiffness", "hip")
+    assert found.mjcf == pytest.approx(1.2 * KP)
