@@ -175,15 +175,13 @@ def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
     return made, messages
 
 
-def held_gains_of(
-    robot: Robot, sag: float | None = None, damping_ratio: float | None = None
-) -> tuple[Array, Array]:
+def held_gains_of(robot: Robot) -> tuple[Array, Array]:
     """Returns kp and kd (nu,) of a robot that is held, in its joints' order; see ``held_gains``."""
     model = robot.mj_model
     ids = np.array([model.joint(name).id for name in robot.joint_names])
     others = np.flatnonzero(model.jnt_type != JointKind.FREE)  # those that gains are for
     order = np.searchsorted(others, ids)
-    kp, kd = held_gains(model, sag, damping_ratio)
+    kp, kd = held_gains(model)
     return kp[order], kd[order]
 
 

@@ -176,22 +176,22 @@ def suggested_gains(
     return kp, np.array([_two_digits(value) for value in damping * _DAMPING_TIME * kp])
 
 
-def held_gains(model: mujoco.MjModel, sag: float | None, damping_ratio: float | None) -> Gains:
+def held_gains(model: mujoco.MjModel, sag: float = SAG) -> Gains:
     """Computes the gains of a robot that is held: an arm, or one that cannot stand.
 
-    A joint's damping is for the inertia that it moves with the others free: kd = 2 z sqrt(kp I).
+    A joint's damping is for the inertia that it moves with the others free, and the least without
+    overshoot: kd = 2 sqrt(kp I).
 
     Args:
         model: The model, its base fixed or held.
-        sag: What a joint gives way under gravity (rad); None: ``SAG``.
-        damping_ratio: Of each joint; None: 1, the least without overshoot.
+        sag: What a joint gives way under gravity (rad).
 
     Returns:
         kp and kd, one for each joint that is not free, in the model's order.
     """
     required = Requirement.of_held(model)
-    kp = required.stiffness(sag or SAG)
-    kd = 2 * (damping_ratio or 1.0) * np.sqrt(kp * required.inertia)
+    kp = required.stiffness(sag)
+    kd = 2 * np.sqrt(kp * required.inertia)
     return np.array([three_digits(v) for v in kp]), np.array([three_digits(v) for v in kd])
 
 

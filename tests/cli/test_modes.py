@@ -44,8 +44,7 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("sync", *V3, "--take", "urdf", "--dry-run"): (("--backup",),),
     ("convert", V3[1], "-o", "new.urdf"): (
         *(("--foot", "FL"), ("--fixed-base",), ("--free-base",)),
-        *(("--armature", "1"), ("--sag", "1deg"), ("--damping-ratio", "1")),
-        *(("--repair-inertia",), ("--copy-meshes",)),
+        *(("--armature", "1"), ("--repair-inertia",), ("--copy-meshes",)),
     ),
     ("walk", "v3", "--policy", "policy.json"): (("--fit", "fit.json"),),
     ("walk", "v3", "--policy", "policy.json", "--orders"): (

@@ -413,8 +413,6 @@ class MjcfOptions:
         feet: The feet's links, or {foot: link}; None: they are found.
         fixed_base: Whether the base is fixed; None: a base with two limbs or more is free.
         armature: {joint: rotor inertia (kg m^2)}.
-        sag: What the joint that holds most gives way (rad); None: it is found by trial.
-        damping_ratio: Of the base's bounce on its servos; None: it is found by trial.
         repair_inertia: Whether inertials of moving links that no body can have are repaired.
         copy_meshes: Whether all meshes are copied to a folder beside the MJCF.
     """
@@ -422,8 +420,6 @@ class MjcfOptions:
     feet: Feet | None = None
     fixed_base: bool | None = None
     armature: Mapping[str, float] | None = None
-    sag: float | None = None
-    damping_ratio: float | None = None
     repair_inertia: bool = False
     copy_meshes: bool = False
 

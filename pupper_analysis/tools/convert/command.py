@@ -15,8 +15,7 @@ from pupper_analysis.cli.modes import refuse_unused
 
 _ALWAYS = {"source", "output", "packages", "json_path", "style", "everything", "force"}
 _OF_AN_MJCF = {
-    *("feet", "fixed_base", "armature", "sag", "damping_ratio"),
-    *("repair_inertia", "copy_meshes"),
+    *("feet", "fixed_base", "armature", "repair_inertia", "copy_meshes"),
 }
 _USES = {".urdf": _ALWAYS, ".xml": _ALWAYS | _OF_AN_MJCF}
 """{ending of the output: what is used to make such a file}."""
@@ -51,16 +50,6 @@ _USES = {".urdf": _ALWAYS, ".xml": _ALWAYS | _OF_AN_MJCF}
     help="Rotor inertia (kg m^2) of all joints, or by pattern; e.g. '*knee*=0.01'. Repeatable.",
 )
 @click.option(
-    "--sag",
-    type=shared.QuantityType("angle"),
-    help="Largest static deflection of a joint, which sets the servos' kp; e.g. 1deg.",
-)
-@click.option(
-    "--damping-ratio",
-    type=float,
-    help="Damping ratio of the base on its servos, which sets kd; e.g. 1.",
-)
-@click.option(
     "--repair-inertia",
     is_flag=True,
     help="Replace impossible inertias of moving links by the nearest possible ones; links "
@@ -79,8 +68,6 @@ def command(
     feet: tuple[str, ...],
     fixed_base: bool | None,
     armature: tuple[str, ...],
-    sag: float | None,
-    damping_ratio: float | None,
     repair_inertia: bool,
     copy_meshes: bool,
     packages: tuple[str, ...],
@@ -98,8 +85,7 @@ def command(
     \b
     Examples:
       pupper-analysis convert robot.urdf -o new.xml
-      pupper-analysis convert robot.urdf -o stiff.xml --sag 1deg \\
-        --damping-ratio 1 --armature 0.005
+      pupper-analysis convert robot.urdf -o new.xml --armature 0.005
       pupper-analysis convert arm.urdf -o arm.xml --fixed-base
       pupper-analysis convert robot.xml -o new.urdf
 
@@ -128,8 +114,6 @@ def command(
             feet=named or None,
             fixed_base=fixed_base,
             armature=rotors or None,
-            sag=sag,
-            damping_ratio=damping_ratio,
             repair_inertia=repair_inertia,
             copy_meshes=copy_meshes,
             packages=folders,
@@ -151,7 +135,5 @@ def _by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
         if not chosen:
             message = diagnose("no-joint-like", pattern=pattern, known=joints)
             raise ConfigurationError("armature", message)
-        if not 0 <= value < float("inf"):
-            raise ConfigurationError("armature", diagnose("armature-negative", value=value))
         values.update(dict.fromkeys(chosen, value))
     return values

@@ -5,8 +5,6 @@ The MJCF has feet, servos, a floor and a keyframe in which it stands.
 
 from __future__ import annotations
 
-import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,25 +15,21 @@ import mujoco
 import numpy as np
 from lxml import etree
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
 
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.base.errors import ModelError, PupperAnalysisError, StanceUnreachableError
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.base.units import DOWN
-from pupper_analysis.models.additions import Addition, Ball, Floor, Options, Servo, Start, put_all
+from pupper_analysis.models.additions import Addition, Ball, Floor, Start, put_all
 from pupper_analysis.models.attributes import FLOOR, HOME, IMU_SENSORS, Number
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.stated.mjcf import Value, element_values, touching_geoms
-from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import add_element, free_name, new_file_text, write_numbers
+from pupper_analysis.models.xml import add_element, new_file_text, write_numbers
 from pupper_analysis.prepare.bare import Bare, place_as
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.prepare.convert.from_urdf import (
     COLLISION,
-    LIMBS,
     BareMjcf,
     MjcfOptions,
     MjcfXml,
@@ -44,18 +38,10 @@ from pupper_analysis.prepare.convert.from_urdf import (
 )
 from pupper_analysis.prepare.convert.repair import WORLD, Repair
 from pupper_analysis.prepare.convert.to_urdf import BareUrdf
-from pupper_analysis.prepare.drives import held_gains_of, servos_of
 from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.passes import ground_of_urdf, robot_of
-from pupper_analysis.prepare.servo_tuning import Requirement, three_digits
-from pupper_analysis.prepare.start import start_of
-from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.contact import contact_offset, limb_ends
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import model_with_servos, own_servos
-from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
-from pupper_analysis.stance.stand import stand_statics
 
 Array = NDArray[np.float64]
 
@@ -206,18 +192,6 @@ class NewMjcf(MjcfXml):
             key.set("ctrl", write_numbers(ctrl))
 
 
-class _LeglessError(Exception):
-    """A robot has fewer feet than legs make.
-
-    Attributes:
-        reason: What was found.
-    """
-
-    def __init__(self, reason: Diagnostic) -> None:
-        self.reason = reason
-        super().__init__(str(reason))
-
-
 def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
     """Makes the MJCF of a URDF.
 
@@ -229,17 +203,6 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
     Raises:
         ModelError: If MuJoCo cannot have the robot, or it does not stand.
     """
-    try:
-        return _made(urdf, output, options)
-    except _LeglessError as error:
-        # Nothing said that it is free but its number of limbs: a hand or a torso has as many.
-        held = _made(urdf, output, replace(options, fixed_base=True))
-        message = diagnose("base-fixed-as-it-does-not-stand", why=error.reason)
-        return replace(held, notes=(*held.notes, message))
-
-
-def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
-    """Makes the MJCF of a URDF, whose base may turn out to have no legs."""
     said = None if options.fixed_base is None else not options.fixed_base
     bare = BareMjcf.of(urdf, output, options, free=said)
     mjcf, meshes = NewMjcf(bare.mjcf.root), bare.meshes
@@ -301,46 +264,27 @@ def _put_stand(
         Its notes, why the robot does not stand, if so, and the joints whose feet are balls now.
     """
     mjcf, meshes, bodies = NewMjcf(bare.mjcf.root), bare.meshes, bare.bodies
-    # Without shapes nothing can stand, which is no sign of a hand.
-    sure = not mjcf.touches
-    sure |= bodies.floats or options.feet is not None or options.fixed_base is False
     try:
         robot = robot_of(bare.urdf, bare.file(), feet=options.feet)
     except ModelError as error:
         if options.feet is not None:
             raise
-        problem = error.cause
-        model = bare.file().model
-        if not (meshes.missing or sure or _has_bare_legs(model, bodies.root)):
-            raise _LeglessError(problem) from error
         put_all(ground_of_urdf(), mjcf)
         messages = [each.reason for each in ground_of_urdf()] + _put_held(bare, options)
-        _lift_base(mjcf, bodies, model)
-        problem = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
+        _lift_base(mjcf, bodies, bare.file().model)
+        problem = diagnose("does-not-stand", missing=meshes.missing, problem=error.cause)
         return messages, problem, frozenset()
-    if len(robot.contact_points) < LIMBS and not sure:
-        raise _LeglessError(diagnose("lowest-limbs", limbs=robot.contact_points))
-    messages = [note for note in robot.notes if note.code != "armature-from-mjcf"]
     added, failure = robot.description.added, None
     try:
-        stand = solve_stand_on_soft_ground(robot)
-        if options.sag is not None or options.damping_ratio is not None:
-            kp, kd = _stand_gains(robot, stand, options.sag, options.damping_ratio)
-            added = _retuned(robot, kp, kd, stand)
-            messages = [note for note in messages if note.code != "servos-added"]
-            messages += [each.reason for each in added if isinstance(each, Servo)][:1]
+        solve_stand_on_soft_ground(robot)
     except PupperAnalysisError as error:
-        if not (sure or meshes.missing) and _reaches_no_ground(robot, error):
-            raise _LeglessError(
-                diagnose("feet-reach-no-ground", feet=robot.contact_points)
-            ) from error
         problem = error.diagnostic
         failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
-        gains = held_gains_of(robot, options.sag, options.damping_ratio)
-        added = _retuned(robot, *gains)
+        added = tuple(each for each in added if not isinstance(each, Start))
     own = Bare.of(bare.file().model, robot)
     put_all([_in_own_frame(each, own, robot) for each in added], mjcf)
     _lift_base(mjcf, bodies, own.model)
+    messages = [note for note in robot.notes if note.code != "armature-from-mjcf"]
     return messages, failure, _joints_on_balls(robot)
 
 
@@ -352,37 +296,6 @@ def _joints_on_balls(robot: Robot) -> frozenset[str]:
     return frozenset(
         name for name in robot.joint_names if int(model.jnt_bodyid[model.joint(name).id]) in bodies
     )
-
-
-def _reaches_no_ground(robot: Robot, error: PupperAnalysisError) -> bool:
-    """Says whether what was taken for feet misses the ground by more than the base is high.
-
-    Legs miss it by millimetres, where something is in the way; so do not a hand's fingertips.
-    """
-    return (
-        isinstance(error, StanceUnreachableError)
-        and max(error.shortfall.values(), default=0.0) > robot.stand_height
-    )
-
-
-def _has_bare_legs(model: mujoco.MjModel, base: str) -> bool:
-    """Says whether two limbs or more hang below the base, and end without a shape that touches.
-
-    Those are legs whose feet were left without shapes; a hand's fingers have them, and point
-    elsewhere.
-    """
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    bare = 0
-    for end in limb_ends(model):
-        away = data.xpos[end] - data.body(base).xpos
-        hangs = -float(away[2]) > float(np.linalg.norm(away)) / 2
-        geoms = range(
-            int(model.body_geomadr[end]), int(model.body_geomadr[end] + model.body_geomnum[end])
-        )
-        touches = any(model.geom_contype[geom] or model.geom_conaffinity[geom] for geom in geoms)
-        bare += hangs and not touches
-    return bare >= LIMBS
 
 
 def _in_own_frame(added: Addition, own: Bare, robot: Robot) -> Addition:
@@ -401,12 +314,8 @@ def _put_held(bare: BareMjcf, options: MjcfOptions) -> list[Diagnostic]:
     if not mjcf.joints:
         return [diagnose("nothing-moves")]
     robot = _freed(bare, options) or robot_of(bare.urdf, bare.file(), fixed_base=True)
-    added = robot.description.added
-    if options.sag is not None or options.damping_ratio is not None:
-        gains = held_gains_of(robot, options.sag, options.damping_ratio)
-        added = _retuned(robot, *gains)
     # What hangs from the world needs no ground, and no pose of its base.
-    added = tuple(each for each in added if not isinstance(each, Floor | Start))
+    added = [each for each in robot.description.added if not isinstance(each, Floor | Start)]
     put_all(added, mjcf)
     return list(dict.fromkeys(each.reason for each in added))
 
@@ -481,86 +390,6 @@ def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None
         mjcf.body(bodies.root).set("pos", height)
 
 
-def _retuned(
-    robot: Robot, kp: Array, kd: Array, stand: Stand | None = None
-) -> tuple[Addition, ...]:
-    """Returns what a robot was given, with other gains of the servos.
-
-    Args:
-        robot: The robot.
-        kp: (nu,) their stiffness (N m/rad).
-        kd: (nu,) their damping (N m s/rad).
-        stand: As it rests; None: it has no pose to start from.
-    """
-    added = robot.description.added
-    servos = {each.joint for each in added if isinstance(each, Servo)}
-    own = own_servos(robot).keys() - servos
-    timestep = float(robot.mj_model.opt.timestep)
-    kept = [each for each in added if not isinstance(each, Servo | Start) and not _steps(each)]
-    starts = [
-        start_of(robot, stand, each.reason, kp, kd)
-        for each in added
-        if isinstance(each, Start) and stand is not None
-    ]
-    return (*kept, *servos_of(robot, kp, kd, timestep, own), *starts)
-
-
-def _steps(added: Addition) -> bool:
-    """Tells whether something is how MuJoCo steps, as servos ask for it."""
-    return isinstance(added, Options) and "integrator" in added.values
-
-
-def _stand_gains(
-    robot: Robot, stand: Stand, sag: float | None, damping_ratio: float | None
-) -> tuple[Array, Array]:
-    """Computes the gains of a robot that stands, and has servos.
-
-    With damping in proportion to stiffness, each mode of the robot on its servos has the damping
-    ratio z = (kd / kp) w / 2 (Rayleigh); w is that of the mode in which it bounces.
-
-    Args:
-        robot: The robot, with servos.
-        stand: How it stands.
-        sag: What the joint that holds most gives way (rad); None: as its servos let it.
-        damping_ratio: Of the bounce; None: kd keeps its ratio to kp.
-
-    Returns:
-        kp (nu,) (N m/rad), kd (nu,) (N m s/rad).
-    """
-    drive = model_with_servos(robot)
-    kp, kd = drive.kp.copy(), drive.kd.copy()
-    if sag is not None:
-        torques = stand_statics(robot, stand).joint_torques
-        required = Requirement.of_stand(robot, stand.qpos, torques)
-        new = np.array([three_digits(value) for value in required.stiffness(sag)])
-        kd *= new / kp
-        kp = new
-    if damping_ratio is not None:
-        kd = kp * 2 * damping_ratio / _bounce_frequency(robot, stand, kp)
-    return kp, np.array([three_digits(value) for value in kd])
-
-
-def _bounce_frequency(robot: Robot, stand: Stand, kp: Array) -> float:
-    """Returns the angular frequency (rad/s) with which a robot bounces on its servos, undamped.
-
-    Feet are pinned, and the ground is hard: the modes are those of K x = w^2 M x in the motions
-    that leave the contact points in place. Of them the one is meant that a vertical jolt excites
-    most, by its participation factor x^T M e_z (x of unit modal mass).
-    """
-    config = Configuration(robot, stand.qpos)
-    offsets = [
-        contact_offset(robot.contact_radius[foot], stand.normals[foot], stand.depths[foot])
-        for foot in stand.stance_feet
-    ]
-    points = config.point_jacobians(stand.stance_feet, np.array(offsets))
-    free = linalg.null_space(points.reshape(-1, robot.nv))
-    mass = config.mass_matrix()
-    stiffness = np.concatenate([np.zeros(robot.nv - robot.nu), kp])
-    squares, modes = linalg.eigh(free.T @ (stiffness[:, None] * free), free.T @ mass @ free)
-    up = int(np.argmax(np.abs(modes.T @ free.T @ mass[:, 2])))
-    return math.sqrt(float(squares[up]))
-
-
 _SHARED = {
     "joint": ("type", "axis", "range", "damping", "frictionloss", "armature"),
     "position": ("kp", "kv", "forcerange"),
@@ -569,29 +398,18 @@ _SHARED = {
 
 
 def put_defaults(root: etree._Element) -> None:
-    """Moves what elements share into default classes, and takes it off the elements.
-
-    What more than half of a kind have goes into the top class, if all have some of it. Joints that
-    have the rest in common get a class, named after what their names have in common.
-    """
+    """Moves what more than half of a kind share into the top default, if all have some of it."""
     top = root.find("default")
     assert top is not None
-    taken = {str(default.get("class")) for default in root.iter("default")} | {
-        "main"
-    }  # MuJoCo's own
     for tag, attributes in _SHARED.items():
         elements = [found for found in root.iter(tag) if found.getparent().tag != "default"]
-        if len(elements) < 2:
-            continue
-        common = _common(elements, attributes)
+        common = _common(elements, attributes) if len(elements) > 1 else {}
         if common:
-            place = etree.Element(tag, common)
-            top.insert(len(top.findall("joint")), place)
-            for element in elements:
-                for name in common:
-                    if element.get(name) == common[name]:
-                        del element.attrib[name]
-        _put_classes(top, elements, attributes, taken)
+            top.insert(len(top.findall("joint")), etree.Element(tag, common))
+        for element in elements:
+            for name, value in common.items():
+                if element.get(name) == value:
+                    del element.attrib[name]
 
 
 def _common(elements: Sequence[etree._Element], attributes: Sequence[str]) -> dict[str, str]:
@@ -605,55 +423,6 @@ def _common(elements: Sequence[etree._Element], attributes: Sequence[str]) -> di
         if 2 * count > len(elements):
             common[name] = str(value)
     return common
-
-
-def _put_classes(
-    top: etree._Element,
-    elements: Sequence[etree._Element],
-    attributes: Sequence[str],
-    taken: set[str],
-) -> None:
-    groups: dict[tuple[tuple[str, str], ...], list[etree._Element]] = {}
-    for element in elements:
-        rest = tuple((name, element.get(name)) for name in attributes if element.get(name))
-        groups.setdefault(rest, []).append(element)
-    for rest, members in groups.items():
-        if len(members) < 2 or not rest:
-            continue
-        names = [str(member.get("joint") or member.get("name")) for member in members]
-        # A class of joints and one of their servos may share a name, and are one class then.
-        name = _shared_part(names)
-        twin = next(
-            (d for d in top if d.get("class") == name and not d.findall(members[0].tag)), None
-        )
-        if twin is None:
-            twin = etree.SubElement(top, "default", {"class": free_name(name, taken)})
-        etree.SubElement(twin, members[0].tag, dict(rest))
-        for member in members:
-            for attribute, _ in rest:
-                del member.attrib[attribute]
-            member.set("class", str(twin.get("class")))
-
-
-def _shared_part(names: Sequence[str]) -> str:
-    """Returns what names have in common: ``hip`` of ``FL_hip_joint`` and ``FR_hip_joint``."""
-    parts = [[part for part in re.split(r"[^A-Za-z0-9]+", name) if part] for name in names]
-    shared = [part for part in parts[0] if all(part in other for other in parts[1:])]
-    kept = [part for part in shared if part.lower() not in ("joint", "servo")] or shared
-    if kept:
-        return "_".join(kept)
-    return _shared_ending(names) or "shared"
-
-
-def _shared_ending(names: Sequence[str]) -> str:
-    """Returns the letters that all names end in, if there are two or more."""
-    ending = ""
-    for letters in zip(*(reversed(name) for name in names), strict=False):
-        if len(set(letters)) > 1:
-            break
-        ending = letters[0] + ending
-    ending = ending.strip("_- ")
-    return ending if len(ending) > 1 else ""
 
 
 # An MJCF as a URDF.
@@ -670,37 +439,20 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
         ModelError: If a URDF cannot have the robot.
     """
     bare = BareUrdf.of(file, output)
-    _add_transmissions(bare.tree, bare.model)
-    left = [*bare.left, *_other_elements(bare.model), *_surroundings(bare.model, bare.bodies)]
+    left = [*bare.left, *_not_in_urdf(bare.model, bare.bodies)]
     left += _lost_numbers(bare.model, bare.bodies)
     gone, why = file.lacking, diagnose("no-such-mesh-file")
     lost = [diagnose("collision-meshes-lost", files=gone, why=why)] if gone else []
     return ConversionDraft(bare.text, {}, bare.notes, tuple(left), lost=tuple(lost))
 
 
-def _add_transmissions(tree: UrdfTree, model: mujoco.MjModel) -> None:
-    """Adds a <transmission> for each actuator at a joint, as ros_control reads it."""
-    known = tree.joints
-    for actuator in range(model.nactuator):
-        if not is_at_one_joint(model, actuator):
-            continue
-        joint = str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
-        if joint not in known:
-            continue
-        name = str(model.actuator(actuator).name) or f"{joint}_motor"
-        node = add_element(tree.root, "transmission", name=f"{name}_transmission")
-        add_element(node, "type").text = "transmission_interface/SimpleTransmission"
-        add_element(
-            add_element(node, "joint", name=joint), "hardwareInterface"
-        ).text = "hardware_interface/EffortJointInterface"
-        gear = float(actuator_gear(model, actuator)[0])
-        add_element(
-            add_element(node, "actuator", name=name), "mechanicalReduction"
-        ).text = write_numbers(gear)
+def _not_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
+    """Tells what else a URDF cannot say, and what is around the robot and on it.
 
-
-def _other_elements(model: mujoco.MjModel) -> list[Diagnostic]:
-    """Tells what else a URDF cannot say."""
+    Args:
+        model: The model.
+        robot: The bodies that are links.
+    """
     moving = model.jnt_type != JointKind.FREE
     dofs = model.jnt_dofadr[moving]
     some: list[Diagnostic] = []
@@ -708,35 +460,34 @@ def _other_elements(model: mujoco.MjModel) -> list[Diagnostic]:
         values = describe_span(model.dof_armature[dofs], "kg m^2")
         some.append(diagnose("armature-not-in-urdf", armature=values))
     fixed = np.setdiff1d(np.arange(model.nv), dofs)
-    for values, what, unit in (
-        (model.dof_damping, "damping", "N s/m"),
-        (model.dof_frictionloss, "friction", "N"),
-        (model.dof_armature, "armature", "kg"),
-    ):
-        if values[fixed].any():
-            most = Quantity(values[fixed].max(), unit)
-            some.append(diagnose("property-of-free-joint", what=Term(what), value=most))
-    if model.jnt_stiffness[moving].any():
-        count = int((model.jnt_stiffness[moving] != 0).sum())
-        some.append(diagnose("springs-not-in-urdf", count=count))
-    if model.body_gravcomp.any():
-        count = int((model.body_gravcomp != 0).sum())
-        some.append(diagnose("gravity-compensation-not-in-urdf", count=count))
-    elsewhere = sum(not is_at_one_joint(model, number) for number in range(model.nactuator))
+    resisting = model.dof_damping + model.dof_frictionloss + model.dof_armature
+    others = [body for body in range(1, model.nbody) if body not in robot]
+    away = [*others] if 0 in robot else [0, *others]
+    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     for count, what in (
+        (np.count_nonzero(model.jnt_stiffness[moving]), "springs"),
+        (np.count_nonzero(resisting[fixed]), "damping, friction, armature of the free joint"),
+        (np.count_nonzero(model.body_gravcomp), "bodies with gravity compensation"),
         (model.ntendon, "tendons"),
         (model.nkey, "keyframes"),
         (model.nsensor, "sensors"),
         (model.nexclude, "excluded contacts"),
         (model.npair, "pairs of geoms that touch"),
-        (elsewhere, "actuators that are not at a joint"),
+        (model.nactuator, "actuators"),
+        (np.count_nonzero(model.actuator_biastype == affine), "gains of servos"),
+        (np.isin(model.geom_bodyid, away).sum(), "geoms of the world and of such bodies"),
+        (np.isin(model.site_bodyid, away).sum(), "sites there"),
+        (model.ncam, "cameras"),
+        (model.nlight, "lights"),
+        (bool(model.opt.density or model.opt.viscosity), "fluid around the robot"),
     ):
         if count:
-            some.append(diagnose("not-in-urdf", what=Term(what), count=count))
-    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
-    servos = int((model.actuator_biastype == affine).sum())
-    if servos:
-        some.append(diagnose("gains-not-in-urdf", count=servos))
+            some.append(diagnose("not-in-urdf", what=Term(what), count=int(count)))
+    if others:
+        names = [model.body(body).name or f"{body}" for body in others]
+        some.append(diagnose("bodies-not-carried", bodies=names))
+    if not np.allclose(model.opt.gravity, DOWN):
+        some.append(diagnose("gravity-not-in-urdf", gravity=model.opt.gravity))
     return some
 
 
@@ -757,35 +508,6 @@ def _lost_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnost
                 some.append(diagnose("contact-number-not-in-urdf", what=word, **given))
             else:
                 some.append(diagnose("option-not-in-urdf", what=word, values=tuple(distinct)))
-    return some
-
-
-def _surroundings(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
-    """Tells what is around the robot, and on it, that no URDF has.
-
-    Args:
-        model: The model.
-        robot: The bodies that are links.
-    """
-    others = [body for body in range(1, model.nbody) if body not in robot]
-    away = [*others] if 0 in robot else [0, *others]
-    some = []
-    if others:
-        names = [model.body(body).name or f"{body}" for body in others]
-        some.append(diagnose("bodies-not-carried", bodies=names))
-    for count, what in (
-        (int(np.isin(model.geom_bodyid, away).sum()), "geoms of the world and of such bodies"),
-        (int(np.isin(model.site_bodyid, away).sum()), "sites there"),
-        (model.ncam, "cameras"),
-        (model.nlight, "lights"),
-    ):
-        if count:
-            some.append(diagnose("not-in-urdf", what=Term(what), count=count))
-    gravity = model.opt.gravity
-    if not np.allclose(gravity, DOWN):
-        some.append(diagnose("gravity-not-in-urdf", gravity=gravity))
-    if model.opt.density or model.opt.viscosity:
-        some.append(diagnose("fluid-not-in-urdf"))
     return some
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, dia
 from pupper_analysis.base.errors import (
     ConfigurationError,
     OutputError,
-    PupperAnalysisError,
     UnknownNameError,
 )
 from pupper_analysis.base.files import Writing, check_writable, write_all
@@ -26,12 +24,10 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.convert.from_urdf import MjcfOptions
-from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.prepare.convert.repair import Repair
-from pupper_analysis.prepare.judge import judge_stand, remarks_of_files
+from pupper_analysis.prepare.judge import remarks_of_files
 from pupper_analysis.prepare.passes import Feet, robot_of
 from pupper_analysis.prepare.simulable import check_simulable
-from pupper_analysis.present.verdict import published_clauses
 from pupper_analysis.robot.alike import structure
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import OF_INERTIALS
@@ -40,10 +36,8 @@ from pupper_analysis.robot.stability import LASTING, Stability, step_stability
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.stability import Nudge, measure_response, simulate_nudge
-from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
-from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.tools.convert.draft import ConversionDraft, mjcf_draft, urdf_draft
 
 
@@ -57,8 +51,6 @@ def convert_model(
     feet: Feet | None = None,
     fixed_base: bool | None = None,
     armature: Mapping[str, float] | None = None,
-    sag: float | None = None,
-    damping_ratio: float | None = None,
     repair_inertia: bool = False,
     copy_meshes: bool = False,
     packages: Mapping[str, Path] | None = None,
@@ -84,10 +76,6 @@ def convert_model(
         fixed_base: Whether the base is fixed in the world; by default a base with two limbs or more
             is free, unless it is called ``world``.
         armature: {joint: rotor inertia (kg m^2)}, which no URDF states.
-        sag: What the joint that holds the greatest torque gives way in the stand (rad), from which
-            the servos' stiffness follows; by default it is found by trial.
-        damping_ratio: Of the base's bounce on its servos, from which their damping follows; by
-            default it is found by trial.
         repair_inertia: Give links that move, and whose inertia no body can have, the nearest that
             one can, and a gram to those without mass; by default they are refused.
         copy_meshes: Copy all meshes to a folder ``NAME_meshes`` beside the new file; by default it
@@ -104,9 +92,6 @@ def convert_model(
         OutputError: If the output or a mesh exists, is one of the files that are read, or cannot be
             written.
     """
-    for name, value in (("sag", sag), ("damping_ratio", damping_ratio)):
-        if value is not None and not 0 < value < float("inf"):
-            raise ConfigurationError(name, diagnose("value-not-positive", value=value))
     source, output = Path(source), Path(output)
     note_input(source)
     check_writable(output, MODEL, force=force)
@@ -119,9 +104,7 @@ def convert_model(
             "output-named-otherwise", source=source, ending=wanted, mjcf=wanted == ".xml"
         )
         raise OutputError(output, made)
-    options = MjcfOptions(
-        feet, fixed_base, armature, sag, damping_ratio, repair_inertia, copy_meshes
-    )
+    options = MjcfOptions(feet, fixed_base, armature, repair_inertia, copy_meshes)
     if isinstance(file, UrdfFile):
         check_joints(file, dict(armature or {}))
         draft = mjcf_draft(file, output, options)
@@ -154,8 +137,6 @@ def convert_model(
             kept = keyframe_run(mjcf)
             why = [] if kept is None else kept.failures
             failures += [diagnose("fails-from-keyframe", problem=problem) for problem in why]
-        if mjcf == output and not failures:
-            failures += _of_the_import(source, feet, packages)
     return Conversion(
         source=str(source),
         output=str(output),
@@ -192,21 +173,6 @@ def _disagreements(comparison: FilesCompared, draft: ConversionDraft) -> Iterato
         if not (mended or on_ball):
             yield difference.diagnostic
     yield from comparison.objections
-
-
-def _of_the_import(
-    source: Path, feet: Feet | None, packages: Mapping[str, str | Path] | None
-) -> Iterator[Diagnostic]:
-    """Yields what MuJoCo's own import of a URDF does otherwise than what was written: ``stand``'s.
-
-    On its own shapes, which may be soles of meshes where the new file has balls.
-    """
-    with suppress(PupperAnalysisError):  # what cannot be judged is judged by the new file alone
-        robot = load_robot(source, feet=feet, packages=packages)
-        verdict = judge_stand(robot, solve_stand(robot))
-        if verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED:
-            for clause in published_clauses(verdict.published):
-                yield diagnose("import-does-otherwise", problem=clause.message)
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,32 +44,6 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
     assert sensors == {"gyro", "accelerometer", "orientation"}
 
 
-@pytest.mark.parametrize("ratio", [0.4, 0.8])
-def test_sag_and_damping_ratio_are_those_asked_for(ratio: float, tmp_path: Path) -> None:
-    """As the modes of MuJoCo's own motion have them, which it linearises about the stand.
-
-    On ground that is hard: MuJoCo's default is another spring and damper below the servos.
-    """
-    urdf, sag = standing_urdf(tmp_path), 0.04
-    mjcf, found = converted(urdf, "quad.xml", sag=sag, damping_ratio=ratio)
-    assert found.passed, found.failures
-    model = compiled(mjcf)
-    model.opt.timestep, model.geom_solref[:, 0] = 2e-4, 1e-3  # s
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    for _ in range(round(1 / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    torque, kp = np.abs(data.actuator_force).max(), float(model.actuator_gainprm[0, 0])
-    assert torque / kp == pytest.approx(sag, rel=0.01)
-    step = np.zeros((2 * model.nv, 2 * model.nv))
-    mujoco.mjd_transitionFD(model, data, 1e-7, True, step, None, None, None)
-    values, modes = np.linalg.eig(step)
-    poles = np.log(values.astype(complex)) / model.opt.timestep
-    upwards = np.abs(modes[2]) / np.linalg.norm(modes[: model.nv], axis=0)
-    bounce = poles[np.argmax(upwards)]
-    assert -bounce.real / abs(bounce) == pytest.approx(ratio, rel=0.03)
-
-
 def test_random_robots_are_the_same_in_both_formats(tmp_path: Path) -> None:
     random = np.random.default_rng(5)
     for number in range(6):
@@ -129,7 +103,7 @@ def test_joints_that_follow_others_are_coupled(tmp_path: Path) -> None:
     assert written is not None
     assert written.attrib == {"joint": "lift", "multiplier": "-0.5", "offset": "0.1"}
     left = [one.code for one in again.not_converted]
-    assert left == ["gains-not-in-urdf", "option-not-in-urdf"]  # its integrator
+    assert left == ["not-in-urdf", "not-in-urdf", "option-not-in-urdf"]  # servos; its integrator
 
 
 @pytest.mark.filterwarnings("ignore:.*Scene.dump:DeprecationWarning")  # yourdfpy's
@@ -295,10 +269,7 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
     urdf, output, mjcf = (tmp_path / name for name in ("arm.urdf", "arm.xml", "machine.xml"))
     urdf.write_text(urdf_text(arm(), ()))
     mjcf.write_text(mjcf_text(arm(), free=False))
-    for name, value in (("sag", -1.0), ("damping_ratio", math.nan)):
-        with pytest.raises(pa.ConfigurationError, match=name):
-            pa.convert_model(urdf, output, **{name: value})  # type: ignore[arg-type]
-    for name, value in (("sag", 0.1), ("fixed_base", True), ("feet", ["rod"])):
+    for name, value in (("fixed_base", True), ("feet", ["rod"])):
         with pytest.raises(pa.ConfigurationError, match=f"{name}: .* is an MJCF"):
             pa.convert_model(mjcf, tmp_path / "new.urdf", **{name: value})  # type: ignore[arg-type]
     output.write_text("mine")
@@ -317,9 +288,8 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
     [
         (("-o", "-"), "-: the new file names meshes beside it; give it a name"),
         (("-o", "a.urdf"), "cannot write a.urdf: quad.urdf becomes an MJCF: end its name in .xml"),
-        (("-o", "no/where.xml", "--sag", "0"), "sag: 0.0 is not positive"),
         (("-o", "a.xml", "--armature", "x*=1"), "no joint is like 'x*'; there are: FL_roll"),
-        (("-o", "a.xml", "--armature", "-1"), "armature: -1.0 kg m^2 is negative, or no number"),
+        (("-o", "a.xml", "--armature", "-1"), "is negative, or no number"),
         (("-o", "a.xml", "--armature", "*=much"), "armature: 'much' in '*=much' is not a number"),
         (("-o", "a.xml", "--foot", "nose"), "nose"),
     ],
@@ -355,7 +325,7 @@ def test_servos_of_joints_that_hold_no_gravity_are_for_their_inertia() -> None:
 
     rod = """<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/>
       <inertial pos=".5 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody></mujoco>"""
-    kp, kd = held_gains(mujoco.MjModel.from_xml_string(rod), None, None)
+    kp, kd = held_gains(mujoco.MjModel.from_xml_string(rod))
     assert kp == pytest.approx([0.25 * (4 * np.pi) ** 2], rel=5e-3)
     assert kd == pytest.approx([2 * 0.25 * 4 * np.pi], rel=5e-3)
 
@@ -396,14 +366,15 @@ def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_hand_is_no_legged_robot(tmp_path: Path) -> None:
-    """Its base stays as the URDF has it, unless it is asked to be free."""
-    mjcf, found = converted(hand(tmp_path), "hand.xml")
-    assert found.passed, found.failures
-    assert not is_free(compiled(mjcf))
-    mjcf, found = converted(hand(tmp_path), "free.xml", fixed_base=False)
+    """It has as many limbs as a tripod, and does not stand: what to type is said."""
+    mjcf, found = converted(hand(tmp_path), "free.xml")
     assert found.agree
     assert not found.passed
+    assert "--fixed-base" in str(found.failures[0])
     assert is_free(compiled(mjcf))
+    mjcf, found = converted(hand(tmp_path), "hand.xml", fixed_base=True)
+    assert found.passed, found.failures
+    assert not is_free(compiled(mjcf))
 
 
 def test_feet_hold_on_a_slope(quad: Path) -> None:
