@@ -40,7 +40,7 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("hold", "v3"): (("--as-is",),),
     ("best", "margin", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
     ("best", "utilisation"): (("--payload-at", "0,0,1cm"),),
-    ("sync", *V3): (("--take-absent",), ("--partial",), ("--backup",)),
+    ("sync", *V3): (("--partial",), ("--backup",)),
     ("sync", *V3, "--take", "urdf", "--dry-run"): (("--backup",),),
     ("convert", V3[1], "-o", "new.urdf"): (
         *(("--foot", "FL"), ("--fixed-base",), ("--free-base",)),

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -20,9 +17,6 @@ from pupper_analysis.cli.shared import (
     with_changes,
 )
 
-if TYPE_CHECKING:
-    from pupper_analysis.tools.sync.models import Sync
-
 
 @shared.command("sync")
 @click.argument("urdf", type=click.Path(path_type=Path))
@@ -36,11 +30,6 @@ if TYPE_CHECKING:
     "difference (link base: mass). Repeatable; the most specific one counts.",
 )
 @click.option("--dry-run", is_flag=True, help="Write nothing; only show what would change.")
-@click.option(
-    "--take-absent",
-    is_flag=True,
-    help="Also take over that a value is absent: limits are removed, damping becomes 0.",
-)
 @click.option(
     "--partial",
     is_flag=True,
@@ -64,7 +53,6 @@ def command(
     urdf: Path,
     mjcf: Path,
     take: tuple[str, ...],
-    take_absent: bool,
     partial: bool,
     dry_run: bool,
     backup: bool,
@@ -81,8 +69,8 @@ def command(
     """Make a robot's URDF and MJCF agree: write the numbers of one into the other, in place.
 
     Only attributes whose numbers differ are written; comments, order and line ends stay as they
-    are. Without --take the differences are listed with their numbers and nothing is changed; in a
-    terminal you are asked about each. Values that the other format cannot express are listed too.
+    are. Without --take the differences are listed with their numbers and nothing is changed. Values
+    that the other format cannot express, and orientations, are listed as not written.
 
     \b
     Examples:
@@ -97,63 +85,29 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present.document import Report
     from pupper_analysis.robot.matching.tolerances import Tolerances
-    from pupper_analysis.tools.sync.document import question_text, sync_document
+    from pupper_analysis.tools.sync.document import sync_document
     from pupper_analysis.tools.sync.models import sync_models
 
     if dry_run:
         refuse_idle("--dry-run", "backup")
-    if not take and not _is_terminal():
-        refuse_alone(("--take",), "take_absent", "partial", "backup")
+    if not take:
+        refuse_alone(("--take",), "partial", "backup")
     names, folders = mapped_names(pairs, map_file), shared.package_folders(packages)
     tolerances = with_changes(Tolerances(), changes)
 
-    def run(chosen: tuple[str, ...], dry: bool) -> Sync:
-        return sync_models(
-            urdf,
-            mjcf,
-            take=chosen,
-            take_absent=take_absent,
-            partial=partial,
-            dry_run=dry,
-            backup=backup,
-            force=force,
-            names=names,
-            packages=folders,
-            feet=feet,
-            tolerances=tolerances,
-        )
-
-    result = run(take, dry_run or not take)
-    if not take and result.differences and _is_terminal():
-        take = _asked(result, question_text)
-        if take:
-            result = run(take, dry_run)
+    result = sync_models(
+        urdf,
+        mjcf,
+        take=take,
+        partial=partial,
+        dry_run=dry_run or not take,
+        backup=backup,
+        force=force,
+        names=names,
+        packages=folders,
+        feet=feet,
+        tolerances=tolerances,
+    )
     document = sync_document(result, chosen=bool(take), dry_run=dry_run)
     shared.show_report(Report(document.title, (document,)), style, everything=everything)
     shared.finish_command(json_path, result, passed=result.agree)
-
-
-def _is_terminal() -> bool:
-    return sys.stdin.isatty() and sys.stdout.isatty()
-
-
-def _asked(result: Sync, question: Callable[[Sync, int], str]) -> tuple[str, ...]:
-    """Asks whose value is taken in each difference; returns what --take would say."""
-    keys = {"u": "urdf", "m": "mjcf"}
-    take = []
-    for place in range(len(result.differences)):
-        click.echo(question(result, place))
-        click.echo(
-            "   u the URDF's, m the MJCF's, s neither, U or M for all that follow, q enough: "
-        )
-        key = click.getchar()
-        while key not in ("u", "m", "s", "U", "M", "q"):
-            key = click.getchar()
-        if key == "q":
-            break
-        last = len(result.differences) if key in "UM" else place + 1
-        if key != "s":
-            take.append(f"{keys[key.lower()]}:{place + 1}-{last}")
-        if key in "UM":
-            break
-    return tuple(take)

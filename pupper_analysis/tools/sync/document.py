@@ -12,16 +12,6 @@ from pupper_analysis.tools.sync.models import Sync, difference_label, line_at
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 
 
-def question_text(sync: Sync, place: int) -> str:
-    """Returns a difference with its number and with its two lines."""
-    difference = sync.differences[place]
-    lines = [f"\n{place + 1}. {difference.message}"]
-    for said in (difference.urdf_place, difference.mjcf_place):
-        if said is not None:
-            lines.append(f"   {said}: {line_at(said)}")
-    return "\n".join(lines)
-
-
 @build_document.register(Sync)
 def sync_document(
     sync: Sync,

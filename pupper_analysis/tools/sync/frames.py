@@ -39,38 +39,10 @@ def without_parts(whole: pin.Inertia, parts: Sequence[pin.Inertia]) -> pin.Inert
     return functools.reduce(operator.sub, parts, whole)
 
 
-def spread_alike(
-    parts: Mapping[Part, pin.Inertia], wanted: pin.Inertia
-) -> dict[Part, pin.Inertia] | None:
-    """Returns parts of a body that all are as much heavier, and moved by one step.
-
-    Their sum is a body of the same density pattern: its inertia about the com is in proportion to
-    its mass.
-
-    Args:
-        parts: The parts, in one frame.
-        wanted: Their sum, as it shall be.
-
-    Returns:
-        {part: as it shall be}; None if the wanted body is of another pattern, or has no mass.
-    """
-    now = functools.reduce(operator.add, parts.values(), pin.Inertia.Zero())
-    if not (now.mass > 0 and wanted.mass > 0):
-        return None
-    factor, step = wanted.mass / now.mass, wanted.lever - now.lever
-    alike = pin.Inertia(wanted.mass, wanted.lever, factor * np.array(now.inertia))
-    if not is_same_body(alike, wanted, 1e-10):
-        return None
-    return {
-        name: pin.Inertia(factor * part.mass, part.lever + step, factor * np.array(part.inertia))
-        for name, part in parts.items()
-    }
-
-
 def ways_to_weigh(
     parts: Mapping[Part, pin.Inertia], wanted: pin.Inertia, empty: Part
-) -> list[dict[Part, pin.Inertia]]:
-    """Returns how parts of a body can make it another: one of them alone, or else all alike.
+) -> list[tuple[Part, pin.Inertia]]:
+    """Returns how one part of a body alone can make it another.
 
     Args:
         parts: Those with mass, in one frame.
@@ -78,16 +50,15 @@ def ways_to_weigh(
         empty: The part that gets it where none has any.
 
     Returns:
-        {part: as it shall be} for each way; none if there is none.
+        (part, as it shall be) for each way, the heaviest part first; none if there is none.
     """
-    alone: list[dict[Part, pin.Inertia]] = []
+    alone = []
     for part in sorted(parts, key=lambda one: -parts[one].mass) or [empty]:
         others = [body for other, body in parts.items() if other != part]
         left = without_parts(wanted, others)
         if left is not None and (not others or is_physical(left)):
-            alone.append({part: left})
-    alike = None if alone else spread_alike(parts, wanted)
-    return alone or ([alike] if alike else [])
+            alone.append((part, left))
+    return alone
 
 
 def is_physical(body: pin.Inertia) -> bool:
@@ -106,37 +77,6 @@ def is_same_body(one: pin.Inertia, two: pin.Inertia, tolerance: float = 1e-11) -
         and float(np.abs(one.lever - two.lever).max()) <= tolerance
         and float(np.abs(one.inertia - two.inertia).max()) <= tolerance * size
     )
-
-
-def turned_like(wanted: Array, own: Array, near: Array) -> Array | None:
-    """Returns the rotation that makes one tensor of another: wanted = R own R^T.
-
-    Args:
-        wanted: The tensor.
-        own: The same in other axes.
-        near: Of the rotations that do, the nearest to this one is returned, or none at all.
-
-    Returns:
-        It; None if the principal moments differ.
-    """
-    moments, axes = np.linalg.eigh(wanted)
-    others, own_axes = np.linalg.eigh(own)
-    if float(np.abs(moments - others).max()) > 1e-10 * float(np.abs(moments).max()):
-        return None
-    candidates = [np.eye(3), near]
-    for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
-        turn = axes @ np.diag(signs).astype(float) @ own_axes.T
-        candidates.append(turn if np.linalg.det(turn) > 0 else -turn)
-    size = float(np.abs(wanted).max())
-    right = [
-        turn
-        for turn in candidates
-        if float(np.abs(turn @ own @ turn.T - wanted).max()) <= 1e-11 * size
-    ]
-    straight = [turn for turn in right if np.allclose(turn, np.eye(3), atol=1e-12)]
-    if straight:
-        return straight[0]
-    return max(right, key=lambda turn: float(np.trace(near.T @ turn)), default=None)
 
 
 Key = tuple[str, str]
@@ -175,11 +115,9 @@ class MatchedRobots:
         one, two = (self.urdf, self.mjcf) if side == "urdf" else (self.mjcf, self.urdf)
         result = one
         for kind, element in taken:
-            if kind != "zero":
-                result = with_value_of(result, two, kind, element)
-        for name, offset in self.matched.conventions.zeros.items():
-            # The URDF was given the MJCF's zeros: what it keeps is its own.
-            if (("zero", name) in taken) == (side == "mjcf"):
+            result = with_value_of(result, two, kind, element)
+        if side == "urdf":  # it was given the MJCF's zeros: what it keeps is its own
+            for name, offset in self.matched.conventions.zeros.items():
                 result = with_zero(result, name, -offset)
         return result
 

@@ -7,19 +7,12 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import existing_file
-from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.tools.sync.digits import (
-    AngleUnits,
-    Digits,
-    orientation_change,
-    stated_rotation,
-)
+from pupper_analysis.tools.sync.digits import AngleUnits, Digits, stated_orientation
 from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
 
 Array = NDArray[np.float64]
@@ -98,13 +91,10 @@ class MjcfInPlace:
         return text is not None
 
     def write_all(self, element: Element, changes: Mapping[str, str]) -> None:
-        """Writes an element's attributes; another form of its orientation replaces ``zaxis``."""
+        """Writes an element's attributes; a quaternion replaces other forms of orientation."""
         for attribute, text in changes.items():
-            element.rename_or_set("zaxis", attribute, text)
-
-    def turn(self, element: Element, now: Array, wanted: Array) -> None:
-        """Writes an element's orientation (3, 3), in the form in which it is stated."""
-        self.write_all(element, orientation_change(element, now, wanted, self.units, self.digits))
+            form = stated_orientation(element) if attribute == "quat" else None
+            element.rename_or_set(form or attribute, attribute, text)
 
     def class_stating(self, element: Element, attribute: str) -> Place | None:
         """Returns where a default class states what an element itself does not in the file."""
@@ -114,18 +104,14 @@ class MjcfInPlace:
         drives = element.parent is not None and element.parent.tag == "actuator"
         return self._file.stated("actuator" if drives else element.tag, name, [attribute])
 
-    def frame_of(self, element: Element) -> pin.SE3:
-        """Returns the pose of the <frame>s around an element, in the body that they are in."""
-        pose = pin.SE3.Identity()
+    def is_framed(self, element: Element) -> bool:
+        """Says whether an element is in a <frame>, in which it states its place."""
         above = element.parent
         while above is not None and above.tag not in ("body", "worldbody"):
             if above.tag == "frame":
-                pose = self._pose(above) * pose
+                return True
             above = above.parent
-        return pose
-
-    def _pose(self, frame: Element) -> pin.SE3:
-        return pin.SE3(stated_rotation(frame, self.units), parse_numbers(frame.get("pos"), "0 0 0"))
+        return False
 
     def _sections(self, tag: str) -> Iterator[Element]:
         return (section for section in self.root.children if section.tag == tag)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import mujoco
@@ -21,19 +20,18 @@ from pupper_analysis.models.efforts import (
     stated_by_actuator,
     stated_by_joint,
 )
-from pupper_analysis.models.mjcf import free_joints, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, drives_of
+from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.sync.digits import (
     SAME,
     AngleUnits,
     Digits,
-    orientation_change,
     stated_rotation,
 )
-from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, turned_like, ways_to_weigh
-from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace, elements_within
+from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, ways_to_weigh
+from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
 from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
@@ -49,10 +47,6 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     """Notes the changes that give what moves with a joint, or the base, another mass."""
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
-    if side.file.spec.compiler.settotalmass > 0:
-        for key in keys:
-            side.left[key] = diagnose("masses-scaled-to-total")
-        return
     wanted = side.sides.mjcf_frames[mover].actInv(side.wanted.bodies[mover].rigid)
     top = model.body(side.sides.matched.mjcf_body[mover]).id
     group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
@@ -61,20 +55,18 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     if is_same_body(sum(heavy.values(), pin.Inertia.Zero()), wanted):
         return
     ways = ways_to_weigh(heavy, wanted, top)
-    tries = [[_plan(side, body, part) for body, part in way.items()] for way in ways]
-    found = [[one for one in way if one is not None] for way in tries if None not in way]
+    found = [plan for body, part in ways if (plan := _plan(side, body, part)) is not None]
     if not found:
-        copied = any(_element(side, body) is None for way in ways for body in way)
+        copied = any(_element(side, body) is None for body, _ in ways)
         reason = diagnose("body-is-a-copy" if copied else "no-body-to-change")
         side.left.update(dict.fromkeys(keys, reason))
         return
-    best = min(found, key=lambda way: sum(plan[0] for plan in way))
-    for plan in best:
-        _write_plan(side, plan)
-    how = best[0][3]
-    if len(best) > 1:
-        how = diagnose("bodies-changed-alike", bodies=len(best))
-    elif len(heavy) > 1:
+    best = min(found, key=lambda plan: plan[0])
+    _, element, changes, how = best
+    if element.start < 0 and element.parent is not None:
+        element.parent.children.insert(0, element)
+    side.elements.write_all(element, changes)
+    if len(heavy) > 1:
         how = diagnose("one-body-changed", how=how, bodies=len(heavy))
     if how is not None:
         side.notes.update(dict.fromkeys(keys, how))
@@ -82,13 +74,6 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
 
 def _element(side: MjcfSide, body: int) -> Element | None:
     return side.elements.body(str(side.model.body(body).name))
-
-
-def _write_plan(side: MjcfSide, plan: _Plan) -> None:
-    _, element, changes, _ = plan
-    if element.start < 0 and element.parent is not None:
-        element.parent.children.insert(0, element)
-    side.elements.write_all(element, changes)
 
 
 def _pose(side: MjcfSide, body: int) -> pin.SE3:
@@ -101,16 +86,10 @@ def _plan(side: MjcfSide, body: int, part: pin.Inertia) -> _Plan | None:
     if element is None:
         return None
     inertial = element.find("inertial")
-    by_geoms = side.file.spec.compiler.inertiafromgeom
-    ignored = by_geoms == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    if inertial is not None and not ignored:
+    if inertial is not None:
         now = inertia_of_body(side.model, body)
         changes = inertial_changes(inertial, now, wanted, side.elements.units, side.digits)
         return len(changes), inertial, changes, None
-    of_geom = next(_by_a_geom(side, body, element, wanted), None)
-    none = by_geoms == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE and wanted.mass == 0
-    if of_geom is not None or ignored or none:
-        return of_geom
     new = Element("inertial", {}, element.file, -1, element.line, element)
     words = {
         "pos": side.digits.words([], wanted.lever, 1.0),
@@ -119,34 +98,6 @@ def _plan(side: MjcfSide, body: int, part: pin.Inertia) -> _Plan | None:
     }
     stated = {name: text for name, text in words.items() if text is not None}
     return _NEW_INERTIAL_COST, new, stated, diagnose("inertial-put-in")
-
-
-def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: pin.Inertia) -> Iterator[_Plan]:
-    """Yields how the mass of one geom makes a body's mass, com and inertia right, if it does."""
-    spec = side.robot.description.mjcf
-    name = str(side.model.body(body).name)
-    elements = [e for e in elements_within(element) if e.tag == "geom"]
-    geoms = list(spec.body(name).geoms)
-    if len(geoms) != len(elements):
-        return
-    more = wanted.mass - float(side.model.body_mass[body])
-    for index, (geom, there) in enumerate(zip(geoms, elements, strict=True)):
-        if math.isnan(geom.mass) or geom.mass + more <= 0:
-            continue
-        text = side.digits.words((there.get("mass") or "").split(), np.array([geom.mass + more]))
-        if text is None:
-            continue
-        tried = spec.copy()
-        tried.body(name).geoms[index].mass = float(text)
-        try:
-            with silence_mujoco():
-                model = copy.copy(tried.compile())
-        except (ValueError, RuntimeError):
-            continue
-        if is_same_body(inertia_of_body(model, model.body(name).id), wanted, 1e-10):
-            own = "mass" in there.attributes
-            how = None if own else diagnose("mass-of-class-stays")
-            yield 1, there, {"mass": text}, how
 
 
 def inertial_changes(
@@ -180,9 +131,6 @@ def _principal(
     if float(np.abs(inside - np.diag(np.diag(inside))).max()) <= 1e-11 * size:
         text = digits.words((element.get("diaginertia") or "").split(), np.diag(inside))
         return {} if text is None else {"diaginertia": text}
-    turn = turned_like(wanted, np.diag(moments), own)
-    if turn is not None:
-        return orientation_change(element, own, turn, units, digits)
     values, axes = np.linalg.eigh(wanted)
     order = list(np.argsort(np.argsort(moments)))
     values, axes = values[order], axes[:, order]
@@ -192,7 +140,13 @@ def _principal(
         axes[:, int(np.argmin(np.abs(np.sum(axes * own, axis=0))))] *= -1
     text = digits.words((element.get("diaginertia") or "").split(), values)
     changes = {} if text is None else {"diaginertia": text}
-    return changes | orientation_change(element, own, axes, units, digits)
+    x, y, z, w = pin.Quaternion(axes).coeffs()
+    quaternion = np.array([w, x, y, z])
+    stated = parse_numbers(element.get("quat"), "1 0 0 0")
+    if float(quaternion @ stated) < 0:
+        quaternion = -quaternion
+    text = digits.words((element.get("quat") or "").split(), quaternion, 1.0)
+    return changes if text is None else changes | {"quat": text}
 
 
 COPIED = diagnose("body-is-a-copy")
@@ -218,20 +172,17 @@ class MjcfSide(Side):
 
     def plan(self, taken: Collection[Key]) -> None:
         """Notes all changes in the documents: places first, for what is on them moves along."""
-        done = move_anchors(self, taken)
-        taken = [key for key in taken if key not in done]
         for key in taken:
             if key[0] == "frame":
                 self._frame(key)
-        for kind in ("position", "rotation", "zero"):
-            for key in taken:
-                if key[0] == kind:
-                    self._place(key)
+        for key in taken:
+            if key[0] == "position":
+                self._place(key)
         for key in taken:
             kind, name = key
             if kind == "axis":
                 self._axis(key)
-            elif kind in ("lower limit", "upper limit", "zero"):
+            elif kind in ("lower limit", "upper limit"):
                 self._limits(key)
             elif kind == "effort":
                 write_effort(self, key)
@@ -295,35 +246,32 @@ class MjcfSide(Side):
             site = self.model.site(there).id
             element, now = self.elements.named("site", there), np.array(self.model.site_pos[site])
             parent = int(self.model.site_bodyid[site])
-        if element is None:
-            self.left[key] = COPIED
-            return
-        local = self._body_pose(parent).inverse() * inside
-        around = self.elements.frame_of(element).inverse()
-        self.set_position(key, element, around * now, around * local)
+        self._set_position(key, element, now, self._body_pose(parent).inverse() * inside)
 
     def _body_pose(self, body: int) -> pin.SE3:
         """Returns where a body is in the frame of the body that a joint moves."""
         name = str(self.model.body(body).name)
         return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
 
-    def set_position(self, key: Key, element: Element, now: Array, wanted: Array) -> bool:
-        """Writes an element's place, unless it is there; says whether something was written."""
-        if float(np.abs(now - wanted).max()) <= SAME:
-            return False
-        return self.write(key, element, "pos", wanted, 1.0)
+    def _set_position(self, key: Key, element: Element | None, now: Array, wanted: Array) -> None:
+        """Writes an element's place, unless it is there."""
+        if element is None:
+            self.left[key] = COPIED
+        elif self.elements.is_framed(element):
+            self.left[key] = diagnose("place-in-a-frame")
+        elif float(np.abs(now - wanted).max()) > SAME:
+            self.write(key, element, "pos", wanted, 1.0)
 
     def _place(self, key: Key) -> None:
         """Moves the body of a joint, with all that is on it."""
         name = key[1]
-        body = int(self.model.jnt_bodyid[self.model.joint(name).id])
-        element = self.elements.body(str(self.model.body(body).name))
-        first = int(self.model.body_jntadr[body])
-        if element is None:
-            self.left[key] = COPIED
-            return
-        if self.model.joint(name).id != first:
+        index = self.model.joint(name).id
+        body = int(self.model.jnt_bodyid[index])
+        if index != int(self.model.body_jntadr[body]):
             self.left[key] = diagnose("joint-shares-its-place")
+            return
+        if self.model.jnt_pos[index].any():
+            self.left[key] = diagnose("joint-off-its-body")
             return
         parent = self.sides.own.joints[name].parent
         before = self.sides.mjcf_frames[parent].inverse()
@@ -332,10 +280,8 @@ class MjcfSide(Side):
         joint = before * self.wanted.joints[name].placement * self.sides.mjcf_frames[name]
         own = self.sides.own.joints[name].placement
         wanted = frame.inverse() * joint * own.inverse() * frame * now
-        around = self.elements.frame_of(element).inverse()
-        now, wanted = around * now, around * wanted
-        self.set_position(key, element, np.array(now.translation), np.array(wanted.translation))
-        self.elements.turn(element, np.array(now.rotation), np.array(wanted.rotation))
+        element = self.elements.body(str(self.model.body(body).name))
+        self._set_position(key, element, np.array(now.translation), np.array(wanted.translation))
 
     def joint_in_file(self, name: str) -> Element | None:
         """Returns the element of a joint."""
@@ -348,22 +294,17 @@ class MjcfSide(Side):
             self.left[key] = COPIED
             return
         frame, joint = self.sides.mjcf_frames[key[1]], self.wanted.joints[key[1]]
-        turn = np.array(frame.rotation).T
-        index = self.model.joint(key[1]).id
-        # MuJoCo's axis is in the body's frame, that of the file in the frames around it.
-        around = self.elements.frame_of(element).inverse()
-        into = np.array(around.rotation)
-        now, wanted = into @ np.array(self.model.jnt_axis[index]), into @ turn @ joint.axis
-        if float(np.abs(now - wanted).max()) <= SAME:
-            return
-        self.write(key, element, "axis", wanted, 1.0)
-        if joint.slides:
+        if self.elements.is_framed(element):
+            self.left[key] = diagnose("place-in-a-frame")
             return
         # The files may put a hinge's origin elsewhere on its axis: it must be on the new one.
-        off = np.array(frame.translation)
-        step = float(joint.axis @ off) * joint.axis - off
-        anchor = np.array(self.model.jnt_pos[index])
-        self.set_position(key, element, around * anchor, around * (anchor + turn @ step))
+        if not joint.slides and float(np.abs(frame.translation).max()) > SAME:
+            self.left[key] = diagnose("joint-off-its-body")
+            return
+        now = np.array(self.model.jnt_axis[self.model.joint(key[1]).id])
+        wanted = np.array(frame.rotation).T @ joint.axis
+        if float(np.abs(now - wanted).max()) > SAME:
+            self.write(key, element, "axis", wanted, 1.0)
 
     def _limits(self, key: Key) -> None:
         name = key[1]
@@ -371,11 +312,7 @@ class MjcfSide(Side):
         if element is None:
             self.left[key] = COPIED
             return
-        finite = math.isfinite(joint.lower), math.isfinite(joint.upper)
-        if not any(finite):
-            self.elements.write(element, "limited", "false")
-            return
-        if not all(finite):
+        if not (math.isfinite(joint.lower) and math.isfinite(joint.upper)):
             self.left[key] = diagnose("mjcf-one-limit-unwritten")
             return
         factor = 1.0 if joint.slides else self.elements.units.factor
@@ -396,18 +333,15 @@ class MjcfSide(Side):
     def _damping(self, key: Key) -> None:
         name = key[1]
         if name not in self.wanted.joints:
-            self._base_damping(key)
+            self.left[key] = diagnose("base-without-joint")
             return
         index = self.model.joint(name).id
         dof = int(self.model.jnt_dofadr[index])
         of_joint = float(self.model.dof_damping[dof])
         of_motors = float(joint_damping(self.model)[dof]) - of_joint
-        if self.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:
-            self.left[key] = diagnose("damping-switched-off")
-            return
         wanted = self.wanted.joints[name].damping - of_motors
         if wanted < 0:
-            self.left[key] = diagnose("motors-damp-more")
+            self.left[key] = diagnose("motors-have-more")
             return
         element = self.joint_in_file(name)
         stated = ([] if element is None else (element.get("damping") or "").split())[1:]
@@ -421,22 +355,9 @@ class MjcfSide(Side):
         of_motors = float(joint_armature(self.model)[dof]) - of_joint
         wanted = self.wanted.joints[key[1]].armature - of_motors
         if wanted < 0:
-            self.left[key] = diagnose("motors-weigh-more")
+            self.left[key] = diagnose("motors-have-more")
             return
         self._number(key, "armature", [wanted])
-
-    def _base_damping(self, key: Key) -> None:
-        bodies = [self.model.body(i).name for i in range(self.model.nbody)]
-        free = [str(bodies[self.model.jnt_bodyid[index]]) for index in free_joints(self.model)]
-        element = self.elements.joint("", free[0]) if free else None
-        if element is None:
-            body = self.elements.body(free[0]) if free else None
-            children = [] if body is None else body.children
-            element = next((e for e in children if e.tag == "joint"), None)
-        if element is None:
-            self.left[key] = COPIED
-            return
-        self.write(key, element, "damping", 0.0)
 
     def _number(self, key: Key, attribute: str, values: list[float]) -> None:
         element = self.joint_in_file(key[1])
@@ -444,69 +365,6 @@ class MjcfSide(Side):
             self.left[key] = COPIED
             return
         self.write(key, element, attribute, values)
-
-
-_ANCHOR_TOLERANCE = 1e-9
-"""Up to which two steps are the same (m)."""
-
-
-def move_anchors(side: MjcfSide, taken: Collection[Key]) -> set[Key]:
-    """Notes the joints that are merely elsewhere in their bodies.
-
-    A joint is where the file puts it in its body. If that is changed, its place differs, and so do
-    the com and all that is on the body, all by one step: as many differences, whose one cause is
-    mended here, lest the body is moved beneath its shapes.
-
-    Returns:
-        The differences that are mended by it.
-    """
-    mended: set[Key] = set()
-    for kind, name in taken:
-        if kind == "position":
-            keys = {key for key, _ in _carried(side, name)} & set(taken)
-            step = _step(side, name)
-            if step is not None and _write(side, name, step):
-                mended |= {(kind, name), *keys}
-    return mended
-
-
-def _carried(side: MjcfSide, name: str) -> Iterator[tuple[Key, tuple[Array, Array]]]:
-    """Yields what is on a body: the difference it would be, what it is and shall be."""
-    now, wanted = side.sides.mjcf, side.wanted
-    yield ("com", name), (now.bodies[name].com, wanted.bodies[name].com)
-    for child in now.children(name):
-        places = now.joints[child].position, wanted.joints[child].position
-        yield ("position", child), places
-    for frame, (owner, position) in now.frames.items():
-        if owner == name:
-            yield ("frame", frame), (position, wanted.frames[frame][1])
-
-
-def _step(side: MjcfSide, name: str) -> Array | None:
-    """Returns how far a joint shall be moved in its body, in that's axes; None if it is not that.
-
-    All that is on the body must say so, its com at least.
-    """
-    now, wanted = side.sides.mjcf.joints[name], side.wanted.joints[name]
-    step = now.rotation.T @ (wanted.position - now.position)
-    carried = [places for _, places in _carried(side, name)]
-    apart = [there - here + step for here, there in carried]
-    if float(np.abs(now.rotation - wanted.rotation).max()) > _ANCHOR_TOLERANCE:
-        return None
-    if any(float(np.abs(one).max()) > _ANCHOR_TOLERANCE for one in apart):
-        return None
-    return np.array(side.sides.mjcf_frames[name].rotation).T @ step
-
-
-def _write(side: MjcfSide, name: str, step: Array) -> bool:
-    index = side.model.joint(name).id
-    element = side.joint_in_file(name)
-    body = int(side.model.jnt_bodyid[index])
-    if element is None or int(side.model.body_jntnum[body]) != 1:
-        return False
-    around = side.elements.frame_of(element).inverse()
-    now = np.array(side.model.jnt_pos[index])
-    return side.set_position(("position", name), element, around * now, around * (now + step))
 
 
 # Writes the gains of position servos into an MJCF, in the words in which it states them.
@@ -570,13 +428,6 @@ def _padded(element: Element, attribute: str, values: list[float]) -> list[float
 
 # Writes the greatest torque of a joint into an MJCF: where it is stated, in whichever words.
 
-_LIMITED = {
-    "actuatorfrcrange": "actuatorfrclimited",
-    "forcerange": "forcelimited",
-    "ctrlrange": "ctrllimited",
-}
-"""{range: what says whether it is one}."""
-
 
 def write_effort(side: MjcfSide, key: Key) -> None:
     """Notes the changes that give a joint another greatest torque.
@@ -599,11 +450,6 @@ def write_effort(side: MjcfSide, key: Key) -> None:
         for one in stated_by_actuator(model, drive)
         if one.factor
     ]
-    if not 0 < wanted < math.inf:  # a URDF's effort of 0 is none
-        for owner, one in (*of_joint, *of_motors):
-            side.elements.write(owner, _LIMITED[one.attribute], "false")
-        side.notes[key] = diagnose("limit-switched-off")
-        return
     now = effort_limit(model, joint)
     for owner, one in (*of_joint, *(of_motors if len(drives) == 1 else ())):
         # What is looser than the least bound does no harm, unless it is below what is wanted.

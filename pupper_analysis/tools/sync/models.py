@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
 import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -15,15 +13,13 @@ from typing import Final
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, OutputError
-from pupper_analysis.base.files import Writing, clear_left, hidden_token, write_all, write_new
-from pupper_analysis.base.inputs import MOST_TEXT, read_input, read_text
+from pupper_analysis.base.files import Writing, write_all
+from pupper_analysis.base.inputs import MOST_FILE, MOST_TEXT, read_input, read_text
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.git import SAFE, git_entries, pointed_file, run_git
+from pupper_analysis.models.git import SAFE, run_git
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import SERVO_GAINS, Difference
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -34,8 +30,8 @@ from pupper_analysis.tools.sync.plan import (
     Plan,
     UnwrittenCause,
     make_plan,
+    staged,
 )
-from pupper_analysis.tools.sync.xml_bytes import XmlDocument
 
 
 @dataclass(frozen=True)
@@ -90,7 +86,6 @@ def sync_models(
     mjcf: str | Path,
     *,
     take: str | Sequence[str] = (),
-    take_absent: bool = False,
     partial: bool = False,
     dry_run: bool = False,
     backup: bool = False,
@@ -111,9 +106,7 @@ def sync_models(
         mjcf: Path of the MJCF.
         take: Whose values are taken: ``"urdf"`` (then the MJCF is changed) or ``"mjcf"``, for all,
             or for some (``"mjcf:mass"``, ``"urdf:link base: mass"``, ``"mjcf:3"``). Of what is
-            not named, nothing is changed.
-        take_absent: Take also that a file states no value: a limit is switched off, a damping
-            becomes 0. By default what is not stated overwrites nothing.
+            not named, nothing is changed; and what is not stated overwrites nothing.
         partial: Write what can be, if not all that was chosen can.
         dry_run: Write nothing, and say what would be written.
         backup: Keep the old files, as ``NAME.bak``.
@@ -142,7 +135,7 @@ def sync_models(
         for difference, side in zip(comparison.differences, choices, strict=True)
         if side is not None
     }
-    plan, after = _tried(files, tolerances, comparison, keys, absent=take_absent)
+    plan, after = _tried(files, tolerances, comparison, keys)
     withheld = not partial and any(
         plan.cause(key) == UnwrittenCause.NOT_MENDED for key in plan.left
     )
@@ -175,70 +168,52 @@ def _compared(files: Files, tolerances: Tolerances) -> FilesCompared:
 
 
 def _tried(
-    files: Files,
-    tolerances: Tolerances,
-    comparison: FilesCompared,
-    keys: Mapping[Key, str],
-    *,
-    absent: bool,
+    files: Files, tolerances: Tolerances, comparison: FilesCompared, keys: Mapping[Key, str]
 ) -> tuple[Plan, FilesCompared]:
     """Returns a plan that does what it says, and the comparison of the files after it.
 
-    What was planned is written beside the files, and compared. What still differs then is left as
-    it was, and so is what an engine refuses to read.
+    What was planned is written elsewhere, and compared. What still differs then is left as it was,
+    and so is all of it, if an engine refuses to read a file.
     """
     refused: dict[Key, Diagnostic] = {}
     while True:
         waiting = {key: side for key, side in keys.items() if key not in refused}
-        plan = make_plan(files, tolerances, waiting, absent=absent)
+        plan = make_plan(files, tolerances, waiting)
         plan.left.update(refused)
+        tried = keys.keys() - plan.left.keys()
         if not plan.edits():
-            silent = dict.fromkeys(
-                keys.keys() - plan.left.keys(), diagnose("no-attribute-states-it")
-            )
-            plan.left.update(silent)
+            plan.left.update(dict.fromkeys(tried, diagnose("no-attribute-states-it")))
             return plan, comparison
         try:
             after = _after(plan, tolerances)
         except ModelError as error:
-            new = _refused(files, tolerances, [key for key in keys if key not in plan.left], keys)
-            refused |= new or {
-                key: diagnose("file-refused-with-it", problem=error.cause.with_names(as_given))
-                for key in keys
-                if key not in plan.left
-            }
+            refused |= dict.fromkeys(tried, diagnose("file-refused-with-it", problem=error.cause))
             continue
-        still = {(d.kind, d.element) for d in after.differences} & (keys.keys() - plan.left.keys())
+        still = {(d.kind, d.element) for d in after.differences} & tried
         if not still:
             return plan, after
         refused |= dict.fromkeys(still, diagnose("change-mends-nothing"))
 
 
 def _after(plan: Plan, tolerances: Tolerances) -> FilesCompared:
-    with stage_files(plan.urdf, plan.mjcf) as (urdf, mjcf):
-        return _compared(replace(plan.files, urdf=urdf, mjcf=mjcf), tolerances)
+    """Compares the files as they would be.
 
-
-def _refused(
-    files: Files, tolerances: Tolerances, tried: list[Key], keys: Mapping[Key, str]
-) -> dict[Key, Diagnostic]:
-    """Returns what cannot be read with one change alone; mass, com and inertia are one."""
-    groups: dict[Key, list[Key]] = {}
-    for kind, element in tried:
-        group = "body" if kind in ("mass", "com", "inertia") else kind
-        groups.setdefault((group, element), []).append((kind, element))
-    refused: dict[Key, Diagnostic] = {}
-    for members in groups.values():
-        plan = make_plan(files, tolerances, {key: keys[key] for key in members})
+    Raises:
+        ModelError: If one is refused then.
+    """
+    documents = {**plan.urdf, **plan.mjcf}
+    contents = {
+        place: documents[file].rendered() if file in documents else read_input(file, MOST_FILE)
+        for copies in plan.copies
+        for file, place in copies.places.items()
+    }
+    with staged(contents) as folder:
+        urdf, mjcf = (folder / copies.places[copies.main] for copies in plan.copies)
         try:
-            with stage_files(plan.urdf, plan.mjcf) as (urdf, mjcf):
-                read_urdf(urdf, files.packages)
-                read_mjcf(mjcf)
+            return _compared(replace(plan.files, urdf=urdf, mjcf=mjcf), tolerances)
         except ModelError as error:
-            refused |= dict.fromkeys(
-                members, diagnose("file-refused-with-it", problem=error.cause.with_names(as_given))
-            )
-    return refused
+            cause = error.cause.with_names(lambda text: text.replace(f"{folder}/", ""))
+            raise ModelError(error.source, cause) from error
 
 
 def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -255,42 +230,21 @@ def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...],
 def refuse_uncommitted(path: Path) -> None:
     """Refuses a file of a git repository that has changes which are not committed.
 
-    A file that git does not track has none, nor has one that differs in its ends of lines alone, or
-    whose pointer of Git LFS is committed.
+    A file that git does not track has none, nor has one that differs in its ends of lines alone.
 
     Raises:
         OutputError: If it has.
     """
     path = path.resolve()
-    git = shutil.which("git")
-    if git is None or not any((folder / ".git").exists() for folder in path.parents):
+    if shutil.which("git") is None or not any((one / ".git").exists() for one in path.parents):
         return
-    here, name = path.parent, _literal(path.name)
-    staged = git_entries(_asked(here, "ls-files", "--stage", "-z", "--", name))
-    if not staged:
+    here = path.parent
+    if not _asked(here, "ls-files", "-z", "--", f":(literal){path.name}"):
         return
-    committed = git_entries(_asked(here, "ls-tree", "-z", "HEAD", "--", path.name))
-    if (
-        committed is None
-        or [entry.object for entry in staged] != [entry.object for entry in committed]
-        or not _is_same(path, _asked(here, "cat-file", "blob", committed[0].object))
-    ):
-        raise OutputError(path, diagnose("uncommitted-changes"))
-
-
-def _literal(name: str) -> str:
-    """Returns a file's name as a pathspec in which no letter is special."""
-    return f":(literal){name}"
-
-
-def _is_same(path: Path, blob: bytes | None) -> bool:
-    """Tells whether a file is what git has of it, but for ends of lines and Git LFS."""
+    committed = _asked(here, "cat-file", "blob", f"HEAD:./{path.name}")
     content = read_input(path, MOST_TEXT)
-    if blob is None or content == blob:
-        return blob is not None
-    if content.replace(b"\r\n", b"\n") == blob.replace(b"\r\n", b"\n"):
-        return True
-    return pointed_file(blob) == hashlib.sha256(content).hexdigest()
+    if committed is None or content.replace(b"\r\n", b"\n") != committed.replace(b"\r\n", b"\n"):
+        raise OutputError(path, diagnose("uncommitted-changes"))
 
 
 def _asked(folder: Path, *arguments: str) -> bytes | None:
@@ -336,73 +290,6 @@ def unified_diff(path: Path, before: bytes, after: bytes) -> str:
     one, two = (text.decode("utf-8").split("\n") for text in (before, after))
     lines = difflib.unified_diff(one, two, f"a/{path.name}", f"b/{path.name}", lineterm="")
     return "\n".join(lines) + "\n" if before != after else ""
-
-
-_TRIAL = re.compile(r"\.([^\s/]+)-pupper(?:-[0-9a-f]+){3}(?=\.)")
-
-
-def as_given(text: str) -> str:
-    """Returns a text in which files that are tried have the names of those that are meant."""
-    return _TRIAL.sub(r"\1", text)
-
-
-@contextmanager
-def stage_files(*groups: Mapping[Path, XmlDocument]) -> Iterator[list[Path]]:
-    """Writes changed files beside the old ones, under other names, to be tried.
-
-    Args:
-        groups: {file: its document} of a model, with what is to be changed; the main file first,
-            and then what it includes.
-
-    Yields:
-        Where to read the main file of each: a new file, or the old one if nothing is changed.
-
-    Raises:
-        OutputError: If nothing can be written there.
-    """
-    token = hidden_token()
-    places: dict[Path, Path] = {}
-    for group in groups:
-        if any(document.rendered() != document.data for document in group.values()):
-            places |= {path: path.with_name(f".{path.stem}-{token}{path.suffix}") for path in group}
-    mains = [next(iter(group)) for group in groups]
-    try:
-        for group, main in zip(groups, mains, strict=True):
-            for path, document in group.items():
-                if path in places:
-                    _write_trial(places[path], _with_includes(document, main, places), path)
-        yield [places.get(main, main) for main in mains]
-    finally:
-        for place in places.values():
-            place.unlink(missing_ok=True)
-
-
-def _write_trial(place: Path, data: bytes, path: Path) -> None:
-    """Writes what is tried; an error names the file that is meant, not the hidden one."""
-    try:
-        clear_left(place.parent)
-        write_new(place, data, lasting=False)
-    except OSError as error:
-        message = diagnose("nothing-to-be-tried", problem=error.strerror or str(error))
-        raise OutputError(path, message) from error
-
-
-def _with_includes(document: XmlDocument, main: Path, places: Mapping[Path, Path]) -> bytes:
-    """Returns a document's bytes, with the includes of files that are tried put to those."""
-    meant = []
-    for element in document.elements:
-        file = Path(element.attributes.get("file", ""))
-        if element.tag == "include":
-            found = (folder / file for folder in (main.parent, document.path.parent))
-            there = next((path for path in found if path in places), None)
-            if there is not None:
-                element.set("file", str(file.with_name(places[there].name)))
-                meant.append(element)
-    try:
-        return document.rendered()
-    finally:
-        for element in meant:
-            element.changes.clear()
 
 
 # Which file's value is taken in which difference.

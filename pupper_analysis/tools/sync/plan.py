@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+import os
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import placeholders_among
@@ -28,14 +33,16 @@ from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_docu
 
 _OF_BOTH = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
 
-_WRITTEN = (*OF_BODIES_AND_PLACES, *_OF_BOTH, "zero")
-"""Kinds of differences that are numbers of both formats."""
+_WRITTEN = tuple(kind for kind in (*OF_BODIES_AND_PLACES, *_OF_BOTH) if kind != "rotation")
+"""Kinds of differences that are numbers of both formats, and are written."""
 
 _REASONS = {
     "type": diagnose("joint-type-unwritten"),
     "parent": diagnose("parent-unwritten"),
     "name": diagnose("name-unwritten"),
     "base frame": diagnose("base-frame-unwritten"),
+    "rotation": diagnose("rotation-unwritten"),
+    "zero": diagnose("rotation-unwritten"),
     "gravity": diagnose("urdf-without-gravity"),
     "velocity": diagnose("mjcf-without-velocity"),
     "armature": diagnose("urdf-without-armature"),
@@ -98,6 +105,7 @@ class Plan:
         files: The files.
         urdf: {file: its document} of the URDF.
         mjcf: {file: its document} of the MJCF and what it includes, the main file first.
+        copies: The files of both models, and where they are tried.
         left: {difference: why it is not written}.
         causes: {difference that is left: the kind of reason}; the others are not mended.
         notes: {difference: what is to be said}.
@@ -106,6 +114,7 @@ class Plan:
     files: Files
     urdf: dict[Path, XmlDocument]
     mjcf: dict[Path, XmlDocument]
+    copies: tuple[Copies, Copies]
     left: dict[Key, Diagnostic] = field(default_factory=dict)
     causes: dict[Key, UnwrittenCause] = field(default_factory=dict)
     notes: dict[Key, Diagnostic] = field(default_factory=dict)
@@ -131,16 +140,13 @@ def edits_of(documents: Iterable[XmlDocument]) -> tuple[Edit, ...]:
     )
 
 
-def make_plan(
-    files: Files, tolerances: Tolerances, taken: Mapping[Key, str], *, absent: bool = False
-) -> Plan:
+def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) -> Plan:
     """Plans what is to be written.
 
     Args:
         files: The files.
         tolerances: With which their differences were found.
         taken: {kind and element of a difference: ``"urdf"`` or ``"mjcf"``, whose value is taken}.
-        absent: Whether what a file does not state is taken, too.
     """
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
     matched = match_models(urdf, mjcf, names=files.names, feet=files.feet, tolerances=tolerances)
@@ -148,7 +154,8 @@ def make_plan(
     theirs = list(mjcf.files)
     elements = MjcfInPlace(mjcf, Digits.of([urdf.path], theirs))
     document = read_document(urdf.path)
-    plan = Plan(files, {files.urdf: document}, elements.documents)
+    copies = laid_out(copies_of_urdf(urdf), copies_of_mjcf(mjcf))
+    plan = Plan(files, {files.urdf: document}, elements.documents, copies)
     into_urdf = UrdfSide(
         tree=UrdfTree(document.root),
         sides=both,
@@ -167,7 +174,7 @@ def make_plan(
         for key in keys:
             if reason := _reason(key, other, both):
                 plan.left[key], plan.causes[key] = reason, UnwrittenCause.NO_WORDS
-            elif not absent and is_absent(key, other, both, urdf, mjcf):
+            elif is_absent(key, other, both, urdf, mjcf):
                 plan.left[key], plan.causes[key] = _unstated(other), UnwrittenCause.NOT_STATED
         keys = [key for key in keys if key not in plan.left]
         side.wanted = both.wanted("urdf" if other == "mjcf" else "mjcf", keys)
@@ -194,7 +201,7 @@ def _reason(key: Key, whose: str, both: MatchedRobots) -> Diagnostic | None:
         if whose == "mjcf":
             return diagnose("urdf-without-words")
         return diagnose("mjcf-alone-states-it")
-    if kind in ("position", "rotation"):
+    if kind == "position":
         one, two = both.urdf.joints[name], both.mjcf.joints[name]
         if one.parent != two.parent:
             return diagnose("parent-is-another")
@@ -259,3 +266,136 @@ def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: M
     if whose == "mjcf":
         return mjcf.stated("joint", name, attribute.mjcf) is None
     return urdf.tree.joints[both.matched.urdf_joint[name]].stated(attribute) is None
+
+
+# Files of a model, and where copies of them are tried or written.
+
+
+_ASIDE = "mjcf"
+"""Folder of the MJCF and its files, where one of them has the place of another file."""
+
+
+@dataclass(frozen=True)
+class Copies:
+    """The files of a model, and where each goes in a folder.
+
+    No path in them is rewritten: the folder repeats as much of the folders around them as is
+    needed for each relative path to lead where it did.
+
+    Attributes:
+        main: The model's file.
+        top: The folder around all of them, which the new folder takes the place of.
+        files: All of them, the main file first.
+        aside: Into which part of the new folder they go.
+    """
+
+    main: Path
+    top: Path
+    files: tuple[Path, ...]
+    aside: Path = Path()
+
+    @staticmethod
+    def of(main: Path, others: Iterable[Path], within: Iterable[Path] = ()) -> Copies:
+        """Lays out a model's files.
+
+        Args:
+            main: The model's file.
+            others: All that it needs, beside absolute paths.
+            within: Folders whose names are needed, too: those of packages.
+        """
+        files = tuple(dict.fromkeys((main, *others)))
+        folders = {_plain(path).parent for path in (*files, *within)}
+        return Copies(main, Path(os.path.commonpath(folders)), files)
+
+    @cached_property
+    def places(self) -> Mapping[Path, Path]:
+        """{file: where it goes, relative to the folder}; the main file is one of them."""
+        return {file: self.aside / _plain(file).relative_to(self.top) for file in self.files}
+
+    def place(self) -> Path:
+        """Returns where the model's file goes."""
+        return self.places[self.main]
+
+
+def laid_out(urdf: Copies, mjcf: Copies) -> tuple[Copies, Copies]:
+    """Returns the files of both models in one folder.
+
+    Where those of one stand in the folders of the other's, they stay there; else each begins with
+    its own folder, and the MJCF's go to one of their own if they met the URDF's.
+    """
+    for outer in (urdf.top, mjcf.top):
+        if all(one.top.is_relative_to(outer) for one in (urdf, mjcf)):
+            return replace(urdf, top=outer), replace(mjcf, top=outer)
+    taken = {place: file for file, place in urdf.places.items()}
+    if all(_is_same(file, taken.get(place)) for file, place in mjcf.places.items()):
+        return urdf, mjcf
+    return urdf, replace(mjcf, aside=Path(_ASIDE))
+
+
+def _plain(path: Path) -> Path:
+    """Returns a path without ``..``, its links as they are: relative paths go by names."""
+    return Path(os.path.normpath(path.absolute()))
+
+
+def _is_same(file: Path, other: Path | None) -> bool:
+    return other is None or file.samefile(other)
+
+
+def copies_of_urdf(urdf: UrdfFile) -> Copies:
+    """Lays out a URDF and the meshes and textures that are found from where it stands.
+
+    A ``package://`` path that leads to a folder around the URDF does, too; one that is found by a
+    package's given folder, or on ``ROS_PACKAGE_PATH``, is found from everywhere.
+    """
+    found: list[Path] = []
+    packages: list[Path] = []
+    around = urdf.path.absolute().parents
+    for element in urdf.root.iter("mesh", "texture"):
+        name = element.get("filename") or ""
+        scheme, separator, rest = name.partition("://")
+        file = urdf.resolve_mesh(name) if name else None
+        if file is None or (not separator and Path(name).is_absolute()) or scheme == "file":
+            continue
+        if not separator:
+            found.append(file)
+            continue
+        inside = rest.lstrip("/").partition("/")[2]
+        package = Path(str(_plain(file)).removesuffix(inside)) if inside else file
+        if package in around:
+            manifest = existing_file(package / "package.xml")
+            found += [file] if manifest is None else [file, manifest]
+            packages.append(package)
+    return Copies.of(urdf.path, found, packages)
+
+
+def copies_of_mjcf(mjcf: MjcfFile) -> Copies:
+    """Lays out an MJCF, what it includes or attaches, and the files of its assets."""
+    return Copies.of(mjcf.path, [*mjcf.files, *_assets(mjcf)])
+
+
+def _assets(mjcf: MjcfFile) -> Iterator[Path]:
+    spec = mjcf.spec
+    folders = tuple(dict.fromkeys(file.parent for file in (mjcf.path, *mjcf.files)))
+    named = [
+        (element.file, element.compiler.meshdir)
+        for element in (*spec.meshes, *spec.hfields, *spec.skins)
+    ]
+    for texture in spec.textures:
+        named += [(f, texture.compiler.texturedir) for f in (texture.file, *texture.cubefiles)]
+    for file, folder in dict.fromkeys(named):
+        name = Path(file).name if spec.strippath else file
+        if not file or Path(name).is_absolute() or Path(folder).is_absolute():
+            continue
+        found = (existing_file(top / folder / name) for top in folders)
+        yield from (path for path in found if path is not None)
+
+
+@contextmanager
+def staged(contents: Mapping[Path, bytes]) -> Iterator[Path]:
+    """Writes files to a folder of their own, to be tried: {place there: content}; yields it."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for name, content in contents.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+        yield folder

@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
-from pupper_analysis.base.diagnostics import Term, diagnose
+from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
-from pupper_analysis.tools.sync.digits import SAME, Digits, origin_changes
-from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, turned_like, ways_to_weigh
+from pupper_analysis.tools.sync.digits import SAME, Digits
+from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, ways_to_weigh
 from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
@@ -53,13 +53,14 @@ class UrdfSide(Side):
         for key in taken:
             if key[0] == "frame":
                 self._frame(key)
-        for name in dict.fromkeys(e for k, e in taken if k in ("position", "rotation", "zero")):
-            self._place(name)
+        for kind, name in taken:
+            if kind == "position":
+                self._place(name)
         for key in taken:
             kind, name = key
             if kind == "axis":
                 self._axis(name)
-            elif kind in (*_RANGE, "zero"):
+            elif kind in _RANGE:
                 self._limits(key)
             elif kind in _NUMBERS:
                 self._number(key)
@@ -86,21 +87,22 @@ class UrdfSide(Side):
             return
         owner, position = self.wanted.frames[name]
         inside = self.sides.urdf_frames[owner].inverse() * position
-        there = self._pose(joint.parent).inverse() * inside
-        self._set_pose(joint, pin.SE3(np.array(joint.origin.rotation), there))
+        self._set_place(joint.element, self._pose(joint.parent).inverse() * inside)
 
     def _place(self, name: str) -> None:
         joint = self._joint(name)
         frame = self.sides.urdf_frames[self._mover(joint.parent)] * self._pose(joint.parent)
-        self._set_pose(joint, frame.inverse() * self.wanted.joints[name].placement)
+        placed = frame.inverse() * self.wanted.joints[name].placement
+        self._set_place(joint.element, np.array(placed.translation))
 
     def _joint(self, name: str) -> UrdfJoint:
         return self.tree.joints[self.sides.matched.urdf_joint[name]]
 
-    def _set_pose(self, joint: UrdfJoint, pose: pin.SE3) -> None:
+    def _set_place(self, element: Element, place: Array) -> None:
         """States where a joint's frame is in its parent's."""
-        for attribute, text in origin_changes(joint.element, pose, self.digits).items():
-            joint.element.ensure("origin").set(attribute, text)
+        text = place_change(element, place, self.digits)
+        if text is not None:
+            element.ensure("origin").set("xyz", text)
 
     def _axis(self, name: str) -> None:
         """States a joint's axis, unless it has that direction."""
@@ -126,15 +128,8 @@ class UrdfSide(Side):
     def _limits(self, key: Key) -> None:
         moved, joint = self._joint(key[1]), self.wanted.joints[key[1]]
         element = moved.element
-        finite = math.isfinite(joint.lower), math.isfinite(joint.upper)
-        if element.get("type") == "continuous" and not any(finite):
-            return
-        if not all(finite):
-            if any(finite) or joint.slides:
-                self.left[key] = diagnose("urdf-limits-unwritten")
-            else:
-                element.set("type", "continuous")
-                self.notes[key] = diagnose("joint-made-continuous")
+        if not (math.isfinite(joint.lower) and math.isfinite(joint.upper)):
+            self.left[key] = diagnose("urdf-limits-unwritten")
             return
         if element.get("type") == "continuous":
             element.set("type", "revolute")
@@ -149,11 +144,7 @@ class UrdfSide(Side):
             self.left[key] = diagnose("base-without-joint")
             return
         joint: TreeJoint = self.wanted.joints[name]
-        value = float(getattr(joint, kind))
-        if not math.isfinite(value):
-            self.left[key] = diagnose("urdf-number-unlimited", kind=Term(kind))
-            return
-        self._state(self._joint(name), kind, value)
+        self._state(self._joint(name), kind, float(getattr(joint, kind)))
         if kind == "effort":
             self._complete(key, self._joint(name))
 
@@ -195,15 +186,11 @@ class UrdfSide(Side):
             inside = self._pose(link).actInv(part)
             return inertial_changes(self._links[link].element, inside, self.digits)
 
-        tries = [{link: changed(link, part) for link, part in way.items()} for way in ways]
-        best = min(tries, key=lambda way: sum(map(len, way.values())))
-        for link, changes in best.items():
-            self._write(link, changes)
+        tries = [(link, changed(link, part)) for link, part in ways]
+        best, changes = min(tries, key=lambda way: len(way[1]))
+        self._write(best, changes)
         if len(placed) > 1:
-            message = diagnose("links-changed-alike", links=len(best))
-            if len(best) == 1:
-                link = next(iter(best))
-                message = diagnose("one-link-changed", links=len(placed), link=link)
+            message = diagnose("one-link-changed", links=len(placed), link=best)
             self.notes.update(dict.fromkeys(keys, message))
 
     def _write(self, link: str, changes: Changes) -> None:
@@ -213,11 +200,15 @@ class UrdfSide(Side):
             element.ensure(path).set(attribute, text)
 
 
-def inertial_changes(link: Element, wanted: pin.Inertia, digits: Digits) -> Changes:
-    """Returns the fewest changes by which a link's inertial states a mass.
+def place_change(owner: Element | None, place: Array, digits: Digits) -> str | None:
+    """Returns what the <origin> in an element must say for a place; None if it does."""
+    origin = None if owner is None else owner.find("origin")
+    stated = None if origin is None else origin.get("xyz")
+    return digits.words((stated or "0 0 0").split(), place, 1.0)
 
-    Either the entries of the tensor change, or the axes in which they are given.
-    """
+
+def inertial_changes(link: Element, wanted: pin.Inertia, digits: Digits) -> Changes:
+    """Returns the changes by which a link's inertial states a mass, in the axes that it has."""
     inertial = link.find("inertial")
     weight, entry = (inertial and inertial.find(tag) for tag in ("mass", "inertia"))
     changes: Changes = {}
@@ -227,18 +218,10 @@ def inertial_changes(link: Element, wanted: pin.Inertia, digits: Digits) -> Chan
         changes["mass", "value"] = text
     rotation = np.array(origin_of(inertial).rotation)
     stated = [None if entry is None else entry.get(name) for name in INERTIA_ENTRIES]
-    tensor = np.array(wanted.inertia)
-    inside = rotation.T @ tensor @ rotation
-    turn = None
-    numbers_now = inertia_tensor(np.array([float(word or 0) for word in stated]))
-    of_tensor = dict(_tensor_changes(stated, inertia_entries(inside), digits))
-    if len(of_tensor) > 1:
-        turn = turned_like(tensor, numbers_now, rotation)
-    pose = pin.SE3(rotation if turn is None else turn, np.array(wanted.lever))
-    place = origin_changes(inertial, pose, digits)
-    if turn is None:
-        changes |= of_tensor
-    return changes | {("origin", attribute): text for attribute, text in place.items()}
+    inside = rotation.T @ np.array(wanted.inertia) @ rotation
+    changes |= dict(_tensor_changes(stated, inertia_entries(inside), digits))
+    text = place_change(inertial, np.array(wanted.lever), digits)
+    return changes if text is None else changes | {("origin", "xyz"): text}
 
 
 def _tensor_changes(

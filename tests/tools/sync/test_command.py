@@ -1,10 +1,9 @@
-"""``pupper-analysis sync``: exit status, what is printed, questions in a terminal, bad input."""
+"""``pupper-analysis sync``: exit status, what is printed, bad input."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import click
 import pytest
 
 from tests.support.commands import Answer, answer
@@ -37,38 +36,11 @@ def test_without_a_choice_the_differences_are_listed(folder: Path) -> None:
     assert (folder / "robot.xml").read_bytes() == before
 
 
-def asked(folder: Path, keys: str, monkeypatch: pytest.MonkeyPatch) -> Answer:
-    """Runs it in what it takes for a terminal, in which keys are pressed."""
-    waiting = iter(keys)
-    monkeypatch.setattr(click, "getchar", lambda: next(waiting))
-    monkeypatch.setattr("pupper_analysis.tools.sync.command._is_terminal", lambda: True)
-    result = run(folder)
-    assert list(waiting) == []
-    return result
-
-
-def test_in_a_terminal_each_difference_is_asked_for(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    result = asked(folder, "xum", monkeypatch)
+def test_what_was_written_is_shown(folder: Path) -> None:
+    result = run(folder, "--take", "urdf:1", "--take", "mjcf:effort")
     assert result.returncode == 0
-    assert '   robot.urdf:5: <mass value="6.0"/>' in result.stdout
-    assert '   robot.xml:7: <inertial pos="0.01 0.002 -0.005" mass="7.5"' in result.stdout
     assert "body base > inertial: mass: 7.5 -> 6" in result.stdout
     assert "joint hip1 > limit: effort: 21.0 -> 25" in result.stdout
-
-
-@pytest.mark.parametrize(
-    ("keys", "written"), [("sq", 0), ("q", 0), ("M", 2), ("sU", 1), ("us", 1), ("ss", 0)]
-)
-def test_differences_are_taken_by_their_keys(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, keys: str, written: int
-) -> None:
-    result = asked(folder, keys, monkeypatch)
-    assert result.returncode == (0 if written == 2 else 1)
-    assert result.stdout.count(" -> ") == written
-    if not written:
-        assert "Nothing was changed." in result.stdout
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,6 @@ KINDS: dict[str, list[tuple[str, str, Change]]] = {
         ("inertia", "iyy", scaled),
         ("inertia", "izz", scaled),
         ("moving origin", "xyz", shifted),
-        ("moving origin", "rpy", turned),
         ("fixed origin", "xyz", shifted),
         ("axis", "xyz", swung),
         ("limit", "lower", limits),
@@ -149,7 +148,6 @@ KINDS: dict[str, list[tuple[str, str, Change]]] = {
         ("inertial", "diaginertia", one_scaled),
         ("inertial", "quat", turned),
         ("body", "pos", shifted),
-        ("body", "quat", turned),
         ("joint", "axis", swung),
         ("joint", "range", limits),
         ("joint", "damping", scaled),
@@ -158,12 +156,9 @@ KINDS: dict[str, list[tuple[str, str, Change]]] = {
         ("joint+", "range", lambda *_: [-0.3, 0.4]),
         ("joint+", "damping", lambda *_: [0.3]),
         ("joint+", "frictionloss", lambda *_: [0.3]),
-        ("joint+", "pos", lambda *_: [0.004, -0.003, 0.005]),
         ("motor+", "forcerange", lambda *_: [-2.5, 2.5]),
         ("motor", "ctrlrange", lambda _, values: [0.9 * value for value in values]),
         ("site", "pos", shifted),
-        ("geom", "mass", scaled),
-        ("geom+", "mass", lambda *_: [0.0625]),
     ],
 }
 
