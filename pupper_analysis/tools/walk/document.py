@@ -32,7 +32,6 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
             _motors(walk),
             _runs(walk),
             _feet(walk),
-            _stances(walk),
             torque_plot(walk),
         ),
         passed=walk.passed,
@@ -106,12 +105,13 @@ def _motors(walk: Walk) -> doc.Table:
     rms, peak, share, speed = (
         _worst(walk, name) for name in ("torque_rms", "torque_peak", "at_limit", "speed_peak")
     )
+    static = walk.gaits[0].static
     rows = tuple(
         (
             doc.Name(joint),
             doc.number_cell(rms[index], ".2f"),
             doc.number_cell(peak[index], ".2f"),
-            doc.number_cell(None if walk.standing is None else abs(walk.standing[index]), ".2f"),
+            doc.number_cell(None if static is None else static[index], ".2f"),
             doc.number_cell(walk.limits[index], ".2f"),
             doc.number_cell(100 * share[index], ".1f", "warn" if share[index] > 0 else ""),
             doc.number_cell(speed[index], ".1f"),
@@ -127,7 +127,8 @@ def _motors(walk: Walk) -> doc.Table:
         doc.Column(text("walk-share"), "%"),
         doc.Column(text("walk-fastest"), "rad/s"),
     )
-    return doc.Table(text("walk-joints"), columns, rows, (), (_how(walk),))
+    notes = (text("walk-statics-how"),)
+    return doc.Table(text("walk-joints"), columns, rows, notes, (_how(walk),))
 
 
 def _how(walk: Walk) -> doc.Text:
@@ -190,42 +191,6 @@ def _feet(walk: Walk) -> doc.Table:
     )
     columns = (doc.Column(text("walk-foot"), left=True), doc.Column(text("walk-duty"), "%"))
     return doc.Table(text("walk-feet"), columns, rows)
-
-
-_SHORT = 0.02
-"""Share of the time below which a stance is left out: feet come down a moment apart."""
-
-
-def _stances(walk: Walk) -> doc.Table:
-    """Returns what motors give in each stance of the first run, beside its statics."""
-    rows = []
-    for one in walk.gaits[0].stances:
-        if one.share < _SHORT:
-            continue
-        used = one.static / np.where(np.isfinite(walk.limits), walk.limits, 1.0)
-        most = int(np.argmax(used))
-        rows.append(
-            (
-                doc.Name(", ".join(one.feet) or "-"),
-                doc.number_cell(100 * one.share, ".0f"),
-                doc.number_cell(None if np.isnan(one.outside) else 1e3 * one.outside, ".0f"),
-                doc.Name(walk.joints[most]),
-                doc.number_cell(one.static[most], ".2f"),
-                doc.number_cell(one.torque_rms[most], ".2f"),
-                doc.number_cell(one.torque_peak[most], ".2f"),
-            )
-        )
-    columns = (
-        doc.Column(text("walk-feet-down"), left=True),
-        doc.Column(text("walk-duty-of"), "%"),
-        doc.Column(text("walk-com-outside"), "mm"),
-        doc.Column(text("walk-hardest"), left=True),
-        doc.Column(text("walk-statics"), "N m"),
-        doc.Column(text("walk-rms"), "N m"),
-        doc.Column(text("walk-peak"), "N m"),
-    )
-    note = (text("walk-stances-how"),)
-    return doc.Table(text("walk-stances"), columns, tuple(rows), (), note)
 
 
 _DRAWN = 4

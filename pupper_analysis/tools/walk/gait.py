@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,16 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleError
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.judge import remarks_of_files
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import bodies_on_ground
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT
 from pupper_analysis.simulation.rollout import STATE
-from pupper_analysis.statics.equilibrium import gravity_compensation
 from pupper_analysis.tools.walk.contract import Contract
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Run, Stage, rotations, simulate_cases, stage_of
@@ -54,32 +52,6 @@ _FRAME = 1 / 25
 
 
 @dataclass(frozen=True, eq=False)
-class GaitStance(Result):
-    """What motors give while certain feet touch the ground, beside what statics ask of them there.
-
-    Statics: the same joints, nothing moving, vertical forces at the points that touch, which carry
-    the weight as close beneath the centre of mass as they can. Where that is outside, a robot
-    standing so would tip; it does not while it walks.
-
-    Attributes:
-        feet: Which touch.
-        share: Of the time.
-        outside: How far the centre of mass is from above the points that touch, mean (m); not a
-            number without any.
-        static: (nu,) root of the mean square of each motor's torque by statics (N m).
-        torque_rms: (nu,) of what it gives at the same moments (N m).
-        torque_peak: (nu,) the greatest of these (N m).
-    """
-
-    feet: tuple[str, ...]
-    share: float
-    outside: float
-    static: Array
-    torque_rms: Array
-    torque_peak: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Gait(Result):
     """One run of a policy on a robot: means are over what follows the warm-up.
 
@@ -100,7 +72,8 @@ class Gait(Result):
             does not move.
         duty: {foot: share of the time in which it touches the ground}.
         touching: Bodies besides the feet that touched the ground.
-        stances: By which feet touch, the longest first; of the first run (seed 0) alone.
+        static: (nu,) root of the mean square of what statics ask of each motor at the same moments
+            (N m); of the first run (seed 0) alone, else None.
         roll: Standard deviation of the base's roll (rad).
         pitch: Of its pitch (rad).
         bounce: Of its height (m).
@@ -126,7 +99,7 @@ class Gait(Result):
     transport: float | None
     duty: Mapping[str, float]
     touching: tuple[str, ...]
-    stances: tuple[GaitStance, ...]
+    static: Array | None
     roll: float
     pitch: float
     bounce: float
@@ -147,8 +120,6 @@ class Walk(Result):
         contract: What it observes, and what its actions mean.
         joints: The robot's, in actuator order.
         limits: (nu,) torque that each motor can give (N m); infinite without a limit.
-        standing: (nu,) torque that holds the robot still in the policy's default pose, by statics
-            on all feet (N m); None where none does.
         mass: kg.
         gaits: One for each seed; the first starts exactly in the default pose.
         integrator: MuJoCo's.
@@ -163,7 +134,6 @@ class Walk(Result):
     contract: Contract
     joints: tuple[str, ...]
     limits: Array
-    standing: Array | None
     mass: float
     gaits: tuple[Gait, ...]
     integrator: str
@@ -254,7 +224,6 @@ def simulate_walk(
         contract=policy.contract,
         joints=robot.joint_names,
         limits=robot.effort_limits,
-        standing=_standing_torques(stage),
         mass=robot.total_mass,
         gaits=gaits,
         integrator=mujoco.mjtIntegrator(int(stage.model.opt.integrator)).name[6:],
@@ -263,15 +232,6 @@ def simulate_walk(
         warm_up=warm_up,
         remarks=remarks_of_files(robot),
     )
-
-
-def _standing_torques(stage: Stage) -> Array | None:
-    """Returns the torques (nu,) of statics in the pose in which runs start; None without."""
-    try:
-        config = Configuration(stage.robot, stage.default)
-        return gravity_compensation(config).joint_torques
-    except StaticsInfeasibleError:
-        return None
 
 
 def joint_torques(stage: Stage, run: Run) -> Array:
@@ -365,7 +325,7 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
     weight = robot.weight
     ticks = run.states[first :: stage.substeps]
     ticks = ticks[np.isfinite(ticks).all(axis=1)]
-    seen, touching = _contacts(stage, run.case.model, ticks, statics=not run.case.seed)
+    seen, touching = contacts_of(stage, run.case.model, ticks, statics=not run.case.seed)
     duty = {foot: sum(foot in one.feet for one in seen) / max(1, len(seen)) for foot in robot.feet}
     turned = rotations(ticks[:, 1 + convention.qpos_index[3:7]])
     allowed = (FALLEN_TILT, (1 - FALLEN_HEIGHT) * stage.upright.size)
@@ -390,7 +350,7 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
         transport=power / (weight * speed) if speed > SPEED_SLACK else None,
         duty=duty,
         touching=touching,
-        stances=() if run.case.seed else _stances(seen, torques[:: stage.substeps]),
+        static=_rms(np.array([one.static for one in seen])) if seen and not run.case.seed else None,
         roll=float(np.std(np.arctan2(turned[:, 2, 1], turned[:, 2, 2]))),
         pitch=float(np.std(np.arcsin(np.clip(-turned[:, 2, 0], -1, 1)))),
         bounce=float(np.std(ticks[:, 1 + convention.qpos_index[2]])),
@@ -412,18 +372,25 @@ def fall_of(stage: Stage, run: Run, duration: float) -> Diagnostic:
     return diagnose("fell-over", tilt=lean, height=height, time=time)
 
 
-class _Seen(NamedTuple):
-    """A moment: which feet touch, what statics ask, how far outside the centre of mass is."""
+class Moment(NamedTuple):
+    """Which feet touch at a moment, and what statics ask of the motors (nu,) there (N m).
+
+    Statics: the same joints, nothing moving, vertical forces at the points that touch, which carry
+    the weight as close beneath the centre of mass as they can. Where that is outside, a robot
+    standing so would tip; it does not while it walks.
+    """
 
     feet: tuple[str, ...]
     static: Array
-    outside: float
 
 
-def _contacts(
+def contacts_of(
     stage: Stage, model: mujoco.MjModel, states: Array, *, statics: bool
-) -> tuple[list[_Seen], tuple[str, ...]]:
-    """Returns which feet touch the ground in some states, and what else touches it in any."""
+) -> tuple[list[Moment], tuple[str, ...]]:
+    """Returns which feet touch the ground in some states, and what else touches it in any.
+
+    Without ``statics`` what these ask is zeros, and takes no time.
+    """
     robot, data = stage.robot, mujoco.MjData(model)
     found, others = [], set()
     for state in states:
@@ -443,11 +410,11 @@ def _contacts(
         ground = (bodies == 0).any(axis=1) & np.array([foot is not None for foot in feet], bool)
         named = {str(feet[index]) for index in np.flatnonzero(ground)}
         touching = tuple(foot for foot in robot.feet if foot in named)
-        asked = np.zeros(robot.nu), math.nan
+        asked = np.zeros(robot.nu)
         if statics:
             points, bearing = data.contact.pos[near[ground]], model.geom_bodyid[geoms[ground]]
             asked = _statics(stage, model, data, points, bearing)
-        found.append(_Seen(touching, *asked))
+        found.append(Moment(touching, asked))
         others |= bodies_on_ground(model, data, robot.foot_geoms)
     return found, tuple(sorted(others))
 
@@ -458,8 +425,8 @@ _UPRIGHT, _EVEN = 1e3, 1e-5
 
 def _statics(
     stage: Stage, model: mujoco.MjModel, data: mujoco.MjData, points: Array, bodies: NDArray[Any]
-) -> tuple[Array, float]:
-    """Returns the motors' torques (nu,) of statics on some points, and how far the com is off.
+) -> Array:
+    """Returns the motors' torques (nu,) of statics on some points.
 
     Vertical forces n >= 0 at the points p: least |sum n p / W - c|, with sum n = W.
     """
@@ -467,38 +434,17 @@ def _statics(
 
     free = data.qfrc_bias - data.qfrc_passive
     weight = float(np.linalg.norm(model.opt.gravity)) * float(model.body_subtreemass[1:].max())
-    outside = math.nan
     if len(points):
         com = data.subtree_com[stage.model.body(stage.robot.mj_base).id, :2]
         apart = (points[:, :2] - com).T
         rows = np.vstack([apart, np.full(len(points), _UPRIGHT), _EVEN * np.eye(len(points))])
         shares, _ = nnls(rows, np.r_[0.0, 0.0, _UPRIGHT, np.zeros(len(points))])
-        outside = float(np.linalg.norm(apart @ shares))
         jacobian = np.empty((3, model.nv))
         for point, body, share in zip(points, bodies, shares, strict=True):
             mujoco.mj_jac(model, data, jacobian, None, point, int(body))
             free = free - weight * share * jacobian[2]
     torques: Array = free[stage.robot.mj_convention.qvel_index[6:]]
-    return torques, outside
-
-
-def _stances(seen: Sequence[_Seen], torques: Array) -> tuple[GaitStance, ...]:
-    """Returns moments by the feet that touch, with the torques (n, nu) at these."""
-    grouped: dict[tuple[str, ...], list[int]] = {}
-    for place, one in enumerate(seen[: len(torques)]):
-        grouped.setdefault(one.feet, []).append(place)
-    found = [
-        GaitStance(
-            feet=feet,
-            share=len(places) / len(seen),
-            outside=float(np.mean([seen[place].outside for place in places])),
-            static=_rms(np.array([seen[place].static for place in places])),
-            torque_rms=_rms(torques[places]),
-            torque_peak=np.abs(torques[places]).max(axis=0),
-        )
-        for feet, places in grouped.items()
-    ]
-    return tuple(sorted(found, key=lambda one: -one.share))
+    return torques
 
 
 def _rms(values: Array) -> Array:

@@ -16,7 +16,7 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.walk.contract import Term
-from pupper_analysis.tools.walk.gait import measure, simulate_walk
+from pupper_analysis.tools.walk.gait import contacts_of, measure, simulate_walk
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Observer, simulate_cases, stage_of
 from tests.support.variants import load
@@ -68,8 +68,8 @@ def test_torques_and_motion_of_bare_mujoco(still: Policy) -> None:
     assert 0.8 < gait.margin < 0.95  # it sags
     assert all(share == 1.0 for share in gait.duty.values())
     assert gait.power < 0.01
-    assert walk.standing is not None  # it stands: what the gait asks for is what statics do
-    assert rms.sum() == pytest.approx(np.abs(walk.standing).sum(), rel=0.15)
+    assert gait.static is not None  # it stands: what the gait asks for is what statics do
+    assert gait.static[2::3] == pytest.approx(rms[2::3], rel=0.1)  # knees: feet do not push aside
 
 
 def test_a_delay_is_that_of_the_commands(still: Policy) -> None:
@@ -149,29 +149,30 @@ def test_statics_of_a_stance_are_those_of_its_energy(tmp_path: Path) -> None:
     robot = load("v3")
     stage = stage_of(robot, Policy.load(made.trot(tmp_path / "trot.json")))
     [run] = simulate_cases(stage, [stage.case(np.array(made.TROT[0]))], 3.0, 1.0, 1)
-    gait = measure(stage, run, 1.0)
-    pair = next(one for one in gait.stances if len(one.feet) == 2)
-    assert pair.share > 0.1
-    weight = robot.total_mass * 9.81
-    squares, outside, data = [], [], mujoco.MjData(stage.model)
-    for state in run.states[round(1.0 / stage.timestep) :: stage.substeps]:
+    states = run.states[round(1.0 / stage.timestep) :: stage.substeps]
+    seen, _ = contacts_of(stage, run.case.model, states, statics=True)
+    whole = np.sqrt(np.mean([one.static**2 for one in seen], axis=0))
+    assert measure(stage, run, 1.0).static == pytest.approx(whole, abs=1e-12)
+    weight, pairs, data = robot.total_mass * 9.81, 0, mujoco.MjData(stage.model)
+    for state, moment in zip(states, seen, strict=True):
         mujoco.mj_setState(stage.model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_forward(stage.model, data)
         floor = data.contact.geom[data.contact.dist <= 0]
         down = {robot.foot_geoms.get(int(geom)) for geom in floor.ravel()} - {None}
-        if down != set(pair.feet):
+        assert down == set(moment.feet)
+        if len(down) != 2:
             continue
+        pairs += 1
         qpos = state[1 + robot.mj_convention.qpos_index]
 
-        def lifted(angles: Any, qpos: Any = qpos) -> Any:
+        def lifted(angles: Any, qpos: Any = qpos, moment: Any = moment) -> Any:
             config = Configuration(robot, np.r_[qpos[:7], angles])
             feet = config.foot_positions()
-            return config.center_of_mass(), *(feet[foot] for foot in pair.feet)
+            return config.center_of_mass(), *(feet[foot] for foot in moment.feet)
 
         com, one, other = lifted(qpos[7:])
         line = (other - one)[:2]
         part = float(np.clip((com - one)[:2] @ line / (line @ line), 0.0, 1.0))
-        outside.append(np.linalg.norm((one + part * (other - one) - com)[:2]))
         torque = []
         for joint in range(12):
             rise = []
@@ -181,7 +182,5 @@ def test_statics_of_a_stance_are_those_of_its_energy(tmp_path: Path) -> None:
                 c, a, b = lifted(angles)
                 rise.append(weight * (c[2] - (1 - part) * a[2] - part * b[2]))
             torque.append((rise[0] - rise[1]) / 2e-6)
-        squares.append(np.square(torque))
-    assert pair.outside == pytest.approx(np.mean(outside), abs=1e-4)
-    assert pair.static == pytest.approx(np.sqrt(np.mean(squares, axis=0)), abs=2e-3)
-    assert sum(one.share for one in gait.stances) == pytest.approx(1.0)
+        assert moment.static == pytest.approx(torque, abs=5e-3)
+    assert pairs > 10
