@@ -81,6 +81,8 @@ _OPTIONS = {
     "actuatorgroupdisable": ("option", {"actuatorgroupdisable"}),
     "timestep": ("option", {"timestep"}),
     "iterations": ("option", {"solver", "iterations", "tolerance"}),
+    "gravity": ("option", {"gravity"}),
+    "fluid": ("option", {"density", "viscosity", "wind"}),
 }
 """The elements of options, and their attributes."""
 
@@ -240,7 +242,7 @@ def _signs(bare: Bare, robot: Robot) -> Iterator[Candidate]:
 
 
 def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
-    """Forces beside gravity and motors: springs, joints' limits."""
+    """Forces beside gravity and motors: springs, joints' limits, fluids; and gravity aside."""
     model, joints = bare.model, _joints_of(bare, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
     sprung = [
@@ -253,6 +255,16 @@ def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     yield from _if_any("spring", (*sprung[0], *sprung[1]), f"{linear} {higher}", slice(None))
     limited = joints[model.jnt_limited[joints] != 0]
     yield from _if_any("range", _names(model, _OBJ.mjOBJ_JOINT, limited), "jnt_limited", limited)
+    if model.opt.density or model.opt.viscosity:
+        parts = [f"density {model.opt.density:g} kg/m^3", f"viscosity {model.opt.viscosity:g} Pa s"]
+        if model.opt.wind.any():
+            parts.append(f"wind ({', '.join(f'{speed:g}' for speed in model.opt.wind)}) m/s")
+        yield Candidate("fluid", tuple(parts), _set(("density viscosity", None, 0.0)))
+    if model.opt.gravity[:2].any():
+        down = 0.0, 0.0, -np.linalg.norm(model.opt.gravity)
+        stated = ", ".join(f"{part:g}" for part in model.opt.gravity)
+        upright = _set(("opt.gravity", slice(None), down))
+        yield Candidate("gravity", (f"({stated}) m/s^2",), upright)
 
 
 _SLIPPERY = 0.3

@@ -54,6 +54,7 @@ from pupper_analysis.prepare.joints import (
 from pupper_analysis.prepare.simulable import (
     check_masses,
     check_simulable,
+    choose_exact_solver,
 )
 from pupper_analysis.prepare.start import find_start_pose, start_of
 from pupper_analysis.prepare.touching import leave_out_visuals, take_visuals_of
@@ -393,6 +394,12 @@ def _touch_with_feet_alone(draft: Draft) -> Made:
 @_pass(Term("excludes contacts of parts that overlap"), _commanded)
 def _keep_apart(draft: Draft) -> Made:
     robot, messages = touching.exclude_overlaps(draft.robot)
+    return replace(draft, built=robot), messages
+
+
+@_pass(Term("chooses a solver that solves the equations of motion"), _altered)
+def _solve_exactly(draft: Draft) -> Made:
+    robot, messages = choose_exact_solver(draft.robot)
     return replace(draft, built=robot), messages
 
 

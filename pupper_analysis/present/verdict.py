@@ -334,6 +334,8 @@ _CAUSES = {
     "gear": "gear-is-negative",
     "spring": "springs-pull",
     "range": "range-stops",
+    "fluid": "fluid-drags",
+    "gravity": "gravity-aside",
     "slippery": "contacts-slip",
     "soft": "contacts-give-way",
     "base-held": "base-held-as-published",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from pupper_analysis.present.verdict import in_words, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict
 from tests.support import features
 from tests.support.features import LEGS, Edit, put, section
+from tests.support.repository import ROOT
 from tests.support.slips import standing
 
 NEVER = {
@@ -160,10 +162,13 @@ PLANTS: dict[str, tuple[Edit, str]] = {
         ),
         "motors-elsewhere-push",
     ),
+    "a fluid": (option('density="1000" viscosity="1"'), "fluid-drags"),
+    "wind": (option('density="1.2" wind="30 0 0"'), "fluid-drags"),
     "damping below zero": (
         put(" axis=", ' damping="-0.5" axis='),
         "joints-damped-negatively, rests-on-made-up",
     ),
+    "gravity aside": (option('gravity="4 0 -9"'), "gravity-aside, files-differ"),
     "a foot that does not touch": (feet('contype="0" conaffinity="0"', 1), "limb-without-foot"),
     "a command elsewhere": (put('ctrl="0 0.6 -1.2', 'ctrl="0 0.6 -0.6', 1), "own-run"),
 }
@@ -246,7 +251,7 @@ def test_of_what_is_sound_nothing_is_told(tmp_path: Path) -> None:
 
 HARMLESS = {
     *("a tendon's spring", "a base without weight", "a margin of contacts", "condim 1"),
-    "a command elsewhere",
+    *("a fluid", "a command elsewhere"),
 }
 """Those with which it stands in bare MuJoCo, too: nothing is told."""
 
@@ -258,3 +263,12 @@ def test_the_right_one_is_told(tmp_path: Path, plant: str) -> None:
     found = right(urdf, mjcf, ODD[plant] if plant in ODD else tuple(PLANTS[plant][1].split(", ")))
     assert found is (None if plant in HARMLESS else True)
     assert found or stands(mjcf)
+
+
+def test_gravity_aside_is_told(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
+    shared = tmp_path / "mjcf/pupper_v3_shared.xml"
+    shared.write_text(put("0 0 -9.81", "4 0 -9")(shared.read_text()))
+    verdict = judged(ROOT / "urdf/pupper_v3.urdf", tmp_path / "mjcf/pupper_v3.xml")
+    assert not verdict.passed
+    assert "gravity-aside" in causes(verdict), in_words(verdict)
