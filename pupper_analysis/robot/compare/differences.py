@@ -338,7 +338,6 @@ _ABOUT = {
     "joint": "about-joint",
     "agreement": "about-agreement",
     "guess": "about-guess",
-    "base": "about-base",
     "refused": "about-refused",
     "stale": "about-stale",
 }

@@ -30,7 +30,6 @@ from pupper_analysis.tools.check.remarks import (
     REFUSED,
     BaselineEntry,
     Remark,
-    RemarkState,
     count_findings,
     judge_remarks,
     of_audit,
@@ -130,9 +129,9 @@ class RepositoryCheck(Result):
         pairs: What was checked.
         remarks: What was found, what fails first, with what the baseline knows of it.
         failures: How many of them fail: not known, and as bad as the configuration's ``fail-on``;
-            differences that one slip explains, or that have the same values, are one.
+            those that one slip explains, or that have the same values, are one.
         stale: Entries of the baseline that do not occur any more; they were taken out if it was
-            written anew.
+            written anew. None of them while a file cannot be read.
         updated: Whether the baseline was written anew.
         passed: Whether nothing fails.
     """
@@ -158,8 +157,8 @@ def check_repository(
 
     Args:
         config: The configuration; by default that of the current folder, or of one above it.
-        update_baseline: Write what is found to the baseline, so that all of it is known. What
-            cannot be read is not taken; its entries stay.
+        update_baseline: Write what is found to the baseline, so that all of it is known; not while
+            a file cannot be read.
         since: A revision of git: what has changed since then is reported, with what it does; it
             fails where the robot falls or MuJoCo diverges, and where ``fail-on`` says so. No
             baseline knows it.
@@ -182,16 +181,12 @@ def check_repository(
     if since is not None:
         found += _changed(settings, since, found)
     known, left = judge_remarks(_distinct(found), before)
-    unseen = _unseen(settings, known, left)
-    if update_baseline:
-        taken = [
-            BaselineEntry(remark.identity, remark.values) for remark in known if _lasts(remark)
-        ]
-        write_baseline(settings.baseline, [*taken, *unseen])
-        known = tuple(
-            replace(remark, state=RemarkState.KNOWN) if _lasts(remark) else remark
-            for remark in known
-        )
+    # Of what cannot be read nobody knows what occurs in it: then nothing is stale, nor written.
+    whole = not _refused(known)
+    if update_baseline and whole:
+        known = tuple(replace(remark, known=remark.check != "diff") for remark in known)
+        taken = [BaselineEntry(one.identity, one.values) for one in known if one.known]
+        write_baseline(settings.baseline, taken)
     ordered = sorted(
         (replace(remark, fails=_fails(remark, settings)) for remark in known),
         key=lambda remark: (not remark.fails, remark.severity.rank),
@@ -203,8 +198,8 @@ def check_repository(
         pairs=tuple(_counted(pair, ordered) for pair in pairs),
         remarks=tuple(ordered),
         failures=failures,
-        stale=tuple(entry for entry in left if entry not in unseen),
-        updated=update_baseline,
+        stale=left if whole else (),
+        updated=update_baseline and whole,
         passed=not failures,
     )
 
@@ -213,13 +208,8 @@ def _counted(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
     """Returns what was checked of a pair, with its results."""
     own = [one for one in remarks if one.pair == pair.name
            or (not one.pair and one.file in pair.files)]  # fmt: skip
-    known = count_findings(one for one in own if one.state is RemarkState.KNOWN)
+    known = count_findings(one for one in own if one.known)
     return replace(pair, failures=count_findings(one for one in own if one.fails), known=known)
-
-
-def _lasts(remark: Remark) -> bool:
-    """Whether a baseline may know it: not what cannot be read, nor what was otherwise once."""
-    return remark.kind != REFUSED and remark.check != "diff"
 
 
 def _changed(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterator[Remark]:
@@ -241,7 +231,7 @@ def _changed(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterat
 
 
 def _fails(remark: Remark, config: GuardConfig) -> bool:
-    return remark.state is not RemarkState.KNOWN and remark.severity.rank <= config.fail_on.rank
+    return not remark.known and remark.severity.rank <= config.fail_on.rank
 
 
 def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark]]:
@@ -300,21 +290,3 @@ def _distinct(remarks: Iterable[Remark]) -> Iterator[Remark]:
         if remark.check == "crosscheck" or key not in seen:
             yield remark
         seen.add(key)
-
-
-def _unseen(
-    config: GuardConfig, remarks: Iterable[Remark], entries: Iterable[BaselineEntry]
-) -> list[BaselineEntry]:
-    """Returns the entries that may have no remark because their files could not be read."""
-    folder = config.path.parent
-    refused = {remark.pair for remark in remarks if remark.kind == REFUSED}
-    files = {
-        relative_path(file, folder)
-        for pair in config.pairs
-        if pair.name in refused
-        for file in (pair.urdf, pair.mjcf)
-        if file is not None
-    }
-    return [
-        entry for entry in entries if entry.identity[1] in refused or entry.identity[2] in files
-    ]

@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from lxml import etree
 
-from pupper_analysis.base import inputs
-from pupper_analysis.base.diagnostics import (
-    Diagnostic,
-    Severity,
-    Term,
-    diagnose,
-)
+from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
 from pupper_analysis.base.files import whole_file
-from pupper_analysis.base.inputs import MOST_TEXT, is_input, read_input
+from pupper_analysis.base.inputs import MOST_TEXT, is_input, read_input, read_toml
 from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.tools import offering
 from pupper_analysis.models.loading import kind_of
@@ -30,74 +23,6 @@ from pupper_analysis.models.places import source_name
 from pupper_analysis.robot.matching.match import read_mapping
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.audit.audit import RULES
-
-# Where in a TOML file a key is: what Python's reader leaves out.
-
-Key = tuple[str | int, ...]
-"""The way to a value: names of keys, and numbers (from 0) in arrays."""
-
-
-@dataclass(frozen=True, eq=False)
-class TomlFile:
-    """A TOML file that was read.
-
-    Attributes:
-        path: The file.
-        text: Its text.
-        values: Its values.
-    """
-
-    path: Path
-    text: str = field(repr=False)
-    values: dict[str, Any]
-
-    def line_of(self, key: Key) -> int | None:
-        """Returns the line, from 1, of the statement that brings in a key; None if none does.
-
-        The text is read from its beginning to the end of each line, as far as that is TOML: the
-        statement after which the key is there, is its own.
-        """
-        start = None
-        lines = self.text.split("\n")
-        for number, line in enumerate(lines, start=1):
-            if start is None and line.strip() and not line.lstrip().startswith("#"):
-                start = number
-            try:
-                values = tomllib.loads("\n".join(lines[:number]))
-            except tomllib.TOMLDecodeError:
-                continue  # in the middle of a statement
-            if _has(values, key):
-                return start
-            start = None
-        return None
-
-    def error(self, key: Key, problem: Diagnostic) -> ModelError:
-        """Returns the error that tells the line of a key, and what is wrong with it."""
-        return ModelError(source_name(self.path, self.line_of(key)), problem)
-
-
-def _has(values: Any, key: Key) -> bool:
-    for part in key:
-        if isinstance(part, int):
-            if not isinstance(values, list) or len(values) <= part:
-                return False
-        elif not isinstance(values, dict) or part not in values:
-            return False
-        values = values[part]
-    return True
-
-
-def read_toml(path: Path) -> TomlFile:
-    """Reads a TOML file.
-
-    Raises:
-        ModelError: If it cannot be read; the message tells the line.
-    """
-    try:
-        return TomlFile(path, *inputs.read_toml(path))
-    except InputError as error:
-        raise ModelError(source_name(path, error.line), error.cause) from error
-
 
 CONFIG: Final = "pupper-analysis.toml"
 """The name under which it is looked for."""
@@ -117,7 +42,6 @@ class GuardedPair:
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         feet: Frames that are compared; all that both files have, if empty.
         packages: {ROS package: its folder}.
-        base: What the base is called, by the comparison; None if any will do.
         tolerances: Of the comparison.
         strict: Whether names, damping that a URDF does not state, and tilts are differences.
         disabled: {rule of the audit that is not run: the reason}.
@@ -131,7 +55,6 @@ class GuardedPair:
     names: Mapping[str, str]
     feet: tuple[str, ...]
     packages: Mapping[str, Path]
-    base: str | None
     tolerances: Tolerances
     strict: bool
     disabled: Mapping[str, str]
@@ -153,7 +76,6 @@ class GuardConfig:
     pairs: tuple[GuardedPair, ...]
     fail_on: Severity
     baseline: Path
-    file: TomlFile = field(repr=False)
 
 
 def find_config(start: Path | None = None) -> Path:
@@ -186,67 +108,100 @@ def read_config(path: Path) -> GuardConfig:
     """Reads it.
 
     Raises:
-        ModelError: If it cannot be read, or says what is not valid; it tells the line, and what
-            would be valid.
+        ModelError: If it cannot be read, or says what is not valid; it tells what would be.
     """
-    return _Reader(read_toml(path)).config()
+    try:
+        _, values = read_toml(path)
+    except InputError as error:
+        raise ModelError(source_name(path, error.line), error.cause) from error
+    return _Reader(path, values).config()
 
 
 _WILD: Final = "*?["
-_SHARED: Final = ("strict", "tolerances", "packages", "disable")
-_TOP: Final = ("baseline", "fail-on", *_SHARED, "pair")
-_PAIR: Final = ("name", "urdf", "mjcf", "map", "map-file", "feet", "base", *_SHARED)
 
 
-_KINDS: Final = tuple(kind.name for kind in fields(Tolerances))
+class _Kind(NamedTuple):
+    """What the value of a key must be, in words and by a function of it."""
+
+    valid: Term
+    check: Callable[[Any], bool]
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and bool(value.strip()) and "\0" not in value
+
+
+def _is_number(value: Any) -> bool:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and 0 < value < 1e300
+
+
+def _is_list(value: Any, kind: type) -> bool:
+    return isinstance(value, list) and all(isinstance(each, kind) for each in value)
+
+
+_TEXT: Final = _Kind(Term("a text, in quotes"), _is_text)
+_NAMES: Final = _Kind(Term("a list of names, in quotes"), lambda value: _is_list(value, str))
+_TABLE: Final = _Kind(Term("a table"), lambda value: isinstance(value, dict))
+_BOTH: Final = {
+    "strict": _Kind(Term("true or false"), lambda value: isinstance(value, bool)),
+    **dict.fromkeys(("tolerances", "packages", "disable"), _TABLE),
+}
+_PAIRS: Final = _Kind(Term("tables that begin with [[pair]]"), lambda value: _is_list(value, dict))
+_TOP: Final = {"baseline": _TEXT, "fail-on": _TEXT, **_BOTH, "pair": _PAIRS}
+_OWN: Final = {**dict.fromkeys(("name", "urdf", "mjcf", "map-file"), _TEXT), "feet": _NAMES}
+_PAIR: Final = {**_OWN, "map": _TABLE, **_BOTH}
+_IN_TABLES: Final = {
+    "tolerances": _Kind(Term("a positive number"), _is_number),
+    "packages": _Kind(Term("a folder that exists"), _is_text),
+    "disable": _Kind(Term("the reason, in quotes"), _is_text),
+    "map": _Kind(Term("the name in the MJCF, in quotes"), _is_text),
+}
+"""{key whose value is a table: what each value in that must be}."""
+_KEYS: Final = {"tolerances": [kind.name for kind in fields(Tolerances)], "disable": [*RULES]}
+"""{key whose value is a table: which keys that may have}; of others any."""
 
 
 class _Reader:
     """Reads one file, and refuses what it does not know."""
 
-    def __init__(self, file: TomlFile) -> None:
-        self.file, self.folder = file, file.path.parent
+    def __init__(self, path: Path, values: dict[str, Any]) -> None:
+        self.path, self.folder, self.top = path, path.parent, values
 
     def config(self) -> GuardConfig:
-        top = self.file.values
-        self.check_keys(top, (), _TOP)
-        stated = self.text(top, (), "fail-on") or str(Severity.ERROR)
+        self.check(self.top, "", _TOP)
+        entries = self.top.get("pair", [])
+        if not entries:
+            raise ModelError(self.path, diagnose("config-without-pair"))
+        pairs: dict[str, GuardedPair] = {}
+        for entry in entries:
+            for pair in self.pairs(entry):
+                if pair.name in pairs:
+                    raise ModelError(self.path, diagnose("pair-twice", pair=pair.name))
+                pairs[pair.name] = pair
+        stated = self.top.get("fail-on", str(Severity.ERROR))
         try:
             fail_on = Severity(stated)
         except ValueError:
             severities = diagnose("one-of", names=[str(each) for each in Severity])
-            raise self.invalid(("fail-on",), stated, severities) from None
-        entries = top.get("pair", [])
-        if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
-            raise self.invalid(("pair",), entries, Term("tables that begin with [[pair]]"))
-        if not entries:
-            raise ModelError(self.file.path, diagnose("config-without-pair"))
-        pairs: tuple[GuardedPair, ...] = ()
-        for number, entry in enumerate(entries):
-            for pair in self.pairs(entry, ("pair", number)):
-                if pair.name in [other.name for other in pairs]:
-                    message = diagnose("pair-twice", pair=pair.name)
-                    raise self.file.error(("pair", number, "name"), message)
-                pairs = (*pairs, pair)
-        baseline = self.folder / (self.text(top, (), "baseline") or BASELINE)
-        return GuardConfig(self.file.path, pairs, fail_on, baseline, self.file)
+            raise self.invalid("fail-on", stated, severities) from None
+        baseline = self.folder / self.top.get("baseline", BASELINE)
+        return GuardConfig(self.path, tuple(pairs.values()), fail_on, baseline)
 
-    def pairs(self, entry: dict[str, Any], key: Key) -> Iterator[GuardedPair]:
+    def pairs(self, entry: dict[str, Any]) -> Iterator[GuardedPair]:
         """Yields the robots of an entry: one, or one for each file that its pattern matches."""
-        self.check_keys(entry, key, (*_PAIR, *offering("guard")))
-        given = {kind: self.text(entry, key, kind) for kind in ("urdf", "mjcf")}
-        patterns = {kind: text for kind, text in given.items() if text is not None}
+        self.check(entry, "pair", {**_PAIR, **dict.fromkeys(offering("guard"), _NAMES)})
+        patterns = {kind: entry[kind] for kind in ("urdf", "mjcf") if kind in entry}
         if not any(char in text for text in patterns.values() for char in _WILD):
-            yield self.pair(entry, key)
+            yield self.pair(entry)
             return
-        stars = [text.count("*") for text in patterns.values()]
-        if len(patterns) == 2 and (stars != [1, 1] or any(c in t for t in patterns.values()
-                                                          for c in "?[")):  # fmt: skip
+        if len(patterns) == 2 and any(text.count("*") != 1 or "?" in text or "[" in text
+                                      for text in patterns.values()):  # fmt: skip
             valid = Term("one * in each, which stands for the same in both")
-            raise self.invalid((*key, "urdf"), patterns["urdf"], valid)
+            raise self.invalid("urdf", patterns["urdf"], valid)
         found: dict[str, dict[str, str]] = {}
         for kind, pattern in patterns.items():
-            for file in self.matches(pattern, (*key, kind)):
+            for file in self.matches(pattern, kind):
                 part = file
                 if len(patterns) == 2:
                     head, tail = pattern.split("*")
@@ -254,10 +209,10 @@ class _Reader:
                 found.setdefault(part, {})[kind] = file
         for part, files in found.items():
             others = {name: value for name, value in entry.items() if name not in patterns}
-            name = f"{entry.get('name', '')}/{part}" if entry.get("name") else ""
-            yield self.pair({**others, "name": name, **files}, key)
+            name = {"name": f"{entry['name']}/{part}"} if "name" in entry else {}
+            yield self.pair({**others, **name, **files})
 
-    def matches(self, pattern: str, key: Key) -> list[str]:
+    def matches(self, pattern: str, key: str) -> list[str]:
         """Returns the files that a pattern matches, relative to the configuration."""
         try:
             files = (path for path in self.folder.glob(pattern) if path.is_file())
@@ -265,141 +220,75 @@ class _Reader:
         except (NotImplementedError, ValueError) as error:
             raise self.invalid(key, pattern, Term("a pattern relative to this file")) from error
         if not paths:
-            message = diagnose("no-file-matches", key=str(key[-1]), pattern=pattern)
-            raise self.file.error(key, message)
+            raise ModelError(self.path, diagnose("no-file-matches", key=key, pattern=pattern))
         return [path.relative_to(self.folder).as_posix() for path in paths]
 
-    def pair(self, entry: dict[str, Any], key: Key) -> GuardedPair:
-        self.check_keys(entry, key, (*_PAIR, *offering("guard")))
-        name = self.text(entry, key, "name")
-        urdf, mjcf = (self.model(entry, key, kind) for kind in ("urdf", "mjcf"))
-        if not name:
-            raise self.file.error(key, diagnose("pair-without-name"))
-        if urdf is None and mjcf is None:
-            raise self.file.error(key, diagnose("pair-without-file", pair=name))
-        top = self.file.values
-        tolerances = Tolerances.strict() if self.flag(entry, key, "strict") else Tolerances()
-        given = {**self.tolerances(top, ()), **self.tolerances(entry, key)}
+    def pair(self, entry: dict[str, Any]) -> GuardedPair:
+        if "name" not in entry:
+            raise ModelError(self.path, diagnose("pair-without-name"))
+        if not {"urdf", "mjcf"} & entry.keys():
+            raise ModelError(self.path, diagnose("pair-without-file", pair=entry["name"]))
+        urdf, mjcf = (self.file(kind, entry[kind]) if kind in entry else None
+                      for kind in ("urdf", "mjcf"))  # fmt: skip
+        both = {key: {**self.top.get(key, {}), **entry.get(key, {})} for key in _IN_TABLES}
+        strict = entry.get("strict", self.top.get("strict", False))
+        tolerances = Tolerances.strict() if strict else Tolerances()
         return GuardedPair(
-            name=name,
+            name=entry["name"],
             urdf=urdf,
             mjcf=mjcf,
-            names=self.names(entry, key),
-            feet=self.texts(entry, key, "feet"),
-            packages={**self.packages(top, ()), **self.packages(entry, key)},
-            base=self.text(entry, key, "base"),
-            tolerances=tolerances.changed(given),
-            strict=self.flag(entry, key, "strict"),
-            disabled={**self.disabled(top, ()), **self.disabled(entry, key)},
-            guards={
-                tool: self.sources(entry, key, tool) for tool in offering("guard") if tool in entry
-            },
-        )
+            names=self.names(entry),
+            feet=tuple(entry.get("feet", ())),
+            packages={name: self.package(name, to) for name, to in both["packages"].items()},
+            tolerances=tolerances.changed(
+                {name: float(value) for name, value in both["tolerances"].items()}
+            ),
+            strict=strict,
+            disabled=both["disable"],
+            guards={tool: tuple(self.file(tool, text) for text in entry[tool])
+                    for tool in offering("guard") if tool in entry},
+        )  # fmt: skip
 
-    def sources(self, entry: dict[str, Any], key: Key, tool: str) -> tuple[Path, ...]:
-        """Returns files or folders that a tool is asked for; of a file also FILE:NAME."""
-        found = self.texts(entry, key, tool)
-        for text in found:
-            path = self.folder / text
-            if not path.exists() and not (self.folder / text.rpartition(":")[0]).is_file():
-                message = diagnose("pair-file-missing", key=tool, file=text)
-                raise self.file.error((*key, tool), message)
-        return tuple(self.folder / text for text in found)
-
-    def model(self, entry: dict[str, Any], key: Key, kind: str) -> Path | None:
-        text = self.text(entry, key, kind)
-        if text is None:
-            return None
-        path = self.folder / text
-        if not is_input(path):
-            message = diagnose("pair-file-missing", key=kind, file=text)
-            raise self.file.error((*key, kind), message)
+    def file(self, key: str, text: str) -> Path:
+        """Returns a file; of a tool that guards also a folder, or FILE:NAME."""
+        path, source = self.folder / text, self.folder / text.rpartition(":")[0]
+        if not (is_input(path) or (key not in _PAIR and (path.is_dir() or source.is_file()))):
+            raise ModelError(self.path, diagnose("pair-file-missing", key=key, file=text))
         return path
 
-    def names(self, entry: dict[str, Any], key: Key) -> dict[str, str]:
-        file = self.text(entry, key, "map-file")
-        names = read_mapping(self.folder / file) if file is not None else {}
-        for old, new in self.table(entry, key, "map").items():
-            if not isinstance(new, str):
-                raise self.invalid((*key, "map", old), new, Term("the name in the MJCF, in quotes"))
+    def package(self, name: str, folder: str) -> Path:
+        if not (self.folder / folder).is_dir():
+            raise self.invalid(name, folder, _IN_TABLES["packages"].valid)
+        return self.folder / folder
+
+    def names(self, entry: dict[str, Any]) -> dict[str, str]:
+        names = read_mapping(self.folder / entry["map-file"]) if "map-file" in entry else {}
+        for old, new in entry.get("map", {}).items():
             if names.setdefault(old, new) != new:
                 message = diagnose("mapped-to-both", joint=old, one=names[old], other=new)
-                raise self.file.error((*key, "map", old), message)
+                raise ModelError(self.path, message)
         return names
 
-    def packages(self, entry: dict[str, Any], key: Key) -> dict[str, Path]:
-        found = {}
-        for name, folder in self.table(entry, key, "packages").items():
-            if not isinstance(folder, str) or not (self.folder / folder).is_dir():
-                raise self.invalid((*key, "packages", name), folder, Term("a folder that exists"))
-            found[name] = self.folder / folder
-        return found
+    def check(self, table: dict[str, Any], within: str, valid: Mapping[str, _Kind]) -> None:
+        """Refuses keys and values that are not valid, also in the tables of a table."""
+        for key, value in table.items():
+            if key not in valid:
+                raise self.unknown("key-unknown", key, within, valid)
+            if not valid[key].check(value):
+                raise self.invalid(key, value, valid[key].valid)
+            for name, one in value.items() if key in _IN_TABLES else ():
+                if name not in _KEYS.get(key, value):
+                    code = "rule-unknown" if key == "disable" else "key-unknown"
+                    raise self.unknown(code, name, f"{within}.{key}".strip("."), _KEYS[key])
+                if not _IN_TABLES[key].check(one):
+                    raise self.invalid(name, one, _IN_TABLES[key].valid)
 
-    def tolerances(self, entry: dict[str, Any], key: Key) -> dict[str, float]:
-        table = self.table(entry, key, "tolerances")
-        self.check_keys(table, (*key, "tolerances"), _KINDS)
-        for name, value in table.items():
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not number or not 0 < value < float("inf"):
-                valid = Term("a positive number")
-                raise self.invalid((*key, "tolerances", name), value, valid)
-        return {name: float(value) for name, value in table.items()}
+    def unknown(self, code: str, key: str, within: str, valid: Iterable[str]) -> ModelError:
+        return ModelError(self.path, diagnose(code, key=key, within=within, known=tuple(valid)))
 
-    def disabled(self, entry: dict[str, Any], key: Key) -> dict[str, str]:
-        table = self.table(entry, key, "disable")
-        self.check_keys(table, (*key, "disable"), tuple(RULES), rules=True)
-        for rule, reason in table.items():
-            if not isinstance(reason, str) or not reason.strip():
-                valid = Term("the reason, in quotes")
-                raise self.invalid((*key, "disable", rule), reason, valid)
-        return dict(table)
-
-    def check_keys(
-        self, table: Mapping[str, Any], key: Key, valid: tuple[str, ...], *, rules: bool = False
-    ) -> None:
-        """Refuses keys that are not valid."""
-        for name in table:
-            if name not in valid:
-                inside = ".".join(part for part in key if isinstance(part, str))
-                message = diagnose(
-                    "rule-unknown" if rules else "key-unknown",
-                    key=name,
-                    within=inside,
-                    known=valid,
-                )
-                raise self.file.error((*key, name), message)
-
-    def text(self, table: dict[str, Any], key: Key, name: str) -> str | None:
-        value = table.get(name)
-        if value is not None and (not isinstance(value, str) or not value or "\0" in value):
-            raise self.invalid((*key, name), value, Term("a text, in quotes"))
-        return value
-
-    def texts(self, table: dict[str, Any], key: Key, name: str) -> tuple[str, ...]:
-        values = table.get(name, [])
-        if not isinstance(values, list) or not all(isinstance(each, str) for each in values):
-            raise self.invalid((*key, name), values, Term("a list of names, in quotes"))
-        return tuple(values)
-
-    def flag(self, table: dict[str, Any], key: Key, name: str) -> bool:
-        """Returns a switch of a pair, or of the whole file."""
-        for values, way in ((table, key), (self.file.values, ())):
-            value = values.get(name)
-            if value is not None and not isinstance(value, bool):
-                raise self.invalid((*way, name), value, Term("true or false"))
-            if value is not None:
-                return value
-        return False
-
-    def table(self, table: dict[str, Any], key: Key, name: str) -> dict[str, Any]:
-        value = table.get(name, {})
-        if not isinstance(value, dict):
-            raise self.invalid((*key, name), value, Term("a table"))
-        return value
-
-    def invalid(self, key: Key, value: object, valid: Term | Diagnostic) -> ModelError:
-        message = diagnose("setting-not-valid", key=str(key[-1]), value=repr(value), valid=valid)
-        return self.file.error(key, message)
+    def invalid(self, key: str, value: object, valid: Term | Diagnostic) -> ModelError:
+        message = diagnose("setting-not-valid", key=key, value=repr(value), valid=valid)
+        return ModelError(self.path, message)
 
 
 # The first `pupper-analysis.toml` of a repository: the models that its folders have.

@@ -17,15 +17,15 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES
 from pupper_analysis.tools.audit.document import LEVELS, MARKS, element_text, rule_words
 from pupper_analysis.tools.check.check import PairCheck, RepositoryCheck
-from pupper_analysis.tools.check.remarks import Remark, RemarkState, count_findings
+from pupper_analysis.tools.check.remarks import Remark, count_findings
 
 
 @build_document.register(RepositoryCheck)
 def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Document:
     """Returns what fails, with its place, and how much is known; see ``build``."""
-    groups = _groups(check.remarks)
-    blocks: list[doc.Block] = [_group(group) for group in groups if not _is_known(group)]
-    if known := tuple(_known(group) for group in groups if _is_known(group)):
+    groups = group_findings(check.remarks)
+    blocks: list[doc.Block] = [_group(group) for group in groups if not group[0].known]
+    if known := tuple(_known(group) for group in groups if group[0].known):
         title = text("count-known", count=len(known))
         blocks.append(doc.Lines(known, title=title, detail=True))
     if check.stale:
@@ -48,24 +48,17 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
     )
 
 
-def _groups(remarks: Iterable[Remark]) -> list[list[Remark]]:
-    """Combines what one slip explains, and what has the same values, old and new."""
-    groups: dict[tuple[str, ...], list[Remark]] = {}
+def group_findings(remarks: Iterable[Remark]) -> list[list[Remark]]:
+    """Combines what one slip explains, and what has the same values; see `Remark.finding`."""
+    groups: dict[tuple[object, ...], list[Remark]] = {}
     for remark in remarks:
-        same = (remark.state, remark.kind, str(remark.values), str(remark.before))
-        key = (remark.check, remark.file, *same) if remark.check == "audit" else remark.finding
-        groups.setdefault(key, []).append(remark)
+        groups.setdefault(remark.finding, []).append(remark)
     return list(groups.values())
-
-
-def _is_known(group: list[Remark]) -> bool:
-    return group[0].state is RemarkState.KNOWN
 
 
 def _known(group: list[Remark]) -> Text:
     place = group[0].place or group[0].file
-    name = doc.Name(from_the_root(place) or place)
-    return text("name-note", name=name, note=_message(group[0]))
+    return text("name-note", name=doc.Name(from_the_root(place)), note=_message(group[0]))
 
 
 def _message(first: Remark) -> doc.Words:
@@ -88,24 +81,18 @@ def _group(group: list[Remark]) -> doc.Sides:
     elif others:
         names = join_words(doc.Name(remark.element) for remark in others)
         notes.append(text("likewise-on-count-more-names", count=len(others), names=names))
-    if first.before is not None:
-        notes.append(before_in_words(first))
     notes += map(doc.tell, first.consequences)
     tag = text(
-        "severity-check-kind-state",
+        "severity-check-kind",
         severity=word(str(first.severity)),
         check=first.check,
         kind=first.kind if first.cause is None else "cause",
-        state=word(str(first.state)),
     ).marked(MARKS[first.severity])
     places = [first.place or first.file, *([first.other_place] if first.other_place else [])]
+    named = [(from_the_root(place), place) for place in places]
     columns = tuple(
-        doc.FilePlace(
-            doc.Name(from_the_root(place) or place),
-            doc.Name(quote_line(place, first.file)),
-            from_the_root(place) or place,
-        )
-        for place in places
+        doc.FilePlace(doc.Name(shown), doc.Name(quote_line(place, first.file)), shown)
+        for shown, place in named
     )
     if _by_rule(first):
         notes.append(rule_words(first.kind, "todo"))
@@ -157,16 +144,14 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
 
 def summarise_check(check: RepositoryCheck) -> Text:
     """Returns how much was found, in a line."""
-    new = [r for r in check.remarks if r.state is not RemarkState.KNOWN]
-    known = count_findings(r for r in check.remarks if r.state is RemarkState.KNOWN)
-    minor = count_findings(r for r in new if not r.fails)
-    parts = [text("count-to-fix", count=check.failures)]
-    if minor:
-        parts.append(text("count-of-less-severity-than", count=minor))
-    if known:
-        parts.append(text("count-known", count=known))
-    if check.stale:
-        parts.append(text("count-stale", count=len(check.stale)))
+    new = [remark for remark in check.remarks if not remark.known]
+    counts = {
+        "count-to-fix": check.failures,
+        "count-of-less-severity-than": count_findings(one for one in new if not one.fails),
+        "count-known": count_findings(one for one in check.remarks if one.known),
+        "count-stale": len(check.stale),
+    }
+    parts = [text(key, count=n) for key, n in counts.items() if n or key == "count-to-fix"]
     found = join_words(parts)
     if check.updated:
         baseline = Name(str(check.baseline))
@@ -174,22 +159,9 @@ def summarise_check(check: RepositoryCheck) -> Text:
     return found
 
 
-def before_in_words(remark: Remark) -> Text:
-    """Returns what the baseline has of a remark."""
-    before = remark.before or {}
-    known = before.get("values", before)
-    if "code" in before:
-        now = remark.values.get("values", {})
-        known = {name: value for name, value in known.items() if now.get(name) != value}
-    values = ", ".join(f"{name} {value}" for name, value in known.items())
-    return text("the-baseline-has-values", values=values or before.get("code", ""))
-
-
-def from_the_root(place: str | None) -> str:
+def from_the_root(place: str) -> str:
     """Returns ``file:line`` with the file as CI services find it."""
     file, line = Annotation("", "", "", place).file_and_line
-    if not file:
-        return ""
     return from_root(file) if line is None else f"{from_root(file)}:{line}"
 
 
@@ -199,34 +171,22 @@ def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[
     Args:
         check: The check.
         in_a_change: For the page of a change, where what is reported of the lines that it touches
-            alone is seen: a difference is reported where its value is another one than the
-            baseline's, or in both files.
+            alone is seen: a difference is reported in both files.
     """
-    found = [
-        _annotation(group, place)
-        for group in _findings(check.remarks)
-        for place in (_places(group[0]) if in_a_change or _guarded(group[0]) else [group[0].place])
-    ]
-    found += [_of_baseline("stale", message, check) for message in stale_entries(check)]
+    found = []
+    for group in group_findings(check.remarks):
+        for remark in group if group[0].cause is None else group[:1]:
+            # A tool that guards reports at each of its lines.
+            both = in_a_change or remark.check not in ("crosscheck", "audit", "diff")
+            places: list[str | None] = [one for one in (remark.place, remark.other_place) if one]
+            found += [_annotation(group, remark, one) for one in places[: 1 + both] or [None]]
+    about = about_kind("stale")
+    found += [
+        Annotation("notice", "stale baseline", str(one), check.baseline, "check/stale", about,
+                   known=False, diagnostic=one)
+        for one in stale_entries(check)
+    ]  # fmt: skip
     return found
-
-
-def _guarded(remark: Remark) -> bool:
-    """Whether a tool that guards found it: it is reported at each of its lines."""
-    return remark.check not in ("crosscheck", "audit", "diff")
-
-
-def _of_baseline(kind: str, message: Diagnostic, check: RepositoryCheck) -> Annotation:
-    return Annotation(
-        "notice",
-        f"{kind} baseline",
-        str(message),
-        check.baseline,
-        rule=f"check/{kind}",
-        about=about_kind(kind),
-        known=False,
-        diagnostic=message,
-    )
 
 
 def stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
@@ -237,52 +197,24 @@ def stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
     ]
 
 
-def _places(remark: Remark) -> list[str | None]:
-    """Returns where a change may have brought a remark in."""
-    places = [place for place in (remark.place, remark.other_place) if place]
-    before, now = remark.before or {}, remark.values
-    moved = [side for side in ("urdf", "mjcf") if before and before.get(side) != now.get(side)]
-    if len(places) == 2 and len(moved) == 1:
-        return [places[0] if moved == ["urdf"] else places[1]]
-    return [*places] or [None]
-
-
-def _findings(remarks: Iterable[Remark]) -> Iterable[list[Remark]]:
-    """Combines what one slip explains."""
-    groups: dict[tuple[str, ...], list[Remark]] = {}
-    for remark in remarks:
-        alone = () if remark.cause else (str(len(groups)),)
-        groups.setdefault((*remark.finding, *alone), []).append(remark)
-    return groups.values()
-
-
-def _annotation(group: list[Remark], place: str | None) -> Annotation:
-    remark = group[0]
+def _annotation(group: list[Remark], remark: Remark, place: str | None) -> Annotation:
     both = (remark.place, remark.other_place)
     others = [from_the_root(one) for one in both if one and one != place]
-    other = f" [{others[0]}]" if others else ""
-    before = f"; {before_in_words(remark).en}" if remark.before is not None else ""
-    level = "error" if remark.fails else LEVELS[remark.severity]
-    known = remark.state is RemarkState.KNOWN
+    message = " ".join([remark.message, *(f"[{other}]" for other in others)])
+    kind, joint = remark.kind, " of " if remark.check == "crosscheck" else ": "
+    title = f"{kind}{joint}{remark.element}" if remark.element else kind
+    about = RULES[kind].title if _by_rule(remark) else about_kind(kind)
     if remark.cause is not None:
         made = text("this-alone-makes-count-differences", count=len(group)).en
-        return Annotation(
-            level,
-            f"cause of {len(group)} differences",
-            f"{remark.cause}. {made} {remark.message}{other}{before}",
-            place,
-            rule=f"{remark.check}/cause",
-            about=about_kind("cause"),
-            known=known,
-            diagnostic=remark.cause,
-        )
+        message = f"{remark.cause}. {made} {message}"
+        kind, title, about = "cause", f"cause of {len(group)} differences", about_kind("cause")
     return Annotation(
-        level,
-        remark.subject,
-        f"{remark.message}{other}{before}",
+        "error" if remark.fails else LEVELS[remark.severity],
+        title,
+        message,
         place,
-        rule=f"{remark.check}/{remark.kind}",
-        about=remark.about,
-        known=known,
-        diagnostic=remark.diagnostic,
+        rule=f"{remark.check}/{kind}",
+        about=about,
+        known=remark.known,
+        diagnostic=remark.cause or remark.diagnostic,
     )

@@ -10,20 +10,12 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from pupper_analysis.base.diagnostics import (
-    Diagnostic,
-    Quantity,
-    Severity,
-    Subject,
-    Vector,
-    diagnose,
-)
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Vector, diagnose
 from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
 from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.inputs import read_text
@@ -31,7 +23,6 @@ from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import source_name
 from pupper_analysis.robot.compare.compare import FilesCompared
-from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.tools.audit.audit import RULES, Audit
 from pupper_analysis.tools.check.config import GuardedPair
 
@@ -43,17 +34,6 @@ REFUSED = "refused"
 """The kind of a remark that a file cannot be read, or two cannot be compared; never known."""
 
 
-class RemarkState(StrEnum):
-    """What the baseline knows of a remark."""
-
-    NEW = "new"
-    """Nothing."""
-    CHANGED = "changed"
-    """Another value."""
-    KNOWN = "known"
-    """This value."""
-
-
 @dataclass(frozen=True, eq=False)
 class Remark(Result):
     """One difference between two files, or one finding in a file.
@@ -63,18 +43,16 @@ class Remark(Result):
             tool that guards: ``contract``.
         pair: The name of the pair of which it is a difference; "" for a finding, which is the
             file's, whatever pairs have that.
-        kind: The difference's kind; ``joint``, ``part``, ``agreement`` or ``base`` for what is no
-            single number; the audit's rule; ``refused`` if the file could not be read.
+        kind: The difference's kind; ``joint``, ``part`` or ``agreement`` for what is no single
+            number; the audit's rule; ``refused`` if the file could not be read.
         element: The joint, body or frame.
         file: The file: of a difference, the pair's URDF. Relative to the configuration, with ``/``.
         values: What is remembered of it: both values; or its ``code``, and the ``values`` of that.
         severity: How bad it is.
         diagnostic: What it is.
-        about: The kind in a few words.
         place: Where it stands, ``file:line``; a path that can be opened.
         other_place: Where a difference stands in the MJCF.
-        state: What the baseline knows of it.
-        before: The values in the baseline, if these are others.
+        known: Whether the baseline has it, with this value.
         fails: Whether it makes the check fail: not known, and severe enough.
         cause: The slip that explains this difference with others.
         consequences: What a change since a revision does in a simulation.
@@ -88,11 +66,9 @@ class Remark(Result):
     values: Mapping[str, Any]
     severity: Severity
     diagnostic: Diagnostic
-    about: str
     place: str | None
     other_place: str | None = None
-    state: RemarkState = RemarkState.NEW
-    before: Mapping[str, Any] | None = None
+    known: bool = False
     fails: bool = False
     cause: Diagnostic | None = None
     consequences: tuple[Diagnostic, ...] = ()
@@ -113,26 +89,13 @@ class Remark(Result):
         return self.check, self.pair, self.file, self.kind, self.element
 
     @property
-    def finding(self) -> tuple[str, ...]:
+    def finding(self) -> tuple[object, ...]:
         """What distinguishes it from others to be mended.
 
-        Differences that one slip explains are one, and so are those with the same two values.
+        What one slip explains is one, and so is what has the same values at several elements.
         """
-        if self.check == "audit":
-            return self.identity
-        what = (self.kind, str(self.values), str(self.before))
-        return (
-            self.check, self.pair, self.file, self.state,
-            *((str(self.cause),) if self.cause else what),
-        )  # fmt: skip
-
-    @property
-    def subject(self) -> str:
-        """What it is about, in a few words."""
-        if not self.element:
-            return self.kind
-        joint = " of " if self.check == "crosscheck" else ": "
-        return f"{self.kind}{joint}{self.element}"
+        what = (self.kind, str(self.values)) if self.cause is None else (str(self.cause),)
+        return self.check, self.pair, self.file, self.known, *what
 
 
 def of_comparison(comparison: FilesCompared, pair: GuardedPair, folder: Path) -> Iterator[Remark]:
@@ -152,7 +115,6 @@ def of_comparison(comparison: FilesCompared, pair: GuardedPair, folder: Path) ->
             {side: to_plain(value) for side, value in values.items() if value is not None},
             Severity.ERROR,
             difference.diagnostic,
-            about_kind(difference.kind),
             difference.urdf_place,
             difference.mjcf_place,
             cause=causes.get(number),
@@ -168,10 +130,6 @@ def of_comparison(comparison: FilesCompared, pair: GuardedPair, folder: Path) ->
             )
             messages.append(("joint", name, lacks, path))
     messages += [("agreement", "", one, comparison.mjcf) for one in comparison.objections]
-    if pair.base not in (None, comparison.base):
-        subject = Subject("body", comparison.base)
-        another = diagnose("base-not-as-named", subject=subject, named=pair.base, pair=pair.name)
-        messages.append(("base", comparison.base, another, comparison.urdf))
     for kind, element, diagnostic, place in messages:
         yield remark_of(
             "crosscheck", pair.name, kind, element, file, diagnostic, Severity.ERROR, place
@@ -181,18 +139,10 @@ def of_comparison(comparison: FilesCompared, pair: GuardedPair, folder: Path) ->
 def of_audit(audit: Audit, folder: Path) -> Iterator[Remark]:
     """Yields a remark per finding."""
     for finding in audit.findings:
-        yield Remark(
-            "audit",
-            "",
-            finding.rule,
-            finding.element,
-            relative_path(finding.file, folder),
-            to_baseline(finding.diagnostic),
-            finding.severity,
-            finding.diagnostic,
-            RULES[finding.rule].title,
-            finding.place.path,
-        )
+        yield remark_of(
+            "audit", "", finding.rule, finding.element, relative_path(finding.file, folder),
+            finding.diagnostic, finding.severity, finding.place.path,
+        )  # fmt: skip
 
 
 def of_guard(
@@ -236,42 +186,28 @@ def remark_of(
 ) -> Remark:  # fmt: skip
     """Returns a remark whose values are its diagnostic's."""
     return Remark(
-        check, pair, kind, element, file, to_baseline(message), bad, message, about_kind(kind),
-        place, other_place, consequences=consequences,
+        check, pair, kind, element, file, to_plain(message), bad, message, place, other_place,
+        consequences=consequences,
     )  # fmt: skip
-
-
-def to_baseline(diagnostic: Diagnostic) -> dict[str, Any]:
-    """Returns what a baseline keeps of a diagnostic: its code and its values, in SI units."""
-    values = {name: _bare(value) for name, value in diagnostic.values.items()}
-    kept = {name: value for name, value in values.items() if value is not None}
-    return {"code": diagnostic.code, **({"values": kept} if kept else {})}
-
-
-def _bare(value: Any) -> Any:
-    """Returns a value of a diagnostic as numbers, texts, lists and tables of them."""
-    if isinstance(value, Diagnostic):
-        return to_baseline(value)
-    if isinstance(value, Quantity):
-        return to_plain(value.value)
-    if isinstance(value, Vector):
-        return to_plain(np.array(value.values))
-    if isinstance(value, tuple):
-        return [_bare(one) for one in value]
-    return None if value is None else to_plain(value)
 
 
 def relative_path(file: str | Path, folder: Path) -> str:
     """Returns a file's path relative to a folder, with ``/``; also if it is not in it."""
-    path, start = Path(file).resolve(), folder.resolve()
-    try:
-        return Path(os.path.relpath(path, start)).as_posix()
-    except ValueError:  # on another drive
-        return path.as_posix()
+    return Path(os.path.relpath(Path(file).resolve(), folder.resolve())).as_posix()
 
 
 def to_plain(value: Any) -> Any:
-    """Returns a value as numbers, texts, lists and tables of them, without digits of rounding."""
+    """Returns a value as numbers, texts, lists and tables of them, without digits of rounding.
+
+    Of a diagnostic its code and its values, in SI units.
+    """
+    if isinstance(value, Diagnostic):
+        values = {name: to_plain(one) for name, one in value.values.items() if one is not None}
+        return {"code": value.code, **({"values": values} if values else {})}
+    if isinstance(value, Quantity):
+        return to_plain(value.value)
+    if isinstance(value, Vector):
+        return to_plain(np.array(value.values))
     if isinstance(value, np.ndarray):
         largest = float(np.abs(value).max(initial=0.0))
         # What is 1e-12 of the largest is nothing; its digits are those of some machine.
@@ -284,7 +220,7 @@ def to_plain(value: Any) -> Any:
         return [to_plain(each) for each in value]
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") + 0.0
-    return value if isinstance(value, bool | int | str) else str(value)
+    return value if isinstance(value, bool | int | str) or value is None else str(value)
 
 
 _HEAD: Final = """\
@@ -363,29 +299,22 @@ def write_baseline(path: Path, entries: Iterable[BaselineEntry]) -> None:
 def judge_remarks(
     remarks: Iterable[Remark], entries: Iterable[BaselineEntry]
 ) -> tuple[tuple[Remark, ...], tuple[BaselineEntry, ...]]:
-    """Tells which remarks are known, which have changed, and which are new.
+    """Tells which remarks are known; each entry is for one of them.
 
     Returns:
-        The remarks with their states; and the stale entries, to which there is no remark any more.
+        The remarks; and the stale entries, to which there is no remark any more.
     """
     waiting: dict[tuple[str, ...], list[BaselineEntry]] = {}
     for entry in entries:
-        if entry.identity[3] == REFUSED:
-            continue  # nobody can know what is in a file that cannot be read
         waiting.setdefault(entry.identity, []).append(entry)
-    result = list(remarks)
-    for number, remark in enumerate(result):
+    result = []
+    for remark in remarks:
         here = waiting.get(remark.identity, [])
         found = next((entry for entry in here if is_same(entry.values, remark.values)), None)
         if found is not None:
             here.remove(found)
-            result[number] = replace(remark, state=RemarkState.KNOWN)
-    # Only what is the same nowhere has changed: there may be several of one identity.
-    for number, remark in enumerate(result):
-        here = waiting.get(remark.identity, [])
-        if remark.state is RemarkState.NEW and here:
-            before = here.pop(0).values
-            result[number] = replace(remark, state=RemarkState.CHANGED, before=before)
+        # Nobody can know what is in a file that cannot be read.
+        result.append(replace(remark, known=found is not None and remark.kind != REFUSED))
     return tuple(result), tuple(entry for here in waiting.values() for entry in here)
 
 

@@ -85,11 +85,11 @@ def test_a_source_that_cannot_be_read_fails_and_the_rest_is_checked(folder: Path
     assert "it is no YAML" in done.stdout + done.stderr
 
 
-def test_a_file_that_is_not_there_is_told_with_its_line(folder: Path) -> None:
+def test_a_file_that_is_not_there_is_told(folder: Path) -> None:
     (folder / "deploy.yaml").unlink()
     done = run(folder)
     assert done.returncode == 2
-    assert "pupper-analysis.toml:6" in done.stdout + done.stderr
+    assert "pupper-analysis.toml: contract =" in done.stdout + done.stderr
     assert "deploy.yaml" in done.stdout + done.stderr
 
 
