@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -406,14 +406,6 @@ class MotionScene:
     motions: Sequence[Motion]
 
 
-class OtherScene:
-    """A scene of a tool's own."""
-
-    def drawn(self) -> dict[str, Any] | None:
-        """Returns what ``scene_of`` of the page does; None if what it is made of has gone."""
-        raise NotImplementedError
-
-
 @dataclass(frozen=True)
 class View:
     """A robot that one can turn, where there are three dimensions.
@@ -427,7 +419,7 @@ class View:
 
     kind: ClassVar[str] = "view"
     title: Words
-    scene: StandScene | MotionScene | OtherScene | None
+    scene: StandScene | MotionScene | None
     note: Words | None = None
     detail: bool = False
 

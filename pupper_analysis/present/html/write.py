@@ -41,7 +41,6 @@ from pupper_analysis.present.document import (
     Lines,
     Motion,
     MotionScene,
-    OtherScene,
     Plot,
     Report,
     StandScene,
@@ -88,11 +87,6 @@ def scene_of(scene: object) -> dict[str, Any] | None:
         TypeError: If nobody has said how such a scene is drawn.
     """
     raise TypeError(f"no view of {type(scene).__name__}")
-
-
-@scene_of.register
-def _other(scene: OtherScene) -> dict[str, Any] | None:
-    return scene.drawn()
 
 
 @scene_of.register
@@ -491,7 +485,6 @@ def _spoken() -> dict[str, dict[str, str]]:
         "mass": "mass",
         "com": "com",
         "force": "force",
-        "same": "no-difference",
     }
     motions = ("roll", "pitch", "yaw", "oblique", "along x", "along y", "along z", "oblique slide")
     texts = {name: text(english) for name, english in said.items()}

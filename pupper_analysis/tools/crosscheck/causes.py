@@ -1,4 +1,4 @@
-"""One slip that explains many differences: units, an Euler sequence, left for right, a lost tensor.
+"""One slip that explains many differences: a lost tensor, a link that is missing, a moved axis.
 
 Each is tried out: the slip is undone, and what is gone of the differences is what it explains.
 
@@ -13,11 +13,9 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
-from functools import partial
-from itertools import combinations, islice, product
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -25,12 +23,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_tensor
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
 from pupper_analysis.models.efforts import gear_left_out
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import MAX_NUMBER
 from pupper_analysis.robot.compare.differences import (
     OF_INERTIALS,
     Difference,
@@ -145,7 +142,6 @@ class PatternCase:
     Attributes:
         robot: The robot.
         first: The URDF's tree.
-        raw: The MJCF's, as it is.
         second: The MJCF's, in the URDF's link frames.
         keys: The differences.
         tolerances: What counts as one.
@@ -157,7 +153,6 @@ class PatternCase:
 
     robot: Robot
     first: MultibodyTree
-    raw: MultibodyTree
     second: MultibodyTree
     keys: Sequence[Key]
     tolerances: Tolerances
@@ -171,34 +166,14 @@ class PatternCase:
         """The differences that no cause explains yet."""
         return [key for key in self.keys if key not in self.taken]
 
-    def left(self, second: MultibodyTree, only: Collection[str] | None = None) -> set[Key]:
-        """Returns the differences to another tree in place of the MJCF's.
-
-        Args:
-            second: The other tree.
-            only: The joints that are compared, with what they carry; by default all and the base.
-        """
-        first = self.first if only is None else self.first.part(only)
-        try:
-            both = align_frames(second, first, self.tolerances).values
-            found = {(c.kind, c.element) for c in changes_between(first, both, self.tolerances)}
-        except (ValueError, KeyError):  # not the same joints any more
-            return set(self.keys)
-        return found
-
-    def masses_apart(self, exchange: Mapping[str, str]) -> int:
-        """Returns how many masses differ where bodies are exchanged; no frame's place matters."""
-        pairs = [*exchange.items(), *((two, one) for one, two in exchange.items())]
-        masses = [(self.first.bodies[a].mass, self.raw.bodies[b].mass) for a, b in pairs]
-        greatest = self.tolerances.mass
-        return sum(abs(two - one) > greatest * max(abs(one), abs(two)) for one, two in masses)
-
     def gone(self, second: MultibodyTree) -> set[Key]:
         """Returns the differences that another tree in place of the MJCF's does not have.
 
         None if it has others instead, or if most of them are left.
         """
-        left = self.left(second)
+        both = align_frames(second, self.first, self.tolerances).values
+        changes = changes_between(self.first, both, self.tolerances)
+        left = {(change.kind, change.element) for change in changes}
         gone = set(self.keys) - left
         return gone if not left - set(self.keys) and len(gone) > 1 else set()
 
@@ -211,213 +186,14 @@ class PatternFinding:
         kind: A cause's.
         diagnostic: What it is, with its numbers.
         explained: The differences.
-        undone: What is left to explain when it is undone, for those that look afterwards.
     """
 
     kind: str
     diagnostic: Diagnostic
     explained: set[Key]
-    undone: PatternCase | None = None
 
 
 Found = Iterator[PatternFinding]
-
-
-_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
-
-
-def other_angles(case: PatternCase) -> Found:
-    """Finds another eulerseq, or degrees for radians, that ends differences."""
-    if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
-        kind for kind, _ in case.keys
-    }:
-        return
-    spec = case.robot.description.mjcf
-    said = "".join(
-        chr(letter) if isinstance(letter, int) else letter for letter in (spec.compiler.eulerseq)
-    )
-    tries: list[tuple[tuple[str, str, str], Callable[[mujoco.MjSpec], None]]] = []
-    if _has_euler(spec):
-        for order in (*_SEQUENCES, *(sequence.upper() for sequence in _SEQUENCES)):
-            if order != said:
-                tries.append((("eulerseq", order, said), partial(_set_sequence, order=order)))
-    degree = bool(spec.compiler.degree)
-    unit, other_unit = ("degree", "radian") if degree else ("radian", "degree")
-    if _has_euler(spec) or {"lower limit", "upper limit"} & {kind for kind, _ in case.keys}:
-        tries.append((("angle", other_unit, unit), partial(_set_degree, degree=not degree)))
-    best: tuple[tuple[str, str, str], set[Key]] = (("", "", ""), set())
-    for setting, change in tries:
-        other = spec.copy()
-        change(other)
-        try:
-            model = other.compile()
-        except (ValueError, RuntimeError):
-            continue
-        tree = kinematic_trees(replace(case.robot, mj_model=model))[1]
-        gone = case.gone(replace(tree, gravity=case.first.gravity))
-        if len(gone) > len(best[1]):
-            best = (setting, gone)
-    (attribute, value, stated), gone = best
-    turned = [key for key in case.keys if key[0] in ("rotation", "axis")]
-    limits = [key for key in case.keys if key[0] in ("lower limit", "upper limit")]
-    concerned = turned or limits
-    if concerned and sum(key in gone for key in concerned) >= 0.6 * len(concerned):
-        yield PatternFinding(
-            "angles",
-            diagnose(
-                "angles-meant-otherwise",
-                attribute=attribute,
-                value=value,
-                stated=stated,
-                count=len(gone),
-                total=len(case.keys),
-            ),
-            gone,
-        )
-
-
-def _has_euler(spec: mujoco.MjSpec) -> bool:
-    kind = mujoco.mjtOrientation.mjORIENTATION_EULER
-    return any(body.alt.type == kind or body.ialt.type == kind for body in spec.bodies)
-
-
-def _set_sequence(spec: mujoco.MjSpec, order: str) -> None:
-    spec.compiler.eulerseq = list(order)
-
-
-def _set_degree(spec: mujoco.MjSpec, degree: bool) -> None:
-    spec.compiler.degree = degree
-
-
-def find_exchanged(case: PatternCase) -> Found:
-    """Finds limbs whose names are exchanged."""
-    tops = case.first.children(case.first.base)
-    limbs = {top: [top, *case.first.below(top)] for top in tops}
-    concerned = {
-        case.first.frames[element][0] if kind == "frame" else element for kind, element in case.keys
-    }
-    shaken = [top for top, names in limbs.items() if concerned & set(names)]
-    pairs: list[tuple[str, str]] = []
-    second, gone = case.raw, set[Key]()
-    tries = ((a, b) for a, b in combinations(shaken, 2) if len(limbs[a]) == len(limbs[b]))
-    for one, two in islice(tries, _EXCHANGES):
-        if any({one, two} & set(pair) for pair in pairs):
-            continue
-        own = {*limbs[one], *limbs[two]}
-        exchange = dict(zip(limbs[one], limbs[two], strict=True))
-        carried = own | {frame for name in own for frame in case.first.carried_by(name)}
-        before = {key for key in case.keys if key[1] in carried}
-        if case.masses_apart(exchange) > _STAY * len(before):
-            continue  # these alone are too many of those that would stay
-        both = replace(second.part(own), frames=second.frames)
-        left = case.left(_renamed(both, exchange), [*limbs[one], *limbs[two]])
-        own = carried
-        after = {key for key in left if key[1] in own}
-        if len(before) > 1 and len(after) <= _STAY * len(before):
-            pairs.append((one, two))
-            second, gone = _renamed(second, exchange), gone | (before - after)
-    if pairs:
-        listed_limbs = [diagnose("limbs-of-a-pair", one=one, two=two) for one, two in pairs]
-        yield PatternFinding(
-            "exchanged",
-            diagnose("limbs-exchanged", pairs=listed_limbs, count=len(gone), total=len(case.keys)),
-            gone,
-        )
-
-
-_STAY = 0.2
-"""Share of the differences of two limbs that may stay where they are exchanged."""
-
-_EXCHANGES = 300
-"""Pairs of limbs that are tried: all of 24 limbs and more than any robot of limbs has."""
-
-
-def _renamed(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
-    """Exchanges joints of a tree, with all that they move."""
-    new = {**names, **{two: one for one, two in names.items()}}
-    joints = {
-        new.get(name, name): replace(joint, parent=new.get(joint.parent, joint.parent))
-        for name, joint in values.joints.items()
-    }
-    return replace(
-        values,
-        joints=joints,
-        bodies={new.get(name, name): body for name, body in values.bodies.items()},
-        frames={
-            frame: (new.get(owner, owner), place) for frame, (owner, place) in values.frames.items()
-        },
-    )
-
-
-_MASS = {
-    1e3: ("g", "kg"),
-    1e-3: ("kg", "g"),
-    2.20462: ("pounds", "kg"),
-    0.453592: ("kg", "pounds"),
-}
-_ANGLE = {math.degrees(1.0): ("degrees", "radians")}
-_LENGTH = {1e3: ("mm", "m"), 1e2: ("cm", "m"), 39.3701: ("inches", "m")}
-_INERTIA = {
-    1e3: ("g m^2", "kg m^2"),
-    1e4: ("kg cm^2", "kg m^2"),
-    1e6: ("kg mm^2", "kg m^2"),
-    1e7: ("g cm^2", "kg m^2"),
-    1e9: ("g mm^2", "kg m^2"),
-}
-
-
-def other_units(case: PatternCase) -> Found:
-    """Finds masses, lengths or inertias that are all the same multiple of the other file's."""
-    first, raw = case.first, case.raw
-    bodies = [(one, raw.bodies[name]) for name, one in first.bodies.items() if one.mass]
-    masses = _factor([(np.array([a.mass]), np.array([b.mass])) for a, b in bodies])
-    inertias = _factor(
-        [(a.inertia, case.second.bodies[n].inertia) for n, a in first.bodies.items()]
-    )
-    places = [(one.position, raw.joints[name].position) for name, one in first.joints.items()]
-    lengths = _factor(places)
-    hinges = [(one, raw.joints[name]) for name, one in first.joints.items() if not one.slides]
-    bounds = [tuple(np.array([j.lower, j.upper]) for j in pair) for pair in hinges]
-    limits = _factor((a, b) for a, b in bounds if np.abs([a, b]).max() <= MAX_NUMBER)
-    for what, factor, units, kinds in (
-        ("limits", limits, _ANGLE, ("lower limit", "upper limit")),
-        ("masses", masses, _MASS, ("mass",)),
-        ("lengths", lengths, _LENGTH, ("position", "com", "frame")),
-        ("inertias", inertias, _INERTIA, ("inertia",)),
-    ):
-        if factor is None:
-            continue
-        yield PatternFinding(
-            "units",
-            diagnose("all-scaled", what=Term(what), factor=factor, guess=_unit(factor, units)),
-            {key for key in case.keys if key[0] in kinds},
-        )
-
-
-def _factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
-    """Returns the one factor between all pairs of arrays; None if there is none, or it is 1."""
-    ratios = []
-    for one, two in pairs:
-        size = float(np.linalg.norm(one))
-        if size < 1e-12:
-            continue
-        ratio = float(np.sum(one * two)) / size**2
-        if float(np.linalg.norm(two - ratio * one)) > 1e-3 * abs(ratio) * size:
-            return None
-        ratios.append(ratio)
-    if len(ratios) < 2 or min(ratios) <= 0 or max(ratios) > 1.001 * min(ratios):
-        return None
-    factor = float(np.median(ratios))
-    return None if math.isclose(factor, 1.0, rel_tol=1e-2) else factor
-
-
-def _unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic | None:
-    for size, (meant, right) in units.items():
-        for file, times in (("MJCF", size), ("URDF", 1 / size)):
-            if math.isclose(factor, times, rel_tol=2e-3):
-                return diagnose("guess-unit", meant=Term(meant), right=Term(right), file=file)
-    decimal = math.isclose(abs(math.log10(factor)), 1, abs_tol=1e-3)
-    return diagnose("guess-decimal-point") if decimal else None
 
 
 def before_gears(case: PatternCase) -> Found:
@@ -442,11 +218,6 @@ def before_gears(case: PatternCase) -> Found:
         diagnose("efforts-before-gears", count=len(joints), efforts=efforts),
         {("effort", name) for name in joints},
     )
-
-
-_LEAST_DROPPED = 4  # bodies that have their coms in their links' origins by no accident
-
-_ORIGIN = 1e-9  # m: a com that is nearer to its link's origin is there
 
 
 def dropped_products(case: PatternCase, lacking: str) -> Found:
@@ -474,7 +245,7 @@ def dropped_products(case: PatternCase, lacking: str) -> Found:
     of_folds = {
         name: replace(body, inertia=_diagonal(body.inertia)) for name, body in tree.bodies.items()
     }
-    for bodies, links in ((of_links, in_links), (of_folds, full)):
+    for bodies in (of_links, of_folds):
         left = {
             (change.kind, name)
             for name, body in bodies.items()
@@ -484,17 +255,10 @@ def dropped_products(case: PatternCase, lacking: str) -> Found:
         gone = {key for key in case.open if key[0] == "inertia"} - left
         if len(gone) > 1 and left <= set(case.keys):
             count = sum(not _is_diagonal(_own(link)) for group in full.values() for link in group)
-            mended = replace(tree, bodies=bodies)
-            undone = (
-                replace(case, second=mended, mjcf=links)
-                if lacking == "URDF"
-                else replace(case, first=mended, urdf=links)
-            )
             yield PatternFinding(
                 "products",
                 diagnose("products-of-inertia-dropped", file=lacking, count=count),
                 gone,
-                undone,
             )
             return
 
@@ -518,33 +282,10 @@ def _is_diagonal(inertia: Array) -> bool:
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 
 
-def dropped_coms(words: str, one: MultibodyTree, keys: Sequence[Key]) -> Found:
-    """Finds that one file has the coms of many bodies where their links' origins are.
-
-    Args:
-        words: What the file is called.
-        one: Its tree, in its own link frames.
-        keys: The differences.
-    """
-    names = [
-        element
-        for kind, element in keys
-        if kind == "com" and float(np.linalg.norm(one.bodies[element].com)) < _ORIGIN
-    ]
-    if len(names) >= _LEAST_DROPPED:
-        yield PatternFinding(
-            "coms",
-            diagnose("coms-dropped", file=words, count=len(names), bodies=names),
-            {("com", name) for name in names},
-        )
-
-
 def find_dropped(case: PatternCase) -> Found:
     """Finds what one file has left out of its inertials."""
-    trees_of = (("URDF", case.first), ("MJCF", case.raw))
-    for words, own in trees_of:
-        yield from dropped_products(case, words)
-        yield from dropped_coms(words, own, case.keys)
+    for file in ("URDF", "MJCF"):
+        yield from dropped_products(case, file)
 
 
 _MOST_SUBSET_LINKS = 12
@@ -620,37 +361,9 @@ def other_links(case: PatternCase) -> Found:
         movers = {slip.mover for slip in group}
         explained = {key for key in case.open if key[0] in OF_INERTIALS and key[1] in movers}
         if lacks:
-            file = case.urdf if lacks == "MJCF" else case.mjcf
-            known = [link.name for links in file.values() for link in links]
-            yield PatternFinding("links", _lacking(group, known), explained)
+            yield PatternFinding("links", _lacking(group), explained)
         else:
             yield PatternFinding("scaled links", _scaled(group), explained)
-    for name in differ:
-        message = None if ("mass", name) in case.open else _moved(case, name)
-        if message is not None:
-            keys = {key for key in case.open if key[0] in OF_INERTIALS and key[1] == name}
-            yield PatternFinding("moved link", message, keys)
-
-
-def _moved(case: PatternCase, name: str) -> Diagnostic | None:
-    """Says which one of several links of a body has its com elsewhere, if only one can be it."""
-    one, two, links = case.first.bodies[name], case.second.bodies[name], case.urdf.get(name, ())
-    apart, found = body_moments(one) - body_moments(two), []
-    for link in links if len(links) > 1 else ():
-        shift = -apart[1:4] / link.body.mass
-        moved = replace(link.body, com=link.body.com + shift)
-        extra = body_moments(link.body) - body_moments(moved)
-        if _is_it(case, name, from_moments(body_moments(one) - extra), two, extra, apart):
-            found.append((link, shift))
-    if len(found) != 1:
-        return None
-    ((link, shift),) = found
-    return diagnose(
-        "link-com-moved",
-        link=link.name,
-        shift=Vector(tuple(shift @ link.axes), "m"),
-        others=len(links) - 1,
-    )
 
 
 def _slip(case: PatternCase, name: str) -> _Slip | None:
@@ -669,7 +382,7 @@ def _slip(case: PatternCase, name: str) -> _Slip | None:
                 return _Slip(name, chosen, lacks)
     kinds = {kind for kind, element in case.open if element == name}
     alone = len(case.urdf.get(name, ())) == len(case.mjcf.get(name, ())) == 1
-    if alone and not kinds & {"com", "inertia"} and not _power(two.mass / one.mass):
+    if alone and not kinds & {"com", "inertia"} and not _is_power(two.mass / one.mass):
         return None  # one number of one link: the difference says it all
     # What another cause explains of the inertia says nothing of the link's.
     both = (False,) if ("inertia", name) in case.taken else (True, False)
@@ -735,13 +448,8 @@ def _scale(one: TreeBody, two: TreeBody) -> Array:
     return np.array([1.0, *(length,) * 3, *(length**2,) * 6])
 
 
-def _lacking(slips: Sequence[_Slip], known: Sequence[str]) -> Diagnostic:
-    """Says which links a file lacks, those of one name pattern at once.
-
-    Args:
-        slips: What is wrong.
-        known: All links with mass of the other file.
-    """
+def _lacking(slips: Sequence[_Slip]) -> Diagnostic:
+    """Says which links a file lacks, those of one name pattern at once."""
     links = {link.name: link.body.mass for slip in slips for link in slip.links}
     other = "URDF" if slips[0].lacks == "MJCF" else "MJCF"
     groups = sorted(
@@ -750,14 +458,12 @@ def _lacking(slips: Sequence[_Slip], known: Sequence[str]) -> Diagnostic:
     messages = []
     for pattern, names in groups:
         masses = [links[name] for name in names]
-        every = sum(fnmatchcase(name, pattern) for name in known)
         alike = len(names) > 1 and math.isclose(min(masses), max(masses), rel_tol=1e-6)
         messages.append(
             diagnose(
                 "links-of-a-pattern",
                 pattern=pattern,
                 count=len(names) if len(names) > 1 else None,
-                every=every if every > len(names) > 1 else None,
                 mass=Quantity(masses[0] if alike else sum(masses), "kg"),
                 each=alike,
             )
@@ -779,22 +485,13 @@ def _scaled(slips: Sequence[_Slip]) -> Diagnostic:
         for slip in slips
         for link in slip.links
     ]
-    power = _power(factor)
-    guess = None
-    if power:
-        grams = abs(power) == _GRAMS
-        guess = diagnose("guess-grams-for-kilograms" if grams else "guess-decimal-point")
-    inertia = slips[0].inertia
-    return diagnose("links-scaled", links=links, factor=factor, inertia=inertia, guess=guess)
+    return diagnose("links-scaled", links=links, factor=factor, inertia=slips[0].inertia)
 
 
-_GRAMS = 3  # powers of ten between g and kg
-
-
-def _power(factor: float) -> int:
-    """Returns which power of ten a factor is; 0 if it is none, or 1."""
+def _is_power(factor: float) -> bool:
+    """Whether a factor is a power of ten, and not 1."""
     power = math.log10(factor)
-    return round(power) if math.isclose(power, round(power), abs_tol=1e-3) else 0
+    return math.isclose(power, round(power), abs_tol=1e-3) and round(power) != 0
 
 
 def by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
@@ -816,13 +513,8 @@ def by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
     return found
 
 
-_LEAST_INERTIALS = 4  # bodies that are told in one line
-
 _OTHER_BODYS_MASS = 0.1
 """How far a mass is off, at least, that is taken for another body's: not a screw more or less."""
-
-_PLACEHOLDER = 1e-3
-"""Share of the other's mass below which a body is there for the sake of the joint alone."""
 
 
 def other_inertials(case: PatternCase) -> Found:
@@ -835,41 +527,12 @@ def other_inertials(case: PatternCase) -> Found:
             continue
         if one.mass and two.mass and abs(two.mass - one.mass) >= _OTHER_BODYS_MASS * one.mass:
             others.append(name)
-    if len(others) >= _LEAST_INERTIALS:
+    if others:
+        links = [case.first.bodies[name].link or name for name in others]
         yield PatternFinding(
             "inertial",
-            diagnose("inertials-of-another-robot", count=len(others), bodies=others),
+            diagnose("inertials-of-another-robot", bodies=links, several=len(links) > 1),
             {(kind, name) for kind in kinds for name in others},
-        )
-        return
-    for name in others:
-        one, two = case.first.bodies[name], case.second.bodies[name]
-        twin = next(
-            (
-                body.link or other
-                for other, body in case.first.bodies.items()
-                if other != name
-                and math.isclose(body.mass, two.mass, rel_tol=case.tolerances.mass)
-                and np.allclose(body.com, two.com, atol=case.tolerances.com)
-            ),
-            None,
-        )
-        if min(one.mass, two.mass) < _PLACEHOLDER * max(one.mass, two.mass):
-            guess = diagnose("guess-placeholder")
-        elif twin:
-            guess = diagnose("guess-inertial-of-another-body", body=twin)
-        else:
-            guess = diagnose("guess-another-version")
-        yield PatternFinding(
-            "inertial",
-            diagnose(
-                "inertial-of-another",
-                subject=("link", one.link or name),
-                urdf=Quantity(one.mass, "kg"),
-                mjcf=Quantity(two.mass, "kg"),
-                guess=guess,
-            ),
-            {(kind, name) for kind in kinds},
         )
 
 
@@ -958,8 +621,7 @@ def find_causes(
     bodies = any(kind in OF_INERTIALS for kind, _ in keys)
     urdf = urdf_links(robot) if bodies else {}
     mjcf = mjcf_links(robot, raw, second) if bodies else {}
-    raw = replace(raw, gravity=first.gravity)
-    case = PatternCase(robot, first, raw, second, keys, tolerances, urdf, mjcf, from_geoms)
+    case = PatternCase(robot, first, second, keys, tolerances, urdf, mjcf, from_geoms)
     found: list[PatternCause] = []
     taken: set[int] = set()
     for look in _LOOKS:
@@ -970,14 +632,10 @@ def find_causes(
             if len(numbers) > 1:
                 taken |= set(numbers)
                 found.append(PatternCause(each.kind, each.diagnostic, numbers))
-                case = each.undone or case
     return tuple(sorted(found, key=lambda cause: (not cause.leads, cause.differences)))
 
 
 _LOOKS = (
-    other_angles,
-    find_exchanged,
-    other_units,
     before_gears,
     find_dropped,
     masses_of_geoms,

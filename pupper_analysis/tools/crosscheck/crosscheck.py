@@ -35,7 +35,6 @@ from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import EARTH
 from pupper_analysis.models.conversion import (
-    MujocoTree,
     UrdfImport,
     acting_gravity,
     joint_armature,
@@ -49,12 +48,11 @@ from pupper_analysis.models.mjcf import (
     has_free_joint,
     silence_mujoco,
 )
-from pupper_analysis.models.multibody import from_pinocchio, joint_placements
+from pupper_analysis.models.multibody import joint_placements
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.compare.behaviour import (
-    MOST_IN_PINOCCHIO,
     States,
     affordable_states,
     is_large,
@@ -543,9 +541,6 @@ MJCF_AS_IT_IS = "MJCF as it is"
 
 URDF_YOURDFPY = "URDF in yourdfpy"
 
-URDF_READ = "URDF, read by Pinocchio, in MuJoCo"
-"""Takes the place of both evaluations in Pinocchio if the robot is large: see `size`."""
-
 EXTRAS = "extras (MJCF)"
 """The side of springs, tendons, fluid and others that a URDF has no words for."""
 
@@ -555,14 +550,11 @@ EDGES = {
     (URDF_PINOCCHIO, URDF_MUJOCO): "engines (URDF)",
     (MJCF_PINOCCHIO, MJCF_MUJOCO): "engines (MJCF)",
     (URDF_PINOCCHIO, URDF_YOURDFPY): "yourdfpy (URDF)",
-    (URDF_READ, MJCF_MUJOCO): "models (reader)",
-    (URDF_READ, URDF_MUJOCO): "readers (URDF)",
-    (URDF_READ, URDF_YOURDFPY): "yourdfpy (URDF)",
     (MJCF_MUJOCO, MJCF_AS_IT_IS): EXTRAS,
 }
 """What a deviation between two evaluations is a deviation of."""
 
-OF_ONE_MODEL = ("engines (URDF)", "engines (MJCF)", "readers (URDF)", "yourdfpy (URDF)")
+OF_ONE_MODEL = ("engines (URDF)", "engines (MJCF)", "yourdfpy (URDF)")
 """Deviations of engines, which read one and the same model."""
 
 OF_THE_MJCF = ("engines (MJCF)",)
@@ -641,13 +633,9 @@ def check_states(count: int, seed: int) -> None:
 
 def size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
     """Yields what is left out of the comparison of a large robot at so many states."""
-    if not is_large(robot):
-        return
-    gigabytes, most = 32e-9 * robot.nv**3, MOST_IN_PINOCCHIO
-    yield diagnose("large-without-pinocchio", count=robot.nv, gigabytes=gigabytes, most=most)
-    states = affordable_states(robot, count)
-    if states < count:
-        yield diagnose("large-at-fewer-states", states=states, count=count)
+    if is_large(robot):
+        states = affordable_states(robot, count)
+        yield diagnose("large-without-pinocchio", dofs=robot.nv, states=states, count=count)
 
 
 @check_arguments
@@ -699,7 +687,7 @@ def cross_check(
         without_effects(robot.mj_model, coupled),
         moved or {},
     )
-    first = URDF_READ if is_large(robot) else URDF_PINOCCHIO
+    first = URDF_MUJOCO if is_large(robot) else URDF_PINOCCHIO
     checks = tuple(
         _compare(name, evaluations, evaluations[first], labels_of(robot, name), tolerance)
         for name in evaluations[first]
@@ -749,6 +737,8 @@ def _evaluations(
             description.urdf, description.urdf_source, robot.mj_model, robot.mj_base, robot.imu
         )
     except ModelError as error:
+        if is_large(robot):
+            raise  # which no other engine evaluates
         message = error.diagnostic.values["problem"]
         left_out.append(diagnose("urdf-not-in-mujoco", problem=message))
     pairs = {**description.contact_points, **description.frames}  # of both files
@@ -756,9 +746,8 @@ def _evaluations(
     mjcf_frames = {name: pair[1] for name, pair in pairs.items()}
     robot = replace(robot, contact_points=tuple(pairs), contact_frames=urdf_frames)
     base = robot.mj_base
-    if is_large(robot):
-        evaluations = {URDF_READ: _rebuilt_evaluation(robot, states)}
-    else:
+    evaluations = {}
+    if not is_large(robot):
         in_pinocchio = pinocchio_from_mujoco(robot.mj_model)
         mjcf_robot = replace(
             robot,
@@ -782,7 +771,7 @@ def _evaluations(
         evaluations[URDF_MUJOCO] = mujoco_evaluation(
             robot, in_mujoco, robot.base, urdf_frames, states, {}
         )
-    if pairs:
+    if pairs and not is_large(robot):
         evaluations[URDF_YOURDFPY] = yourdfpy_evaluation(robot, states)
     return evaluations, left_out, robot
 
@@ -836,13 +825,6 @@ def mujoco_from_urdf(
         model.dof_armature[start : start + count] = armature[first : first + count]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
-
-
-def _rebuilt_evaluation(robot: Robot, states: States) -> Evaluation:
-    """Evaluates the URDF as Pinocchio reads it, in a MuJoCo model made of its numbers."""
-    values = from_pinocchio(robot.pin_model, robot.base, robot.joint_names, robot.contact_frames)
-    tree, frames = MujocoTree(values), {name: name for name in values.frames}
-    return mujoco_evaluation(robot, tree.model, tree.base, frames, states, {})
 
 
 def _compare(

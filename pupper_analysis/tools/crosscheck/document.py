@@ -6,10 +6,9 @@ As a document, and as remarks for machines, in the same order.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
@@ -32,27 +31,9 @@ from pupper_analysis.tools.crosscheck.crosscheck import (
     MJCF_PINOCCHIO,
     URDF_MUJOCO,
     URDF_PINOCCHIO,
-    URDF_READ,
     URDF_YOURDFPY,
     Comparison,
 )
-
-
-@dataclass(frozen=True, eq=False)
-class OverlayScene(doc.OtherScene):
-    """Two files of a robot over each other, with what differs marked.
-
-    Attributes:
-        comparison: Of the two files.
-    """
-
-    comparison: Comparison
-
-    def drawn(self) -> dict[str, Any] | None:
-        """Returns both files at zero angles; see ``draw_overlay``."""
-        from pupper_analysis.tools.crosscheck.overlay import draw_overlay  # loads engines
-
-        return draw_overlay(self.comparison)
 
 
 def matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
@@ -142,8 +123,6 @@ def _remark(
     return Annotation("error", title, message, place, rule=rule, about=about, diagnostic=finding)
 
 
-_OVERLAY = "overlay-note"
-
 SHORT, SHOWN = 20, 40
 """Groups of differences whose lines are shown side by side, in a short view and in any; the table
 has them all."""
@@ -152,7 +131,6 @@ _ONE_FILE = {
     EDGES[URDF_PINOCCHIO, URDF_MUJOCO],
     EDGES[MJCF_PINOCCHIO, MJCF_MUJOCO],
     EDGES[URDF_PINOCCHIO, URDF_YOURDFPY],
-    EDGES[URDF_READ, URDF_MUJOCO],
 }
 """Deviations of two engines or readers on one file: they are about none of the two files."""
 
@@ -198,7 +176,6 @@ def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
     files = {"urdf-file": comparison.urdf, "mjcf-file": comparison.mjcf}
     named = tuple(text(said, file=doc.Name(file)) for said, file in files.items())
     yield doc.Lines(named, detail=True)
-    yield doc.View(text("overlay-title"), OverlayScene(comparison), text(_OVERLAY))
     for part in comparison.parts:
         off = text("part-it-was-taken-off", part=doc.tell(part))
         yield doc.Lines((off,), "bad", text("only-in-one-file"))

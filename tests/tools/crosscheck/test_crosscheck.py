@@ -30,7 +30,7 @@ def test_compares_what_it_says() -> None:
         *("mass matrix", "bias forces", "gravity", "forward dynamics", "gyro", "accelerometer"),
     }
     # Nothing is compared with nothing: every quantity has a scale, and takes all sides.
-    every = set(EDGES.values()) - {"models (reader)", "readers (URDF)"}  # those of large robots
+    every = set(EDGES.values())
     for quantity in quantities.values():
         assert quantity.scale > 0, quantity.name
         assert set(quantity.edges) >= every - {"yourdfpy (URDF)"}

@@ -84,7 +84,7 @@ def test_links_that_one_file_lacks_are_told_once_and_first(lacks: str, folder: P
 def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
     bare = without(geared(), "thigh0_rotor", "thigh1_rotor", "hip2_rotor")
     comparison = compared(write(folder, urdf_text(geared()), mjcf_text(bare)))
-    assert "that of 3 of the 8 *_rotor of 0.089 kg each" in the_cause(comparison, "links")
+    assert "that of 3 *_rotor of 0.089 kg each" in the_cause(comparison, "links")
 
 
 def test_frames_that_are_turned_do_not_hide_a_link(folder: Path) -> None:
@@ -105,21 +105,8 @@ def test_a_decimal_point_in_links_that_are_folded(inertia: bool, folder: Path) -
     assert message.startswith("mass and inertia of" if inertia else "the mass of")
     for leg in range(4):
         assert f"thigh{leg}_rotor (0.89 kg in the URDF, 0.089 kg in the MJCF)" in message
-    assert "0.1 times in the MJCF what the URDF has (a decimal point?)" in message
+    assert "0.1 times in the MJCF what the URDF has" in message
     assert headline(comparison) == f"DISAGREE: {message}"
-
-
-@pytest.mark.parametrize("name", ["thigh0_rotor", "thigh0"])
-def test_a_com_that_is_moved_in_one_of_the_links_that_are_folded(name: str, folder: Path) -> None:
-    """By as much first moment as the other could have: only the inertia says which it is."""
-    parts = geared()
-    shift = np.array([0.02, -0.01, 0.03]) * parts["thigh0_rotor"].mass / parts[name].mass
-    moved = replace(parts[name], com=tuple(np.add(parts[name].com, shift)))
-    comparison = compared(write(folder, urdf_text(parts), mjcf_text({**parts, name: moved})))
-    (cause,) = (cause for cause in comparison.causes if cause.kind == "moved link")
-    assert cause.diagnostic.values["link"] == name
-    np.testing.assert_allclose(cause.diagnostic.values["shift"].values, shift, atol=1e-5)
-    assert headline(comparison) == f"DISAGREE: {cause.message}"
 
 
 @pytest.mark.parametrize(("mass", "other", "reported"), [(0.3, 3.0, True), (4.0, 2.5, False)])
@@ -148,16 +135,6 @@ def test_products_that_are_dropped_where_the_base_is_a_fold(folder: Path) -> Non
     assert message.startswith("all products of inertia are 0 in the MJCF, of 18 bodies")
     comparison = compared(write(folder, urdf_text(mjcf), mjcf_text(geared())))
     assert the_cause(comparison, "products").startswith("all products of inertia are 0 in the URDF")
-
-
-def test_a_link_is_found_besides_dropped_products(folder: Path) -> None:
-    mjcf = {
-        name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
-        for name, part in without(geared(), "lidar").items()
-    }
-    comparison = compared(write(folder, urdf_text(geared()), mjcf_text(mjcf)))
-    assert {cause.kind for cause in comparison.causes} == {"products", "links"}
-    assert "lidar of 0.02 kg" in the_cause(comparison, "links")
 
 
 def test_no_link_is_blamed_for_another_inertial(folder: Path) -> None:

@@ -116,7 +116,7 @@
       sun.position.set(1, -1.5, 3);
       scene.add(sun);
       this.layers = {};
-      for (const name of ["shapes", "axes", "forces", "support", "masses", "other"]) this.layers[name] = [];
+      for (const name of ["shapes", "axes", "forces", "support", "masses"]) this.layers[name] = [];
       this.bodies = data.bodies.map(() => {
         const group = new THREE.Group();
         scene.add(group);
@@ -128,7 +128,6 @@
       this.addMasses();
       this.addForces();
       this.addSupport();
-      this.addLines();
       this.place();
       for (const input of this.stage.querySelectorAll("[data-layer]")) this.show(input);
     }
@@ -146,14 +145,14 @@
       for (const geom of this.data.geoms) {
         const [r, g, b, opacity] = geom.colour;
         const material = new THREE.MeshStandardMaterial({
-          color: geom.marked ? color("--c1") : new THREE.Color(r, g, b), roughness: 0.75, metalness: 0.05,
+          color: new THREE.Color(r, g, b), roughness: 0.75, metalness: 0.05,
           flatShading: geom.shape === "mesh", transparent: opacity < 1, opacity,
         });
         for (const shape of shapes(geom)) {
           const mesh = new THREE.Mesh(shape, material);
           mesh.position.set(...geom.pos);
           mesh.quaternion.copy(quaternion(geom.quat));
-          this.put("shapes", mesh, this.bodies[geom.body], geom.body, geom.marked && "body");
+          this.put("shapes", mesh, this.bodies[geom.body], geom.body);
         }
       }
     }
@@ -255,25 +254,6 @@
       this.put("support", ball, null, 0, "com");
     }
 
-    addLines() {
-      const material = new THREE.MeshBasicMaterial({ color: color("--c3"), depthTest: false });
-      const thin = 0.008 * this.data.size;
-      for (const [from, to] of (this.data.lines || []).map((line) => line.map(vector))) {
-        const ball = new THREE.Mesh(new THREE.SphereGeometry(2 * thin, 14, 10), material);
-        ball.position.copy(to);
-        ball.renderOrder = 3;
-        this.put("other", ball);
-        const along = to.clone().sub(from);
-        if (!along.length()) continue;
-        const rod = new THREE.Mesh(
-          new THREE.CylinderGeometry(thin, thin, along.length()), material);
-        rod.position.copy(from).addScaledVector(along, 0.5);
-        rod.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), along.normalize());
-        rod.renderOrder = 3;
-        this.put("other", rod);
-      }
-    }
-
     place() {
       const motion = this.data.motions[this.motion];
       const numbers = motion.numbers ?? (motion.numbers = new Int16Array(bytes(motion.frames)));
@@ -347,8 +327,6 @@
       const data = this.data;
       if (kind === "joint") {
         const joint = data.joints[index];
-        if (joint.differences !== undefined)
-          return `${joint.name}: ${joint.differences[window.report.language()] || words.same}`;
         const limit = joint.limit === null ? "" : ` / ${joint.limit} N m`;
         const torque = joint.torque === null ? "" :
           `; ${words.torque} ${joint.torque.toFixed(3)} N m${limit}`;
@@ -356,8 +334,8 @@
           `${joint.position.toFixed(3)} rad${torque}`;
       }
       if (kind === "body") {
-        const { name, mass, differences } = data.bodies[index];
-        return `${name}: ${words.mass} ${mass.toFixed(3)} kg${differences ? `; ${differences[window.report.language()]}` : ""}`;
+        const { name, mass } = data.bodies[index];
+        return `${name}: ${words.mass} ${mass.toFixed(3)} kg`;
       }
       if (kind === "com")
         return `${words.com}: (${data.com.map((value) => value.toFixed(4)).join(", ")}) m`;
