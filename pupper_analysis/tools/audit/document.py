@@ -10,7 +10,7 @@ from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, term
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.documents.sources import page_of, quote_line
+from pupper_analysis.present.documents.sources import quote_line
 from pupper_analysis.present.formats import Annotation
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import (
@@ -26,7 +26,7 @@ MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
 """The emphasis of each severity."""
 
 SHOWN = 40
-"""Groups of findings that are shown with their lines; the table has them all."""
+"""Groups of findings in a short view."""
 
 
 @build_document.register(Audit)
@@ -37,15 +37,12 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         for severity, count in audit.counts.items()
     ]
     rules = text("by-count-rules", count=len(audit.rules_run))
-    blocks: list[doc.Block] = list(_groups(audit))
-    if audit.findings:
-        blocks.append(_findings(audit))
     suspect = bool(audit.counts.get(Severity.WARNING))
     passed = text("audit-warnings") if suspect else text("audit-ok")  # no error, but likely a slip
     return doc.Document(
         text("audit"),
         doc.Name(Path(audit.file).name),
-        tuple(blocks),
+        tuple(_groups(audit)),
         passed=audit.passed,
         verdict=passed if audit.passed else text("audit-errors"),
         warned=audit.passed and suspect,
@@ -85,14 +82,14 @@ def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
     if others:
         names = join_words(element_text(other.diagnostic) for other in others)
         said = text("finding-likewise-names", finding=said, names=names)
-    place, path = _place(first)
+    path = first.place.path
     quote = doc.Name(quote_line(path, audit.file))
     tag = text(
         "severity-rule",
         severity=word(str(first.severity)),
         rule=first.rule,
     ).marked(MARKS[first.severity])
-    return doc.Sides(said, (doc.FilePlace(doc.Name(place), quote, path),), advice, tag)
+    return doc.Sides(said, (doc.FilePlace(doc.Name(str(first.place)), quote, path),), advice, tag)
 
 
 def rule_words(rule: str, what: str) -> doc.Text:
@@ -106,42 +103,6 @@ def element_text(finding: Diagnostic) -> doc.Text:
     assert subject is not None
     name = f" {subject.name!r}" if subject.name else ""
     return doc.Text(*(f"{term(subject.kind, language)}{name}" for language in LANGUAGES))
-
-
-def _place(finding: Finding) -> tuple[str, str]:
-    """Returns where a finding stands: with the file's name alone, and with its path."""
-    return str(finding.place), finding.place.path
-
-
-def _findings(audit: Audit) -> doc.Table:
-    rows: list[tuple[doc.Cell, ...]] = [
-        (
-            doc.Number(str(order), order, MARKS[one.severity]),
-            word(str(one.severity)),
-            doc.Name(_place(one)[0]),
-            element_text(one.diagnostic),
-            doc.tell(one.diagnostic),
-            doc.Name(one.rule),
-            rule_words(one.rule, "title"),
-        )
-        for order, one in enumerate(audit.findings, start=1)
-    ]
-    return doc.Table(
-        text("findings"),
-        (
-            doc.Column(text("ordinal"), "1"),
-            doc.Column(text("severity"), left=True),
-            doc.Column(text("line"), left=True),
-            doc.Column(text("of"), left=True),
-            doc.Column(text("finding"), left=True),
-            doc.Column(text("rule"), left=True),
-            doc.Column(text("what-the-rule-looks"), left=True),
-        ),
-        tuple(rows),
-        (),
-        (page_of("explanation/models.md", "The audit"),),
-        detail=True,
-    )
 
 
 def _formats(rule: Rule) -> doc.Cell:

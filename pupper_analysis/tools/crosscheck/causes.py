@@ -1,4 +1,4 @@
-"""One slip that explains many differences: a lost tensor, a link that is missing, a moved axis.
+"""One slip that explains many differences: a lost tensor, a link that is missing, a decimal point.
 
 Each is tried out: the slip is undone, and what is gone of the differences is what it explains.
 
@@ -26,16 +26,14 @@ from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_tensor
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
 from pupper_analysis.models.efforts import gear_left_out
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.differences import (
     OF_INERTIALS,
     Difference,
     PatternCause,
     body_changes,
-    changes_between,
 )
-from pupper_analysis.robot.matching.alignment import align_frames, in_body_frame
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees, poses_at_zero
 from pupper_analysis.robot.robot import Robot
@@ -165,17 +163,6 @@ class PatternCase:
     def open(self) -> list[Key]:
         """The differences that no cause explains yet."""
         return [key for key in self.keys if key not in self.taken]
-
-    def gone(self, second: MultibodyTree) -> set[Key]:
-        """Returns the differences that another tree in place of the MJCF's does not have.
-
-        None if it has others instead, or if most of them are left.
-        """
-        both = align_frames(second, self.first, self.tolerances).values
-        changes = changes_between(self.first, both, self.tolerances)
-        left = {(change.kind, change.element) for change in changes}
-        gone = set(self.keys) - left
-        return gone if not left - set(self.keys) and len(gone) > 1 else set()
 
 
 @dataclass(frozen=True, eq=False)
@@ -536,68 +523,6 @@ def other_inertials(case: PatternCase) -> Found:
         )
 
 
-_PARALLEL = 1e-9  # sine of an angle
-
-_MOST_MOVED_JOINTS = 20
-"""Joints elsewhere of which no single one is looked at: it is another robot, and each look takes as
-long as a comparison."""
-
-
-def other_lines(case: PatternCase) -> Found:
-    """Finds joints whose axis alone is elsewhere.
-
-    A body is drawn from its joint on: if that is moved, com, children and frames all are at other
-    places as seen from it, though none of them has moved in the robot.
-    """
-    names = [element for kind, element in case.keys if kind == "position"]
-    for name in names if len(names) <= _MOST_MOVED_JOINTS else ():
-        moved = with_line_of(case.second, case.first, name)
-        gone = case.gone(moved)
-        if ("position", name) not in gone:
-            continue
-        away, angle = _apart(case.first.joints[name], case.second.joints[name])
-        yield PatternFinding(
-            "line",
-            diagnose(
-                "axis-elsewhere",
-                subject=("joint", name),
-                distance=Quantity(away, "m") if away > case.tolerances.position else None,
-                angle=Quantity(angle, "rad") if angle > case.tolerances.axis else None,
-            ),
-            gone,
-        )
-
-
-def with_line_of(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
-    """Returns a robot in which a joint turns about another's axis; its body stays at zero.
-
-    Args:
-        values: The robot.
-        other: A robot with that joint, in the same frame of the parent's.
-        name: The joint.
-    """
-    mine, new = values.joints[name], other.joints[name]
-    put = new.placement.actInv(mine.placement)
-    joint = replace(mine, position=new.position, rotation=new.rotation, axis=new.axis)
-    turned = in_body_frame(values, name, np.array(put.rotation), np.array(put.translation))
-    return replace(turned, joints={**turned.joints, name: joint})
-
-
-def _apart(one: TreeJoint, two: TreeJoint) -> tuple[float, float]:
-    """Returns the distance (m) of two joints' axes, and the angle (rad) between them.
-
-    In the frame of the parent, at zero; an axis of the opposite sign is the same line.
-    """
-    first, second = one.rotation @ one.axis, two.rotation @ two.axis
-    between, across = two.position - one.position, np.cross(first, second)
-    sine = float(np.linalg.norm(across))
-    if sine > _PARALLEL:
-        away = abs(float(between @ across)) / sine
-    else:
-        away = float(np.linalg.norm(np.cross(between, first)))
-    return away, float(np.arctan2(sine, abs(float(first @ second))))
-
-
 def find_causes(
     robot: Robot,
     second: MultibodyTree,
@@ -642,6 +567,5 @@ _LOOKS = (
     closed_loops,
     other_links,
     other_inertials,
-    other_lines,
 )
 """From what explains most at once to what explains a single body."""

@@ -69,7 +69,6 @@ FL_HAA, FR_HFE = '<joint name="FL_HAA"', '<joint name="FR_HFE"'
 OTHER = 'contype="2" conaffinity="2"'
 KEY, FEET = '<key name="home"', '<default class="foot">'
 FL_HFE = '<joint name="FL_HFE"'
-FL_HIP = '<link name="FL_hip">'
 
 # The rule; the format, tag and name of the element; what is on the line that is reported, behind
 # the element's tag; a pattern that is replaced behind that tag and its replacement, or edits.
@@ -77,7 +76,6 @@ SLIPS: list[tuple[Any, ...]] = [
     ("mass-not-positive", "urdf link FL_calf", '<mass', 'value="0.05"', 'value="-0.05"'),
     ("moving-body-without-mass", "urdf link base_link", '<mass', 'value="1.506"', 'value="0.0001"'),
     ("com-outside-shapes", "urdf link FL_calf", '<origin', '-0.055', '0.055'),
-    ("total-mass-unusual", "urdf link base_link", '', '1.506', '1506'),
     ("mass-beyond-motors", "urdf link base_link", '', '1.506', '1506'),
     ("link-without-inertial", "urdf link body_imu_site", '', '(?s)<inertial>.*?</inertial>', ''),
     ("massless-link-collides", "urdf link body_imu_site", '',
@@ -150,7 +148,6 @@ SLIPS: list[tuple[Any, ...]] = [
     ("option-out-of-range", "mjcf option", '', '/>', ' tolerance="1e9"/>'),
     ("option-out-of-range", "mjcf option", '', '/>', ' density="-1"/>'),
     ("rpy-in-degrees", "urdf joint FL_HFE", '<origin', '"0 0 0"', '"0 0 0" rpy="0 90 0"'),
-    ("rpy-in-degrees", "mjcf site RR_foot", '', '/>', ' euler="0 90 0"/>'),
     ("mesh-missing", "urdf link FL_calf", '<mesh',
      '<cylinder radius="0.011" length="0.11"/>', '<mesh filename="package://nowhere/calf.stl"/>'),
     ("servo-drives-away", "mjcf general FL_HAA", '', '/>', ' gainprm="-60" biasprm="0 60 -1"/>'),
@@ -159,10 +156,7 @@ SLIPS: list[tuple[Any, ...]] = [
     ("range-empty", "mjcf general FL_HAA", '', '/>', ' forcelimited="auto" forcerange="18 -18"/>'),
     ("range-empty", "mjcf general FL_HAA", '', '/>', ' ctrlrange="0.8 -0.8"/>'),
     ("actuator-without-effect", "mjcf general FL_HAA", '', '/>', ' gear="0"/>'),
-    ("servo-gains-contradict", "mjcf general FL_HAA", '', '/>', ' biasprm="0 -30 -1"/>'),
     ("actuator-unlimited", "mjcf general FL_HAA", '', '/>', ' forcelimited="false"/>'),
-    ("ctrlrange-differs", "mjcf general FL_HAA", '', '/>', ' ctrlrange="-0.4 0.8"/>'),
-    ("ctrlrange-differs", "mjcf general FL_HAA", '', '/>', ' ctrlrange="-1.6 0.8"/>'),
     ("start-outside-limits", "mjcf key home", '', '0.9014 -1.5083', '1.5 -1.5083'),
     ("keyframe-ctrl", "mjcf key home", '', 'ctrl="0 0.9014', 'ctrl="0 1.5'),
     ("start-in-floor", "mjcf key home", '', '0 0 0.158', '0 0 0.14'),
@@ -171,14 +165,8 @@ SLIPS: list[tuple[Any, ...]] = [
     ("gravity-unusual", "mjcf option", '', '-9.81', '-9.75'),
     ("moving-body-without-mass", "urdf link FL_calf", "",
      *((link, r"(?s)<inertial>.*?</inertial>", "") for link in (FL_CALF, FL_FOOT))),
-    ("inertial-ignored", "mjcf body base_link", "<inertial",
-     ("<compiler", "/>", ' inertiafromgeom="true"/>'),
-     ('<freejoint name="world_to_body"/>', "\n",
-      '\n<inertial pos="0 0 0" mass="3" diaginertia="0.1 0.1 0.1"/>\n')),
     ("visual-adds-mass", "mjcf geom shell", "", ('<geom class="torso"/>', "\n",
      '\n<geom name="shell" type="box" size="0.1 0.05 0.02" conaffinity="0"/>\n')),
-    ("base-fixed", "mjcf body base_link", "", ("", '<freejoint name="world_to_body"/>', ""),
-     ("", r"(?s)<keyframe>.*?</keyframe>", "")),
     ("shape-ends-off-joint", "mjcf body FL_thigh", "<geom",
      ('<default class="thigh">', "0 0 -0.08", "0 0 -0.12")),
     ("shape-ends-off-joint", "urdf link RR_thigh", "<collision",
@@ -199,8 +187,6 @@ SLIPS: list[tuple[Any, ...]] = [
     ("inertial-placeholder", "urdf link FL_hip", "<mass",
      *((f'<link name="{leg}_{part}">', '<mass value="[^"]*"', '<mass value="1"')
        for leg, part in product(LEGS, ("hip", "thigh", "calf")))),
-    ("joint-named-like-link", "urdf joint FL_hip", "",
-     ("", 'joint name="FL_HAA"', 'joint name="FL_hip"')),
     ("servos-compete", "mjcf position two", "",
      ("", "</actuator>", '<position name="two" joint="FL_HAA" kp="60"/></actuator>')),
     ("forcerange-above-joint", "mjcf general FL_HAA", "",
@@ -238,8 +224,6 @@ CASES = [
     *(case_of(*slip) for slip in SLIPS),
     Case("mujoco-refuses", "mjcf", "mujoco", (FL_HFE, ""),
          (Edit(FL_HFE, "/>", ' range="1.2 -1.8"/>'),)),
-    Case("material-undefined", "urdf", "material 'chrome'", (FL_HIP, "chrome"),
-         (Edit(FL_HIP, "motor", "chrome"),)),
 ]  # fmt: skip
 
 
@@ -343,21 +327,20 @@ def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None
     assert of_package.line == line_of(path.read_text(), "<robot", names[0])
 
 
-@pytest.mark.parametrize(("scale", "severity"), [("1 -1 1", "note"), ("-1 -1 -1", "warning")])
-def test_a_mirrored_mesh_is_found(scale: str, severity: str, tmp_path: Path) -> None:
+def test_a_mesh_that_is_mirrored_in_all_directions_is_found(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
     edit = Edit(
         FL_CALF,
         r'<cylinder radius="0.011" length="0.11"/>',
-        f'<mesh filename="a.obj" scale="{scale}"/>',
+        '<mesh filename="a.obj" scale="SCALE"/>',
     )
     path = written(tmp_path, "urdf", (edit,))
-    (finding,) = found(audit_model(path), "mesh-mirrored", "link 'FL_calf'")
-    assert str(finding.severity) == severity
-    path.write_text(path.read_text().replace(scale, "-1 -1 1"))  # half a turn about z
-    assert not found(audit_model(path), "mesh-mirrored")
-    path.write_text(path.read_text().replace("-1 -1 1", "1 0 1"))
-    assert found(audit_model(path), "value-impossible", "link 'FL_calf'")
+    text = path.read_text()
+    for scale, rules in (("-1 -1 -1", {"mesh-mirrored"}), ("-1 -1 1", set()),
+                         ("1 0 1", {"value-impossible"})):  # fmt: skip
+        path.write_text(text.replace("SCALE", scale))
+        findings = [one.rule for one in audit_model(path).findings if "FL_calf" in one.element]
+        assert {"mesh-mirrored", "value-impossible"} & set(findings) == rules
 
 
 FLOOR = Edit("<worldbody", '<geom name="floor".*?/>', "")
@@ -660,16 +643,6 @@ def test_lost_signs_between_links_with_rotated_frames(
     assert Path(finding.file) == part
 
 
-def test_another_zero_angle_may_explain_another_place(tmp_path: Path) -> None:
-    knee = '<joint name="FR_KFE"'
-    turned = (Edit(knee, '"0 0 -0.08"', '"0.048 0 -0.064"'),)  # as far from the hip as before
-    (finding,) = found(audit_model(written(tmp_path, "urdf", turned)), "mirror-position")
-    assert finding.diagnostic.values["turned"] == "FR_HFE"
-    longer = (Edit(knee, '"0 0 -0.08"', '"0.048 0 -0.08"'),)
-    (finding,) = found(audit_model(written(tmp_path, "urdf", longer)), "mirror-position")
-    assert finding.diagnostic.values["turned"] is None
-
-
 def test_rounded_inertias_are_sound(tmp_path: Path) -> None:
     """A rod whose moments were rounded to a few digits breaks the inequality by the rounding."""
     edits = (
@@ -780,22 +753,11 @@ def massless(tmp_path: Path, *shapes: str) -> Audit:
     return audit_model(file)
 
 
-def test_water_in_shapes_is_what_mujoco_weighs(tmp_path: Path) -> None:
-    shapes = {
-        '<sphere radius="0.03"/>': 'type="sphere" size="0.03"',
-        '<box size="0.1 0.06 0.04"/>': 'type="box" size="0.05 0.03 0.02"',
-        '<cylinder radius="0.041" length="0.032"/>': 'type="cylinder" size="0.041 0.016"',
-    }
-    geoms = "".join(f"<geom {geom}/>" for geom in shapes.values())
-    model = mujoco.MjModel.from_xml_string(
-        f"<mujoco><worldbody><body><freejoint/>{geoms}</body></worldbody></mujoco>"
-    )
-    found = massless(tmp_path, *shapes)
-    (water,) = (each for each in found.findings if each.rule == "massless-link-collides")
+def test_shapes_of_links_without_mass_are_told_once(tmp_path: Path) -> None:
+    audit = massless(tmp_path, '<sphere radius="0.03"/>', '<box size="0.1 0.06 0.04"/>')
+    (water,) = found(audit, "massless-link-collides")
     assert water.element == "link 'l0'"
-    values = water.diagnostic.values
-    assert values["water"].value == pytest.approx(model.body_mass[1])  # type: ignore[union-attr]
-    assert (values["mass"], values["others"]) == (Quantity(2.0, "kg"), ("l1", "l2"))
+    assert water.diagnostic.values["others"] == ("l1",)
 
 
 def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
@@ -811,19 +773,6 @@ def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
     assert bare.element == "link 'body_imu_site'"
     rules = {each.rule for each in audit_model(ROOT / "urdf/pupper_v3.urdf").findings}
     assert not rules & {"link-without-inertial", "massless-link-collides"}
-
-
-def test_of_a_link_without_shapes_a_com_beyond_the_robot_is_told(tmp_path: Path) -> None:
-    """In degrees, say: 5.73 m, on a leg of 0.6 m."""
-    pair = quadruped(tmp_path)
-    thigh = '<inertial pos="0 0 -0.1" mass="0.5"'
-    assert not any(one.rule == "com-outside-shapes" for one in pa.audit_model(pair.mjcf).findings)
-    pair.mjcf.write_text(pair.mjcf.read_text().replace(thigh, thigh.replace("-0.1", "-5.73"), 1))
-    (message,) = (
-        one for one in pa.audit_model(pair.mjcf).findings if one.rule == "com-outside-shapes"
-    )
-    assert message.severity == "warning"
-    assert message.diagnostic.code == "com-far-from-joints"
 
 
 def rules_of(folder: Path, text: str) -> set[str]:

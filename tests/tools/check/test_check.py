@@ -156,7 +156,7 @@ def test_a_joint_in_one_file_only(folder: Path) -> None:
 
 
 def test_severities_that_fail(folder: Path) -> None:
-    change(folder / "pupper-analysis.toml", "start-outside-limits", "base-fixed")
+    change(folder / "pupper-analysis.toml", "start-outside-limits", "limit-missing")
     result = run(folder)
     assert result.returncode == 0
     assert "2 below the threshold" in result.stdout

@@ -60,7 +60,7 @@ two = "zwei"
 [pair.tolerances]
 mass = 0.5
 [pair.disable]
-base-fixed = "it hangs"
+limit-missing = "it hangs"
 [[pair]]
 name = "b"
 urdf = "b.urdf"
@@ -74,7 +74,7 @@ strict = false
     assert a.names == {"one": "eins", "two": "zwei"}
     assert (a.feet, a.strict) == (("FL", "FR"), True)
     assert a.packages == {"robot": folder / "meshes"}
-    assert a.disabled == {"armature-zero": "direct drive", "base-fixed": "it hangs"}
+    assert a.disabled == {"armature-zero": "direct drive", "limit-missing": "it hangs"}
     assert a.tolerances == Tolerances.strict().changed({"mass": 0.5, "com": 1e-3})
     assert (b.name, b.mjcf, b.strict) == ("b", None, False)
     assert b.disabled == {"armature-zero": "direct drive"}
@@ -87,8 +87,8 @@ REFUSED = {
     "an inline table": (LEAST + "tolerances = { mas = 1 }\n", "in pair.tolerances; valid: mass"),
     "a table above": ("[tolerances]\nmas = 1\n" + LEAST, "no key 'mas' in tolerances"),
     "a rule": (LEAST + "[pair.disable]\nmass = 'x'\n", "no rule of the audit 'mass'"),
-    "no reason": (LEAST + "[pair.disable]\nbase-fixed = ' '\n", "give the reason, in quotes"),
-    "a reason that is none": (LEAST + "[disable]\nbase-fixed = true\n", "give the reason"),
+    "no reason": (LEAST + "[pair.disable]\nlimit-missing = ' '\n", "give the reason, in quotes"),
+    "a reason that is none": (LEAST + "[disable]\nlimit-missing = true\n", "give the reason"),
     "a missing file": (LEAST.replace("a.urdf", "c.urdf"), "there is no such file"),
     "a missing MJCF": (LEAST + 'mjcf = "no.xml"\n', "mjcf = 'no.xml'"),
     "no name": ('[[pair]]\nurdf = "a.urdf"\n', "needs a name"),

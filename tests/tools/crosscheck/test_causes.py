@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from tests.support.robots import (
     Files,
@@ -19,7 +18,6 @@ from tests.support.robots import (
     found,
     headline,
     mjcf_text,
-    numbers,
     quadruped,
     urdf_text,
     write,
@@ -123,43 +121,6 @@ def test_no_pattern_where_there_is_none(tmp_path: Path) -> None:
     mjcf = changed(changed(quadruped(), "base", mass=6.1), "shank0", mass=0.25, upper=0.1)
     assert compared(pair(tmp_path, mjcf)).causes == ()
     assert compared(pair(tmp_path, all_changed(quadruped(), friction=0.3))).causes == ()
-
-
-def offset_joint(text: str, joint: str, pos: str) -> str:
-    """An MJCF in which a joint is not in its body's origin."""
-    assert f'<joint name="{joint}"' in text
-    return text.replace(f'<joint name="{joint}"', f'<joint pos="{pos}" name="{joint}"')
-
-
-def test_an_axis_alone_that_is_elsewhere(tmp_path: Path) -> None:
-    """The body stays; its com and its child have moved as seen from its joint alone."""
-    text = offset_joint(mjcf_text(quadruped()), "hip1", "0 0 0.004")
-    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
-    assert {("position", "hip1"), ("position", "knee1"), ("com", "hip1")} <= set(found(comparison))
-    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
-    assert "joint hip1: its axis is elsewhere in the MJCF, 4 mm away, and all" in line
-
-
-def test_an_axis_that_is_turned_about_another_of_its_points(tmp_path: Path) -> None:
-    """The axes meet, though not in the URDF's origin: that is nothing apart."""
-    text = mjcf_text(quadruped())
-    axis = re.search(r'<joint name="hip1"[^>]*axis="([^"]*)"', text)
-    assert axis is not None
-    old = np.array([float(word) for word in axis[1].split()])
-    across = np.cross(old, (0.3, 0.5, 0.8))
-    new = Rotation.from_rotvec(0.2 * across / np.linalg.norm(across)).apply(old)
-    turned = axis[0].replace(axis[1], numbers(new))
-    text = offset_joint(text.replace(axis[0], turned), "hip1", numbers(0.1 * old))
-    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
-    assert "joint hip1: its axis is elsewhere in the MJCF, turned by 11.46 deg, and all" in line
-
-
-def test_a_body_that_is_elsewhere_takes_its_axis_along(tmp_path: Path) -> None:
-    part = quadruped()["thigh1"]
-    place = tuple(np.add(part.position, (0.0, 0.0, 0.004)))
-    comparison = compared(pair(tmp_path, changed(quadruped(), "thigh1", position=place)))
-    assert found(comparison) == [("position", "hip1")]
-    assert comparison.causes == ()
 
 
 def geared(text: str, gears: tuple[float, ...]) -> str:

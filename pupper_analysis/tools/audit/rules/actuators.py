@@ -7,7 +7,6 @@ Actuation model".
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
@@ -16,12 +15,10 @@ import numpy as np
 
 from pupper_analysis.base.diagnostics import (
     Quantity,
-    Severity,
     Term,
     diagnose,
 )
 from pupper_analysis.models.loading import Found
-from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import MjcfModel
 from pupper_analysis.models.transmission import ActuatorLaw, is_at_one_joint, law_of
@@ -129,21 +126,6 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[Found]:
 
 
 @rule
-def servo_gains_contradict(robot: MjcfModel) -> Iterator[Found]:
-    """Finds kp != k, which k < 0 is too; MuJoCo takes kd < 0 for a damping ratio."""
-    for _, drive in _drives(robot):
-        differ = drive.servo and not math.isclose(drive.gain, drive.stiffness, rel_tol=1e-6)
-        if differ and drive.gain != 0:
-            message = diagnose(
-                "servo-gains-contradict",
-                ctrl=Quantity(drive.gain, "N m/rad"),
-                q=Quantity(-drive.stiffness, "N m/rad"),
-                qdot=Quantity(-drive.damping, "N m s/rad"),
-            )
-            yield Found("actuator", drive.name, message)
-
-
-@rule
 def actuator_unlimited(robot: MjcfModel) -> Iterator[Found]:
     """Finds drives without forcerange, actuatorfrcrange and, for motors, ctrlrange."""
     for model, drive in _drives(robot):
@@ -171,28 +153,3 @@ def forcerange_above_joint(robot: MjcfModel) -> Iterator[Found]:
                 through=Quantity(joint, "N m"),
             )
             yield Found("actuator", drive.name, message)
-
-
-@rule
-def ctrlrange_differs(robot: MjcfModel) -> Iterator[Found]:
-    """Compares the ranges; NOTE where the ctrlrange is wider, or narrower by less than 10 %."""
-    for model, drive in _drives(robot):
-        limited = model.actuator_ctrllimited[drive.control] and model.jnt_limited[drive.joint]
-        if not drive.servo or not limited or drive.gear == 0:
-            continue
-        ctrl = np.sort(model.actuator_ctrlrange[drive.control] / drive.gear)
-        joint = model.jnt_range[drive.joint]
-        lost = np.array([ctrl[0] - joint[0], joint[1] - ctrl[1]]) / (joint[1] - joint[0])
-        narrower = lost.max() > 0.01
-        if narrower or lost.min() < -0.01:
-            unit = "m" if model.jnt_type[drive.joint] == JointKind.SLIDE else "rad"
-            message = diagnose(
-                "ctrlrange-narrower" if narrower else "ctrlrange-wider",
-                ctrl_low=Quantity(ctrl[0], unit),
-                ctrl_high=Quantity(ctrl[1], unit),
-                low=Quantity(joint[0], unit),
-                high=Quantity(joint[1], unit),
-                joint=drive.joint_name,
-            )
-            severity = Severity.WARNING if lost.max() > 0.1 else Severity.NOTE
-            yield Found("actuator", drive.name, message, severity=severity)

@@ -6,18 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from lxml import etree
-
-from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.tools import format_of
 from pupper_analysis.models.loading import Found
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import existing_file, is_pointer
 from pupper_analysis.models.stated.model import (
-    FIXED,
     MjcfModel,
-    RobotModel,
     UrdfModel,
 )
 from pupper_analysis.models.stated.urdf import LARGEST_MESH, read_mesh_file
@@ -151,46 +147,3 @@ def _missing_in_mjcf(file: MjcfFile) -> Iterator[_Missing]:
 def first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
     """Returns the place of the first element of a kind with an attribute, of an MJCF."""
     return next((place for found, place in file.elements(tag) if attribute in found), None)
-
-
-@rule
-def material_undefined(robot: UrdfModel) -> Iterator[Found]:
-    """Finds names without a <material> that has a colour or texture; each name once."""
-    materials = list(robot.file.root.iter("material"))
-    defined = {
-        m.get("name")
-        for m in materials
-        if m.find("color") is not None or m.find("texture") is not None
-    }
-    missing: set[str] = set()
-    for material in materials:
-        name = material.get("name", "")
-        if not name or name in defined or name in missing or _of_gazebo(material):
-            continue
-        missing.add(name)
-        place = Place(robot.file.path, material.sourceline)
-        yield Found("material", name, diagnose("material-undefined"), place=place)
-
-
-def _of_gazebo(element: etree._Element) -> bool:
-    return any(parent.tag == "gazebo" for parent in element.iterancestors())
-
-
-@rule
-def joint_named_like_link(robot: RobotModel) -> Iterator[Found]:
-    """Finds the names in common; once per file."""
-    both = [j.name for j in robot.joints.values() if j.name in robot.links]
-    both += [
-        str(j.name)
-        for body in robot.links.values()
-        for j in body.joints
-        if j.kind == FIXED and j.name in robot.links and j.name not in both
-    ]
-    if both:
-        message = diagnose(
-            "joint-named-like-link",
-            kind=Term(robot.link_tag),
-            joint=both[0],
-            others=len(both) - 1,
-        )
-        yield Found("joint", both[0], message)

@@ -17,7 +17,6 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.efforts import Motor, placeholder_efforts
 from pupper_analysis.models.loading import Found
 from pupper_analysis.models.stated.mjcf import line_of
@@ -210,17 +209,9 @@ def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[Found]:
         if joint.is_fixed or joint.mimic is not None:
             continue
         stated = robot.joints[name].stated
-        zero = {what: stated[what] for what in ("effort", "velocity") if stated.get(what, 1.0) <= 0}
+        zero = [Term(what) for what in ("effort", "velocity") if stated.get(what) == 0]
         if zero:
-            slides = joint.kind == "prismatic"
-            effort, velocity = (
-                Quantity(zero[what], BY_KIND[what].unit(slides)) if what in zero else None
-                for what in ("effort", "velocity")
-            )
-            message = diagnose(
-                "effort-or-velocity-zero", effort=effort, velocity=velocity, both=len(zero) == 2
-            )
-            yield Found("joint", name, message, "limit")
+            yield Found("joint", name, diagnose("effort-or-velocity-zero", what=zero), "limit")
 
 
 @rule

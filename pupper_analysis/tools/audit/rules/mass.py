@@ -20,7 +20,6 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.sides import OF_LEGS
 from pupper_analysis.models.stated.mjcf import joint_name, line_of
 from pupper_analysis.models.stated.model import (
-    FREE,
     HINGE,
     Array,
     Inertial,
@@ -35,9 +34,6 @@ from pupper_analysis.tools.audit.registry import (
     outside_hull,
     rule,
 )
-
-LIGHT, HEAVY = 0.05, 500.0
-"""Total masses between which a legged robot is expected (kg)."""
 
 COM_OUTSIDE = 0.002
 """How far a com may be outside its shapes (m), plus a share of their greatest extent."""
@@ -112,28 +108,13 @@ LEAST_SHARE = 1e-3
 
 @rule
 def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
-    """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it.
-
-    That of a body without shapes is compared with the robot: no com is farther from the body's
-    joints than its longest limb is long.
-    """
-    span = max((_reach(robot, name) for name in robot.links), default=0.0)
+    """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it."""
     for body in robot.links.values():
         inertial = body.inertial
         if inertial is None or not inertial.stated or robot.is_negligible(body):
             continue
         group = robot.fixed_group(body.name)
         points = extent_points(group, body)
-        if points is None:
-            outside = outside_hull(link_points(robot, body), inertial.com)
-            if 0 < span < outside:
-                message = diagnose(
-                    "com-far-from-joints",
-                    com=Vector(tuple(inertial.com), "m"),
-                    outside=Quantity(outside, "m"),
-                    size=Quantity(span, "m"),
-                )
-                yield Found(robot.link_tag, body.name, message, robot.inertial_part("origin"))
         if points is None or not body.shapes:
             continue
         points = np.concatenate([points, link_points(robot, body)])
@@ -149,29 +130,6 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
                 size=Quantity(size, "m"),
             )
             yield Found(robot.link_tag, body.name, message, robot.inertial_part("origin"))
-
-
-def _reach(robot: RobotModel, name: str) -> float:
-    """Returns how far a link is from its root along the joints (m)."""
-    chain = [robot.links[one].pose.position for one in (name, *robot.ancestors(name))]
-    return float(sum(np.linalg.norm(np.diff(chain, axis=0), axis=1)))
-
-
-@rule
-def total_mass_unusual(robot: RobotModel) -> Iterator[Found]:
-    """Finds totals below 50 g and above 500 kg."""
-    base = robot.links.get(robot.base)
-    if base is None:
-        return
-    total = base.mass + sum(body.mass for body in robot.descendants(base.name))
-    if not LIGHT <= total <= HEAVY:
-        message = diagnose(
-            "total-mass-unusual",
-            mass=Quantity(total, "kg"),
-            least=Quantity(LIGHT, "kg"),
-            most=Quantity(HEAVY, "kg"),
-        )
-        yield Found(robot.link_tag, robot.base, message)
 
 
 @rule
@@ -206,20 +164,6 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[Found]:
 
 
 @rule
-def inertial_ignored(robot: MjcfModel) -> Iterator[Found]:
-    """Compares each stated mass with the one that MuJoCo computes."""
-    if robot.file.spec.compiler.inertiafromgeom != 1:
-        return
-    for body in robot.file.spec.bodies:
-        if body.explicitinertial and body.name in robot.links:
-            taken = robot.links[body.name].mass
-            message = diagnose(
-                "inertial-ignored", stated=Quantity(body.mass, "kg"), taken=Quantity(taken, "kg")
-            )
-            yield Found("body", body.name, message, "inertial")
-
-
-@rule
 def visual_adds_mass(robot: MjcfModel) -> Iterator[Found]:
     """Finds drawn geoms with a mass that nobody stated, in bodies whose mass is their geoms'."""
     compiler = robot.file.spec.compiler
@@ -248,24 +192,6 @@ def visual_adds_mass(robot: MjcfModel) -> Iterator[Found]:
             )
             place: Place | None = None if geom.name else line_of(robot.file, geom, body.name)
             yield Found("geom", geom.name, message, place=place)
-
-
-@rule
-def base_fixed(robot: RobotModel) -> Iterator[Found]:
-    """Finds a base with mass and without a free joint, below which are at least two feet."""
-    feet = [
-        name
-        for body in robot.links.values()
-        for name in {body.name, *(frame.name for frame in body.frames)}
-        if "foot" in name.lower()
-    ]
-    base = robot.links.get(robot.base)
-    if base is None or len(feet) < 2:
-        return
-    mass = sum(body.mass for body in robot.fixed_group(base.name))
-    if not any(joint.kind == FREE for joint in base.joints):
-        message = diagnose("base-fixed", mass=Quantity(mass, "kg"), feet=len(feet))
-        yield Found(robot.link_tag, base.name, message)
 
 
 @rule

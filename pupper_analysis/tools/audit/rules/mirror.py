@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
 
 import mujoco
 import numpy as np
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.base.diagnostics import (
-    Diagnostic,
     Quantity,
     Term,
     Vector,
@@ -113,21 +111,6 @@ def _displaced(robot: RobotModel, mirror: Mirror) -> tuple[set[str], list[tuple[
     return displaced, first_ones
 
 
-def _turned_by(robot: RobotModel, image: Array, body: Link) -> str | None:
-    """Returns the parent's hinge if turning it would bring a body to its mirror image."""
-    parent = None if body.parent is None else robot.links[body.parent]
-    if parent is None or not parent.joints or parent.joints[-1].kind != HINGE:
-        return None
-    hinge = parent.joints[-1]
-    arms = [point - hinge.position for point in (image, _anchor(body))]
-    along = [float(arm @ hinge.axis) for arm in arms]
-    radii = [
-        float(np.linalg.norm(arm - a * hinge.axis)) for arm, a in zip(arms, along, strict=True)
-    ]
-    same = max(abs(along[0] - along[1]), abs(radii[0] - radii[1])) < POSITION
-    return hinge.name if same else None
-
-
 def _in_place(robot: RobotModel) -> Iterator[tuple[Mirror, Link, Link]]:
     """Yields the pairs that are where they should be, with their children."""
     mirror = mirror_plane(robot)
@@ -169,7 +152,6 @@ def mirror_position(robot: RobotModel) -> Iterator[Found]:
             gap=Quantity(gap, "m"),
             image=Vector(tuple(image), "m"),
             other=one.name,
-            turned=_turned_by(robot, image, other),
         )
         if robot.format == "urdf" and other.joints:
             yield Found("joint", other.joints[0].name, message, "origin")
@@ -375,30 +357,24 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[Found]:
         its, own = (_contacts(robot, model, link, ground) for link in (one, other))
         if bool(its) != bool(own):
             bare, whole = (one, other) if own else (other, one)
-            yield Found(robot.link_tag, bare.name, _unlike(whole))
-        elif len(its) == len(own):
-            for word in ("condim", "friction", "solref", "solimp", "margin"):
-                both = [
-                    sorted(np.ravel(getattr(contact, word)).tolist() for contact in side)
-                    for side in (own, its)
-                ]
-                differ = (pair for pair in zip(*both, strict=True) if not np.allclose(*pair))
-                for pair in islice(differ, 1):
-                    yield Found(robot.link_tag, other.name, _unlike(one, word, *pair))
+            message = diagnose("mirror-contacts", other=whole.name, word=None)
+            yield Found(robot.link_tag, bare.name, message)
+        for word in _OF_CONTACTS if own and len(its) == len(own) else ():
+            values = [np.array([np.ravel(getattr(contact, word)) for contact in side])
+                      for side in (own, its)]  # fmt: skip
+            a, b = (each[np.lexsort(each.T[::-1])] for each in values)
+            for place in np.flatnonzero(~np.isclose(a, b).all(axis=1))[:1]:
+                message = diagnose(
+                    "mirror-contacts",
+                    other=one.name,
+                    word=word,
+                    own=Vector(tuple(a[place]), ""),
+                    its=Vector(tuple(b[place]), ""),
+                )
+                yield Found(robot.link_tag, other.name, message)
 
 
-def _unlike(
-    other: Link, word: str = "", own: Sequence[float] = (), its: Sequence[float] = ()
-) -> Diagnostic:
-    numbers = [Vector(tuple(values), "") for values in (own, its)]
-    return diagnose(
-        "mirror-contacts",
-        lone=not word,
-        word=word,
-        other=other.name,
-        own=numbers[0],
-        its=numbers[1],
-    )
+_OF_CONTACTS = ("condim", "friction", "solref", "solimp", "margin")
 
 
 def _contacts(

@@ -13,7 +13,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, PASSIVE
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.loading import Found
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
@@ -24,9 +24,6 @@ from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.files import first_place
 
 _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
-
-_PASSIVE = tuple(one.mjcf[0] for one in PASSIVE)
-"""Of an MJCF's joints and tendons: what resists a motion, and not drives it."""
 
 
 @rule
@@ -48,13 +45,6 @@ def value_impossible(robot: RobotModel) -> Iterator[Found]:
         return
     if not isinstance(robot, MjcfModel):
         return
-    for at, tendon in enumerate(robot.file.spec.tendons):
-        for word in _PASSIVE:
-            value = float(np.atleast_1d(getattr(tendon, word))[0])
-            if value < 0:
-                place = None if tendon.name else robot.file.numbered("tendon", at)
-                message = diagnose("value-impossible", attribute=word, value=value)
-                yield Found("tendon", tendon.name, message, place=place)
     for geom in robot.file.spec.geoms:
         if min(geom.friction) < 0:
             place = None if geom.name else line_of(robot.file, geom, geom.parent.name)
@@ -103,27 +93,20 @@ def geometry_empty(robot: UrdfModel) -> Iterator[Found]:
 
 @rule
 def mesh_mirrored(robot: UrdfModel) -> Iterator[Found]:
-    """Finds an odd number of negative factors in a mesh's scale, once a file.
-
-    One is often on purpose, to draw a left part from the right one's file; three never are.
-    """
-    mirrored: dict[int, list[tuple[str, etree._Element]]] = {1: [], 3: []}
-    for link, _, shape in _shapes(robot):
-        if shape.tag == "mesh":
-            negative = int((parse_numbers(shape.get("scale"), "1 1 1") < 0).sum())
-            mirrored.get(negative, []).append((link, shape))
-    for count, found in mirrored.items():
-        if found:
-            link, shape = found[0]
-            message = diagnose(
-                "mesh-mirrored",
-                mesh=shape.get("filename"),
-                scale=shape.get("scale"),
-                others=len(found) - 1,
-            )
-            severity = Severity.NOTE if count == 1 else None
-            place = Place(robot.file.path, shape.sourceline)
-            yield Found("link", link, message, place=place, severity=severity)
+    """Finds three negative factors in a mesh's scale, once a file; one is often on purpose."""
+    found = [
+        (link, shape)
+        for link, _, shape in _shapes(robot)
+        if shape.tag == "mesh" and (parse_numbers(shape.get("scale"), "1 1 1") < 0).all()
+    ]
+    for link, shape in found[:1]:
+        message = diagnose(
+            "mesh-mirrored",
+            mesh=shape.get("filename"),
+            scale=shape.get("scale"),
+            others=len(found) - 1,
+        )
+        yield Found("link", link, message, place=Place(robot.file.path, shape.sourceline))
 
 
 _OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
@@ -168,38 +151,14 @@ FULL_TURN = 2 * math.pi + 1e-3
 
 
 @rule
-def rpy_in_degrees(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
-    """Finds angles above 2 pi in magnitude in ``rpy`` and, in a file in radians, in ``euler``."""
-    if isinstance(robot, UrdfModel):
-        for element in robot.file.root.iter("origin"):
-            rpy = parse_numbers(element.get("rpy"), "0 0 0")
-            if np.abs(rpy).max() > FULL_TURN:
-                owner = element.getparent()
-                while owner.tag not in ("link", "joint") and owner.getparent() is not None:
-                    owner = owner.getparent()
-                line = Place(robot.file.path, element.sourceline)
-                message = diagnose(
-                    "rpy-in-degrees", attribute="rpy", angles=Vector(tuple(rpy), "rad")
-                )
-                yield Found(str(owner.tag), str(owner.get("name")), message, place=line)
-        return
-    if robot.file.spec.compiler.degree:
-        return
-    for tag, name, element, place in _posed(robot):
-        euler = np.array(element.alt.euler)  # type: ignore[attr-defined]
-        if np.isfinite(euler).all() and np.abs(euler).max() > FULL_TURN:
-            message = diagnose(
-                "rpy-in-degrees", attribute="euler", angles=Vector(tuple(euler), "rad")
-            )
-            yield Found(tag, name, message, place=place)
-
-
-def _posed(robot: MjcfModel) -> Iterator[tuple[str, str, object, Place | None]]:
-    """Yields all bodies, geoms and sites: tag, name, element, and place if it has no name."""
-    around = ""
-    for body in robot.file.spec.bodies:
-        around = body.name or around
-        for tag, elements in (("body", [body]), ("geom", body.geoms), ("site", body.sites)):
-            for element in elements:
-                place = None if element.name else line_of(robot.file, element, around)
-                yield tag, element.name, element, place
+def rpy_in_degrees(robot: UrdfModel) -> Iterator[Found]:
+    """Finds angles above 2 pi in magnitude in ``rpy``."""
+    for element in robot.file.root.iter("origin"):
+        rpy = parse_numbers(element.get("rpy"), "0 0 0")
+        if np.abs(rpy).max() > FULL_TURN:
+            owner = element.getparent()
+            while owner.tag not in ("link", "joint") and owner.getparent() is not None:
+                owner = owner.getparent()
+            line = Place(robot.file.path, element.sourceline)
+            message = diagnose("rpy-in-degrees", angles=Vector(tuple(rpy), "rad"))
+            yield Found(str(owner.tag), str(owner.get("name")), message, place=line)
