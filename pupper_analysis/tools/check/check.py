@@ -6,7 +6,7 @@ contradict an MJCF, so that the last version is the only witness.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -106,7 +106,6 @@ class PairCheck(Result):
         failures: How many remarks on it fail: differences, as one those that one slip explains
             or that have the same values, and findings in its files.
         known: How many the baseline knows.
-        disabled: {rule of the audit that was not run: the reason}.
         notes: What was assumed or left out, as messages.
     """
 
@@ -115,7 +114,6 @@ class PairCheck(Result):
     agree: bool | None
     failures: int
     known: int
-    disabled: Mapping[str, str]
     notes: tuple[Diagnostic, ...]
 
 
@@ -275,7 +273,7 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
         else:
             remarks += of_guard(tool, found, pair, folder)
     names = tuple(relative_path(file, folder) for file in files)
-    return PairCheck(pair.name, names, agree, 0, 0, pair.disabled, notes), remarks
+    return PairCheck(pair.name, names, agree, 0, 0, notes), remarks
 
 
 def _refused(remarks: Iterable[Remark]) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -20,7 +19,6 @@ from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.tools import offering
 from pupper_analysis.models.loading import kind_of
 from pupper_analysis.models.places import source_name
-from pupper_analysis.robot.matching.match import read_mapping
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.audit.audit import RULES
 
@@ -149,7 +147,7 @@ _BOTH: Final = {
 }
 _PAIRS: Final = _Kind(Term("tables that begin with [[pair]]"), lambda value: _is_list(value, dict))
 _TOP: Final = {"baseline": _TEXT, "fail-on": _TEXT, **_BOTH, "pair": _PAIRS}
-_OWN: Final = {**dict.fromkeys(("name", "urdf", "mjcf", "map-file"), _TEXT), "feet": _NAMES}
+_OWN: Final = {**dict.fromkeys(("name", "urdf", "mjcf"), _TEXT), "feet": _NAMES}
 _PAIR: Final = {**_OWN, "map": _TABLE, **_BOTH}
 _IN_TABLES: Final = {
     "tolerances": _Kind(Term("a positive number"), _is_number),
@@ -237,7 +235,7 @@ class _Reader:
             name=entry["name"],
             urdf=urdf,
             mjcf=mjcf,
-            names=self.names(entry),
+            names=both["map"],
             feet=tuple(entry.get("feet", ())),
             packages={name: self.package(name, to) for name, to in both["packages"].items()},
             tolerances=tolerances.changed(
@@ -260,14 +258,6 @@ class _Reader:
         if not (self.folder / folder).is_dir():
             raise self.invalid(name, folder, _IN_TABLES["packages"].valid)
         return self.folder / folder
-
-    def names(self, entry: dict[str, Any]) -> dict[str, str]:
-        names = read_mapping(self.folder / entry["map-file"]) if "map-file" in entry else {}
-        for old, new in entry.get("map", {}).items():
-            if names.setdefault(old, new) != new:
-                message = diagnose("mapped-to-both", joint=old, one=names[old], other=new)
-                raise ModelError(self.path, message)
-        return names
 
     def check(self, table: dict[str, Any], within: str, valid: Mapping[str, _Kind]) -> None:
         """Refuses keys and values that are not valid, also in the tables of a table."""
@@ -334,29 +324,26 @@ def _table(entry: dict[str, str]) -> str:
 
 
 def entries_of(folder: Path) -> list[dict[str, str]]:
-    """Returns the models of a folder and those below it: a URDF, an MJCF, or both of one stem."""
+    """Returns the models of a folder and those below it: a URDF, an MJCF, or both of one stem.
+
+    Those of one folder are one robot's, whatever else bears the name elsewhere.
+    """
     found: dict[str, list[Path]] = {"urdf": [], "mjcf": []}
     for path in _files(folder):
-        kind = kind_of(path)
-        if kind:
+        if kind := kind_of(path):
             found[kind].append(path.relative_to(folder))
-    stems = Counter(path.stem.lower() for paths in found.values() for path in paths)
-    entries = []
-    for urdf in found["urdf"]:
-        stem = urdf.stem.lower()
-        alike = {kind: [o for o in found[kind] if o.stem.lower() == stem] for kind in found}
-        beside = {kind: [o for o in alike[kind] if o.parent == urdf.parent] for kind in alike}
-        # Those of one folder are one robot's, whatever else bears the name elsewhere.
-        pairs = [one for one in (beside, alike) if all(len(paths) == 1 for paths in one.values())]
-        name = urdf.stem if stems[stem] == (2 if pairs else 1) else urdf.as_posix()
-        mjcf = {"mjcf": pairs[0]["mjcf"][0].as_posix()} if pairs else {}
-        entries.append({"name": name, "urdf": urdf.as_posix(), **mjcf})
-    compared = {entry["mjcf"] for entry in entries if "mjcf" in entry}
-    for mjcf_path in found["mjcf"]:
-        if mjcf_path.as_posix() not in compared:
-            alone = stems[mjcf_path.stem.lower()] == 1
-            name = mjcf_path.stem if alone else mjcf_path.as_posix()
-            entries.append({"name": name, "mjcf": mjcf_path.as_posix()})
+    entries = [{"name": one.as_posix().removesuffix(".urdf"), "urdf": one.as_posix()}
+               for one in found["urdf"]]  # fmt: skip
+    for mjcf in found["mjcf"]:
+        alike = [one for one in entries if "urdf" in one and "mjcf" not in one
+                 and Path(one["urdf"]).stem.lower() == mjcf.stem.lower()]  # fmt: skip
+        beside = [one for one in alike if Path(one["urdf"]).parent == mjcf.parent]
+        twins = [one for one in found["mjcf"] if one.stem.lower() == mjcf.stem.lower()]
+        (pair,) = beside if len(beside) == 1 else alike if len(alike) == len(twins) == 1 else [{}]
+        if not pair:
+            pair["name"] = mjcf.as_posix()
+            entries.append(pair)
+        pair["mjcf"] = mjcf.as_posix()
     return entries
 
 

@@ -118,12 +118,6 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
         )
         for pair in listed
     ]
-    off = tuple(
-        text("name-rule-is-switched-off", name=doc.Name(pair.name),
-             rule=doc.Name(rule), reason=doc.Name(reason))
-        for pair in listed
-        for rule, reason in pair.disabled.items()
-    )  # fmt: skip
     return doc.Table(
         text("what-was-checked"),
         (
@@ -135,7 +129,6 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
             doc.Column(text("files"), left=True),
         ),
         tuple(rows),
-        off,
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import zip_longest
@@ -87,15 +86,13 @@ def _column(key: str, unit: str = "", *, detail: bool = False) -> doc.Column:
 def _poses(contract: Contract) -> doc.Table:
     columns = (_column("contract-source"), _column("contract-height", "mm"),
                _column("contract-sag", "mm"), _column("contract-utilisation", "%"),
-               _column("contract-moved", "°", detail=True),
                _column("contract-stays"))  # fmt: skip
     ends: dict[bool | None, doc.Cell] = {None: doc.Name("-"), True: text("contract-stays-up"),
                                          False: text("contract-falls").marked("bad")}  # fmt: skip
     rows = tuple(
         (doc.Name(pose.source), doc.number_cell(pose.height, ".1f", scale=1e3),
          doc.number_cell(pose.sag, ".1f", scale=1e3),
-         doc.number_cell(pose.utilisation, ".1f", scale=100.0),
-         doc.number_cell(pose.moved, ".1f", scale=math.degrees(1.0)), ends[pose.stays])
+         doc.number_cell(pose.utilisation, ".1f", scale=100.0), ends[pose.stays])
         for pose in contract.poses
     )  # fmt: skip
     notes = tuple(text("contract-pose-note", source=pose.source, why=doc.tell(pose.problem))

@@ -85,8 +85,6 @@ class Pose(Result):
     Attributes:
         source: The source's name.
         height: Of the base over the feet in that pose (m).
-        moved: The greatest angle by which a joint is moved so that all feet are on the ground
-            (rad); None where it does not stand.
         sag: By how much the base sinks with the source's gains (m); None if not known.
         utilisation: The greatest share of a motor's limit; None likewise.
         stays: Whether it stays up in simulation with these gains and no feed-forward; None if
@@ -96,7 +94,6 @@ class Pose(Result):
 
     source: str
     height: float
-    moved: float | None
     sag: float | None
     utilisation: float | None
     stays: bool | None

@@ -94,14 +94,13 @@ def _stood(
     height = float(robot.posed(pose)[2]) - float(np.mean(lowest))
     home = np.concatenate([robot.home[:7], pose])
     posed = replace(robot, nominal=pose, home=home, stand_height=height)
-    found = Pose(name, height, None, None, None, None, None)
+    found = Pose(name, height, None, None, None, None)
     try:
         stand = solve_stand(posed)
         held = solve_stand_as_simulated(posed, stand)
         torques = np.abs(stand_statics(posed, held).joint_torques)
         use = float(np.max(torques / np.array(efforts))) or None  # without limits, nothing
-        moved = float(np.max(np.abs(stand.joint_positions(posed) - pose)))
-        found = replace(found, moved=moved, utilisation=use)
+        found = replace(found, utilisation=use)
         if kp is not None and kd is not None:  # those of the model are none of this source
             verdict = judge_stand(posed, stand, kp=kp, kd=kd)
             found = replace(found, stays=verdict.commands_alone == Ending.HOLDS)

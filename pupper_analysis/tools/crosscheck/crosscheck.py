@@ -56,11 +56,10 @@ from pupper_analysis.robot.compare.behaviour import (
     States,
     affordable_states,
     is_large,
-    offsets_in_world,
     random_states,
 )
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
-from pupper_analysis.robot.compare.differences import Difference, Explanation
+from pupper_analysis.robot.compare.differences import OF_INERTIALS, Difference, Explanation
 from pupper_analysis.robot.compare.mjcf_only import (
     as_it_is,
     mjcf_only_effects,
@@ -156,7 +155,6 @@ def compare_models(
         tolerance=tolerances.dynamics,
         seed=seed,
         mimics=compared.matched.mimics,
-        moved=compared.alignment.moved,
     )
     own = {one.name: getattr(compared.result, one.name) for one in fields(compared.result)}
     own["differences"] = tuple(
@@ -166,41 +164,19 @@ def compare_models(
 
 
 def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[Diagnostic, ...]:
-    """Says of which links or bodies a mass, a com or an inertia is made, with their lines."""
-    if difference.kind not in ("mass", "com", "inertia"):
+    """Says of which links or bodies a mass, a com or an inertia is made, the heaviest first."""
+    if difference.kind not in OF_INERTIALS:
         return ()
-    messages = []
+    made_of = []
     for file, sources in (("URDF", urdf), ("MJCF", mjcf)):
         heavy = [(name, mass) for name, mass in sources.members(difference.element) if mass]
-        if len(heavy) < 2 or min(mass for _, mass in heavy) < 0:  # no parts of a whole
-            continue
-        total = sum(mass for _, mass in heavy)
-        heavy.sort(key=lambda member: -member[1])
-        listed_members = [
-            diagnose(
-                "share-of-a-body",
-                subject=("body", name),
-                mass=Quantity(mass, "kg"),
-                share=Quantity(mass / total, "1"),
-                place=str(sources.weight(difference.kind, name)),
-            )
-            for name, mass in heavy[:_LISTED]
-        ]
-        rest = total - sum(mass for _, mass in heavy[:_LISTED])
-        messages.append(
-            diagnose(
-                "body-is-made-of",
-                file=file,
-                members=listed_members,
-                more=len(heavy[_LISTED:]),
-                rest=Quantity(rest, "kg"),
-            )
-        )
-    return tuple(messages)
-
-
-_LISTED = 6
-"""Links of a body that are listed, the heaviest first."""
+        if len(heavy) > 1:
+            members = [
+                diagnose("mass-of-a-member", subject=("body", name), mass=Quantity(mass, "kg"))
+                for name, mass in sorted(heavy, key=lambda member: -member[1])
+            ]
+            made_of.append(diagnose("body-is-made-of", file=file, members=members))
+    return tuple(made_of)
 
 
 def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
@@ -233,7 +209,6 @@ QUANTITIES = {
     "body masses": (BODIES, "kg"),
     "body coms": (BODIES, "m"),
     "body inertias": (BODIES, "kg m^2"),
-    "joint positions": (JOINTS, "m"),
     "joint axes": (JOINTS, ""),
     "lower joint limits": (JOINTS, "rad"),
     "upper joint limits": (JOINTS, "rad"),
@@ -286,14 +261,8 @@ def collect(
     return found
 
 
-def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array]) -> Evaluation:
-    """Evaluates the robot's Pinocchio model.
-
-    Args:
-        robot: The robot.
-        states: Where to evaluate what depends on the configuration.
-        moved: {joint: (3,) where its position is taken, from its origin, in its body's axes}.
-    """
+def pinocchio_evaluation(robot: Robot, states: States) -> Evaluation:
+    """Evaluates the robot's Pinocchio model, at states what depends on them."""
     model, convention = robot.pin_model, robot.pin_convention
     rest = Configuration(robot, robot.neutral())
     placements = joint_placements(model, convention.q(rest.qpos))
@@ -303,10 +272,6 @@ def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array
     v = convention.v_index
     at_rest = {
         **_of_bodies(bodies),
-        "joint positions": [
-            rest.joint_position(name) + placements[joint].rotation @ moved.get(name, np.zeros(3))
-            for name, joint in zip(robot.joint_names, ids, strict=True)
-        ],
         "joint axes": [rest.joint_axis(name) for name in robot.joint_names],
         "lower joint limits": robot.lower_limits,
         "upper joint limits": robot.upper_limits,
@@ -357,7 +322,6 @@ def mujoco_evaluation(
     base: str,
     frames: Mapping[str, str],
     states: States,
-    moved: Mapping[str, Array],
 ) -> Evaluation:
     """Evaluates a model of the robot in MuJoCo.
 
@@ -367,14 +331,13 @@ def mujoco_evaluation(
         base: The body that is the base there.
         frames: {foot or frame: its name there}.
         states: Where to evaluate what depends on the configuration.
-        moved: {joint: (3,) where its position is taken, from its anchor, in its body's axes}.
     """
     data = mujoco.MjData(model)
     convention = MujocoConvention.of(model, robot.joint_names)
     convention.set_state(data, robot.neutral())
     mujoco.mj_forward(model, data)
     dofs = convention.qvel_index[robot.nv - robot.nu :]
-    at_rest = _at_rest(robot, model, data, base, dofs, moved)
+    at_rest = _at_rest(robot, model, data, base, dofs)
     sensors = _imu_sensors(model, robot.imu)
     places = [foot_site(model, frame, robot.name) for frame in frames.values()]
     root = model.body(base).id
@@ -421,18 +384,14 @@ def _at_rest(
     data: mujoco.MjData,
     base: str,
     dofs: NDArray[np.int64],
-    moved: Mapping[str, Array],
 ) -> dict[str, ArrayLike]:
     """Evaluates what does not depend on the state; the data are those of zero angles."""
     joints = [model.joint(name).id for name in robot.joint_names]
     carriers = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
     bodies = _lumped(model, data, carriers)
-    local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
-    anchors = data.xanchor[joints] + offsets_in_world(model, data, joints, local)
     limited = model.jnt_limited[joints].astype(bool)
     return {
         **_of_bodies(bodies),
-        "joint positions": anchors,
         "joint axes": data.xaxis[joints],
         "lower joint limits": np.where(limited, model.jnt_range[joints, 0], -np.inf),
         "upper joint limits": np.where(limited, model.jnt_range[joints, 1], np.inf),
@@ -647,7 +606,6 @@ def cross_check(
     tolerance: float = TOLERANCE,
     seed: int = 0,
     mimics: Mimics | None = None,
-    moved: Mapping[str, Array] | None = None,
 ) -> CrossCheck:
     """Compares the URDF and the MJCF, in Pinocchio and in MuJoCo.
 
@@ -661,8 +619,6 @@ def cross_check(
         seed: For the random numbers, 0 or more.
         mimics: The joints that follow others in the URDF; those of its text by default. A joint
             equality of the MJCF that says the same does not act here.
-        moved: {joint: (3,) where its position is taken in the MJCF, from where the file puts it, in
-            its body's axes}: on its own axis, where the URDF puts it.
 
     Returns:
         The worst deviation of each quantity, where it occurs, and the verdict.
@@ -685,7 +641,6 @@ def cross_check(
         states,
         without_effects(robot.mj_model, found),
         without_effects(robot.mj_model, coupled),
-        moved or {},
     )
     first = URDF_MUJOCO if is_large(robot) else URDF_PINOCCHIO
     checks = tuple(
@@ -714,7 +669,6 @@ def _evaluations(
     states: States,
     square: mujoco.MjModel,
     whole: mujoco.MjModel,
-    moved: Mapping[str, Array],
 ) -> tuple[dict[str, Evaluation], list[Diagnostic], Robot]:
     """Evaluates both models in all backends.
 
@@ -723,7 +677,6 @@ def _evaluations(
         states: Where.
         square: MuJoCo's model of the MJCF, without what a URDF cannot state.
         whole: The same as it is, but for couplings that the URDF has, too.
-        moved: Where joints of the MJCF are taken to be, from where it puts them.
 
     Returns:
         {backend: its evaluation}, what was left out and why, and the robot with the frames that
@@ -757,19 +710,19 @@ def _evaluations(
             contact_frames=mjcf_frames,
         )
         evaluations = {
-            URDF_PINOCCHIO: pinocchio_evaluation(robot, states, {}),
-            MJCF_PINOCCHIO: pinocchio_evaluation(mjcf_robot, states, moved),
+            URDF_PINOCCHIO: pinocchio_evaluation(robot, states),
+            MJCF_PINOCCHIO: pinocchio_evaluation(mjcf_robot, states),
         }
     evaluations |= {
-        MJCF_MUJOCO: mujoco_evaluation(robot, square, base, mjcf_frames, states, moved),
-        MJCF_AS_IT_IS: mujoco_evaluation(robot, whole, base, mjcf_frames, states, moved),
+        MJCF_MUJOCO: mujoco_evaluation(robot, square, base, mjcf_frames, states),
+        MJCF_AS_IT_IS: mujoco_evaluation(robot, whole, base, mjcf_frames, states),
     }
     if in_mujoco is not None:
         in_mujoco = as_it_is(in_mujoco)
         # MuJoCo's importer makes equalities of mimic joints, which Pinocchio leaves independent.
         in_mujoco.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
         evaluations[URDF_MUJOCO] = mujoco_evaluation(
-            robot, in_mujoco, robot.base, urdf_frames, states, {}
+            robot, in_mujoco, robot.base, urdf_frames, states
         )
     if pairs and not is_large(robot):
         evaluations[URDF_YOURDFPY] = yourdfpy_evaluation(robot, states)

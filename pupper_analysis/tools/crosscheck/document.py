@@ -192,9 +192,6 @@ def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
         sides = _sides(comparison, group[0], doc.tell(group[0].diagnostic), *_likewise(group))
         listed.append((numbers[id(group[0])], replace(sides, detail=place >= SHORT)))
     yield from (block for _, block in sorted(listed, key=itemgetter(0)))
-    if len(groups) > SHOWN:
-        more = text("count-more-are-in-the-table", count=len(groups) - SHOWN)
-        yield doc.Lines((more,), detail=True)
     if comparison.differences:
         yield _differences(comparison)
     if comparison.objections:
@@ -316,20 +313,14 @@ def _quantities(comparison: Comparison) -> doc.Table:
         )
         for quantity in check.quantities
     ]
-    worst = {
-        side: max(quantity.edges.get(side, 0.0) for quantity in check.quantities) for side in sides
-    }
-    # What engines make of one file is left out of a short view where they agree on it.
-    hidden = [side for side in sides if side in _ONE_FILE and worst[side] <= check.tolerance]
-    agree = f"{max((worst[side] for side in hidden), default=0.0):.1e}"
     return doc.Table(
         text("deviation-title", count=check.configurations),
         (
             doc.Column(text("quantity"), left=True),
-            *(doc.Column(word(side), "1", detail=side in hidden) for side in sides),
+            *(doc.Column(word(side), "1", detail=side in _ONE_FILE) for side in sides),
             doc.Column(text("worst-at"), left=True),
         ),
         tuple(rows),
-        (text("engines-agree-on-each-file", worst=agree),) if hidden else (),
+        (),
         (page_of("explanation/models.md", "Why the list is complete"),),
     )

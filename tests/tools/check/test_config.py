@@ -29,7 +29,6 @@ def folder(tmp_path: Path) -> Path:
     for name in ("a.urdf", "a.xml", "b.urdf"):
         (tmp_path / name).write_text("<robot/>")
     (tmp_path / "meshes").mkdir()
-    (tmp_path / "names.toml").write_text('one = "eins"\n')
     return tmp_path
 
 
@@ -53,14 +52,13 @@ armature-zero = "direct drive"
 name = "a"
 urdf = "a.urdf"
 mjcf = "a.xml"
-map-file = "names.toml"
 feet = ["FL", "FR"]
 [pair.map]
 two = "zwei"
 [pair.tolerances]
 mass = 0.5
 [pair.disable]
-limit-missing = "it hangs"
+gravity-unusual = "it hangs"
 [[pair]]
 name = "b"
 urdf = "b.urdf"
@@ -71,10 +69,10 @@ strict = false
     assert read.fail_on is Severity.WARNING
     a, b = read.pairs
     assert (a.name, a.urdf, a.mjcf) == ("a", folder / "a.urdf", folder / "a.xml")
-    assert a.names == {"one": "eins", "two": "zwei"}
+    assert a.names == {"two": "zwei"}
     assert (a.feet, a.strict) == (("FL", "FR"), True)
     assert a.packages == {"robot": folder / "meshes"}
-    assert a.disabled == {"armature-zero": "direct drive", "limit-missing": "it hangs"}
+    assert a.disabled == {"armature-zero": "direct drive", "gravity-unusual": "it hangs"}
     assert a.tolerances == Tolerances.strict().changed({"mass": 0.5, "com": 1e-3})
     assert (b.name, b.mjcf, b.strict) == ("b", None, False)
     assert b.disabled == {"armature-zero": "direct drive"}
@@ -87,8 +85,8 @@ REFUSED = {
     "an inline table": (LEAST + "tolerances = { mas = 1 }\n", "in pair.tolerances; valid: mass"),
     "a table above": ("[tolerances]\nmas = 1\n" + LEAST, "no key 'mas' in tolerances"),
     "a rule": (LEAST + "[pair.disable]\nmass = 'x'\n", "no rule of the audit 'mass'"),
-    "no reason": (LEAST + "[pair.disable]\nlimit-missing = ' '\n", "give the reason, in quotes"),
-    "a reason that is none": (LEAST + "[disable]\nlimit-missing = true\n", "give the reason"),
+    "no reason": (LEAST + "[pair.disable]\ngravity-unusual = ' '\n", "give the reason, in quotes"),
+    "a reason that is none": (LEAST + "[disable]\ngravity-unusual = true\n", "give the reason"),
     "a missing file": (LEAST.replace("a.urdf", "c.urdf"), "there is no such file"),
     "a missing MJCF": (LEAST + 'mjcf = "no.xml"\n', "mjcf = 'no.xml'"),
     "no name": ('[[pair]]\nurdf = "a.urdf"\n', "needs a name"),
@@ -104,7 +102,6 @@ REFUSED = {
     "feet": (LEAST + "feet = 'FL'\n", "a list of names"),
     "a folder": (LEAST + "packages.x = 'nowhere'\n", "a folder that exists"),
     "a mapping": (LEAST + "map.x = 1\n", "the name in the MJCF"),
-    "mapped twice": (LEAST + "map-file = 'names.toml'\nmap.one = 'ein'\n", "mapped to both"),
     "no tables": ("pair = 1\n", "tables that begin with [[pair]]"),
     "a table that is none": (LEAST + "map = 1\n", "give a table"),
     "an empty text": (LEAST + 'mjcf = ""\n', "a text, in quotes"),

@@ -28,7 +28,6 @@ SLIPS = {
         ("double mjc:damping = 1000000", "double mjc:damping = 1000000\n"
          "float newton:damping = 1000000"), HIP),
     "range-empty": (("lowerLimit = -30", "lowerLimit = 70"), HIP),
-    "limit-missing": (("float physics:lowerLimit = -30\n", ""), HIP),
     "value-impossible": (("double mjc:damping = 1000000", "double mjc:damping = -1000000"), HIP),
 }  # fmt: skip
 

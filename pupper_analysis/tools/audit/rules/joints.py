@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.base.diagnostics import (
-    Diagnostic,
     Quantity,
     Term,
     Vector,
@@ -35,15 +34,11 @@ from pupper_analysis.tools.audit.rules.mirror import mirror_plane
 _MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
 
 _NAMES = (
-    (0, ("haa", "abad", "abduction", "adduction", "hip_roll", "hx")),
-    (1, ("hfe", "kfe", "thigh", "knee", "calf", "shank", "hip_pitch", "hy")),
-    (2, ("hip_yaw",)),
+    "haa|abad|abduction|adduction|hip_?roll|hx",
+    "hfe|kfe|thigh|knee|calf|shank|hip_?pitch|hy",
+    "hip_?yaw",
 )
-_PATTERNS = [
-    (axis, re.compile(rf"(?<![a-z]){name.replace('_', '_?')}(?![a-z])", re.IGNORECASE))
-    for axis, names in _NAMES
-    for name in names
-]
+_PATTERNS = [re.compile(rf"(?<![a-z])(?:{names})(?![a-z])", re.IGNORECASE) for names in _NAMES]
 _HIP = re.compile(r"(?<![a-z])hip(?![a-z])", re.IGNORECASE)
 
 
@@ -52,7 +47,7 @@ def expected_axis(name: str, all_names: set[str]) -> int | None:
 
     ``hip`` alone is the abduction where there are a ``thigh`` and a ``calf`` of the same leg.
     """
-    for axis, pattern in _PATTERNS:
+    for axis, pattern in enumerate(_PATTERNS):
         if pattern.search(name):
             return axis
     if _HIP.search(name) and {_HIP.sub("thigh", name), _HIP.sub("calf", name)} <= all_names:
@@ -132,29 +127,14 @@ def _inverted(robot: MjcfModel) -> Iterator[Found]:
 
 
 @rule
-def limit_missing(robot: RobotModel) -> Iterator[Found]:
-    """Finds hinges and slides without a range, but for wheels.
-
-    In a URDF, these are those of type continuous: others without <limit> are refused on reading.
-    """
+def limits_without_effect(robot: RobotModel) -> Iterator[Found]:
+    """Finds joints of type continuous that state limits all the same."""
     for joint in robot.joints.values():
-        if joint.moves and math.isinf(joint.lower) and "wheel" not in joint.name.lower():
-            ignored = _limits_without_effect(joint)
-            if ignored is not None:
-                yield Found("joint", joint.name, ignored, "limit")
-                continue
-            message = diagnose("joint-without-end", kind=Term(joint.kind))
-            yield Found("joint", joint.name, message)
-
-
-def _limits_without_effect(joint: Joint) -> Diagnostic | None:
-    """Says so if a joint without limits states some all the same: one of type continuous."""
-    lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
-    if not lower < upper:
-        return None
-    return diagnose(
-        "limits-without-effect", lower=Quantity(lower, "rad"), upper=Quantity(upper, "rad")
-    )
+        lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
+        if joint.moves and math.isinf(joint.lower) and lower < upper:
+            low, high = Quantity(lower, "rad"), Quantity(upper, "rad")
+            message = diagnose("limits-without-effect", lower=low, upper=high)
+            yield Found("joint", joint.name, message, "limit")
 
 
 @rule
@@ -305,7 +285,7 @@ def legs_of(robot: RobotModel) -> Iterator[Leg]:
             for vector in (knee.position - hip.position, end - knee.position)
         )
         lengths = [float(np.linalg.norm(vector)) for vector in (thigh, shank)]
-        if min(lengths) > 0.4 * max(lengths) and any(_ends_low(robot, link)):
+        if min(lengths) > 0.4 * max(lengths) and _ends_low(robot, link):
             yield Leg(hip, knee, thigh, shank, hip.axis, math.copysign(1.0, cosine))
 
 
@@ -324,25 +304,16 @@ def _end(robot: RobotModel, shank: Link) -> Array | None:
     return max(points, key=lambda p: float(np.linalg.norm(p - start)), default=None)
 
 
-def _ends_low(robot: RobotModel, link: Link) -> Iterator[bool]:
-    """Yields whether a link, or one that it carries, is said to be a foot, a calf or an ankle."""
-    for part in (link, *robot.descendants(link.name)):
-        words = (part.name, *(frame.name for frame in part.frames), *(j.name for j in part.joints))
-        yield any(word in name.lower() for name in words for word in LEG_WORDS)
+def _ends_low(robot: RobotModel, link: Link) -> bool:
+    """Whether a link, or one that it carries, is said to be a foot, a calf or an ankle."""
+    parts = (link, *robot.descendants(link.name))
+    names = [part.name for part in parts]
+    names += [frame.name for part in parts for frame in part.frames]
+    names += [joint.name for part in parts for joint in part.joints]
+    return any(map(_LEGGED.search, names))
 
 
-LEG_WORDS = (
-    "foot",
-    "calf",
-    "shank",
-    "ankle",
-    "knee",
-    "kfe",
-    "lower_leg",
-    "lowerleg",
-    "leg_",
-    "toe",
-)
+_LEGGED = re.compile("foot|calf|shank|ankle|knee|kfe|lower_?leg|leg_|toe", re.IGNORECASE)
 """In names of what a robot stands on; arms hang down, too, and bend otherwise."""
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.constants import g as standard_gravity
 
 from pupper_analysis.base.diagnostics import (
-    Diagnostic,
     Quantity,
     Severity,
     Vector,
@@ -117,62 +116,10 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
             friction = min(friction, float(model.geom_friction[geom, 0]))
         if friction < 1e-3 or contact.condim == 1:
             message = diagnose("foot-frictionless", condim=contact.condim, friction=friction)
-            yield _of_geom(robot, geom, message)
-
-
-RUBBER = 5.0
-"""A sliding friction above which none is: rubber on dry asphalt has 1, slicks have 2."""
-
-LIFT = 5e-3
-"""A margin (m) beyond which a robot visibly stands on air; against jitter, 1 mm is usual."""
-
-SOFTEST = 0.1
-"""A time constant of contacts (s) above which soles are foam: MuJoCo's default is 0.02."""
-
-
-@rule
-def contact_out_of_range(robot: MjcfModel) -> Iterator[Found]:
-    """Finds numbers of contacts that no material has, or that are not used; once each.
-
-    Friction about the normal and of rolling are lengths: a patch is no wider than the geom. A
-    time constant below two steps MuJoCo replaces, unless a flag forbids it.
-    """
-    model = robot.mj_model
-    if model is None:
-        return
-    least = 2 * model.opt.timestep
-    unsafe = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE.value)
-    found: dict[tuple[str, bool], list[tuple[int, Quantity, Quantity]]] = {}
-    for geom in _touching(model):
-        friction, condim = model.geom_friction[geom], model.geom_condim[geom]
-        width = 2 * float(model.geom_rbound[geom])
-        time = float(model.geom_solref[geom, 0])
-        for word, value, most, unit in (
-            ("friction[0]", friction[0], RUBBER, "1"),
-            ("friction[1]", friction[1], width if condim > 3 else np.inf, "m"),
-            ("friction[2]", friction[2], width if condim > 4 else np.inf, "m"),
-            ("margin", model.geom_margin[geom], LIFT, "m"),
-            ("solref[0]", time, SOFTEST, "s"),
-        ):
-            if value > most > 0:
-                those = (geom, Quantity(float(value), unit), Quantity(most, unit))
-                found.setdefault((word, False), []).append(those)
-        if 0 < time < least * (1 - 1e-9):
-            those = (geom, Quantity(time, "s"), Quantity(least, "s"))
-            found.setdefault(("solref[0]", True), []).append(those)
-    for (word, short), all_of_it in found.items():
-        geom, value, bound = all_of_it[0]
-        message = diagnose(
-            "contact-out-of-range",
-            attribute=word,
-            value=value,
-            bound=bound,
-            others=len(all_of_it) - 1,
-            short=short,
-            unsafe=short and unsafe,
-            replaced=short and not unsafe,
-        )
-        yield _of_geom(robot, geom, message, Severity.NOTE if short and not unsafe else None)
+            if name:
+                yield Found("geom", name, message)
+            else:
+                yield Found("body", robot.body_names[body], message, "geom")
 
 
 @rule
@@ -209,19 +156,6 @@ def _touching(model: mujoco.MjModel) -> Iterator[int]:
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
         if collides and model.body_weldid[model.geom_bodyid[geom]]:
             yield geom
-
-
-def _of_geom(
-    robot: MjcfModel, geom: int, message: Diagnostic, severity: Severity | None = None
-) -> Found:
-    """Returns what was found at a geom, or of its body if it has no name."""
-    model = robot.mj_model
-    assert model is not None
-    if name := model.geom(geom).name:
-        return Found("geom", name, message, severity=severity)
-    return Found(
-        "body", robot.body_names[model.geom_bodyid[geom]], message, "geom", severity=severity
-    )
 
 
 # Rules about what each engine makes of what a file does not say.

@@ -38,9 +38,6 @@ LARGEST_SAG = 0.5
 _SHORTEST = 1e-4
 """s: of a time step with which that takes more than 20,000 steps nothing is simulated here."""
 
-OVERLAP = 1e-3
-"""How deep bodies may be in each other (m)."""
-
 
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -74,11 +71,34 @@ def _starts(robot: MjcfModel) -> Iterator[Start]:
 @rule
 def start_outside_limits(robot: RobotModel) -> Iterator[Found]:
     """Finds joints outside by more than 1 mrad (1 mm); NOTE for zero angles and qpos0."""
+    for where, start, values in _angles(robot):
+        excess = {
+            joint.name: max(joint.lower - values[joint.name], values[joint.name] - joint.upper)
+            for joint in robot.joints.values()
+            if joint.moves and joint.lower < joint.upper and joint.name in values
+        }
+        outside = [name for name, by in excess.items() if by > 1e-3]
+        if outside:
+            worst = robot.joints[max(outside, key=lambda name: excess[name])]
+            message = diagnose(
+                "start-outside-limits",
+                start=start,
+                joint=worst.name,
+                value=Quantity(values[worst.name], worst.unit),
+                lower=Quantity(worst.lower, worst.unit),
+                upper=Quantity(worst.upper, worst.unit),
+                outside=len(outside),
+                joints=len(excess),
+            )
+            yield Found(*where, message, severity=None if where[0] == "key" else Severity.NOTE)
+
+
+def _angles(robot: RobotModel) -> Iterator[tuple[tuple[str, str], Diagnostic, dict[str, float]]]:
+    """Yields the element, the name and the joints' positions of each start."""
     if not isinstance(robot, MjcfModel):
-        values = {joint.name: 0.0 for joint in robot.joints.values() if joint.moves}
         if robot.base:
-            where = (robot.link_tag, robot.base)
-            yield from _outside(robot, where, diagnose("start-zero"), values, Severity.NOTE)
+            values = {joint.name: 0.0 for joint in robot.joints.values()}
+            yield (robot.link_tag, robot.base), diagnose("start-zero"), values
         return
     model = robot.mj_model
     for start in _starts(robot):
@@ -87,37 +107,7 @@ def start_outside_limits(robot: RobotModel) -> Iterator[Found]:
             joint_name(model, joint): float(start.qpos[model.jnt_qposadr[joint]])
             for joint in range(model.njnt)
         }
-        named = start.element[0] == "key"
-        severity = Severity.WARNING if named else Severity.NOTE
-        yield from _outside(robot, start.element, start.message, values, severity)
-
-
-def _outside(
-    robot: RobotModel,
-    where: tuple[str, str],
-    start: Diagnostic,
-    values: dict[str, float],
-    severity: Severity,
-) -> Iterator[Found]:
-    excess = {
-        joint.name: max(joint.lower - values[joint.name], values[joint.name] - joint.upper)
-        for joint in robot.joints.values()
-        if joint.moves and joint.lower < joint.upper and joint.name in values
-    }
-    outside = [name for name, by in excess.items() if by > 1e-3]
-    if outside:
-        worst = robot.joints[max(outside, key=lambda name: excess[name])]
-        message = diagnose(
-            "start-outside-limits",
-            start=start,
-            joint=worst.name,
-            value=Quantity(values[worst.name], worst.unit),
-            lower=Quantity(worst.lower, worst.unit),
-            upper=Quantity(worst.upper, worst.unit),
-            outside=len(outside),
-            joints=len(excess),
-        )
-        yield Found(*where, message, severity=severity)
+        yield start.element, start.message, values
 
 
 @rule
@@ -218,8 +208,9 @@ def start_in_floor(robot: MjcfModel) -> Iterator[Found]:
     for start in _starts(robot):
         depths: dict[str, float] = {}
         for bodies, geoms, depth in _contacts(robot, start):
-            plane = any(_is_plane(robot, geom) for geom in geoms)
-            if plane and 0 in bodies and depth > FLOOR_DEPTH:
+            assert robot.mj_model is not None
+            planes = robot.mj_model.geom_type[list(geoms)] == mujoco.mjtGeom.mjGEOM_PLANE.value
+            if planes.any() and 0 in bodies and depth > FLOOR_DEPTH:
                 name = robot.body_names[max(bodies)]
                 depths[name] = max(depth, depths.get(name, 0.0))
         if depths:
@@ -229,35 +220,6 @@ def start_in_floor(robot: MjcfModel) -> Iterator[Found]:
                 start=start.message,
                 body=deepest,
                 depth=_rounded(depths[deepest], "m"),
-                others=len(depths) - 1,
-            )
-            yield Found(*start.element, message, severity=start.severity)
-
-
-def _is_plane(robot: MjcfModel, geom: int) -> bool:
-    assert robot.mj_model is not None
-    return bool(robot.mj_model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE.value)
-
-
-@rule
-def start_self_collision(robot: MjcfModel) -> Iterator[Found]:
-    """Finds contacts within a tree, deeper than 1 mm, that MuJoCo's filters let through."""
-    for start in _starts(robot):
-        depths: dict[tuple[str, str], float] = {}
-        for bodies, _, depth in _contacts(robot, start):
-            assert robot.mj_model is not None
-            roots = robot.mj_model.body_rootid[list(bodies)]
-            if 0 not in bodies and roots[0] == roots[1] and depth > OVERLAP:
-                pair = (robot.body_names[bodies[0]], robot.body_names[bodies[1]])
-                depths[pair] = max(depth, depths.get(pair, 0.0))
-        if depths:
-            one, other = worst = max(depths, key=lambda pair: depths[pair])
-            message = diagnose(
-                "start-self-collision",
-                start=start.message,
-                body=one,
-                other=other,
-                depth=_rounded(depths[worst], "m"),
                 others=len(depths) - 1,
             )
             yield Found(*start.element, message, severity=start.severity)

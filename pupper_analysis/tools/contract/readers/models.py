@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import mujoco
-
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.attributes import IN_A_TREE
@@ -37,7 +35,6 @@ def read(request: Request) -> Iterator[Source]:
     if isinstance(model, MjcfModel) and compiled is not None:
         for name, driving in drives.items():
             statements += [one for drive in driving for one in _servo(model, drive, name)]
-        statements += _keyframe(model, compiled)
     order = depth_first(model)
     if order:
         yield Source(request.path.name, request.path, Role.MODEL, tuple(statements), order=order)
@@ -90,18 +87,6 @@ def _of_actuator(model: MjcfModel, number: int, words: tuple[str, ...]) -> Place
     if not name:
         return model.file.numbered("actuator", number)
     return model.file.stated("actuator", name, words) or model.file.place("actuator", name)
-
-
-def _keyframe(model: MjcfModel, compiled: mujoco.MjModel) -> Iterator[Statement]:
-    if not compiled.nkey:
-        return
-    names = [compiled.key(number).name for number in range(compiled.nkey)]
-    key = names.index("home") if "home" in names else 0
-    place = model.file.place("key", names[key])
-    for joint in model.joints.values():
-        if joint.moves and not joint.name.startswith("("):
-            at = compiled.jnt_qposadr[compiled.joint(joint.name).id]
-            yield Statement("start angle", float(compiled.key_qpos[key, at]), place, joint.name)
 
 
 def match_names(

@@ -99,10 +99,10 @@ def _listed(table: Node, order: Sequence[str], motors: list[int], up: bool) -> I
     whole = sorted(motors) == list(range(len(motors)))
     # Source: rl_sar, ReadYaml: a robot's table is for getting up, a policy's counts over it.
     to_start = up or (table.get("fixed_kp").there and not table.get("rl_kp").there)
-    others = {"effort": "", "default angle": "start angle", "kp": "start kp", "kd": "start kd"}
-    for word, quantity in _KEYS.items():
-        meant = others.get(quantity, quantity) if to_start else quantity
-        for one in _flat(meant, table.get(word)) if meant else ():
+    keys = {word: quantity for word, quantity in _KEYS.items()
+            if not (to_start and quantity in ("effort", "default angle", "kp", "kd"))}  # fmt: skip
+    for word, quantity in keys.items():
+        for one in _flat(quantity, table.get(word)):
             if word in ("stiffness", "damping") and whole and one.index in motors:
                 one = replace(one, index=motors.index(one.index or 0))
             # A text is a name of a parameter, not an expression: nothing is said of joints.
