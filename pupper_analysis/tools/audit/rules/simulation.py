@@ -18,7 +18,6 @@ from pupper_analysis.models.loading import Found
 from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
-from pupper_analysis.robot.stability import servo_stability
 from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import drives
 from pupper_analysis.tools.audit.rules.files import first_place
@@ -53,37 +52,6 @@ def armature_zero(robot: MjcfModel) -> Iterator[Found]:
     if driven and not any(armature):
         message = diagnose("armature-zero", joints=len(driven))
         yield Found("joint", driven[0].joint_name, message)
-
-
-@rule
-def servo_unstable(robot: MjcfModel) -> Iterator[Found]:
-    """Tests the stability of all servos together at qpos0; see ``servo_stability``."""
-    model = robot.mj_model
-    if model is None or model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER.value:
-        return
-    used = [drive for drive in drives(model) if drive.damping > 0 or drive.stiffness > 0]
-    if not used:
-        return
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    stiffness, damping = np.zeros(model.nv), np.zeros(model.nv)
-    implicit = np.array(model.dof_damping)
-    for drive in used:
-        dof = model.jnt_dofadr[drive.joint]
-        stiffness[dof] += drive.gear**2 * max(drive.stiffness, 0.0)
-        damping[dof] += drive.gear**2 * max(drive.damping, 0.0)
-        implicit[dof] += drive.gear**2 * model.actuator_damping[drive.id]
-    found = servo_stability(model, data, stiffness, damping, implicit)
-    if found is not None and found.ratio > 1:
-        drive = max(used, key=lambda drive: float(found.shares[model.jnt_dofadr[drive.joint]]))
-        message = diagnose(
-            "servo-unstable",
-            kp=Quantity(drive.gain, "N m/rad"),
-            kd=Quantity(drive.damping, "N m s/rad"),
-            step=Quantity(model.opt.timestep, "s"),
-            times=found.ratio,
-        )
-        yield Found("actuator", drive.name, message)
 
 
 @rule
