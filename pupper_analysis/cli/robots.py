@@ -291,12 +291,3 @@ def add_options(
         return command
 
     return add
-
-
-def shown_robot(meant: str | VariantSpec | RobotFiles, **more: bool) -> str | VariantSpec | Robot:
-    """Returns a variant as it is, and the robot of files, whose assumptions are reported."""
-    if not isinstance(meant, RobotFiles):
-        return meant
-    robot = robot_from(meant, **more)
-    print_notes(robot)
-    return robot

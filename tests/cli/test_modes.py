@@ -12,7 +12,6 @@ from pupper_analysis.cli import COMMANDS
 from pupper_analysis.cli.modes import refuse_unused
 from tests.support.commands import answer
 from tests.support.repository import ROOT
-from tests.support.robots import arm, urdf_text
 
 
 def test_defaults_are_not_typed_and_new_options_are_refused() -> None:
@@ -53,7 +52,6 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("live", "v3", "--drop", "--headless"): (("--port", "1"), ("--fixed-base",)),
     ("live", "v3", "--mujoco", "--headless"): (("--port", "1"),),
     ("live", "v3", "--no-browser"): (("--headless",),),
-    ("live", "arm.urdf", "--no-browser"): (("--stance", "stands.csv"),),
     ("check", "--init"): (("--format", "sarif"), ("--json", "a.json")),
     ("analyze", "--list"): (("--height", "12cm"), ("--verbose",)),
     ("audit", "--list-rules"): (("--json", "a.json"),),
@@ -73,7 +71,6 @@ IDLE = {line: several for line, several in _IDLE.items() if line[0] in COMMANDS}
 
 @pytest.mark.parametrize("line", IDLE, ids=lambda line: " ".join(Path(one).name for one in line))
 def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_path: Path) -> None:
-    (tmp_path / "arm.urdf").write_text(urdf_text(arm()))
     (tmp_path / "stands.csv").touch()
     for more in IDLE[line]:
         given = answer(*line, *more, folder=tmp_path)
@@ -82,7 +79,7 @@ def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_pat
         option = {"-o": "--output", "-q": "--quiet", "--free-base": "--fixed-base"}
         shown = option.get(more[0], more[0])
         assert given.stderr.startswith(f"error: {shown}: "), given
-    assert {path.name for path in tmp_path.iterdir()} == {"arm.urdf", "stands.csv"}
+    assert {path.name for path in tmp_path.iterdir()} == {"stands.csv"}
 
 
 def test_a_stance_of_a_file_may_say_more_than_a_command_uses(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.modes import refuse_idle, refuse_unused
+from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
@@ -18,7 +18,7 @@ from pupper_analysis.cli.robots import (
     add_options,
     print_notes,
     robot_argument,
-    shown_robot,
+    robot_from,
     with_robot,
 )
 from pupper_analysis.cli.stance_fields import TYPED, options_of, stance_option, task_of
@@ -98,8 +98,6 @@ def command(
 ) -> None:
     """Open a page with sliders for a stance that shows its torques, contact forces and sag.
 
-    Of an arm, or any robot with a fixed base, there is a slider for each joint.
-
     ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF. Each browser that
     opens the page has its own session.
     Only this machine can reach the page, unless --host is given: then anyone can who reaches
@@ -131,9 +129,11 @@ def command(
     if mode != "the page":
         from pupper_analysis.tools.live import window
 
-        robot = shown_robot(meant, **({"fixed_base": True} if fixed_base else {}))
+        robot = robot_from(meant, fixed_base=fixed_base)
+        if isinstance(meant, RobotFiles):
+            print_notes(robot)
         if not dropped:
-            window.view_robot(robot, fixed=fixed_base, headless=headless)
+            window.view_robot(robot, headless=headless)
             return
         if not window.drop_and_report(robot, headless=headless):
             click.get_current_context().exit(shared.FAILED)
@@ -172,7 +172,6 @@ def _open_page(
     **where: Unpack[Where],
 ) -> None:
     """Serves the page until Ctrl-C."""
-    from pupper_analysis.tools.live.held import HeldPage
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.server import Page
     from pupper_analysis.tools.live.state import source_of_files, source_of_variant
@@ -182,15 +181,13 @@ def _open_page(
     if isinstance(meant, RobotFiles):
         with shared.show_progress("preparing the robot: feet, start pose, servos"):
             source = source_of_files(RobotFiles.of(*meant.models, **meant.options))
-        if not source.robot.floating:
-            refuse_idle(str(meant), "stance")
         print_notes(source.robot)
     else:
         from pupper_analysis.pupper.variants import variant_spec
 
         source = source_of_variant(variant_spec(meant))
     with shared.show_progress("making the page"):
-        page = Page(source, begin, **where) if source.robot.floating else HeldPage(source, **where)
+        page = Page(source, begin, **where)
     _serve(page, where["host"], browser=browser)
 
 

@@ -303,7 +303,7 @@ def _within(span: Range, value: float) -> float:
     return min(max(round(value, 2), span.low), span.high)
 
 
-# Sliders of joints: of an arm's, and of a stand's posture.
+# Sliders of joints: of a stand's posture.
 
 
 _ENDS = {"rad": math.pi, "m": 1.0}
@@ -360,20 +360,8 @@ class JointSliders:
 
     def _by_hand(self, joint: str, event: Any) -> None:
         if event.client is not None:  # what a program sets is known
-            self._moved(joint, self._position(joint))
-
-    def _position(self, joint: str) -> float:
-        value = float(self.sliders[joint].value) / self._scales[joint]
-        return round(value, _DIGITS) + 0.0  # never -0
-
-    def positions(self) -> dict[str, float]:
-        """Returns where all of these joints are commanded to be (rad, m)."""
-        return {joint: self._position(joint) for joint in self.sliders}
-
-    def changed(self) -> dict[str, float]:
-        """Returns where those are commanded to be that are not where they began (rad, m)."""
-        begin, sliders = self._begin, self.sliders
-        return {n: p for n, p in self.positions().items() if sliders[n].value != begin[n]}
+            value = float(self.sliders[joint].value) / self._scales[joint]
+            self._moved(joint, round(value, _DIGITS) + 0.0)  # never -0
 
     def show(self, positions: Mapping[str, float]) -> None:
         """Moves sliders to where joints are (rad, m); the others to where they began."""
@@ -384,12 +372,6 @@ class JointSliders:
             value = min(max(value, slider.min), slider.max)
             if slider.value != value:
                 slider.value = value
-
-
-def led_joints(robot: Robot) -> tuple[str, ...]:
-    """Returns the joints that follow no other, in actuator order."""
-    follows = () if robot.closure is None else {int(one) for one in robot.closure.following}
-    return tuple(name for index, name in enumerate(robot.joint_names) if index not in follows)
 
 
 # The sliders of a page: what each is about, and how far it goes for one robot.

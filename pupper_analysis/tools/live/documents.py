@@ -18,9 +18,7 @@ from pupper_analysis.present.documents.standing import (
     task_text,
 )
 from pupper_analysis.present.verdict import clause_text, verdict_clauses
-from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
-from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.live.access import without_folders
 from pupper_analysis.tools.live.model import Answer, PredictedSag
 from pupper_analysis.tools.push.bench import PushTrial
@@ -134,12 +132,6 @@ def push_document(trial: PushTrial) -> doc.Document:
 
 
 _AS_SIMULATED = doc.Lines((text("orange-as-simulated"),))
-
-
-def held_document(robot: Robot, statics: GravityCompensation) -> doc.Document:
-    """Returns what the motors hold with the base held: without a simulation there is no verdict."""
-    table = torque_table(statics, robot.effort_limits.tolist())
-    return doc.Document(text("held-posture"), doc.Name(robot.name), (table,))
 
 
 def failure_document(error: PupperAnalysisError) -> doc.Document:

@@ -6,8 +6,6 @@ Nothing here knows of a browser. Every number is that of the public function whi
 from __future__ import annotations
 
 import contextlib
-import threading
-from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,9 +32,6 @@ from pupper_analysis.tools.push.bench import PushTrial, simulate_push
 from pupper_analysis.tools.stand.stance import Stance, study_stance
 
 Array = NDArray[np.float64]
-
-_MOST_CACHED_ROBOTS = 8
-"""Robots that are kept: as many as a hand goes to and fro between; v3 takes some MB."""
 
 PUSHED = 4.0
 """s after a push: a robot that recovers has by then come to rest."""
@@ -91,8 +86,7 @@ class Model:
 
     def __init__(self, source: LiveSource) -> None:
         self.source = source
-        self._robots: OrderedDict[object, Robot] = OrderedDict()
-        self._lock = threading.Lock()
+        self._loaded: tuple[object, Robot] | None = None
 
     def robot(self, state: State) -> Robot:
         """Returns a state's robot, with its payload.
@@ -103,17 +97,10 @@ class Model:
         if not state.payload:
             return self.source.robot
         key = state.payload, state.payload_point()
-        with self._lock:
-            if key in self._robots:
-                self._robots.move_to_end(key)
-                return self._robots[key]
-        # Made without the lock: other pages go on meanwhile.
-        robot = with_payload(self.source.robot, *key)
-        with self._lock:
-            robot = self._robots.setdefault(key, robot)
-            while len(self._robots) > _MOST_CACHED_ROBOTS:
-                self._robots.popitem(last=False)
-        return robot
+        last = self._loaded
+        if last is None or last[0] != key:
+            self._loaded = last = key, with_payload(self.source.robot, *key)
+        return last[1]
 
     def answer(self, state: State) -> Answer:
         """Solves a state; what is wrong with it is in the answer."""

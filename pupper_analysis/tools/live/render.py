@@ -31,7 +31,7 @@ from pupper_analysis.present.document import (
 )
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.tools.live.access import HEADERS, MOST_BYTES, Access, without_folders
-from pupper_analysis.tools.live.scene import BEYOND, SCALE, colour_of, to_css
+from pupper_analysis.tools.live.scene import colour_of, to_css
 
 FAREWELL = 0.3
 """s that browsers have to answer when the server ends; one that sleeps or is gone never does."""
@@ -225,7 +225,6 @@ STYLE = """<style>
 .pa .good,.pa .bad,.pa .wait{border-left:4px solid;padding:.25em .6em;margin:.4em 0}
 .pa .good{border-color:#1e8c46}.pa .bad{border-color:#c81e28}.pa .wait{border-color:#e0a020}
 .pa .bar{display:inline-block;height:.62em;border-radius:2px;vertical-align:baseline}
-.pa .scale{display:flex;height:.6em;border-radius:2px;margin:.2em 0 0}
 </style>"""
 
 _BOXES = {"good": "good", "bad": "bad", "warn": "wait"}
@@ -305,8 +304,7 @@ def _table(block: Table, say: Language) -> str:
     barred = any(isinstance(cell, Number) and cell.share is not None
                  for row in block.rows for cell in row)  # fmt: skip
     kind = ' class="barred"' if barred else ""
-    table = f"{_headed(block.title, say)}<table{kind}>{''.join(rows)}</table>"
-    return table + (_scale(say) if barred else "")
+    return f"{_headed(block.title, say)}<table{kind}>{''.join(rows)}</table>"
 
 
 def _unit(column: Column) -> str:
@@ -324,14 +322,3 @@ def _cell(cell: Cell, say: Language) -> str:
     width, colour = 3.0 * cell.share, to_css(colour_of(cell.value / 100))  # a share is in percent
     bar = f'<span class="bar" style="width:{width:.2f}em;background:{colour}"></span>'
     return f'{number}<td style="width:3.1em">{bar}</td>'
-
-
-def _scale(say: Language) -> str:
-    """Returns which colour is which part of a limit."""
-    stops = ",".join(f"{to_css(colour)} {100 * share:.0f}%" for share, colour in SCALE)
-    return (
-        f'<div class="scale" style="background:linear-gradient(90deg,{stops})"></div>'
-        '<div style="display:flex;justify-content:space-between"><span>0</span>'
-        f'<span>50 %</span><span>100 % <b style="color:{to_css(BEYOND)}">'
-        f"■ {_said(say.words(text('above')))}</b></span></div>"
-    )

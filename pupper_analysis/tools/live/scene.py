@@ -208,7 +208,6 @@ class Scene:
         self._figures: dict[str, Figure] = {}
         self._nodes: dict[str, Any] = {}
         self._joints: dict[str, Any] = {}
-        self._labels: dict[str, Any] = {}
         self._size = 1.0
 
     def show(self, answer: Answer) -> None:
@@ -277,18 +276,15 @@ class Scene:
             return
         for figure in self._figures.values():
             figure.remove()
-        for node in (*self._joints.values(), *self._labels.values()):
+        for node in self._joints.values():
             node.remove()
-        self._figures, self._joints, self._labels = {}, {}, {}
+        self._figures, self._joints = {}, {}
         self._robot, self._parts = robot, parts_of(robot.mj_model)
         self._size = size = robot.stand_height
         disc = _DISC * (size / _DISC_AT) ** 0.6  # motors grow more slowly than their robots
         for number, name in enumerate(robot.joint_names):
             self._joints[name] = self._scene.add_cylinder(
                 f"/joints/{number}", disc, 1.9 * disc, cast_shadow=False
-            )
-            self._labels[name] = self._scene.add_label(
-                f"/labels/{number}", "", visible=False, anchor="bottom-center"
             )
 
     def _node(self, name: str, make: str, *arguments: Any, **options: Any) -> Any:
@@ -302,7 +298,7 @@ class Scene:
     def _draw_only(self, names: tuple[str, ...]) -> None:
         for name, node in self._nodes.items():
             node.visible = name in (*names, "ground")
-        for node in (*self._joints.values(), *self._labels.values()):
+        for node in self._joints.values():
             node.visible = False
 
     def _ground(self, ground: Ground) -> None:
@@ -381,19 +377,17 @@ class Scene:
         ball.position = place.position(Configuration(answer.robot, stand.qpos))
 
     def _torques(self, joints: Sequence[JointAxis]) -> None:
-        """Colours the joints; names the one whose motor works hardest, or all."""
-        hardest = max(joints, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
-        for one in joints:
-            disc, label = self._joints[one.name], self._labels[one.name]
-            disc.visible = one.torque is not None
-            label.visible = disc.visible and one is hardest
-            if one.torque is None:
-                continue
-            disc.color = colour_of(one.share)
+        """Colours the joints; names the one whose motor works hardest."""
+        known = [one for one in joints if one.torque is not None]
+        for one in known:
+            disc = self._joints[one.name]
+            disc.visible, disc.color = True, colour_of(one.share)
             disc.position, disc.wxyz = one.place, quaternion_along(one.direction)
-            if label.visible:
-                label.text = joint_text(one.name, one.torque, one.share)
-                label.position = one.place + np.array([0.0, 0.0, 0.2 * self._size])
+        if known:
+            hardest = max(known, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
+            label = self._node("hardest", "add_label", "", anchor="bottom-center")
+            label.text = joint_text(hardest.name, hardest.torque or 0.0, hardest.share)
+            label.position = hardest.place + np.array([0.0, 0.0, 0.2 * self._size])
 
     def _forces(self, seen: StandingScene) -> None:
         if not seen.contacts:

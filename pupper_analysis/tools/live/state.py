@@ -42,11 +42,13 @@ def source_of_files(files: RobotFiles) -> LiveSource:
     """Loads the robot of a page.
 
     Raises:
-        ConfigurationError: If its base is free, and it has no feet.
+        ConfigurationError: If its base is fixed, or it has no feet.
         ModelError: As ``load_robot``.
     """
     robot = files.load()
-    if robot.floating and not robot.contact_points:
+    if not robot.floating:
+        raise ConfigurationError("robot", diagnose("page-of-fixed-base", robot=robot.name))
+    if not robot.contact_points:
         raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
     return LiveSource(robot, tuple(files.arguments()))
 
@@ -279,17 +281,6 @@ def write_command(source: LiveSource, state: State) -> str:
         for option, of, value in _typed_options(state)
     )
     return shlex.join(["pupper-analysis", "stand", *source.arguments, *typed])
-
-
-def hold_command(source: LiveSource, positions: Mapping[str, float]) -> str:
-    """Returns the command that holds a posture with the base fixed.
-
-    Args:
-        source: The robot.
-        positions: {joint: where it is (rad, m)}.
-    """
-    words = ["pupper-analysis", "hold", *source.arguments]
-    return shlex.join([*words, *(f"--joints={n}={at:.6g}" for n, at in positions.items())])
 
 
 def write_stance_file(state: State) -> str:

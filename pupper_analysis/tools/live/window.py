@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.pupper.variant_files import load_variant
-from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
@@ -46,21 +44,14 @@ class Drop:
     stable: bool
 
 
-def drop(robot: str | VariantSpec | Robot = "v3") -> Drop:
+def drop(robot: Robot) -> Drop:
     """Drops a robot, its servos at the joint positions of its keyframe ``home``.
 
     It falls from where the keyframe has it (v3: 0.28 m up); if that is on the ground, its feet are
     ``FALL`` above it.
-
-    Args:
-        robot: A variant's name, a ``VariantSpec``, or a robot.
-
-    Raises:
-        ModelError: If the model file is missing or damaged.
-        VariantError: If the name is unknown.
     """
-    dropped, data = at_home(robot)
-    model, servos_at_home = dropped.mj_model, data.ctrl.copy()
+    data = at_home(robot)
+    model, servos_at_home = robot.mj_model, data.ctrl.copy()
     timestep = float(model.opt.timestep)
     height = np.full(round(SECONDS / timestep) + 1, data.qpos[2])
     for step in range(1, len(height)):
@@ -72,19 +63,11 @@ def drop(robot: str | VariantSpec | Robot = "v3") -> Drop:
     return Drop(time, height, deviation, deviation < STABLE_DEVIATION)
 
 
-def at_home(
-    robot: str | VariantSpec | Robot, *, fixed: bool = False
-) -> tuple[Robot, mujoco.MjData]:
-    """Returns a robot, and MuJoCo's data with its joints, and its servos' commands, at home.
+def at_home(robot: Robot) -> mujoco.MjData:
+    """Returns MuJoCo's data with a robot's joints, and its servos' commands, at home.
 
     A free base is above the ground.
-
-    Args:
-        robot: A robot, or a variant.
-        fixed: Whether a variant is loaded with its base fixed.
     """
-    if not isinstance(robot, Robot):
-        robot = load_variant(robot, fixed_base=fixed)
     data = mujoco.MjData(robot.mj_model)
     qpos = robot.home.copy()
     if robot.floating and robot.contact_points:
@@ -96,30 +79,25 @@ def at_home(
     robot.mj_convention.set_state(data, qpos)
     data.ctrl[robot.mj_convention.actuator_index] = qpos[robot.nq - robot.nu :]
     mujoco.mj_forward(robot.mj_model, data)
-    return robot, data
+    return data
 
 
-def view_robot(
-    robot: str | VariantSpec | Robot = "v3", *, fixed: bool = False, headless: bool
-) -> None:
+def view_robot(robot: Robot, *, headless: bool) -> None:
     """Shows a robot with its joints as in its keyframe ``home``, until the window is closed.
 
     The viewer's sliders under "Control" command the servos. A robot whose base is fixed is shown
     without gravity: nothing moves by itself.
 
     Args:
-        robot: A variant's name, a ``VariantSpec``, or a robot.
-        fixed: Fix a variant's base in the world.
+        robot: The robot.
         headless: Open no window; print what its sensors read.
 
     Raises:
         DisplayError: If no window can be opened.
-        ModelError: If the model file is missing or damaged.
     """
     if not headless:
         check_display()
-    shown, data = at_home(robot, fixed=fixed)
-    model = shown.mj_model
+    data, model = at_home(robot), robot.mj_model
     print(f"nq={model.nq}, nv={model.nv}, nu={model.nu}", flush=True)
     if headless:
         for sensor in map(model.sensor, range(model.nsensor)):
@@ -128,19 +106,19 @@ def view_robot(
             )
             print(f'data.sensor("{sensor.name}").data  {reading}')
         return
-    if not shown.floating:
+    if not robot.floating:
         model = copy.copy(model)  # the robot's own is not changed
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
     show_window(model, data)
 
 
-def drop_and_report(robot: str | VariantSpec | Robot = "v3", *, headless: bool) -> bool:
+def drop_and_report(robot: Robot, *, headless: bool) -> bool:
     """Drops a robot and prints how steadily it stands at the end.
 
     The result is the same whatever is done in the window.
 
     Args:
-        robot: A variant's name, a ``VariantSpec``, or a robot.
+        robot: The robot.
         headless: Open no window.
 
     Returns:
@@ -148,11 +126,9 @@ def drop_and_report(robot: str | VariantSpec | Robot = "v3", *, headless: bool) 
 
     Raises:
         DisplayError: If no window can be opened.
-        ModelError: If the model file is missing or damaged.
     """
     if not headless:
-        dropped, data = at_home(robot)
-        show_window(dropped.mj_model, data)
+        show_window(robot.mj_model, at_home(robot))
     result = drop(robot)
     deviation = 1e3 * result.height_deviation
     sign, verdict = ("<", "stable") if result.stable else (">=", "NOT stable")

@@ -230,29 +230,18 @@ def digest_of(description: Description) -> str:
         "geoms": dict(description.foot_geoms),
         "nominal": dict(description.nominal),
     }
-    digest = hashlib.sha256()
-    _feed(digest, parts)
-    return digest.hexdigest()
+    return hashlib.sha256(orjson.dumps(_plain(parts), option=orjson.OPT_SORT_KEYS)).hexdigest()
 
 
-def _feed(digest: Any, value: Any) -> None:
-    """Feeds a value to a hash, with where it begins and ends; folders are left out."""
+def _plain(value: Any) -> Any:
+    """Returns a value as JSON can hold it, each number whole; folders are left out."""
     if isinstance(value, Mapping):
-        for key in sorted(value, key=str):
-            if key != "folder":
-                digest.update(f"{{{key}:".encode())
-                _feed(digest, value[key])
-    elif isinstance(value, list | tuple):
-        digest.update(f"[{len(value)}:".encode())
-        for element in value:
-            _feed(digest, element)
-    elif isinstance(value, np.ndarray):
-        digest.update(f"a{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, bytes):
-        digest.update(f"b{len(value)}:".encode() + value)
-    else:
-        text = repr(value).encode()
-        digest.update(f"t{len(text)}:".encode() + text)
+        return {str(key): _plain(one) for key, one in value.items() if key != "folder"}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.ndarray):
+        return [list(value.shape), value.tobytes().hex()]
+    return repr(value)
 
 
 _T = TypeVar("_T")

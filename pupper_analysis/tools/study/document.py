@@ -18,7 +18,6 @@ from pupper_analysis.present.terminal import make_console
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.measures import METRICS, text_key
 from pupper_analysis.tools.study.outcome import (
-    MetricSummary,
     StudyOutcome,
     column_label,
     unit_of,
@@ -56,7 +55,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     if len(outcome.table) < outcome.designs:
         left = outcome.designs - len(outcome.table)
         finding.append(text("count-more-are-not-measured", count=left))
-    blocks = (_variables(outcome), _measured(outcome), *_failures(outcome), *_front(outcome),
+    blocks = (_measured(outcome), *_failures(outcome), *_front(outcome),
               *_shares(outcome), _designs(outcome))  # fmt: skip
     return doc.Document(
         text("study-of-designs"), doc.Name(outcome.robot), blocks, findings=tuple(finding)
@@ -71,49 +70,12 @@ def _right(name: str, unit: str = "") -> doc.Column:
     return doc.Column(text(name), unit)
 
 
-def _source() -> tuple[doc.Words, ...]:
-    return (page_of("explanation/studies.md", "Sensitivities"),)
-
-
-def _variables(outcome: StudyOutcome) -> doc.Table:
-    rows: list[tuple[doc.Cell, ...]] = []
-    for name, asked in outcome.variables.items():
-        ((kind, numbers),) = asked.items()
-        listed = _listed(kind, numbers)
-        count = outcome.table[name].nunique() if name in outcome.table else 0
-        rows.append(
-            (
-                doc.Name(column_label(name)),
-                text(kind),
-                doc.Name(listed),
-                doc.number_cell(count, ".0f"),
-            )
-        )
-    return doc.Table(
-        text("what-varies"),
-        (_left("number"), _left("how"), _left("range-or-values"), _right("different-values", "1")),
-        tuple(rows),
-        (),
-        _source(),
-        detail=True,
-    )
-
-
-def _listed(kind: str, numbers: Sequence[float]) -> str:
-    """Returns a variable's numbers; of evenly spaced ones the ends and how many."""
-    if kind == "linspace":
-        low, high, count = numbers
-        return f"{low:g} … {high:g} ({count:g})"
-    return ", ".join(f"{value:.5g}" for value in numbers)
-
-
 def _measured(outcome: StudyOutcome) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(column_label(one.metric)),
             *(doc.number_cell(value, ".5g") for value in (one.least, one.median, one.greatest)),
             doc.number_cell(one.designs, ".0f"),
-            _meaning(one),
         )
         for one in outcome.measured
     ]
@@ -123,16 +85,9 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
             _left("metric"),
             *map(_right, ("least", "median", "greatest")),
             _right("designs", "1"),
-            doc.Column(text("meaning"), left=True, detail=True),
         ),
         tuple(rows),
     )
-
-
-def _meaning(one: MetricSummary) -> doc.Words:
-    """Returns what a metric is: of one's own function what its docstring says."""
-    name = one.metric.partition(".")[0]
-    return text(text_key(name)) if name in METRICS else doc.Name(one.meaning)
 
 
 def _failures(outcome: StudyOutcome) -> list[doc.Block]:
@@ -199,7 +154,8 @@ def _shares(outcome: StudyOutcome) -> list[doc.Block]:
         return []
     columns = (_left("metric"), _left("number"), _right("alone", "1"), _left("designs"))
     title = text("which-number-matters-shares")
-    return [doc.Table(title, columns, tuple(rows), (text(_ALONE),), _source(), detail=True)]
+    source = (page_of("explanation/studies.md", "Sensitivities"),)
+    return [doc.Table(title, columns, tuple(rows), (text(_ALONE),), source, detail=True)]
 
 
 def _share(value: float) -> doc.Number:

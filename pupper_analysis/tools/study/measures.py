@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import diagnose, phrase
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.base.tools import offering
 from pupper_analysis.prepare.judge import judge_stand
@@ -147,7 +147,6 @@ class Metric:
         unit: Its unit; ``1`` of a ratio, empty of one's own functions.
         simulates: Whether it takes a simulation, or some seconds.
         fallen: Its value of a design that cannot stand so; None where it has none.
-        own: What its docstring says, of one's own function; the catalogue has the others' words.
         of_file: Of what is written after a colon, such as a policy's file: returns the function,
             and what tells that the file has changed; None where a metric is of a design alone.
         file: What is written there.
@@ -159,15 +158,9 @@ class Metric:
     unit: str
     simulates: bool = False
     fallen: float | None = None
-    own: str = ""
     of_file: Callable[[str], tuple[Callable[[Design], Value], str]] | None = None
     file: str = ""
     content: str = ""
-
-    @property
-    def meaning(self) -> str:
-        """In words."""
-        return phrase(text_key(self.name), "en") if self.name in METRICS else self.own
 
 
 def text_key(metric: str) -> str:
@@ -267,7 +260,7 @@ def metric_of(given: str | Function) -> Metric:
     if name in METRICS:
         problem = diagnose("metric-name-taken", name=name)
         raise ConfigurationError("measure", problem)
-    return Metric(name, OfRobotAndStand(given), "", own=inspect.getdoc(given) or "")
+    return Metric(name, OfRobotAndStand(given), "")
 
 
 def _of_file(metric: Metric, given: str) -> Metric:

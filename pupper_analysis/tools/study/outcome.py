@@ -65,7 +65,6 @@ class MetricSummary(Result):
 
     Attributes:
         metric: Its column.
-        meaning: In words; empty of one's own functions without a docstring.
         unit: Its unit; ``1`` of a ratio, empty of one's own functions.
         least: The least value.
         median: The median.
@@ -78,7 +77,6 @@ class MetricSummary(Result):
     """
 
     metric: str
-    meaning: str
     unit: str
     least: float
     median: float
@@ -241,7 +239,6 @@ def _measured(table: pd.DataFrame, name: str, spread: Sequence[str], study: Stud
     kind = own[name if name in own else name.partition(".")[0]]
     return MetricSummary(
         metric=name,
-        meaning=kind.meaning.partition("\n")[0],
         unit=kind.unit,
         least=float(column.min()),
         median=float(column.median()),

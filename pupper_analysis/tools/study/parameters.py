@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from glob import escape
 
 import mujoco
 import numpy as np
@@ -55,9 +54,6 @@ KINDS = {
 }
 """What ``KIND:PATTERN`` may say: factors on what the files say, but for the offsets of coms."""
 
-EACH = "each"
-"""``KIND:each:PATTERN`` is a number of its own for each that matches."""
-
 AXES = ("com_x", "com_y", "com_z")
 """Kinds that are added, along these axes (m), and are no factors."""
 
@@ -75,13 +71,10 @@ class Named:
     Attributes:
         kind: One of ``KINDS``.
         pattern: What the names of bodies or joints must match, as file names do: ``*``, ``?``.
-        each: Whether each that matches has a number of its own: ``KIND:each:PATTERN``, and
-            ``KIND:each`` for all.
     """
 
     kind: str
     pattern: str
-    each: bool = False
 
     @staticmethod
     def of(name: str) -> Named | None:
@@ -97,8 +90,7 @@ class Named:
             known = [f"{one}:NAME" for one in KINDS]
             finding = diagnose("no-number-of-a-model", kind=kind, known=known)
             raise ConfigurationError(f"vary[{name!r}]", finding)
-        first, _, rest = pattern.partition(":")
-        return Named(kind, rest or "*", each=True) if first == EACH else Named(kind, pattern)
+        return Named(kind, pattern)
 
 
 def joints_of(robot: Robot, named: Named) -> tuple[str, ...]:
@@ -128,45 +120,6 @@ def _names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
     links, bodies = UrdfTree.of(robot.description.urdf).moved_links, bodies_of(robot)
     names = {"": (robot.base, robot.mj_base)}
     return names | {joint: (links[joint], bodies[joint], joint) for joint in robot.joint_names}
-
-
-def expand_pattern(robot: Robot, named: Named) -> tuple[str, ...]:
-    """Returns the names of the numbers that ``KIND:each:PATTERN`` stands for, one for each.
-
-    Each has its link's name; where that also means another body, its body's or its joint's.
-
-    Raises:
-        UnknownNameError: If none match.
-        ConfigurationError: If a body has no name that means it alone.
-    """
-    names = _names(robot, named.kind)
-    found = []
-    for joint in joints_of(robot, named):
-        alone = [one for one in map(escape, names[joint])
-                 if joints_of(robot, Named(named.kind, one)) == (joint,)]  # fmt: skip
-        if not alone:
-            problem = diagnose("no-name-of-its-own", body=names[joint][0])
-            raise ConfigurationError(f"vary['{named.kind}:{EACH}:{named.pattern}']", problem)
-        found.append(f"{named.kind}:{alone[0]}")
-    return tuple(found)
-
-
-def groups_of(robot: Robot, names: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Returns {name: the numbers that it stands for}: itself, but for ``KIND:each:PATTERN``.
-
-    Raises:
-        UnknownNameError: If a pattern matches nothing.
-        ConfigurationError: If two names stand for one number.
-    """
-    found: dict[str, tuple[str, ...]] = {}
-    for name in names:
-        named = Named.of(name)
-        own = expand_pattern(robot, named) if named is not None and named.each else (name,)
-        twice = next((one for one in own for other in found.values() if one in other), None)
-        if twice is not None:
-            raise ConfigurationError(f"vary[{name!r}]", diagnose("varies-already", name=twice))
-        found[name] = own
-    return found
 
 
 def bodies_of(robot: Robot) -> dict[str, str]:

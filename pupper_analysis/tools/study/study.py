@@ -55,7 +55,6 @@ from pupper_analysis.tools.study.parameters import (
     OF_LINKS,
     SERVOS,
     Named,
-    groups_of,
     joints_of,
 )
 from pupper_analysis.tools.study.running import Progress, Run, Work
@@ -77,8 +76,7 @@ class Study:
 
     Attributes:
         source: Where the robots come from.
-        variables: {name: what it varies over}; of ``KIND:each:PATTERN`` one for
-            each that matches.
+        variables: {name: what it varies over}.
         sampling: The designs.
         metrics: What is measured.
         task: The stance, where a design does not say otherwise.
@@ -129,8 +127,7 @@ class Study:
         given = {str(name): make_variable(str(name), one) for name, one in vary.items()}
         for name in given:
             check_name(name, self.source)
-        groups = groups_of(self.base, given)
-        self.variables = {one: given[name] for name, of in groups.items() for one in of}
+        self.variables = given
         self.task = stand or StandTask()
         self._check_variables()
         self.sampling = Sampling(self.variables, samples, seed)

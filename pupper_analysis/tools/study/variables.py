@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,68 +15,6 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 
 Array = NDArray[np.float64]
-
-
-class Variable(ABC):
-    """Values that one number of a design takes."""
-
-    @property
-    def levels(self) -> tuple[float, ...] | None:
-        """The values, if they are finitely many; None of a distribution."""
-        return None
-
-    @property
-    @abstractmethod
-    def range(self) -> tuple[float, float]:
-        """The least and the greatest value; infinite where there is none."""
-
-    @abstractmethod
-    def at(self, shares: Array) -> Array:
-        """Returns the quantiles (n,) of shares (n,) between 0 and 1: the inverse distribution."""
-
-    @abstractmethod
-    def asked(self) -> dict[str, Any]:
-        """Returns it as a study's file has it: {kind: its numbers}."""
-
-
-@dataclass(frozen=True)
-class Values(Variable):
-    """Some values, each as likely as the others.
-
-    Attributes:
-        numbers: The values.
-    """
-
-    numbers: tuple[float, ...]
-
-    @property
-    def levels(self) -> tuple[float, ...]:
-        """The values."""
-        return self.numbers
-
-    @property
-    def range(self) -> tuple[float, float]:
-        """The least and the greatest value."""
-        return min(self.numbers), max(self.numbers)
-
-    def at(self, shares: Array) -> Array:
-        """Returns the quantiles (n,) of shares (n,)."""
-        index = np.minimum((shares * len(self.numbers)).astype(int), len(self.numbers) - 1)
-        found: Array = np.array(self.numbers)[index]
-        return found
-
-    def asked(self) -> dict[str, Any]:
-        """Returns it as a study's file has it."""
-        return {"values": list(self.numbers)}
-
-
-@dataclass(frozen=True)
-class Linspace(Values):
-    """Evenly spaced values."""
-
-    def asked(self) -> dict[str, Any]:
-        """Returns it as a study's file has it."""
-        return {"linspace": [self.numbers[0], self.numbers[-1], len(self.numbers)]}
 
 
 _TAIL = 2.0**-33
@@ -100,29 +37,45 @@ _QUANTILES: Mapping[str, Callable[[float, float, Array], Array]] = {
 
 
 @dataclass(frozen=True)
-class Distribution(Variable):
-    """A distribution of two numbers.
+class Variable:
+    """Values that one number of a design takes.
 
     Attributes:
-        kind: ``uniform`` or ``log_uniform``, of the least and the greatest value; ``normal``, of
-            the mean and the standard deviation.
-        numbers: These.
+        kind: ``values``, each as likely as the others; ``linspace``; or a distribution: ``uniform``
+            or ``log_uniform``, of the least and the greatest value; ``normal``, of the mean and the
+            standard deviation.
+        numbers: As a study's file has them.
     """
 
     kind: str
-    numbers: tuple[float, float]
+    numbers: tuple[float, ...]
+
+    @property
+    def levels(self) -> tuple[float, ...] | None:
+        """The values, if they are finitely many; None of a distribution."""
+        if self.kind == "linspace":
+            low, high, count = self.numbers
+            return tuple(np.linspace(low, high, int(count)).tolist())
+        return self.numbers if self.kind == "values" else None
 
     @property
     def range(self) -> tuple[float, float]:
         """The least and the greatest value; infinite where there is none."""
-        return (-math.inf, math.inf) if self.kind == "normal" else self.numbers
+        if self.kind == "normal":
+            return -math.inf, math.inf
+        listed = self.levels or self.numbers
+        return min(listed), max(listed)
 
     def at(self, shares: Array) -> Array:
-        """Returns the quantiles (n,) of shares (n,)."""
-        return _QUANTILES[self.kind](*self.numbers, shares)
+        """Returns the quantiles (n,) of shares (n,) between 0 and 1: the inverse distribution."""
+        if self.levels is None:
+            return _QUANTILES[self.kind](self.numbers[0], self.numbers[1], shares)
+        index = np.minimum((shares * len(self.levels)).astype(int), len(self.levels) - 1)
+        found: Array = np.array(self.levels)[index]
+        return found
 
     def asked(self) -> dict[str, Any]:
-        """Returns it as a study's file has it."""
+        """Returns it as a study's file has it: {kind: its numbers}."""
         return {self.kind: list(self.numbers)}
 
 
@@ -130,7 +83,7 @@ MOST_LEVELS = 1_000_000
 """Of one variable: a longer list is a distribution."""
 
 
-def linspace(low: float, high: float, count: int) -> Linspace:
+def linspace(low: float, high: float, count: int) -> Variable:
     """Makes evenly spaced values.
 
     Args:
@@ -148,10 +101,10 @@ def linspace(low: float, high: float, count: int) -> Linspace:
             "levels-out-of-range", count=count, low=first, high=last, most=MOST_LEVELS
         )
         raise ConfigurationError("linspace", problem)
-    return Linspace(tuple(np.linspace(first, last, int(count)).tolist()))
+    return Variable("linspace", (first, last, int(count)))
 
 
-def values(numbers: Sequence[float]) -> Values:
+def values(numbers: Sequence[float]) -> Variable:
     """Makes a variable of a list of values.
 
     Raises:
@@ -164,19 +117,19 @@ def values(numbers: Sequence[float]) -> Values:
         raise ConfigurationError("values", finding)
     if len(set(listed)) < len(listed):
         raise ConfigurationError("values", diagnose("value-there-twice", listed=str(list(listed))))
-    return Values(listed)
+    return Variable("values", listed)
 
 
-def uniform(low: float, high: float) -> Distribution:
+def uniform(low: float, high: float) -> Variable:
     """Makes a uniform distribution.
 
     Raises:
         ConfigurationError: If its range is empty.
     """
-    return Distribution("uniform", _ordered("uniform", low, high))
+    return Variable("uniform", _ordered("uniform", low, high))
 
 
-def log_uniform(low: float, high: float) -> Distribution:
+def log_uniform(low: float, high: float) -> Variable:
     """Makes a distribution whose logarithm is uniform.
 
     Raises:
@@ -185,10 +138,10 @@ def log_uniform(low: float, high: float) -> Distribution:
     first, last = _ordered("log_uniform", low, high)
     if first <= 0:
         raise ConfigurationError("log_uniform", diagnose("logarithm-of-negative", low=first))
-    return Distribution("log_uniform", (first, last))
+    return Variable("log_uniform", (first, last))
 
 
-def normal(mean: float, deviation: float) -> Distribution:
+def normal(mean: float, deviation: float) -> Variable:
     """Makes a normal distribution of a mean and a standard deviation.
 
     Raises:
@@ -197,7 +150,7 @@ def normal(mean: float, deviation: float) -> Distribution:
     spread = check_finite("normal", deviation)
     if spread <= 0:
         raise ConfigurationError("normal", diagnose("deviation-not-positive", deviation=spread))
-    return Distribution("normal", (check_finite("normal", mean), spread))
+    return Variable("normal", (check_finite("normal", mean), spread))
 
 
 KINDS: Mapping[str, Callable[..., Variable]] = {
@@ -309,13 +262,14 @@ class Sampling:
         """Yields the designs, (n, variables) at a time."""
         columns = list(self.variables.values())
         if self.samples is None:
-            sizes = [len(column.levels or ()) for column in columns]
+            levels = [np.array(column.levels or ()) for column in columns]
+            sizes = [len(listed) for listed in levels]
             for start in range(0, self.product, BLOCK):
                 numbers = np.arange(start, min(start + BLOCK, self.product))
                 index = np.unravel_index(numbers, sizes) if sizes else ()
                 block = np.zeros((len(numbers), len(columns)))
-                for place, (column, at) in enumerate(zip(columns, index, strict=True)):
-                    block[:, place] = np.array(column.levels)[at]
+                for place, (listed, at) in enumerate(zip(levels, index, strict=True)):
+                    block[:, place] = listed[at]
                 yield block
             return
         from scipy.stats import qmc
@@ -323,10 +277,6 @@ class Sampling:
         sequence = qmc.Sobol(len(columns), scramble=True, rng=np.random.default_rng(self.seed))
         for start in range(0, self.samples, BLOCK):
             shares = sequence.random(BLOCK)[: self.samples - start]
-            yield at_shares(self.variables, shares)
-
-
-def at_shares(variables: Mapping[str, Variable], shares: Array) -> Array:
-    """Returns the designs (n, variables) at shares (n, variables) of each distribution."""
-    columns = [one.at(share) for one, share in zip(variables.values(), shares.T, strict=True)]
-    return np.column_stack(columns)
+            yield np.column_stack(
+                [one.at(share) for one, share in zip(columns, shares.T, strict=True)]
+            )

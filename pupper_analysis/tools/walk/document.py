@@ -31,7 +31,6 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
             _view(walk, robot),
             _motors(walk),
             _runs(walk),
-            _feet(walk),
             torque_plot(walk),
         ),
         passed=walk.passed,
@@ -84,6 +83,8 @@ def _findings(walk: Walk) -> Iterable[doc.Words]:
         cost="-" if first.transport is None else f"{first.transport:.2f}",
         margin=f"{min(gait.margin for gait in gaits):.2f}",
     )
+    duty = ", ".join(f"{foot} {100 * share:.0f} %" for foot, share in first.duty.items())
+    yield text("walk-duty", feet=doc.Name(duty))
     if len(gaits) > 1:
         yield text(
             "walk-against",
@@ -184,15 +185,6 @@ def _runs(walk: Walk) -> doc.Table:
     return doc.Table(text("walk-runs"), columns, rows)
 
 
-def _feet(walk: Walk) -> doc.Table:
-    duty = walk.gaits[0].duty
-    rows = tuple(
-        (doc.Name(foot), doc.number_cell(100 * share, ".0f")) for foot, share in duty.items()
-    )
-    columns = (doc.Column(text("walk-foot"), left=True), doc.Column(text("walk-duty"), "%"))
-    return doc.Table(text("walk-feet"), columns, rows)
-
-
 _DRAWN = 4
 """Motors whose torques are drawn: those with the largest rms."""
 
@@ -266,8 +258,7 @@ def _intervals(found: TrackedIntervals) -> doc.Table:
             doc.Name("x" if one.unit == "x" else one.unit),
             _end(one, one.least.max(), one.below),
             _end(one, one.most.min(), one.above),
-            doc.Name(f"{one.least.min():.3g} - {one.least.max():.3g}"),
-            doc.Name(f"{one.most.min():.3g} - {one.most.max():.3g}"),
+            doc.Name(f"{one.least.min():.3g}, {one.most.max():.3g}"),
             *(_measured(one) if any(one.measured for one in found.intervals) else ()),
         )
         for one in found.intervals
@@ -277,8 +268,7 @@ def _intervals(found: TrackedIntervals) -> doc.Table:
         doc.Column(text("walk-unit"), left=True),
         doc.Column(text("walk-least")),
         doc.Column(text("walk-most")),
-        doc.Column(text("walk-least-spread"), detail=True),
-        doc.Column(text("walk-most-spread"), detail=True),
+        doc.Column(text("walk-spread"), detail=True),
     ]
     if any(one.measured for one in found.intervals):
         columns += [doc.Column(text("walk-measured")), doc.Column(text("walk-inside"), left=True)]

@@ -53,6 +53,7 @@ from pupper_analysis.tools.live.state import (
     write_stance_file,
 )
 from tests.support.commands import answer as run_command
+from tests.support.robots import arm, urdf_text
 from tests.support.variants import load
 
 RICH = State(
@@ -378,10 +379,12 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
         ["v3", "--port", "99999"],
         ["v3", "--host", "203.0.113.7"],
         ["--leg-scale", "-1"],
+        ["arm.urdf"],
     ],
 )
 def test_bad_input_is_refused_in_a_line(arguments: list[str], tmp_path: Path) -> None:
     pytest.importorskip("viser")
+    (tmp_path / "arm.urdf").write_text(urdf_text(arm()))
     (tmp_path / "tail.toml").write_text("lift.tail = '2cm'\n")
     (tmp_path / "payload.toml").write_text("payload = -1\n")
     done = run_command("live", *arguments, "--no-browser", folder=tmp_path)

@@ -7,15 +7,17 @@ import mujoco
 import numpy as np
 import pytest
 
+import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.tools.live import window as viewer
+from tests.support.variants import load
 
 GRAVITY = 9.81
 
 
 @pytest.fixture(scope="module")
 def dropped() -> viewer.Drop:
-    return viewer.drop()
+    return viewer.drop(load("v3"))
 
 
 # ------------------------------------------------------------------------------------- the drop
@@ -51,7 +53,7 @@ def test_a_dropped_robot_falls_freely_until_it_lands(dropped: viewer.Drop) -> No
 def test_view_tells_sizes_and_what_sensors_read(
     capsys: pytest.CaptureFixture[str], fixed: bool, sizes: str, acceleration: float
 ) -> None:
-    viewer.view_robot(fixed=fixed, headless=True)
+    viewer.view_robot(pa.load_variant("v3", fixed_base=fixed), headless=True)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == sizes
     readings = [re.match(r'data\.sensor\("(\w+)"\)\.data +(.*)', line) for line in lines]
@@ -74,8 +76,8 @@ def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("no_screen")
 def test_no_screen_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     for show in (
-        lambda: viewer.view_robot(fixed=True, headless=False),
-        lambda: viewer.drop_and_report(headless=False),
+        lambda: viewer.view_robot(load("v3"), headless=False),
+        lambda: viewer.drop_and_report(load("v3"), headless=False),
     ):
         with pytest.raises(viewer.DisplayError, match=r"no display.*--headless") as caught:
             show()
@@ -98,7 +100,7 @@ def test_the_window_simulates_from_home_and_the_result_is_that_without(
 
     monkeypatch.setattr(viewer, "check_display", lambda: None)
     monkeypatch.setattr(mujoco_viewer, "launch", launch)
-    assert viewer.drop_and_report(headless=False)
+    assert viewer.drop_and_report(load("v3"), headless=False)
     assert begun == [dropped.height[0]]
     assert f"final z={dropped.height[-1]:.3f} m" in capsys.readouterr().out
 
@@ -120,5 +122,5 @@ def test_a_fixed_robot_moves_only_by_its_sliders(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(viewer, "check_display", lambda: None)
     monkeypatch.setattr(mujoco_viewer, "launch", launch)
-    viewer.view_robot(fixed=True, headless=False)
+    viewer.view_robot(pa.load_variant("v3", fixed_base=True), headless=False)
     assert moved == pytest.approx([0.0, 0.1], abs=1e-3)
