@@ -200,20 +200,6 @@ class Gains:
         return self.kp[driven] / squared, self.kd[driven] / squared
 
 
-def retune_servos(robot: Robot, drive: Servos, wanted: Gains) -> Servos:
-    """Gives servos other gains, in their own model: a copy of it takes longer than its use.
-
-    Args:
-        robot: The robot.
-        drive: Its servos, made with a kp and a kd; the model's gains are not theirs any more.
-        wanted: The gains, by ``servo_gains``.
-    """
-    driven = robot.mj_convention.actuator_index >= 0
-    actuators = robot.mj_convention.actuator_index[driven]
-    _put_gains(drive.model, actuators, *wanted.of_actuators(driven))
-    return replace(drive, kp=wanted.kp, kd=wanted.kd)
-
-
 def _put_gains(
     model: mujoco.MjModel, actuators: NDArray[np.int64], gain: Array, damping: Array
 ) -> None:

@@ -16,6 +16,7 @@ from matplotlib.patches import Rectangle
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present.document import in_english
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.pose import (
     draw_skeleton,
@@ -26,6 +27,7 @@ from pupper_analysis.present.figures.pose import (
     step_corners,
 )
 from pupper_analysis.present.scene import describe_scene
+from pupper_analysis.tools.analyze.document import deviation_plot
 from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 from tests.support.variants import load, stand_of
 
@@ -169,18 +171,14 @@ def test_torque_figure_draws_each_torque_beside_the_other_and_its_limit(
     np.testing.assert_allclose(ticks, zero.get_x() + scale * simulated, rtol=1e-6)
 
 
-def test_gain_figure_marks_what_fell_and_what_is_not_stable(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_gain_figure_draws_what_has_a_stable_rest() -> None:
     sweep = analysis_of("v3").sweep
     deviation = np.array([[1.5e-3, np.inf, 2e-3], [0.25e-3, 3e-3, np.inf]])
-    fields = {**vars(sweep), "height_deviation": deviation, "fell": np.isinf(deviation)}
-    fields["lasts"] = np.array([[True, False, True], [False, True, True]])
-    analysis = other(analysis_of("v3"), sweep=SimpleNamespace(**fields))
-    gain_figure([analysis], tmp_path / "gains.png")
-    check_picture(tmp_path / "gains.png")
-    axes = drawn(monkeypatch, gain_figure, [analysis]).axes[0]
-    texts = [text.get_text() for text in axes.texts]
-    assert texts == ["1.500", "fell", "2.000", "0.250", "3.000", "fell"]
-    marked = [patch.get_xy() for patch in axes.patches if not patch.get_fill()]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(marked, [(-0.46, 0.54)])
+    lasts = np.array([[True, False, True], [False, True, True]])
+    plot = deviation_plot(
+        SimpleNamespace(**{**vars(sweep), "height_deviation": deviation, "lasts": lasts})
+    )
+    np.testing.assert_array_equal(
+        [one.y for one in plot.series], [[1.5, np.nan, 2.0], [np.nan, 3.0, np.nan]]
+    )
+    assert [in_english(one.name) for one in plot.series] == ["kp 20 N m/rad", "kp 60 N m/rad"]

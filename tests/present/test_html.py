@@ -138,14 +138,6 @@ def test_every_number_s_header_has_a_unit() -> None:
 # Whose numbers these are
 
 
-def test_joints_have_their_lines() -> None:
-    row = page_of(analysis()).tables()["Joints, in actuator order"][0]
-    for file, folder in (("URDF", "urdf"), ("MJCF", "mjcf")):
-        name, _, line = row[f"line of the {file}"].partition(":")
-        standing = (ROOT / folder / name).read_text().split("\n")[int(line) - 1]
-        assert '<joint name="leg_front_r_1"' in standing
-
-
 @cache
 def stance() -> object:
     return study_stance(load("v3"), pa.StandTask(swing={"FL": 0.02}, com="inside"))

@@ -14,11 +14,7 @@ import pytest
 from PIL import Image
 
 import pupper_analysis as pa
-from pupper_analysis.tools.analyze.document import (
-    RatioReference,
-    compare_with_base,
-    comparison_table,
-)
+from pupper_analysis.tools.analyze.document import compare_with_base, comparison_table
 from tests.present.test_html import EVIL, analysis, evil_analysis
 from tests.support.variants import load
 
@@ -301,7 +297,7 @@ def test_parts_are_folded_and_verdicts_are_seen_on_a_screen(browser: Any, tmp_pa
     """Of two robots: each part is opened by its link, and on paper, where a view is there once."""
     file = tmp_path / "two.html"
     both = [analysis(), replace(analysis(), name="other")]
-    rows = [compare_with_base(one, "v3", RatioReference(1.0, None, None)) for one in both]
+    rows = [compare_with_base(one, "v3", 1.0, None) for one in both]
     pa.report.write_report([*both, comparison_table(rows)], file, robots=[load("v3")])
     one = Opened(browser, file, viewport={"width": 1280, "height": 900})
     page = one.page

@@ -12,7 +12,6 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.efforts import EffortStatement
-from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import OBLIQUE, joint_motions, leg_joints
@@ -132,9 +131,6 @@ class Analysis(Result):
         center_of_mass: (3,) at zero angles in the base frame (m).
         thigh_length: Distance from the knee's parent joint to the knee, first leg (m); None for a
             leg of one joint.
-        thigh_shape_length: Length of the shape that spans the first leg's thigh in the MJCF: of its
-            capsule between the hemispheres' centres, or else of its mesh along the thigh (m); None
-            where there is neither.
         calf_length: Distance from the knee to the foot in the plane of the leg, first leg (m); None
             for a leg without joints.
         joints: Per joint, in actuator order.
@@ -162,7 +158,6 @@ class Analysis(Result):
     link_masses: dict[str, float]
     center_of_mass: Array
     thigh_length: float | None
-    thigh_shape_length: float | None
     calf_length: float | None
     joints: tuple[JointSummary, ...]
     notes: tuple[Diagnostic, ...]
@@ -236,7 +231,6 @@ def analyze_variant(
         link_masses=_link_masses(robot),
         center_of_mass=rest.center_of_mass(),
         thigh_length=thigh,
-        thigh_shape_length=thigh_shape_length(robot),
         calf_length=calf,
         joints=joint_summaries(robot),
         notes=robot.notes,
@@ -253,31 +247,6 @@ def analyze_variant(
         verified=verdict.passed and not failures,
         failures=tuple(failures),
     )
-
-
-def thigh_shape_length(robot: Robot) -> float | None:
-    """Returns the length of the shape that spans the first leg's thigh, in the MJCF (m).
-
-    It is that of its capsule between the hemispheres' centres, or else that of its mesh along the
-    thigh; None where there is neither, or no thigh.
-    """
-    model = robot.mj_model
-    joints = leg_joints(robot, robot.contact_points[0])
-    if len(joints) < 2:
-        return None
-    hip, knee = joints[-2:]
-    thigh = int(model.jnt_bodyid[model.joint(hip).id])
-    along = model.body_pos[int(model.jnt_bodyid[model.joint(knee).id])]
-    along = along / np.linalg.norm(along)
-    meshes = []
-    for geom in np.flatnonzero(model.geom_bodyid == thigh):
-        shape = read_shape(model, geom)
-        if shape.kind == "capsule":
-            return 2 * shape.size[1]
-        ends = shape.support(np.array([along, -along])) if shape.kind == "mesh" else None
-        if ends is not None:
-            meshes.append(ends.sum())
-    return float(max(meshes)) if meshes else None
 
 
 def leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:

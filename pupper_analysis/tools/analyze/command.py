@@ -181,18 +181,16 @@ def _compared(
     """Puts each variant beside the base model that it is made of; files have none."""
     from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
-    from pupper_analysis.tools.analyze import document
-    from pupper_analysis.tools.analyze.analysis import leg_lengths, thigh_shape_length
+    from pupper_analysis.tools.analyze.analysis import leg_lengths
+    from pupper_analysis.tools.analyze.document import compare_with_base
 
-    references = {}
+    references: dict[str, tuple[float | None, float | None]] = {}
     for name in {one.base for one in meant if isinstance(one, VariantSpec)}:
         robot = load_variant(VariantSpec(base=name))
-        references[name] = document.RatioReference(
-            robot.total_mass, leg_lengths(robot)[0], thigh_shape_length(robot)
-        )
+        references[name] = robot.total_mass, leg_lengths(robot)[0]
     bases = [str(one) if isinstance(one, RobotFiles) else one.base for one in meant]
     return [
-        document.compare_with_base(analysis, base, references.get(base))
+        compare_with_base(analysis, base, *references.get(base, (None, None)))
         for base, analysis in zip(bases, analyses, strict=True)
     ]
 

@@ -7,13 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.models.places import Place
-from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import (
     Cell,
@@ -34,16 +29,15 @@ from pupper_analysis.present.documents.loads import (
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import (
     files_text,
-    is_derived,
     page_of,
 )
 from pupper_analysis.present.documents.standing import (
-    contact_text,
     ground_word,
     height_plot,
     motions_of,
     quantity_columns,
     run_rows,
+    stand_table,
     task_text,
 )
 from pupper_analysis.present.verdict import lines_to_read, verdict_of_files
@@ -62,7 +56,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
     blocks: list[doc.Block] = [
         view_block(robot, analysis.stand, analysis.statics, motions_of(runs)),
         *_structure(analysis, robot),
-        _stand(analysis),
+        stand_table(analysis.stand, analysis.statics),
         *load_blocks(
             analysis.statics,
             analysis.min_max_torque,
@@ -84,7 +78,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         verdict=_verdict_word(analysis),
         failures=tuple(map(doc.tell, analysis.failures)),
         findings=(*_key_figures(analysis), *first, *_fall(analysis.sagging)),
-        details=(*more, *_surprises(analysis)),
+        details=tuple(more),
         brief=True,
         notes=tuple(map(doc.tell, analysis.notes)),
     )
@@ -133,35 +127,11 @@ def _height(run: StandVerification) -> doc.Words:
     return doc.Name(f"{1e3 * run.base_height:.1f} mm")
 
 
-def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
-    """Says what a reader would not expect, each by the numbers of the analysis."""
-    torques = np.abs(analysis.statics.joint_torques)
-    most = int(np.argmax(torques))
-    yield text(
-        "standing-against-hanging",
-        joint=doc.Name(analysis.joints[most].name),
-        standing=f"{analysis.statics.joint_torques[most]:+.3f}",
-        hanging=f"{analysis.hanging_torques[most]:+.3f}",
-    )
-    without = analysis.sagging
-    if without.passed:
-        yield text(
-            "sag-without-feed-forward",
-            loss=_millimetre_digits(without.height_loss),
-            servo=_millimetre_digits(without.servo_sag),
-            contact=contact_text(without.contact_sag),
-        )
-
-
 def _fall(without: StandVerification) -> Iterable[doc.Words]:
     """Says that it does not stand without feed-forward, if so."""
     if not without.passed:
         why = join_words(map(doc.tell, without.failures), "semicolon")
         yield text("does-not-stand-without-feed-forward", why=why).marked("warn")
-
-
-def _millimetre_digits(length: float) -> str:
-    return doc.number_cell(length, ".2f", scale=1e3).text
 
 
 def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
@@ -180,10 +150,11 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
                 thigh=_millimetres(analysis.thigh_length),
                 calf=_millimetres(analysis.calf_length),
             ),
+            task_text(analysis.stand.task),
             files_text(robot),
         )
     )
-    yield _joints(analysis, robot)
+    yield _joints(analysis)
     yield doc.Table(
         text("masses-of-the-bodies"),
         (
@@ -199,9 +170,8 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
     )
 
 
-def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
-    """Returns what each joint does and can, and where that stands in the files."""
-    places = {} if robot is None else _joint_places(robot)
+def _joints(analysis: Analysis) -> doc.Table:
+    """Returns what each joint does and can."""
     rows: list[tuple[doc.Cell, ...]] = []
     for joint in analysis.joints:
         scale = 1e3 if joint.slides else math.degrees(1.0)
@@ -222,18 +192,11 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
                 )
             ),
         ]
-        where = places.get(joint.name, ("", ""))
-        rows.append((*cells, *map(doc.Name, where)) if places else tuple(cells))
-    located = (
-        doc.Column(text("line-of-the-urdf"), left=True),
-        doc.Column(text("line-of-the-mjcf"), left=True),
-    )
+        rows.append(tuple(cells))
     origins = (joint.effort_origin for joint in analysis.joints)
     notes: list[doc.Words] = [text("axes-at-zero-angles")]
     if slides := [joint.name for joint in analysis.joints if joint.slides]:
         notes.append(text("limits-of-slides", joints=", ".join(slides)))
-    if robot is not None and is_derived(robot):
-        notes.append(text("source-lines-of-files"))
     return doc.Table(
         text("joints-in-actuator-order"),
         (
@@ -247,7 +210,6 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
             doc.Column(text("armature"), "kg m²"),
             doc.Column(text("damping"), "N m s/rad"),
             doc.Column(text("friction"), "N m"),
-            *(located if places else ()),
         ),
         tuple(rows),
         (*notes, text("effort-origins", origins=origins_text(origins))),
@@ -260,30 +222,6 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
 
 def _millimetres(length: float | None) -> str:
     return "-" if length is None else f"{1e3 * length:.1f} mm"
-
-
-def _stand(analysis: Analysis) -> doc.Block:
-    stand = analysis.stand
-    rows = (
-        ("feet-off-their-targets-by-pinocchio", "mm", 1e3, stand.foot_error),
-        ("feet-off-their-targets", "mm", 1e3, analysis.verification.mujoco_foot_error),
-        ("orientation-of-the-base", "deg", math.degrees(1.0), stand.orientation_error),
-        ("height-of-the-base", "mm", 1e3, stand.height_error),
-        ("com", "mm", 1e3, stand.com_error),
-    )
-    return doc.Table(
-        text("errors-of-the-solved-stand", count=stand.iterations),
-        quantity_columns(of="deviation"),
-        tuple(
-            (text(name), doc.number_cell(value, ".1e", scale=scale), doc.Name(unit))
-            for name, unit, scale, value in rows
-        ),
-        (task_text(stand.task),),
-        (
-            text("source-stand"),
-            page_of("explanation/verification.md", "Random stances"),
-        ),
-    )
 
 
 def _jacobians(analysis: Analysis) -> doc.Block:
@@ -375,11 +313,6 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
         (page_of("explanation/static-deflection.md", "The equilibrium"), proof_text(run)),
     )
     yield table
-    for one, title in zip(
-        both, ("with-feed-forward-it-fails", "without-feed-forward-it-fails"), strict=True
-    ):
-        if one.failures:
-            yield doc.Lines(tuple(map(doc.tell, one.failures)), "warn", text(title))
     yield height_plot(both, float(analysis.stand.qpos[2]))
 
 
@@ -388,40 +321,11 @@ def _interval(values: doc.Array) -> str:
     return f"{low:g}" if low == high else f"{low:g} … {high:g}"
 
 
-def _joint_places(robot: Robot) -> dict[str, tuple[str, str]]:
-    """Returns {joint: its lines in URDF and MJCF}; an empty text where it is not found."""
-    description = robot.description
-    lines: dict[str, tuple[str, str]] = {}
-    made = description.converted
-    try:
-        urdf = None if made == "urdf" else read_urdf(description.urdf_source)
-        mjcf = None if made == "mjcf" else read_mjcf(description.mjcf_source)
-    except ModelError:
-        return lines  # made in memory, or gone: the report has its numbers all the same
-    for name in robot.joint_names:
-        found = [file and _line_of(file.place("joint", name)) for file in (urdf, mjcf)]
-        lines[name] = (found[0] or "", found[1] or "")
-    return lines
-
-
-def _line_of(place: Place) -> str:
-    return "" if place.line is None else str(place)
-
-
 def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
     """Returns how steady a stand is, by servo gains."""
     yield deviation_table(sweep)
-    damping = [
-        [
-            _damping_cell(bool(lasts), float(time), float(ratio))
-            for lasts, time, ratio in zip(*row, strict=True)
-        ]
-        for row in zip(sweep.lasts, sweep.doubling_time, sweep.damping_ratio, strict=True)
-    ]
-    title = text("damping-ratio-of-the-least")
-    how = text("of-the-undisturbed-stand")
-    yield _by_gains(sweep, title, "1", damping, [how])
-    yield from _sweep_plot(sweep)
+    if sweep.lasts.any() and len(sweep.kd) > 1:
+        yield deviation_plot(sweep)
 
 
 def deviation_table(sweep: GainSweep) -> doc.Table:
@@ -450,63 +354,33 @@ def deviation_table(sweep: GainSweep) -> doc.Table:
         text("stiffer-servos-move-less"),
         text("source-gain-sweep"),
     ]
-    return _by_gains(sweep, text("height-deviation-by-servo-gains"), "mm", deviations, notes)
-
-
-def _damping_cell(lasts: bool, doubling_time: float, damping_ratio: float) -> doc.Cell:
-    """Returns how a pair of gains is damped, or that it does not last."""
-    if math.isnan(doubling_time):
-        return text("does-not-rest").marked("bad")
-    if not lasts:
-        return text("doubles-in-time", time=f"{doubling_time:.2g}").marked("bad")
-    return doc.number_cell(damping_ratio if math.isfinite(damping_ratio) else None, ".2f")
-
-
-def _by_gains(
-    sweep: GainSweep,
-    title: doc.Words,
-    unit: str,
-    cells: Sequence[Sequence[doc.Cell]],
-    notes: Sequence[doc.Words],
-) -> doc.Table:
-    """Returns a table with a row for each kp and a column for each kd."""
     return doc.Table(
-        title,
+        text("height-deviation-by-servo-gains"),
         (
             doc.Column(text("kp-kd"), "N m/rad \\ N m s/rad", left=True),
-            *(doc.Column(doc.Name(f"kd {kd:g}"), unit) for kd in sweep.kd),
+            *(doc.Column(doc.Name(f"kd {kd:g}"), "mm") for kd in sweep.kd),
         ),
-        tuple((doc.number_cell(kp, "g"), *row) for kp, row in zip(sweep.kp, cells, strict=True)),
+        tuple(
+            (doc.number_cell(kp, "g"), *row) for kp, row in zip(sweep.kp, deviations, strict=True)
+        ),
         tuple(notes),
     )
 
 
-def _sweep_plot(sweep: GainSweep) -> Iterable[doc.Block]:
-    finite = [
-        (kp, row)
-        for kp, row in zip(sweep.kp, sweep.height_deviation, strict=True)
-        if np.isfinite(row).any()
-    ]
-    if finite and len(sweep.kd) > 1:
-        yield doc.LinePlot(
-            text("height-deviation-by-servo-gains"),
-            doc.Axis(text("kd"), "N m s/rad", "g", log=bool(sweep.kd.min() > 0)),
-            doc.Axis(text("height-deviation"), "mm", ".4f", log=True),
-            [
-                doc.Series(
-                    doc.Name(f"kp {kp:g} N m/rad"), sweep.kd, _positive(1e3 * row), points=True
-                )
-                for kp, row in finite
-            ],
-        )
-
-
-def _positive(values: doc.Array) -> doc.Array:
-    """Returns values without those that a logarithmic axis has no place for."""
-    return np.where(values > 0, values, np.nan)
-
-
-Array = NDArray[np.float64]
+def deviation_plot(sweep: GainSweep) -> doc.LinePlot:
+    """Returns the same over kd, a line for each kp: of gains that have a stable rest."""
+    drawn = np.isfinite(sweep.height_deviation) & (sweep.height_deviation > 0) & sweep.lasts
+    values = 1e3 * np.where(drawn, sweep.height_deviation, np.nan)
+    return doc.LinePlot(
+        text("height-deviation-by-servo-gains"),
+        doc.Axis(text("kd"), "N m s/rad", "g", log=bool(sweep.kd.min() > 0)),
+        doc.Axis(text("height-deviation"), "mm", ".4f", log=True),
+        [
+            doc.Series(doc.Name(f"kp {kp:g} N m/rad"), sweep.kd, row, points=True)
+            for kp, row in zip(sweep.kp, values, strict=True)
+            if np.isfinite(row).any()
+        ],
+    )
 
 
 def variants_table(variants: Iterable[tuple[VariantSpec, Robot]]) -> Table:
@@ -545,16 +419,11 @@ class ComparisonRow(Result):
         total_mass: kg.
         mass_ratio: Of the total masses; None for a robot of files.
         thigh_ratio: Of the hip-to-knee distances; None for legs of one joint.
-        thigh_shape_ratio: Of the lengths of the shapes that span the thighs; None without any.
         height: Of the base, in the task (m).
         peak_torque: The greatest torque (N m).
         peak_utilisation: The greatest motor utilisation.
         servo_sag: Without feed-forward (m).
         stands_without: Whether it stands without feed-forward.
-        contact_sag: With feed-forward (m).
-        torque_error: Of the simulation against the prediction, relative.
-        force_error: Likewise.
-        cross_check: Worst relative deviation.
         verified: The verdict.
         converted: Which of the robot's models was made of the other one, if one was.
     """
@@ -564,63 +433,38 @@ class ComparisonRow(Result):
     total_mass: float
     mass_ratio: float | None
     thigh_ratio: float | None
-    thigh_shape_ratio: float | None
     height: float
     peak_torque: float
     peak_utilisation: float
     servo_sag: float
     stands_without: bool
-    contact_sag: float
-    torque_error: float
-    force_error: float | None
-    cross_check: float
     verified: bool
     converted: str = ""
 
 
-@dataclass(frozen=True)
-class RatioReference:
-    """What ratios are taken to.
-
-    Attributes:
-        total_mass: kg, or None.
-        thigh_length: m, or None.
-        thigh_shape_length: m, or None.
-    """
-
-    total_mass: float | None
-    thigh_length: float | None
-    thigh_shape_length: float | None
-
-
 def compare_with_base(
-    analysis: Analysis, base: str, reference: RatioReference | None
+    analysis: Analysis, base: str, mass: float | None, thigh: float | None
 ) -> ComparisonRow:
     """Puts an analysis beside its base model.
 
     Args:
         analysis: The analysis.
         base: The base model's name, or the robot's files.
-        reference: The base model's values; None of files.
+        mass: Of the base model (kg); None of files.
+        thigh: The length of its thigh (m); None of files.
     """
-    nothing = reference or RatioReference(None, None, None)
     assert analysis.stand.task.height is not None
     return ComparisonRow(
         name=analysis.name,
         base=base,
         total_mass=analysis.total_mass,
-        mass_ratio=_ratio(analysis.total_mass, nothing.total_mass),
-        thigh_ratio=_ratio(analysis.thigh_length, nothing.thigh_length),
-        thigh_shape_ratio=_ratio(analysis.thigh_shape_length, nothing.thigh_shape_length),
+        mass_ratio=_ratio(analysis.total_mass, mass),
+        thigh_ratio=_ratio(analysis.thigh_length, thigh),
         height=analysis.stand.task.height,
         peak_torque=float(np.abs(analysis.statics.joint_torques).max()),
         peak_utilisation=float(analysis.statics.motor_utilisation.max()),
         servo_sag=analysis.sagging.servo_sag,
         stands_without=analysis.sagging.passed,
-        contact_sag=analysis.verification.contact_sag,
-        torque_error=analysis.verification.torque_error,
-        force_error=analysis.verification.force_error,
-        cross_check=max(quantity.relative for quantity in analysis.check.quantities),
         verified=analysis.verified,
         converted=analysis.verdict.converted,
     )
@@ -643,15 +487,10 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
         ("mass", "kg", "total_mass", ".3f", 1.0),
         ("mass-ratio", "1", "mass_ratio", ".3f", 1.0),
         ("thigh-ratio-hip-to-knee", "1", "thigh_ratio", ".3f", 1.0),
-        ("thigh-ratio-drawn-shape", "1", "thigh_shape_ratio", ".3f", 1.0),
         ("stand-height", "mm", "height", ".1f", 1e3),
         ("peak-torque", "N m", "peak_torque", ".3f", 1.0),
         ("peak-utilisation", "%", "peak_utilisation", ".1f", 100.0),
         ("servo-sag", "mm", "servo_sag", ".3f", 1e3),
-        ("contact-softness", "mm", "contact_sag", ".3f", 1e3),
-        ("torque-off-prediction", "%", "torque_error", ".3f", 100.0),
-        ("foot-force-off-prediction", "%", "force_error", ".3f", 100.0),
-        ("cross-check-worst", "1", "cross_check", ".1e", 1.0),
     )
     cells: list[tuple[Cell, ...]] = []
     for row in rows:

@@ -5,12 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 import os
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
-from queue import Empty, SimpleQueue
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,13 +19,8 @@ from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import (
-    Servos,
-    model_with_servos,
-    retune_servos,
-    servo_gains,
-)
-from pupper_analysis.robot.stability import LASTING, Stability
+from pupper_analysis.robot.servos import Servos, model_with_servos, servo_gains
+from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
@@ -68,10 +61,6 @@ class GainSweep(Tabular):
         fell: (n, m) whether it did.
         lasts: (n, m) whether it comes to rest undisturbed, and no mode grows there with which it
             leaves within 12 s (``Stability.lasts``).
-        doubling_time: (n, m) in which what deviates from the undisturbed rest doubles (s); infinite
-            where nothing grows, not a number where there is no such rest.
-        damping_ratio: (n, m) of the least damped mode there that swings and decays; not a number
-            where none swings, or where there is no such rest.
         amplitude: Of the disturbance on the base (N).
         frequency: Of the disturbance (Hz).
         duration: s.
@@ -83,8 +72,6 @@ class GainSweep(Tabular):
     height_deviation: Array
     fell: NDArray[np.bool_]
     lasts: NDArray[np.bool_]
-    doubling_time: Array
-    damping_ratio: Array
     amplitude: float
     frequency: float
     duration: float
@@ -98,8 +85,6 @@ class GainSweep(Tabular):
             "height_deviation": self.height_deviation.ravel(),
             "fell": self.fell.ravel(),
             "lasts": self.lasts.ravel(),
-            "doubling_time": self.doubling_time.ravel(),
-            "damping_ratio": self.damping_ratio.ravel(),
         }
 
 
@@ -123,8 +108,8 @@ def sweep_gains(
     The default integrator takes kd implicitly: with Euler, high kd jitters.
 
     No pair of gains is called the best: a disturbance moves stiffer servos less, without end,
-    and nothing here has the delay, noise and torque that end it on a robot. Where a pair is not
-    stable, or hardly damped, its mode says so.
+    and nothing here has the delay, noise and torque that end it on a robot. ``lasts`` tells where a
+    pair is not stable.
 
     Args:
         robot: The robot.
@@ -159,15 +144,12 @@ def sweep_gains(
     found = trial.run(cells, amplitude, frequency, progress=progress)
     pairs = [[found[kp, kd] for kd in axes[1]] for kp in axes[0]]
     deviations = np.array([[deviation for deviation, _ in row] for row in pairs])
-    rests = [[stability for _, stability in row] for row in pairs]
     return GainSweep(
         kp=np.array(axes[0]),
         kd=np.array(axes[1]),
         height_deviation=deviations,
         fell=~np.isfinite(deviations),
-        lasts=np.array([[one is not None and one.lasts() for one in row] for row in rests]),
-        doubling_time=np.array([[_doubling_time(one) for one in row] for row in rests]),
-        damping_ratio=np.array([[_damping_ratio(one) for one in row] for row in rests]),
+        lasts=np.array([[lasts for _, lasts in row] for row in pairs]),
         amplitude=amplitude,
         frequency=frequency,
         duration=trial.steps * trial.timestep,
@@ -183,32 +165,6 @@ def _values(given: Sequence[float] | None, own: Array | None) -> list[float]:
     return [factor * middle for factor in FACTORS]
 
 
-class _Drives:
-    """A model with servos, and its watcher, for each worker, who gives it its next cell's gains.
-
-    Args:
-        robot: The robot.
-        make: Returns another one; a worker who finds none makes it.
-    """
-
-    def __init__(self, robot: Robot, make: Callable[[], Servos]) -> None:
-        self._robot, self._make = robot, make
-        self._idle: SimpleQueue[tuple[Servos, monitor.Watcher]] = SimpleQueue()
-
-    @contextmanager
-    def one(self) -> Iterator[tuple[Servos, monitor.Watcher]]:
-        """Yields one that nobody else has meanwhile."""
-        try:
-            own = self._idle.get_nowait()
-        except Empty:
-            drive = self._make()
-            own = drive, monitor.Watcher(self._robot, drive.model)
-        try:
-            yield own
-        finally:
-            self._idle.put(own)
-
-
 class _Trial:
     """Rollouts of a stand under the disturbance."""
 
@@ -222,68 +178,64 @@ class _Trial:
 
     def run(
         self, cells: Sequence[Cell], amplitude: float, frequency: float, *, progress: bool
-    ) -> dict[Cell, tuple[float, Stability | None]]:
-        """Simulates pairs of gains, and judges each at rest: {pair: deviation (m), stability}."""
-        from rich.progress import Progress
+    ) -> dict[Cell, tuple[float, bool]]:
+        """Simulates pairs of gains, and judges each at rest: {pair: deviation (m), if it lasts}."""
+        from rich.progress import track
 
         robot, stand = self.robot, self.stand
         starts: dict[float, Array] = {}
         rests: dict[float, Array | None] = {}
-        found: dict[Cell, tuple[float, Stability | None]] = {}
-        # Refused before anything is simulated; nothing moves where a start is looked for, that kd
-        # could damp.
-        tuned = {cell: servo_gains(robot, *cell) for cell in cells}
-        soft = {kp: servo_gains(robot, kp, 0.0) for kp, _ in cells}
-        drives = _Drives(robot, lambda: model_with_servos(robot, *cells[0], self.integrator))
-        with drives.one() as (first, _):
-            model, ctrl = first.model, first.command(robot, stand.joint_positions(robot))
-        control, force = forced_commands(robot, model, ctrl, 1, self.steps)
+        # Refused before anything is simulated.
+        for cell in cells:
+            servo_gains(robot, *cell)
+        first = model_with_servos(robot, *cells[0], self.integrator)
+        ctrl = first.command(robot, stand.joint_positions(robot))
+        control, force = forced_commands(robot, first.model, ctrl, 1, self.steps)
         phase = 2 * math.pi * frequency * self.timestep * np.arange(self.steps)
         force[0, :, 2] = amplitude * np.sin(phase)
 
         def place(kp: float) -> None:
-            with drives.one() as (drive, _):
-                drive = retune_servos(robot, drive, soft[kp])
-                starts[kp] = place_on_ground(robot, drive, stand, self.torques)
-                with suppress(PupperAnalysisError):
-                    pose = steady_state(self.plain, stand, kp=kp)
-                    start = rest_state(robot, drive, pose.qpos, ctrl)
-                    rests[kp] = None if pose.failures else start
+            # Nothing moves where a start is looked for, that kd could damp.
+            drive = model_with_servos(robot, kp, 0.0, self.integrator)
+            starts[kp] = place_on_ground(robot, drive, stand, self.torques)
+            with suppress(PupperAnalysisError):
+                pose = steady_state(self.plain, stand, kp=kp)
+                start = rest_state(robot, drive, pose.qpos, ctrl)
+                rests[kp] = None if pose.failures else start
 
-        def simulate(cell: Cell) -> tuple[float, Stability | None]:
-            with drives.one() as (drive, watcher):
-                own, start = retune_servos(robot, drive, tuned[cell]), starts[cell[0]]
-                states = roll_out(own.model, watcher.data, start, control, control_spec=FORCED)[0]
-                deviation = self._deviation(watcher, states)
-                if cell[0] not in rests and math.isfinite(deviation):
-                    return deviation, self._judged_at_the_end(own, watcher, start, ctrl)
-                rest = rests.get(cell[0])
-                stability = None if rest is None else evaluate_stability(own, rest, ctrl, MEETING)
-                return deviation, stability
+        def simulate(cell: Cell) -> tuple[float, bool]:
+            drive, start = model_with_servos(robot, *cell, self.integrator), starts[cell[0]]
+            watcher = monitor.Watcher(robot, drive.model)
+            states = roll_out(drive.model, watcher.data, start, control, control_spec=FORCED)[0]
+            deviation = self._deviation(watcher, states)
+            if cell[0] not in rests and math.isfinite(deviation):
+                return deviation, self._lasts_at_the_end(drive, watcher, start, ctrl)
+            rest = rests.get(cell[0])
+            return deviation, rest is not None and evaluate_stability(
+                drive, rest, ctrl, MEETING
+            ).lasts()
 
-        began = time.monotonic()
-        with (
-            ThreadPoolExecutor(min(len(cells), os.cpu_count() or 1)) as pool,
-            Progress(transient=True, disable=not progress, auto_refresh=False) as bar,
-        ):
-            task = bar.add_task("gain sweep", total=len(cells), visible=False)
-            list(pool.map(place, soft))
-            for cell, one in zip(cells, pool.map(simulate, cells), strict=True):
-                found[cell] = one
-                bar.update(task, advance=1, visible=time.monotonic() - began > 1.0)
-                bar.refresh()
-        return found
+        with ThreadPoolExecutor(min(len(cells), os.cpu_count() or 1)) as pool:
+            list(pool.map(place, dict.fromkeys(kp for kp, _ in cells)))
+            found = track(
+                pool.map(simulate, cells),
+                "gain sweep",
+                len(cells),
+                disable=not progress,
+                transient=True,
+            )
+            return dict(zip(cells, found, strict=True))
 
-    def _judged_at_the_end(
+    def _lasts_at_the_end(
         self, drive: Servos, watcher: monitor.Watcher, start: Array, ctrl: Array
-    ) -> Stability | None:
-        """Judges where it is in the end, undisturbed; None if that is no rest on its feet."""
+    ) -> bool:
+        """Tells whether where it is in the end, undisturbed, is a rest on its feet that lasts."""
         steps = round(LASTING / self.timestep)
         states = roll_out(drive.model, watcher.data, start, np.tile(ctrl, (1, steps, 1)))[0]
         if not self._stands(watcher, states):
-            return None
+            return False
         found = evaluate_stability(drive, states[-1], ctrl, 0.0)
-        return found if found.speed <= RESTING else None
+        return found.speed <= RESTING and found.lasts()
 
     def _deviation(self, watcher: monitor.Watcher, states: Array) -> float:
         """Returns the deviation of the height in a rollout's last second; infinite if it fell."""
@@ -298,14 +250,3 @@ class _Trial:
             return False
         leaning = monitor.base_lean(self.robot, self.stand.task.rotation(), states[-1])
         return not (leaning > FALLEN_TILT or watcher.touching(states[-1]))
-
-
-def _doubling_time(stability: Stability | None) -> float:
-    """Returns in which what grows fastest doubles (s); not a number where nothing is at rest."""
-    return math.nan if stability is None else stability.doubling_time or math.inf
-
-
-def _damping_ratio(stability: Stability | None) -> float:
-    """Returns the damping ratio of the least damped mode; not a number where none swings."""
-    mode = None if stability is None else stability.least_damped
-    return math.nan if mode is None else mode.damping_ratio
