@@ -353,7 +353,6 @@ def best() -> Any:
         nominal_value=0.0345,
         evaluations=321,
         coordinates={"height": 0.1567, "pitch": math.radians(2.5), "FR x": -0.0123},
-        active=("height high",),
     )
     return Stub(best=found, stance=stance(), passed=False)
 

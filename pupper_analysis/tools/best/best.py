@@ -16,14 +16,9 @@ from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.workspace import Interval
-from pupper_analysis.statics.equilibrium import ForceDistribution, to_distribution
-from pupper_analysis.tools.best.search import EvaluatedStance, Objective, StanceSearch
-from pupper_analysis.tools.best.space import JOINT_RESERVE, StanceSpace
+from pupper_analysis.tools.best.search import Objective, StanceSearch
 from pupper_analysis.tools.payload.limit import PayloadLimit, payload_limit
 from pupper_analysis.tools.stand.stance import Stance, study_stance
-
-_AT_BOUND = 1e-2  # of the bounds' distance
-_AT_LIMIT = 1.05 * JOINT_RESERVE  # rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +36,6 @@ class BestStance(Result):
             feet (m); ``roll``, ``pitch``, ``yaw`` (rad); ``FR x``, ``FR y`` ...: each foot's way
             from where the task has it (m)} of the best stance, in world axes.
         bounds: Between which values of each coordinate it was sought.
-        active: What it lies on, and what a better stance may be beyond: bounds, such as ``"height
-            high"``; joint limits, such as ``"FL_KFE low"``; legs with no more than
-            ``LEAST_SINGULAR_VALUE``, such as ``"FL stretched"`` (or folded up).
         evaluations: Stances tried.
     """
 
@@ -55,7 +47,6 @@ class BestStance(Result):
     payload: PayloadLimit | None
     coordinates: dict[str, float]
     bounds: dict[str, Interval]
-    active: tuple[str, ...]
     evaluations: int
 
 
@@ -66,7 +57,6 @@ def best_stance(
     *,
     task: StandTask | None = None,
     point: Place = (0.0, 0.0, 0.0),
-    distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> BestStance:
@@ -92,7 +82,7 @@ def best_stance(
     of the best of these ends it goes on with all coordinates free. It is the same every time, and
     never worse than the nominal stand.
 
-    Payload: the search goes by first order (``FirstOrder``): the least of the masses at which a
+    Payload: the search goes by first order (``SmallPayload``): the least of the masses at which a
     motor saturates, a foot lets go, the servos buckle, and feet have sunk so deep that another part
     touches the ground, all in closed form. The stance found and the task's own then have their true
     limit found (``payload_limit``), and the better one is returned. Legs that are almost stretched
@@ -105,8 +95,6 @@ def best_stance(
         task: Where the search begins, and all that is not searched over; the nominal stand by
             default.
         point: Where the payload is, as in ``with_payload``.
-        distribution: Which contact forces the motors' utilisation is that of: by default
-            ``MIN_TANGENTIAL``, what a simulator holds for good.
         kp: Servo stiffness for the payload (N m/rad), one or (nu,); the model's own by default.
         kd: Servo damping for the payload (N m s/rad), likewise.
 
@@ -124,9 +112,7 @@ def best_stance(
     """
     robot = touching(robot, task.contacts) if task is not None else robot
     robot.check_tree("the best stance")
-    search = StanceSearch(
-        robot, _objective(objective), task, point, to_distribution(distribution), kp
-    )
+    search = StanceSearch(robot, _objective(objective), task, point, kp)
     search.run()
     space, best, payload = search.space, search.best, None
     # As whoever types it has it: where joints are to spare, a search has them from what was near.
@@ -153,7 +139,6 @@ def best_stance(
             name: Interval(float(low), float(high))
             for name, low, high in zip(space.names, space.low, space.high, strict=True)
         },
-        active=_active(space, best),
         evaluations=search.evaluations,
     )
 
@@ -164,26 +149,6 @@ def _objective(value: str) -> Objective:
     except ValueError as error:
         message = diagnose("none-of", value=str(value), known=Objective)
         raise ConfigurationError("objective", message) from error
-
-
-def _active(space: StanceSpace, best: EvaluatedStance) -> tuple[str, ...]:
-    robot = space.robot
-
-    def sides(name: str, low: float, value: float, high: float, near: float) -> list[str]:
-        found = [f"{name} low"] if value - low <= near else []
-        return [*found, f"{name} high"] if high - value <= near else found
-
-    found = []
-    for name, low, value, high in zip(
-        space.names, space.low, best.coordinates, space.high, strict=True
-    ):
-        if high > low:
-            found += sides(name, low, value, high, _AT_BOUND * (high - low))
-    margin, joints = best.stand.task.joint_margin, best.stand.joint_positions(robot)
-    lower, upper = robot.lower_limits + margin, robot.upper_limits - margin
-    for name, low, value, high in zip(robot.joint_names, lower, joints, upper, strict=True):
-        found += sides(name, low, value, high, _AT_LIMIT)
-    return (*found, *(f"{foot} stretched" for foot in space.stretched(best.stand)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,12 +70,8 @@ def _coordinates(best: BestStance) -> doc.Table:
         angle = name in ("roll", "pitch", "yaw")
         cell = doc.number_cell(value, "+.1f", scale=math.degrees(1.0) if angle else 1e3)
         rows.append((doc.Name(name), cell, doc.Name("°" if angle else "mm")))
-    notes: tuple[doc.Words, ...] = ()
-    if best.active:
-        notes = (text("at-its-limit-names", names=doc.Name(", ".join(best.active))),)
     return doc.Table(
         text("where-the-best-stance"),
         quantity_columns(of="coordinate"),
         tuple(rows),
-        notes,
     )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -22,92 +21,12 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool, with_payload
 from pupper_analysis.stance.sag.equilibrium import Anchor, ContactKinematics
 from pupper_analysis.stance.stand import Stand, stand_contacts
-from pupper_analysis.statics.equilibrium import borne_by_motors, hold_loads
+from pupper_analysis.statics.equilibrium import hold_loads
 
 Array = NDArray[np.float64]
 
 SMALL = 0.1
 """A payload, in parts of the robot's mass: with one that tips it there is no line to follow."""
-
-
-@dataclass(frozen=True, eq=False)
-class Loads:
-    """Torques and contact forces that last, as linear functions of a payload's mass m.
-
-    tau = torques + m torque_rates, f = forces + m force_rates: exact on level ground, steps or
-    not, for as long as every f_n > 0. There the forces are vertical, and their least sum of squares
-    under three equations of balance, in which m stands on the right, is linear in m.
-
-    Attributes:
-        torques: (nu,) without payload (N m).
-        torque_rates: (nu,) (N m/kg).
-        forces: (n, 3) on the feet that carry, in the world, without payload (N).
-        force_rates: (n, 3) (N/kg).
-        normals: (n,) of the forces (N).
-        normal_rates: (n,) (N/kg).
-    """
-
-    torques: Array
-    torque_rates: Array
-    forces: Array
-    force_rates: Array
-    normals: Array
-    normal_rates: Array
-
-    @staticmethod
-    def of(config: Configuration, stand: Stand, point: Tool, mass: float) -> Loads:
-        """Returns the line through two equilibria, without and with a mass.
-
-        Args:
-            config: Where the robot, a tree, is: in the stand.
-            stand: The stand.
-            point: Where the payload is.
-            mass: kg.
-
-        Raises:
-            StaticsInfeasibleError: If no contact forces balance one of them.
-        """
-        own, carrying = config.load(), stand_contacts(config.robot, stand)
-        both = np.array([own, own + mass * point.load_per_mass(config)])
-        (forces, laden), (torques, held) = hold_loads(config, both, carrying)
-        rates = (laden - forces) / mass
-        outwards = [np.einsum("ni,ni->n", one, carrying.normals) for one in (forces, rates)]
-        return Loads(torques, (held - torques) / mass, forces, rates, *outwards)
-
-    def motor_limit(self, limits: Array) -> float:
-        """Returns the greatest mass (kg) that motors with limits (nu,) (N m) hold."""
-        return borne_by_motors(self.torques, self.torque_rates, limits)
-
-    def contact_limit(self) -> float:
-        """Returns the mass (kg) at which the first foot lets go; infinite if none does."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(self.normal_rates < 0, -self.normals / self.normal_rates, math.inf)
-        return float(np.min(room))
-
-
-@dataclass(frozen=True, eq=False)
-class FirstOrder:
-    """What bears a payload in a stand, to first order in its mass m.
-
-    Attributes:
-        loads: Torques and loads of the feet.
-        strongest: (n,) the load under which each foot that carries sinks so deep that the lowest
-            other part of the robot touches the ground (N); infinite if no part can.
-        modes: (k,) reciprocals of the masses at which the servos buckle (1/kg).
-    """
-
-    loads: Loads
-    strongest: Array
-    modes: Array
-
-    def limit(self, limits: Array) -> float:
-        """Returns the greatest mass (kg) that all bear, with efforts limits (nu,) (N m)."""
-        loads = self.loads
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sinking = (self.strongest - loads.normals) / loads.normal_rates
-        sinking = np.where(loads.normal_rates > 0, np.maximum(sinking, 0.0), math.inf)
-        buckling = 1 / self.modes[0] if self.modes[0] > 0 else math.inf
-        return min(loads.motor_limit(limits), loads.contact_limit(), float(sinking.min()), buckling)
 
 
 class SmallPayload:
@@ -130,28 +49,55 @@ class SmallPayload:
         share = robot.weight / len(self._laws)
         self._usual = {foot: law.depth(share) for foot, law in self._laws.items()}
 
-    def borne(self, stand: Stand) -> FirstOrder | None:
-        """Returns what bears larger ones in a stand; None if that is not stable without payload.
+    def rows(self, stand: Stand) -> Array | None:
+        """Returns rows (k, 2): a + b m >= 0 is what a mass m must leave; first where it buckles.
+
+        Torques and contact forces that last are linear in m: exact on level ground, steps or not,
+        for as long as every f_n > 0. There the forces are vertical, and their least sum of squares
+        under three equations of balance, in which m stands on the right, is linear in m. So they
+        are on the line through two equilibria, without and with a mass. A foot that carries must
+        not sink so deep that the lowest other part of the robot touches the ground.
+
+        Args:
+            stand: The stand.
+
+        Returns:
+            The rows, in parts of the motors' limits and of the weight; None if the stand is not
+            stable without payload.
 
         Raises:
             StaticsInfeasibleError: If no contact forces balance the stand, with or without.
         """
-        config = Configuration(self._robot, stand.qpos)
+        robot, mass = self._robot, self.mass
+        config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
+        own = config.load()
+        both = np.array([own, own + mass * self._point.load_per_mass(config)])
+        (forces, laden), (torques, held) = hold_loads(config, both, carrying)
+        more, limits = (laden - forces) / mass, robot.effort_limits
+        bears = np.isfinite(limits)
+        use = np.column_stack([torques, (held - torques) / mass])[bears] / limits[bears, None]
+        normals, growth = (np.einsum("ni,ni->n", one, carrying.normals) for one in (forces, more))
         laws = [self._laws[foot] for foot in stand.stance_feet]
-        loads = Loads.of(config, stand, self._point, self.mass)
-        pressed = np.maximum(loads.normals + self.mass * loads.normal_rates, 0.0)
         near = [self._usual[foot] for foot in stand.stance_feet]
+        pressed = np.maximum(normals + mass * growth, 0.0)
         deep = np.array([law.depth(*at) for law, *at in zip(laws, pressed, near, strict=True)])
-        modes = _buckling_modes(
-            config, stand, self._kp, (loads.forces, loads.force_rates), self._point, laws, deep
-        )
+        modes = _buckling_modes(config, stand, self._kp, (forces, more), self._point, laws, deep)
         if modes is None:
             return None
-        strongest, lowest = np.full(len(laws), math.inf), stand.ground_clearance
-        if lowest is not None:
+        pressing = np.column_stack([normals, growth]) / robot.weight
+        whole = np.array([1.0, 0.0])
+        rows = [np.column_stack([np.ones(len(modes)), -modes]), whole - use, whole + use, pressing]
+        if (lowest := stand.ground_clearance) is not None:
             depths = [max(0.0, lowest.distance) + stand.depths[foot] for foot in stand.stance_feet]
-            strongest = np.array([law.force(d) for law, d in zip(laws, depths, strict=True)])
-        return FirstOrder(loads, strongest, modes)
+            strongest = [law.force(depth) for law, depth in zip(laws, depths, strict=True)]
+            rows.append(np.column_stack([strongest, np.zeros(len(laws))]) / robot.weight - pressing)
+        return np.concatenate(rows)
+
+
+def bearable(rows: Array) -> float:
+    """Returns the greatest mass (kg) that satisfies rows of a payload; infinite if none binds."""
+    binding = rows[rows[:, 1] < 0]
+    return float(np.min(-binding[:, 0] / binding[:, 1], initial=math.inf))
 
 
 def _buckling_modes(

@@ -20,8 +20,7 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import Place, find_place
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.equilibrium import ForceDistribution
-from pupper_analysis.tools.best.first_order import SmallPayload
+from pupper_analysis.tools.best.first_order import SmallPayload, bearable
 from pupper_analysis.tools.best.space import STEP_OVER, Room, StanceSpace
 
 Array = NDArray[np.float64]
@@ -91,10 +90,9 @@ class StanceSearch:
         objective: Objective,
         task: StandTask | None = None,
         point: Place = (0.0, 0.0, 0.0),
-        distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
         kp: ArrayLike | None = None,
     ) -> None:
-        self.robot, self.objective, self.distribution = robot, objective, distribution
+        self.robot, self.objective = robot, objective
         self.point = find_place(robot, point)
         self.limits = robot.effort_limits
         self.bears = np.isfinite(self.limits)
@@ -102,7 +100,6 @@ class StanceSearch:
         if objective is not Objective.MARGIN and robot.floating:
             self._check_limits()  # before the space is measured, which takes seconds
         self.space = StanceSpace(robot, task or StandTask())
-        self.mass = robot.total_mass
         if objective is Objective.PAYLOAD:
             stiffness = model_with_servos(robot, kp, None if kp is None else 0.0).kp
             self.payload = SmallPayload(robot, self.point, stiffness)
@@ -124,7 +121,7 @@ class StanceSearch:
 
     def value(self, stand: Stand) -> float:
         """Returns the utilisation, or the margin (m), of a stand."""
-        statics = stand_statics(self.robot, stand, distribution=self.distribution)
+        statics = stand_statics(self.robot, stand)
         assert statics.com_margin is not None
         if self.objective is Objective.MARGIN:
             return statics.com_margin
@@ -171,31 +168,17 @@ class StanceSearch:
         if self.objective is Objective.MARGIN:
             inside = (room.edges + stand.task.com_margin) / self.scale
             return -float(inside.min()), np.column_stack([inside, np.ones(len(inside))])
-        torques = stand_statics(self.robot, stand, distribution=self.distribution).joint_torques
+        torques = stand_statics(self.robot, stand).joint_torques
         use = torques[self.bears] / self.limits[self.bears] / self.scale
         both = np.concatenate([use, -use])
         return float(both.max()), np.column_stack([-both, np.ones(len(both))])
 
     def _payload_level(self, stand: Stand) -> tuple[float, Array]:
         """Returns the same for a payload, of mass -scale * level."""
-        first = self.payload.borne(stand)
-        if first is None:
+        rows = self.payload.rows(stand)
+        if rows is None:
             raise NoEquilibriumError(None, diagnose("servos-too-soft-unloaded"))
-        loads, limits = first.loads, self.limits[self.bears]
-        torque, rate = loads.torques[self.bears] / limits, loads.torque_rates[self.bears] / limits
-        weight = self.mass * float(np.linalg.norm(self.robot.gravity))
-        light = np.isfinite(first.strongest)
-        sinking = first.strongest[light] - loads.normals[light]
-        # Rows room + slope * mass >= 0.
-        rows = [
-            np.column_stack([1 - torque, -rate]),
-            np.column_stack([1 + torque, rate]),
-            np.column_stack([loads.normals, loads.normal_rates]) / weight,
-            np.column_stack([sinking, -loads.normal_rates[light]]) / weight,
-            np.column_stack([np.ones(len(first.modes)), -first.modes]),
-        ]
-        level = -first.limit(self.limits) / self.scale
-        return level, np.concatenate(rows) * (1.0, -self.scale)
+        return -bearable(rows) / self.scale, rows * (1.0, -self.scale)
 
     def run(self) -> None:
         """Searches, with the feet together first, and then with each free."""

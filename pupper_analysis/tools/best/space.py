@@ -244,13 +244,6 @@ class StanceSpace:
         joints = stand.joint_positions(self.robot)
         return np.concatenate([joints - self.robot.lower_limits, self.robot.upper_limits - joints])
 
-    def stretched(self, stand: Stand) -> tuple[str, ...]:
-        """Returns the feet whose legs have hardly more than the least singular_values."""
-        least = LEAST_SINGULAR_VALUE * self._nominal_values
-        values = _singular_values(Configuration(self.robot, stand.qpos))
-        near = (values < 1.02 * least) & (least > 0)
-        return tuple(self.robot.contact_points[index] for index in np.flatnonzero(near))
-
     def _touches(self, stand: Stand) -> dict[tuple[int, int], float]:
         """Returns how deep parts are in each other or the ground (m), but for feet in it."""
         robot, data = self._grounded, self._data

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, acts_at_rest
@@ -34,11 +33,11 @@ _SAME = 1e-9  # in parts of the torque
 _SWEEPS = 30
 _GAIN = 1e-10  # of a sweep, in parts of the torque: less is rounding
 
+_LOOKS = 24
+"""Along a joint that others follow, or where torques are no single wave."""
+
 _PEAK = 1e-6
 """How closely a greatest torque is sought between looks (rad, m): it is 1e-12 of it off."""
-
-_OUT = 1e300
-"""More than any torque: less this is where no loop closes."""
 
 _NO_SHARE = 1e-12
 
@@ -77,12 +76,9 @@ class Search:
             alike = sum(end[0] >= best[0] - _SAME * abs(best[0]) for end in ends)
             if alike >= _AGREED:
                 break
-        # Loops are closed between their places where it is worth it.
-        return self.climb(joint, sign, best[1], fine=True) if self._motions.bent.any() else best
+        return best
 
-    def climb(
-        self, joint: int, sign: float, qpos: Array, *, fine: bool = False
-    ) -> tuple[float, Array]:
+    def climb(self, joint: int, sign: float, qpos: Array) -> tuple[float, Array]:
         """Returns the most that a motor holds with a sign (N m, N), and where, near a posture."""
         best = self._torque(joint, sign, qpos)
         loads = np.abs(self._motions.shares[joint]) > _NO_SHARE
@@ -91,41 +87,28 @@ class Search:
         for _ in range(_SWEEPS):
             before = best
             for way in chosen:
-                length = self._peak(joint, sign, qpos, way, best, fine=fine)
+                length = self._peak(joint, sign, qpos, way, best)
                 there = self._motions.along(qpos, way, length)
-                found = -math.inf if there is None else self._torque(joint, sign, there)
-                if there is not None and found > best:
+                found = self._torque(joint, sign, there)
+                if found > best:
                     best, qpos = found, there
             if best - before <= _GAIN * abs(best):
                 break
         return best, qpos
 
-    def torques(self, qpos: Array) -> Array:
-        """Returns what all motors hold in a posture (nu,) (N m, N); 0 at a dead point."""
-        config = Configuration(self._robot, qpos)
-        try:
-            return config.by_motors(self._load(config))
-        except ConfigurationError:
-            return np.zeros(len(qpos))
-
-    def _peak(
-        self, joint: int, sign: float, qpos: Array, way: int, here: float, *, fine: bool
-    ) -> float:
+    def _peak(self, joint: int, sign: float, qpos: Array, way: int, here: float) -> float:
         """Returns where along a way a torque is greatest (rad, m)."""
         motions = self._motions
         low, high = motions.span(qpos, way)
 
         def at(length: float) -> float:
-            there = motions.along(qpos, way, length)
-            return -_OUT if there is None else self._torque(joint, sign, there)
+            return self._torque(joint, sign, motions.along(qpos, way, length))
 
         moved = motions.moved[way]
-        if self._waves and not motions.bent[way] and motions.slides[moved].all():
+        if self._waves and motions.slides[moved].all():
             return max((low, high), key=at)  # a line
         if len(moved) > 1 or not self._waves:
-            looks = np.linspace(low, high, motions.places(way))
-            bent = bool(motions.bent[way])
-            return _sampled(at, looks, fine=fine or not bent, everywhere=bent)
+            return _sampled(at, np.linspace(low, high, _LOOKS))
         spring = sign * float(motions.shares[joint, moved[0]] * self.stiffness[moved[0]])
         third = 2 * math.pi / 3
         ahead, behind = at(third) - spring * third, at(-third) + spring * third
@@ -133,19 +116,12 @@ class Search:
         sine, cosine = (ahead - behind) / math.sqrt(3), here - mean
         return _crest(cosine, sine, spring, low, high)
 
-    def _load(self, config: Configuration) -> Array:
-        load = config.load()
-        return load + self._payload * self._tool.load_per_mass(config) if self._payload else load
-
     def _torque(self, joint: int, sign: float, qpos: Array) -> float:
         config = Configuration(self._robot, qpos)
-        load = self._load(config)
-        if self._motions.constant[joint]:
-            return sign * float(self._motions.shares[joint] @ load)
-        try:
-            return sign * float(config.by_motors(load)[joint])
-        except ConfigurationError:  # at a dead point nothing holds the loop
-            return -_OUT
+        load = config.load()
+        if self._payload:
+            load = load + self._payload * self._tool.load_per_mass(config)
+        return sign * float(self._motions.shares[joint] @ load)
 
 
 def _crest(cosine: float, sine: float, rate: float, low: float, high: float) -> float:
@@ -163,54 +139,23 @@ def _crest(cosine: float, sine: float, rate: float, low: float, high: float) -> 
     return max(ends, key=lambda x: cosine * math.cos(x) + sine * math.sin(x) + rate * x)
 
 
-def _sampled(at: Callable[[float], float], looks: Array, *, fine: bool, everywhere: bool) -> float:
-    """Returns at which of some looks, or between them, a function is greatest.
-
-    Between them it is looked for beside the greatest, or beside each that is a peak, as far as
-    there is anything: where loops bend the greatest look need not be next to the greatest of all.
-    """
+def _sampled(at: Callable[[float], float], looks: Array) -> float:
+    """Returns where a function is greatest: beside the greatest of some looks."""
     from scipy import optimize  # slow to import
 
     found = np.array([at(look) for look in looks])
     top = int(np.argmax(found))
-    if not fine or np.ptp(found) <= _GAIN * abs(found[top]):
+    low, high = looks[max(top - 1, 0)], looks[min(top + 1, len(looks) - 1)]
+    if np.ptp(found) <= _GAIN * abs(found[top]) or high - low <= _PEAK:
         return float(looks[top])
-    beside = np.concatenate([[-math.inf], found, [-math.inf]])
-    peaks = (found > -_OUT) & (found >= np.maximum(beside[:-2], beside[2:]))
-    chosen = [float(looks[top])]
-    for number in np.flatnonzero(peaks).tolist() if everywhere else [top]:
-        ends = looks[max(number - 1, 0)], looks[min(number + 1, len(looks) - 1)]
-        low, high = (_nearest(at, float(looks[number]), float(end)) for end in ends)
-        if high - low > _PEAK:
-            best = optimize.minimize_scalar(
-                lambda length: -at(length),
-                bounds=(low, high),
-                method="bounded",
-                options={"xatol": _PEAK},
-            )
-            chosen += [low, best.x, high]
-    return float(max(chosen, key=at))
-
-
-def _nearest(at: Callable[[float], float], here: float, end: float) -> float:
-    """Returns how far there is something on the way from here, where there is, to an end."""
-    if at(end) > -_OUT:
-        return end
-    while abs(end - here) > _PEAK:
-        middle = (here + end) / 2
-        here, end = (middle, end) if at(middle) > -_OUT else (here, middle)
-    return here
+    best = optimize.minimize_scalar(
+        lambda length: -at(length), bounds=(low, high), method="bounded", options={"xatol": _PEAK}
+    )
+    return float(max((looks[top], low, best.x, high), key=at))
 
 
 _STARTS = 12
 """Random postures that a search begins from, besides the one that is asked about."""
-
-_POOL = 500
-"""Random postures of a robot whose loops bend: searches also begin from the worst of them, as loops
-of several joints, not all of whose positions close, have many that are worst near themselves."""
-
-_WORST = 3
-"""How many of these."""
 
 _NOTHING = 1e-14
 """N m per N of weight: what joints about vertical axes hold is rounding."""
@@ -227,6 +172,7 @@ class WorstPostures(Tabular):
         limits: (nu,) of the motors (N m, N).
         utilisation: (nu,) the greatest found / limit.
         endless: Why there may be no greatest torque; None if there is.
+        still: Joints of loops that do not move in proportion: they are where the posture has them.
     """
 
     joint_names: tuple[str, ...]
@@ -235,6 +181,7 @@ class WorstPostures(Tabular):
     limits: Array
     utilisation: Array
     endless: Diagnostic | None
+    still: tuple[str, ...]
 
     def _columns(self) -> dict[str, ArrayLike]:
         return {
@@ -260,7 +207,8 @@ def worst_postures(
     (a + b q of a slide; a spring at the joint adds k q), so that three looks give its greatest
     along a joint in closed form. A search goes from joint to joint until that gains nothing, from
     random postures until several end alike. That is no proof: there may be a posture that asks for
-    more, though none of 20,000 random ones did of seven arms and hands.
+    more, though none of 20,000 random ones did of seven arms and hands. Loops whose joints do not
+    move in proportion, as a gripper's four bars, stay as the posture has them (``still``).
 
     Args:
         robot: A robot whose base is held.
@@ -277,17 +225,12 @@ def worst_postures(
     torques, postures = np.zeros(robot.nu), np.tile(posture.qpos, (robot.nu, 1))
     if near is not None:
         torques[~asked], postures[~asked] = near.joint_torques[~asked], near.postures[~asked]
-    pool = motions.random(_POOL) if motions.bent.any() and near is None else []
-    sampled = np.array([search.torques(qpos) for qpos in pool])
     for joint in np.flatnonzero(asked).tolist():
         begin = [posture.qpos, *starts]
         if near is not None:
             begin.insert(0, near.postures[joint])
         for sign in (1.0, -1.0):
-            most = np.argsort(-sign * sampled[:, joint])[:_WORST] if pool else ()
-            found, at = search.highest(
-                joint, sign, [*begin[:1], *(pool[one] for one in most), *begin[1:]]
-            )
+            found, at = search.highest(joint, sign, begin)
             if found > abs(torques[joint]):
                 torques[joint], postures[joint] = sign * found, at
     torques[np.abs(torques) <= _NOTHING * robot.weight] = 0.0
@@ -298,6 +241,7 @@ def worst_postures(
         limits=robot.effort_limits,
         utilisation=np.where(torques != 0, utilise(robot, torques), 0.0),
         endless=_endless(robot, motions, search.stiffness),
+        still=tuple(robot.joint_names[joint] for joint in motions.still),
     )
 
 
