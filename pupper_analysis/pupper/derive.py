@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.pupper.variants import BASES, Box, VariantSpec
+from pupper_analysis.pupper.variants import BASES, VariantSpec
 
 Array = NDArray[np.float64]
 
@@ -56,8 +56,6 @@ def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
     root = next(link for link in robot.links if link.name not in parent_joint)
     root.inertial.mass *= variant.torso_mass_scale
     root.inertial.inertia = variant.torso_mass_scale * root.inertial.inertia
-    if variant.ballast:
-        root.visuals.append(_ballast(variant.ballast))
     robot.name = variant.name
     written = io.BytesIO()
     model.write_xml().write(written, xml_declaration=True, encoding="utf-8", pretty_print=True)
@@ -168,19 +166,6 @@ def capsule_inertia(mass: float, radius: float, length: float, axis: Array) -> A
     return tensor
 
 
-def _ballast(ballast: Box) -> yourdfpy.Visual:
-    origin = np.eye(4)
-    origin[:3, 3] = ballast.position
-    return yourdfpy.Visual(
-        name="ballast",
-        origin=origin,
-        geometry=yourdfpy.Geometry(box=yourdfpy.Box(size=2 * np.array(ballast.half_size))),
-        material=yourdfpy.Material(
-            name="ballast", color=yourdfpy.Color(rgba=np.array([0.16, 0.17, 0.20, 1.0]))
-        ),
-    )
-
-
 def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     """Turns the spec of a base model, in place, into that of a variant.
 
@@ -214,8 +199,6 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
         mesh = spec.mesh(name)
         mesh.scale = np.array(mesh.scale) * factor
     _scale_torso(torso, variant.torso_mass_scale)
-    if variant.ballast:
-        _draw_ballast(torso, variant.ballast)
     spec.modelname = variant.name
     _raise_keyframes(spec, torso, before, _keyframe_depths(spec, base.feet.values()))
 
@@ -307,20 +290,6 @@ def _scale_torso(body: mujoco.MjsBody, factor: float) -> None:
         geom.density = factor * geom.density
         if not math.isnan(geom.mass):
             geom.mass = factor * geom.mass
-
-
-def _draw_ballast(body: mujoco.MjsBody, ballast: Box) -> None:
-    body.add_geom(
-        name="ballast",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=ballast.half_size,
-        pos=ballast.position,
-        rgba=(0.16, 0.17, 0.20, 1.0),
-        mass=0.0,
-        contype=0,
-        conaffinity=0,
-        group=1,
-    )
 
 
 def _keyframe_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:

@@ -17,19 +17,6 @@ _LONGEST_NAME = 200
 
 
 @dataclass(frozen=True)
-class Box:
-    """A box drawn on the base link; it has no mass and touches nothing.
-
-    Attributes:
-        half_size: Half of its edges (m).
-        position: Its centre in the base frame (m).
-    """
-
-    half_size: tuple[float, float, float]
-    position: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
 class Base:
     """A pair of model files from which variants are derived.
 
@@ -38,7 +25,6 @@ class Base:
         mjcf: Name of the file in ``mjcf/``.
         feet: For each foot, the name that both its URDF link and its MJCF site have.
         foot_depth: How far below the hips the nominal stand has its feet (m), by leg_scale.
-        ballast: Drawn on the back when the torso is heavier than the original's.
         remarks: Returns what its users should know.
     """
 
@@ -46,7 +32,6 @@ class Base:
     mjcf: str
     feet: Mapping[str, str]
     foot_depth: Callable[[float], float]
-    ballast: Box
     remarks: Callable[[], tuple[Diagnostic, ...]] = tuple
 
 
@@ -57,7 +42,6 @@ BASES: Mapping[str, Base] = MappingProxyType(
             mjcf="pupper_skeleton.xml",
             feet={leg: f"{leg}_foot" for leg in ("FL", "FR", "RL", "RR")},
             foot_depth=lambda leg_scale: 0.14 * min(leg_scale, 1.5),
-            ballast=Box((0.065, 0.042, 0.018), (0.01, 0.0, 0.075)),
         ),
         "v3": Base(
             urdf="pupper_v3.urdf",
@@ -69,7 +53,6 @@ BASES: Mapping[str, Base] = MappingProxyType(
                 "RL": "leg_back_l_3_foot_site",
             },
             foot_depth=lambda leg_scale: 0.11156 * leg_scale,
-            ballast=Box((0.065, 0.042, 0.018), (0.01, 0.0, 0.0965)),
             remarks=lambda: (diagnose("first-joints-pitch"),),
         ),
     }
@@ -124,11 +107,6 @@ class VariantSpec:
         if not self.name:
             made = f"{self.base}-leg{self.leg_scale:g}-torso{self.torso_mass_scale:g}"
             object.__setattr__(self, "name", made)
-
-    @property
-    def ballast(self) -> Box | None:
-        """The box that shows on its back that the torso is heavier than the base model's."""
-        return BASES[self.base].ballast if self.torso_mass_scale > 1.01 else None
 
 
 LARGEST_SCALE = 1000.0

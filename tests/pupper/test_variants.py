@@ -12,7 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.runs import running
 from pupper_analysis.pupper.variants import model_folder
 from tests.support.engines import mujoco_at
-from tests.support.variants import NAMES, load
+from tests.support.variants import NAMES
 
 
 @settings(max_examples=15)
@@ -82,16 +82,6 @@ def test_a_spec_names_itself() -> None:
 
 
 # ------------------------------------------------------------------------------------- specs
-
-
-def test_only_a_heavier_torso_shows_ballast() -> None:
-    with_box = [name for name in NAMES if pa.VARIANTS[name].ballast]
-    assert with_box == ["heavy", "v3-heavy"]
-    for name in with_box:
-        model = load(name).mj_model
-        box = model.geom("ballast")
-        assert box.contype[0] == box.conaffinity[0] == 0
-        np.testing.assert_allclose(box.size, [0.065, 0.042, 0.018])
 
 
 def test_a_run_knows_the_files_of_a_variant_that_are_read() -> None:

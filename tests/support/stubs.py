@@ -293,7 +293,6 @@ def loaded(*unlimited: str) -> Any:
         "simulation": none,
     }
     trial = Stub(mass=1.177, duration=12.0, failure=None, held=True)
-    beyond = Stub(mass=1.305, duration=12.0, failure=Failure.TIPPING, time=3.456, where=("FL",))
     return Stub(
         name="stub",
         passed=True,
@@ -309,7 +308,6 @@ def loaded(*unlimited: str) -> Any:
         joint_torques=(1.0, 2.0),
         continuous=(),
         trial=trial,
-        beyond=beyond,
         verdict=judge_stance(run(0.0, passed=True), None, SERVOS, asked=Asked.CARRIES),
     )
 

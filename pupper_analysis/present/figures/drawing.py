@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Polygon, Rectangle
+from matplotlib.patches import Circle, Patch, Rectangle
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -132,9 +132,6 @@ def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
                 axes.plot([mark["x1"], mark["x2"]], [mark["y1"], mark["y2"]], **_line(kind, 0.7))
             case "polyline" if kind != "unseen":
                 axes.plot(*np.array(mark["points"]).T, **_line(kind, 1.3))
-            case "polygon":
-                line = _line(kind, 1.3)
-                axes.add_patch(Polygon(mark["points"], ec=line.pop("color"), fill=False, **line))
             case "circle":
                 fill = kind != "grid"
                 place, radius = (mark["cx"], mark["cy"]), mark["r"]

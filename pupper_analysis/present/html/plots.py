@@ -261,15 +261,13 @@ def draw_axes(
     ]
 
 
-def draw_series(
-    places: Array, labels: Sequence[str], one: Series, index: int, *, closed: bool = False
-) -> list[Mark]:
+def draw_series(places: Array, labels: Sequence[str], one: Series, index: int) -> list[Mark]:
     """Returns a line through places (n, 2), which have labels, and its points."""
     rounded = np.round(places, 1).tolist()
     style = f"s{index % STYLES}"
     marks: list[Mark] = [
         {
-            "tag": "polygon" if closed else "polyline",
+            "tag": "polyline",
             "class": f"series {style}",
             "points": rounded,
             "labels": list(labels),

@@ -91,7 +91,8 @@ class SmallPayload:
             depths = [max(0.0, lowest.distance) + stand.depths[foot] for foot in stand.stance_feet]
             strongest = [law.force(depth) for law, depth in zip(laws, depths, strict=True)]
             rows.append(np.column_stack([strongest, np.zeros(len(laws))]) / robot.weight - pressing)
-        return np.concatenate(rows)
+        found: Array = np.concatenate(rows)
+        return found
 
 
 def bearable(rows: Array) -> float:

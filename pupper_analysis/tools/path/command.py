@@ -26,11 +26,6 @@ from pupper_analysis.tools.path import kinds
     holds=kinds.PATH_TABLE,
     help="Write the commands of the path as CSV to this file, or to standard output (-).",
 )
-@shared.output_option(
-    "--npz",
-    holds=kinds.PATH_ARRAYS,
-    help="Write the arrays of the path to this NumPy file (.npz).",
-)
 @robot_and_task
 @shared.json_option
 @shared.report_option
@@ -39,7 +34,6 @@ def command(
     words: tuple[str, ...],
     seconds: float,
     csv: Path | None,
-    npz: Path | None,
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
@@ -54,7 +48,7 @@ def command(
       pupper-analysis path v3 --swing FL=2cm --com inside --seconds 4 \\
         --csv lift.csv
       pupper-analysis path original --height 14cm
-      pupper-analysis path v3-heavy --pitch 5deg --seconds 3 --npz pitch.npz
+      pupper-analysis path v3-heavy --pitch 5deg --seconds 3 --json pitch.json
 
     Exit status: 0 the robot follows the path, 1 it does not, 2 out of reach, not holdable or
     bad input.
@@ -70,8 +64,5 @@ def command(
     if csv is not None:
         result.path.to_csv(csv)
         shared.confirm_written(csv)
-    if npz is not None:
-        result.path.to_npz(npz)
-        shared.confirm_written(npz)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

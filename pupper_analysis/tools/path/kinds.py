@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from typing import BinaryIO, Final
 
 from pupper_analysis.base.kinds import HEAD, Kind
@@ -17,13 +15,4 @@ def _is_path_table(file: BinaryIO) -> bool:
     )  # fmt: skip
 
 
-def _is_path_arrays(file: BinaryIO) -> bool:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return {"joint_names.npy", "zmp_margin.npy"} <= set(archive.namelist())
-    except (zipfile.BadZipFile, zlib.error, OSError, ValueError, NotImplementedError, EOFError):
-        return False
-
-
 PATH_TABLE: Final = Kind("table of a path", _is_path_table)
-PATH_ARRAYS: Final = Kind("file of a path's arrays", _is_path_arrays)

@@ -30,7 +30,7 @@ from pupper_analysis.statics.equilibrium import sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.path.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_jerk, path_geometry
-from pupper_analysis.tools.path.kinds import PATH_ARRAYS, PATH_TABLE
+from pupper_analysis.tools.path.kinds import PATH_TABLE
 
 Array = NDArray[np.float64]
 
@@ -223,40 +223,6 @@ class StancePath(Tabular):
         writer.writerows(rows.tolist())
         with whole_file(Path(path), PATH_TABLE, force=force) as file:
             file.write(text.getvalue().encode())
-
-    def to_npz(self, path: str | Path, *, force: bool = False) -> None:
-        """Writes the arrays under their names, and ``joints``, (n, nu), beside ``qpos``.
-
-        Args:
-            path: The file.
-            force: Replace what has no such arrays, too.
-
-        Raises:
-            OutputError: If the file cannot be written, or has no such arrays.
-        """
-        names: tuple[str, ...] = (
-            "joint_names",
-            "feet",
-            "time",
-            "qpos",
-            "qvel",
-            "qacc",
-            "torques",
-            "stance_feet",
-        )
-        names += (
-            "forces",
-            "moments",
-            "loads",
-            "friction_utilisation",
-            "zero_moment_point",
-            "zmp_margin",
-        )
-        arrays = {key: np.array(getattr(self, key)) for key in (*names, "clearance", "com_margin")}
-        arrays["joints"] = self.joint_positions()
-        with whole_file(Path(path), PATH_ARRAYS, force=force) as file:
-            # NumPy 2.0 and 2.1 have no allow_pickle; all are numbers and texts, so none is pickled.
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 @check_arguments

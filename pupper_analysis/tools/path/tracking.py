@@ -15,7 +15,7 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
-from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
@@ -326,7 +326,7 @@ impossible path loses is off the ground for some hundredths of the path's time."
 
 
 @dataclass(frozen=True, eq=False)
-class PathTracking(Tabular):
+class PathTracking(Result):
     """What a simulation made of a path.
 
     Attributes:
@@ -344,9 +344,6 @@ class PathTracking(Tabular):
             any step of time / the largest torque of the path.
         foot_slip: {foot: the largest horizontal distance of its centre from the path's, while it
             carries (m)}. A foot is a sphere and rolls, so this is not zero without sliding.
-        time: (n,) moments of the next (s).
-        joints: (n, nu) joint positions (rad).
-        height: (n,) the base's (m).
     """
 
     passed: bool
@@ -361,13 +358,6 @@ class PathTracking(Tabular):
     orientation_error: float
     torque_error: float
     foot_slip: dict[str, float]
-    time: Array
-    joints: Array
-    height: Array
-
-    def _columns(self) -> dict[str, Array]:
-        joints = {f"q {number}": values for number, values in enumerate(self.joints.T)}
-        return {"time": self.time, "height": self.height, **joints}
 
 
 @check_arguments
@@ -448,9 +438,6 @@ def track_path(
         orientation_error=tilt,
         torque_error=torque_error,
         foot_slip=slip,
-        time=plan.time[evaluations],
-        joints=simulated[evaluations, joints],
-        height=simulated[evaluations, 2],
     )
 
 

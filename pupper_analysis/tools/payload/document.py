@@ -24,7 +24,7 @@ from pupper_analysis.tools.payload.limit import Bound, PayloadLimit, PayloadTria
 @build_document.register(PayloadLimit)
 def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Document:
     """Returns what a stance can carry; see ``build``."""
-    found = tuple(_found(limit))
+    found = () if limit.trial is None else (_trial(limit.trial),)
     return judged_document(
         text("payload-title"),
         limit,
@@ -118,13 +118,6 @@ def _then(bound: Bound) -> doc.Words:
 def _failure(failure: Failure, where: Iterable[str]) -> doc.Words:
     failed, named = word(failure.value), ", ".join(where)
     return text("failure-where", failure=failed, where=named) if named else failed
-
-
-def _found(limit: PayloadLimit) -> Iterable[doc.Words]:
-    """Says what became of it in simulation, with nearly its payload on it, and with more."""
-    for trial in (limit.trial, limit.beyond):
-        if trial is not None:
-            yield _trial(trial)
 
 
 def _trial(trial: PayloadTrial) -> doc.Text:

@@ -97,9 +97,6 @@ TRIED = 0.97
 """The part of the limit with which the loaded stance is judged, and simulated nudged: just below
 it, as no servo, floor or hand is exact to a percent."""
 
-BEYOND = 1.05
-"""The part of the limit with which it is simulated to see what then fails."""
-
 FINE = 0.02
 """To what part of itself a mass is found that holds in simulation, where that of the equilibrium
 does not; to its square of the equilibrium's, below which it is as good as none."""
@@ -161,7 +158,6 @@ class PayloadLimit(Result):
         verdict: The one judge's, of the stance with ``TRIED`` of ``mass``; without payload, if
             that is nothing or infinite.
         trial: The simulation of the same nudged from all sides; None without one.
-        beyond: The same with ``BEYOND`` of ``mass``; None where that stand is out of reach.
         continuous: Joints whose effort limit is a torque that lasts; of the others it is the peak.
     """
 
@@ -181,7 +177,6 @@ class PayloadLimit(Result):
     contact_forces: dict[str, Array]
     verdict: Verdict
     trial: PayloadTrial | None
-    beyond: PayloadTrial | None
     continuous: tuple[str, ...] = ()
 
     @property
@@ -294,7 +289,6 @@ def payload_limit(
         contact_forces=held.statics.contact_forces,
         verdict=judged(TRIED * most if carries else 0.0),
         trial=tried(TRIED * most) if carries else None,
-        beyond=tried(BEYOND * most) if carries and search.stance(BEYOND * most) is None else None,
     )
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +19,6 @@ from pupper_analysis.present.documents.standing import (
     quantity_columns,
     robot_notes,
     task_text,
-)
-from pupper_analysis.present.html.plots import (
-    Drawing,
-    Mark,
-    draw_label,
-    draw_legend,
-    draw_line,
-    draw_series,
-    draw_svg,
-    round_ticks,
-    word_at,
 )
 from pupper_analysis.present.verdict import judged_document
 from pupper_analysis.robot.robot import Robot
@@ -110,60 +98,7 @@ def _table(pushed: PushedStance) -> doc.Table:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class DirectionPlot(doc.Plot):
-    """Values by direction, as seen from above: forward is up, left is left.
-
-    Attributes:
-        axis: What their distances from the middle measure.
-        series: Per robot, ``x`` are the directions (rad) and ``y`` the values.
-        note: What the notes beside the lines' names are; None where there are none.
-    """
-
-    axis: doc.Axis
-    series: Sequence[doc.Series]
-    note: doc.Words | None = None
-
-
-@draw_svg.register
-def _directions(plot: DirectionPlot) -> Drawing:
-    axis, series = plot.axis, plot.series
-    size = 420.0
-    middle = size / 2
-    reach = max(float(np.max(np.asarray(one.y, dtype=float))) for one in series) or 1.0
-    scale = (middle - 46) / reach
-
-    def place(directions: Array, values: Array) -> Array:
-        turned = np.column_stack([-np.sin(directions), -np.cos(directions)])
-        places: Array = middle + scale * values[:, None] * turned
-        return places
-
-    marks: list[Mark] = []
-    for value in round_ticks(0.0, reach, 4)[1:]:
-        ring = {"tag": "circle", "class": "grid", "cx": middle, "cy": middle, "r": scale * value}
-        marks.append(ring)
-        marks.append(
-            word_at(middle + 4, middle - scale * value - 3, doc.Name(f"{value:g}"), "start")
-        )
-    for degrees in range(0, 360, 45):
-        angle = np.array([math.radians(degrees)])
-        end = place(angle, np.array([reach]))[0]
-        marks.append(draw_line(middle, middle, end[0], end[1], "grid"))
-        end = place(angle, np.array([reach + 20 / scale]))[0]
-        marks.append(word_at(end[0], end[1] + 4, doc.Name(f"{degrees}°"), "middle"))
-    for index, one in enumerate(series):
-        directions, values = (np.asarray(one.x, dtype=float), np.asarray(one.y, dtype=float))
-        labels = [
-            f"{math.degrees(angle):.0f}°, {draw_label(axis, value)}"
-            for angle, value in zip(directions, values, strict=True)
-        ]
-        places = place(directions, values)
-        marks += draw_series(places, labels, one, index, closed=True)
-    marks.append(word_at(middle, size - 4, axis.name, "middle", axis.unit))
-    return Drawing(plot.title, size, size, tuple(marks), draw_legend(series), plot.note)
-
-
-def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> DirectionPlot:
+def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
     """Returns the largest pushes by direction, of one robot or several.
 
     Args:
@@ -171,11 +106,10 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> DirectionPlot:
         rigid: The robot whose tipping estimate is drawn too, where it has one.
     """
     series = [
-        doc.Series(
+        _around(
             doc.Name(name),
             one.directions,
             one.impulses,
-            points=True,
             note=doc.Name(f"{one.weakest_impulse:.2f} N s"),
             marked=int(np.argmin(np.abs(one.directions - one.weakest_direction))),
         )
@@ -184,13 +118,20 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> DirectionPlot:
     tips = pushed[rigid]
     if np.isfinite(tips.tipping_estimate).all():
         name = text("tipping-estimate", name=doc.Name(rigid))
-        series.append(doc.Series(name, tips.directions, tips.tipping_estimate, reference=True))
-    return DirectionPlot(
+        series.append(_around(name, tips.directions, tips.tipping_estimate, reference=True))
+    return doc.LinePlot(
         text("largest-push-that-the-stand-survives"),
+        doc.Axis(text("direction"), "°", ".0f"),
         doc.Axis(text("impulse"), "N s", ".2f"),
         series,
         text("impulse-in-weakest-direction"),
     )
+
+
+def _around(name: doc.Words, directions: Array, values: Array, **more: Any) -> doc.Series:
+    """Returns values over all directions, from forward once around."""
+    degrees = np.append(np.degrees(directions), 360.0)
+    return doc.Series(name, degrees, np.append(values, values[0]), points=True, **more)
 
 
 @compare_results.register(PushedStance)

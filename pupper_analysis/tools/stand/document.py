@@ -119,15 +119,7 @@ def _answer(stance: Stance) -> Iterable[doc.Words]:
             joint=doc.Name(stance.statics.joint_names[most]),
         )
     for press in stance.presses:
-        limits = [
-            text(f"press-{why}", of=doc.Name(one))
-            for why in ("motors", "slipping", "lifting")
-            for one in getattr(press, why)
-        ]
-        why_not_more = join_words(limits, "comma")
-        yield text(
-            "presses-with", hand=doc.Name(press.hand), force=f"{press.force:.1f}", why=why_not_more
-        )
+        yield text("presses-with", hand=doc.Name(press.hand), force=f"{press.force:.1f}")
     settled = stance.settled
     if settled is not None and not settled.failures:
         yield text("sags-by", loss=f"{1e3 * settled.height_loss:z.1f}")

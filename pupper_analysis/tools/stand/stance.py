@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,8 +29,6 @@ from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffne
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_contacts, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.cone_program import Balance
-from pupper_analysis.statics.contacts import Contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
@@ -184,20 +181,10 @@ class LargestPress(Result):
     Attributes:
         hand: What presses.
         force: The largest force along the plane's normal, of which balance is left (N).
-        motors: The motors that are at their limits then.
-        slipping: What is at the edge of its friction.
-        lifting: What bears nothing, or of a sole no more than an edge.
     """
 
     hand: str
     force: float
-    motors: tuple[str, ...]
-    slipping: tuple[str, ...]
-    lifting: tuple[str, ...]
-
-
-_AT_LIMIT = 1e-4
-"""Part of a limit by which what is there may be off it: the cone programme's rounding is 1e-6."""
 
 
 def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
@@ -226,34 +213,8 @@ def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
         rows = np.concatenate([joints, -joints])
         forces = problem.farthest(linear, carrying.friction, rows, most)
         if forces is not None:
-            found.append(_describe_press(robot, hand, problem, carrying, forces))
+            found.append(LargestPress(hand, float(linear @ forces)))
     return tuple(found)
-
-
-def _describe_press(
-    robot: Robot, hand: str, problem: Balance, carrying: Contacts, forces: Array
-) -> LargestPress:
-    limits, weight = robot.effort_limits, robot.weight
-    torques = np.abs(problem.torques - problem.joints @ forces)
-    each = dict(zip(carrying.feet, forces.reshape(-1, 3), strict=True))
-    out = dict(zip(carrying.feet, problem.normals, strict=True))
-    grip = dict(zip(carrying.feet, carrying.friction.tolist(), strict=True))
-    totals, slipping, lifting = robot.per_foot(each), [], []
-    for foot, force in totals.items():
-        first = robot.feet[foot][0]
-        pressing = float(force @ out[first])
-        bearing = sum(float(each[one] @ out[one]) > _AT_LIMIT * weight for one in robot.feet[foot])
-        if bearing <= min(2, len(robot.feet[foot]) - 1):
-            lifting.append(foot)
-        if math.hypot(*np.cross(out[first], force)) > (1 - _AT_LIMIT) * grip[first] * pressing:
-            slipping.append(foot)
-    return LargestPress(
-        hand=hand,
-        force=float(totals[hand] @ out[robot.feet[hand][0]]),
-        motors=tuple(np.array(robot.joint_names)[torques > (1 - _AT_LIMIT) * limits].tolist()),
-        slipping=tuple(slipping),
-        lifting=tuple(lifting),
-    )
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,11 @@ from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_stance
 @shared.command("workspace")
 @robot_argument
 @robot_and_stance
-@shared.figure_option
 @shared.json_option
 @shared.report_option
 def command(
     asked: RobotAndTask,
     words: tuple[str, ...],
-    figure: Path | None,
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
@@ -29,7 +27,7 @@ def command(
 
     \b
     Examples:
-      pupper-analysis workspace v3 --figure workspace.png
+      pupper-analysis workspace v3 --report workspace.html
       pupper-analysis workspace v3-heavy --height 12cm --self-clearance 5mm
       pupper-analysis workspace v3 --swing FL=2cm --com inside \\
         --json workspace.json
@@ -43,10 +41,5 @@ def command(
     with shared.show_progress("searching how far the base can go"):
         result = base_workspace(robot, task)
     asked.show(result, robot)
-    if figure is not None:
-        from pupper_analysis.tools.workspace.figures import workspace_figure
-
-        workspace_figure(robot, result, figure)
-        shared.confirm_written(figure)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=True)

