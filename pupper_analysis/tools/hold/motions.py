@@ -76,12 +76,8 @@ class JointMotions:
 
     def span(self, qpos: Array, way: int) -> tuple[float, float]:
         """Returns how far (rad, m) joints can go along a way from a posture, back and forth."""
-        step, lead = self.steps[:, way], self.free[way]
         moving = self.moved[way]
-        if len(moving) == 1 and step[lead] == 1.0:
-            ends = self.ranges[[lead]] - qpos[lead]
-        else:
-            ends = (self.ranges[moving] - qpos[moving, None]) / step[moving, None]
+        ends = (self.ranges[moving] - qpos[moving, None]) / self.steps[moving, way, None]
         ends.sort(axis=1)
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
