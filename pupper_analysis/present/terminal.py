@@ -8,21 +8,18 @@ each with its first column. No name and no number is ever cut.
 from __future__ import annotations
 
 import re
-import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import singledispatch
-from itertools import zip_longest
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+from rich.box import Box
 from rich.cells import cell_len
 from rich.console import Console
+from rich.table import Table as Grid
 from rich.text import Text
 
 from pupper_analysis.present.document import (
     Block,
-    Cell,
-    Column,
     Document,
     Lines,
     Listing,
@@ -44,9 +41,9 @@ _LEAST_WIDTH = 40
 
 
 class _View(NamedTuple):
-    """How blocks are shown: in which width, with which number, and how much of them."""
+    """How blocks are shown: where, with which number, and how much of them."""
 
-    width: int
+    out: Console
     place: int
     everything: bool
 
@@ -201,9 +198,10 @@ def _of_table(table: Table, view: _View) -> list[_Line]:
     columns = [
         index for index, one in enumerate(table.columns) if view.everything or not one.detail
     ]
-    rows = laid_out(table, columns, view.width)
+    rows = _laid_out(view.out, table, columns)
     return [
-        _Line(Text(f"\n{_plain(table.title)}", "bold")),
+        _Line(Text("")),
+        _Line(Text(_plain(table.title), "bold")),
         *(_Line(row, wrap=False) for row in rows),
         *(_Line(Text(_plain(note), "dim")) for note in table.notes),
     ]
@@ -211,7 +209,7 @@ def _of_table(table: Table, view: _View) -> list[_Line]:
 
 @_lines_of.register
 def _of_sides(block: Sides, view: _View) -> list[_Line]:
-    head = Text(f"\n{view.place}. ")
+    head = Text(f"{view.place}. ")
     if block.tag is not None:
         head.append(f"{_plain(block.tag)} ", STYLES.get(block.tag.mark, "cyan"))
     files = "   ".join(_escape(one.path) or _plain(one.place) for one in block.columns)
@@ -220,6 +218,7 @@ def _of_sides(block: Sides, view: _View) -> list[_Line]:
         quoted = (row for one in block.columns for row in in_english(one.line).split("\n") if row)
         rows += [f"   | {_escape(row)}" for row in quoted]
     return [
+        _Line(Text("")),
         _Line(head.append(_plain(block.title)), 3),
         *(_Line(Text(row, "dim"), wrap=False) for row in rows),
         *(_Line(Text("   ").append_text(_marked(note)), 3) for note in block.notes),
@@ -232,7 +231,7 @@ def _of_lines(block: Lines, _: _View) -> list[_Line]:
     if block.title is None:
         return lines
     style = f"bold {STYLES.get(block.mark, '')}".strip()
-    return [_Line(Text(f"\n{_plain(block.title)}", style)), *lines]
+    return [_Line(Text("")), _Line(Text(_plain(block.title), style)), *lines]
 
 
 @_lines_of.register
@@ -242,33 +241,19 @@ def _of_listing(block: Listing, _: _View) -> list[_Line]:
 
 
 def _print_block(out: Console, block: Block, place: int = 0, *, everything: bool) -> None:
-    for line in _lines_of(block, _View(max(out.width, _LEAST_WIDTH), place, everything)):
+    for line in _lines_of(block, _View(out, place, everything)):
         _say(out, line.text, indent=line.indent, wrap=line.wrap)
 
 
 def _say(out: Console, line: Text, *, indent: int = 0, wrap: bool = True) -> None:
     """Prints a line; on a terminal in its width, elsewhere as long as it is."""
-    if not (wrap and out.is_terminal):
-        out.print(line, soft_wrap=True)
-        return
-    lead = len(line.plain) - len(line.plain.lstrip("\n"))
-    rows = textwrap.wrap(
-        line.plain[lead:],
-        max(out.width, _LEAST_WIDTH),
-        subsequent_indent=" " * indent,
-        drop_whitespace=False,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    if len(rows) < 2:
-        out.print(line, soft_wrap=True)
-        return
-    begin = lead
+    rows = [line]
+    width = max(out.width, _LEAST_WIDTH)
+    if wrap and out.is_terminal and cell_len(line.plain) > width:
+        words = (cell_len(word) + indent for word in line.plain.split())  # none is cut
+        rows = [*line.wrap(out, max(width, *words) - indent)]
     for number, row in enumerate(rows):
-        length = len(row) - (indent if number else 0)
-        piece = line[begin : begin + length]
-        begin += length
-        out.print(Text(" " * indent if number else "\n" * lead).append_text(piece), soft_wrap=True)
+        out.print(Text(" " * indent if number else "").append_text(row), soft_wrap=True)
 
 
 def _plain(words: Words) -> str:
@@ -288,178 +273,86 @@ def _marked(words: Words) -> Text:
 GAP = 2
 """Characters between columns."""
 
-BAR = 10
-"""Characters of the bar beside a share, where there is room for it."""
-
 _HEADER = 12
 """Characters of a header that stay on one line, however narrow its numbers are."""
 
 _SENTENCE = 24
 """Characters to which a column of sentences is wrapped at the least."""
 
-_BLOCKS = " ▏▎▍▌▋▊▉█"
-
 STYLES = {"good": "green", "bad": "red", "warn": "yellow", "best": "bold green", "quiet": "dim"}
 """Of each emphasis."""
 
 
-@dataclass(frozen=True)
-class _Column:
+_BOX = Box("    \n    \n ── \n" + "    \n" * 5)
+"""A rule under the header, and no other line."""
+
+
+class _Column(NamedTuple):
     """A column as it is printed.
 
     Attributes:
-        head: The lines of its header.
+        head: Its header, with its unit.
         cells: Per row its text.
-        styles: Per row how that looks.
         left: Whether it stands on the left.
-        shares: Per row the share that is drawn as a bar; empty for none.
-        width: Characters.
+        width: Characters of its longest line.
+        least: Characters to which it may be wrapped; as many, where it is none of sentences.
     """
 
-    head: list[str]
-    cells: list[str]
-    styles: list[str]
+    head: str
+    cells: list[Text]
     left: bool
-    shares: list[float | None]
     width: int
+    least: int
 
 
-def laid_out(table: Table, chosen: Sequence[int], width: int) -> list[Text]:
-    """Returns a table's lines.
+def _laid_out(out: Console, table: Table, chosen: Sequence[int]) -> list[Text]:
+    """Returns a table's lines, in parts that fit, each with the first column.
 
     Args:
+        out: Where to.
         table: The table.
         chosen: Which of its columns are shown.
-        width: Characters of the terminal.
     """
-    columns = [table.columns[index] for index in chosen]
-    rows = [tuple(row[index] for index in chosen) for row in table.rows]
-    made = _fitted(columns, rows, width)
-    lines: list[Text] = []
-    for part in _parts(made, width):
-        lines += ([Text("")] if lines else []) + _lines(part)
-    return lines
-
-
-def _fitted(
-    columns: Sequence[Column], rows: Sequence[tuple[Cell, ...]], width: int
-) -> list[_Column]:
-    """Returns columns, with sentences wrapped where they are too wide, and bars where they fit."""
-    made = [_column(column, [row[index] for row in rows]) for index, column in enumerate(columns)]
-    over = _wide(made) - width
-    sentences = [
-        index
-        for index, column in enumerate(columns)
-        if index and any(" " in cell and not isinstance(row[index], Name | Number)
-                         for cell, row in zip(made[index].cells, rows, strict=True))
-    ]  # fmt: skip
-    for index in sorted(sentences, key=lambda index: -made[index].width):
-        if over > 0:
-            kept = max(made[index].width - over, _SENTENCE)
-            over -= max(made[index].width - kept, 0)
-            made[index] = replace(made[index], width=min(kept, made[index].width))
-    drawn = [
-        index for index, column in enumerate(made) if any(s is not None for s in column.shares)
-    ]
-    if over + len(drawn) * (BAR + 1) > 0:
-        for index in drawn:
-            made[index] = replace(made[index], shares=[])
-    return [
-        replace(column, width=column.width + BAR + 1)
-        if column.shares and index in drawn
-        else column
-        for index, column in enumerate(made)
-    ]
-
-
-def _column(column: Column, cells: Sequence[Cell]) -> _Column:
-    texts = [_shown(cell) for cell in cells]
-    wide = max(map(cell_len, texts), default=0)
-    head = _wrapped(_escape(in_english(column.name)), max(wide, _HEADER))
-    if column.unit not in ("", "1"):
-        unit = f"({_escape(column.unit)})"
-        joined = f"{head[-1]} {unit}" if head else unit
-        head = [*head[:-1], joined] if cell_len(joined) <= wide else [*head, unit]
-    shares = [cell.share if isinstance(cell, Number) else None for cell in cells]
-    return _Column(
-        head,
-        texts,
-        [STYLES.get(cell.mark, "") for cell in cells],
-        column.left,
-        shares if any(share is not None for share in shares) else [],
-        max([wide, *map(cell_len, head)]),
-    )
-
-
-def _parts(columns: list[_Column], width: int) -> list[list[_Column]]:
-    """Returns groups of columns that fit, each with the first; one, where that fills the line."""
-    first, *others = columns
-    if first.width > width // 2:
-        return [columns]
-    parts, part = [], [first]
+    first, *others = [_column(table, index, wraps=index != chosen[0]) for index in chosen]
+    width, parts = max(out.width, _LEAST_WIDTH), [[first]]
     for column in others:
-        if len(part) > 1 and _wide([*part, column]) > width:
-            parts.append(part)
-            part = [first]
-        part.append(column)
-    return [*parts, part]
+        if len(parts[-1]) > 1 and _least([*parts[-1], column]) > width >= 2 * first.width:
+            parts.append([first])
+        parts[-1].append(column)
+    return [line for part in parts for line in (Text(""), *_lines(out, part, width))][1:]
 
 
-def _lines(columns: Sequence[_Column]) -> list[Text]:
-    tall = max(len(column.head) for column in columns)
-    lines = []
-    for row in range(tall):
-        heads = [["", *column.head] for column in columns]
-        shown = [head[max(0, len(head) - tall + row)] for head in heads]
-        lines.append(_row(columns, shown, ["dim"] * len(columns)))
-    lines.append(Text("─" * _wide(columns), "dim"))
-    for index in range(len(columns[0].cells)):
-        wrapped = [_wrapped(column.cells[index], _letters(column)) for column in columns]
-        styles = [column.styles[index] for column in columns]
-        for number, cells in enumerate(zip_longest(*wrapped, fillvalue="")):
-            drawn = list(cells)
-            for place, column in enumerate(columns):
-                if column.shares:
-                    share = column.shares[index] if number == 0 else None
-                    drawn[place] = f"{drawn[place]:>{_letters(column)}} {_bar(share)}"
-            lines.append(_row(columns, drawn, styles))
+def _column(table: Table, index: int, *, wraps: bool) -> _Column:
+    column, cells = table.columns[index], [row[index] for row in table.rows]
+    texts = [_escape(one.text if isinstance(one, Number) else in_english(one)) for one in cells]
+    name = _escape(in_english(column.name))
+    unit = f"({_escape(column.unit)})" if column.unit not in ("", "1") else ""
+    heads = map(cell_len, (*name.split(), unit))
+    width = least = max(*heads, min(cell_len(name), _HEADER), *map(cell_len, texts), 0)
+    written = zip(texts, cells, strict=True)
+    if wraps and any(" " in one for one, cell in written if not isinstance(cell, Name | Number)):
+        words = (cell_len(word) for one in texts for word in one.split())
+        least = min(width, max(_SENTENCE, *words))
+    shown = [Text(one, STYLES.get(cell.mark, "")) for one, cell in zip(texts, cells, strict=True)]
+    return _Column(f"{name}\n{unit}".strip(), shown, column.left, width, least)
+
+
+def _least(columns: Sequence[_Column]) -> int:
+    return sum(column.least + GAP for column in columns) - GAP
+
+
+def _lines(out: Console, columns: Sequence[_Column], width: int) -> list[Text]:
+    grid = Grid(box=_BOX, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False,
+                header_style="dim", border_style="dim")  # fmt: skip
+    for column in columns:
+        fixed = column.width if column.least == column.width else None
+        side: Literal["left", "right"] = "left" if column.left else "right"
+        grid.add_column(Text(column.head), justify=side, width=fixed, min_width=column.least)
+    for row in zip(*(column.cells for column in columns), strict=True):
+        grid.add_row(*row)
+    options = out.options.update(width=max(width, _least(columns)))
+    rows = out.render_lines(grid, options, pad=False)
+    lines = [Text.assemble(*((one.text, one.style or "") for one in row)) for row in rows]
+    for line in lines:
+        line.rstrip()
     return lines
-
-
-def _letters(column: _Column) -> int:
-    return column.width - (BAR + 1 if column.shares else 0)
-
-
-def _row(columns: Sequence[_Column], cells: Sequence[str], styles: Sequence[str]) -> Text:
-    line = Text()
-    for index, (column, cell, style) in enumerate(zip(columns, cells, styles, strict=True)):
-        room = " " * max(column.width - cell_len(cell), 0)
-        line.append(" " * GAP if index else "")
-        line.append(cell + room if column.left else room + cell, style)
-    line.rstrip()
-    return line
-
-
-def _bar(share: float | None) -> str:
-    """Returns a bar of ``BAR`` characters, to an eighth of one."""
-    eighths = round(8 * BAR * min(max(share or 0.0, 0.0), 1.0))
-    full, part = divmod(eighths, 8)
-    return (_BLOCKS[8] * full + (_BLOCKS[part] if part else "")).ljust(BAR)
-
-
-def _wrapped(text: str, width: int) -> list[str]:
-    lines: list[str] = []
-    for word in text.split(" "):
-        if lines and cell_len(lines[-1]) + 1 + cell_len(word) <= width:
-            lines[-1] += f" {word}"
-        else:
-            lines.append(word)
-    return lines or [""]
-
-
-def _shown(cell: Cell) -> str:
-    return _escape(cell.text if isinstance(cell, Number) else in_english(cell))
-
-
-def _wide(columns: Sequence[_Column]) -> int:
-    return sum(column.width for column in columns) + GAP * (len(columns) - 1)

@@ -33,13 +33,6 @@ def shown(*blocks: Table | Lines, width: int = 80, everything: bool = True) -> l
     return printed(document, width=width, everything=everything).splitlines()
 
 
-def test_a_bar_is_drawn_where_there_is_room() -> None:
-    cells = ((Name("hip"), Number("50.0", 50.0, share=0.5)),)
-    bar = Table(Name("t"), (Column(Name("joint")), Column(Name("used"), "%")), cells)
-    assert shown(bar)[-1].endswith("50.0 █████")
-    assert "█" not in "".join(shown(bar, table(2), width=40)) or len(shown(bar)[-1]) <= 40
-
-
 def test_lines_are_wrapped_on_a_terminal_alone() -> None:
     wrapped = tell(problem("a word " * 40))
     document = Document(Name(""), Name("robot"), (), findings=(Name("x"), wrapped))
