@@ -100,10 +100,7 @@ def check_limits(
     for name, limits in error.limits.items():
         tally.limits += 1
         end = replace(task, **limits)
-        typed = [
-            as_printed(end, str(error.possible[name]), limits, unit) for unit in ("deg", "rad")
-        ]
-        for asked in (end, *typed):
+        for asked in (end, as_printed(end, str(error.possible[name]), limits)):
             try:
                 pa.solve_stand(robot, asked, explain=False)
             except pa.StanceUnreachableError:
@@ -129,16 +126,14 @@ def share_beyond(
     return float(BEYOND * size / np.abs(asked.values - limits.values).sum())
 
 
-def as_printed(task: pa.StandTask, text: str, limits: dict[str, object], unit: str) -> pa.StandTask:
-    """The task with single numbers of a limit read back from its words, angles in one unit."""
-    text = text.removesuffix(" (was that in metres, or radians?)")
+def as_printed(task: pa.StandTask, text: str, limits: dict[str, object]) -> pa.StandTask:
+    """The task with single numbers of a limit read back from its words."""
     for part, (name, value) in zip(text.split(" and "), limits.items(), strict=True):
         number = float(re.findall(r"[-+]?\d+\.?\d*", part)[0]) if isinstance(value, float) else None
         if number is None:
             continue
-        if part.endswith("rad)"):
-            angle = float(re.findall(r"\((.*) rad\)", part)[0])
-            task = replace(task, **{name: math.radians(number) if unit == "deg" else angle})
+        if part.endswith("deg"):
+            task = replace(task, **{name: math.radians(number)})
         else:
             task = replace(task, **{name: number * (1e-3 if part.endswith("mm") else 1.0)})
     return task

@@ -236,25 +236,20 @@ def give_further(
 
 
 def round_demands(
-    robot: Robot,
-    task: StandTask,
-    asked: StandTask,
-    demands: Sequence[str],
-    *,
-    back: bool = False,
+    robot: Robot, task: StandTask, asked: StandTask, demands: Sequence[str]
 ) -> StandTask:
     """Returns a task with some demands rounded as they are reported, away from what was asked.
 
     By up to 0.1 mm, 0.1 degrees or 1/200 of the distance from the nominal stand, whichever is
-    least; ``back`` rounds towards what was asked.
+    least.
     """
     now, before = Numbers(robot, task, demands), Numbers(robot, asked, demands)
     numbers = zip(now.angles, now.values, now.nominal, before.values, strict=True)
-    messages = [_rounded(*map(float, three), angle=bool(a), back=back) for a, *three in numbers]
-    return now.task(before.inside(np.array(messages)))
+    rounded = [_rounded(*map(float, three), angle=bool(a)) for a, *three in numbers]
+    return now.task(before.inside(np.array(rounded)))
 
 
-def _rounded(number: float, usual: float, asked: float, *, angle: bool, back: bool) -> float:
+def _rounded(number: float, usual: float, asked: float, *, angle: bool) -> float:
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
     if abs(number - asked) < _ROUNDING:
@@ -262,26 +257,12 @@ def _rounded(number: float, usual: float, asked: float, *, angle: bool, back: bo
     if number == usual:
         return number
     digits = max(1, math.ceil(-math.log10(_ROUNDING_SHARE * abs(value - nominal))))
-    step, up = 10.0 ** -min(_MOST_DIGITS, digits), (number > asked) != back
+    step, up = 10.0 ** -min(_MOST_DIGITS, digits), number > asked
     away = math.ceil if up else math.floor
     result = round(away(value / step + (-1e-6 if up else 1e-6)) * step, digits)
     if (result - nominal) * (value - nominal) <= 0:  # nothing would be left of it
         return number
     return math.radians(result) if angle else round(result * 1e-3, digits + 3)
-
-
-def round_in_radians(task: StandTask, demands: Sequence[str]) -> StandTask:
-    """Returns a task with the angles of some demands as they are reported in radians."""
-    values: dict[str, Any] = {}
-    for field in [one for name in demands for one in _FIELDS[name] if one.kind == "angle"]:
-        short = {foot: _short(value) for foot, value in _values(task, field)}
-        values[field.name] = short if field.per else short[""]
-    return task.having(values)
-
-
-def _short(angle: float) -> float:
-    """Returns an angle rounded towards zero, as limits are."""
-    return math.trunc(angle * 1e4) / 1e4
 
 
 def describe_limit(
@@ -303,7 +284,7 @@ def _describe_demand(robot: Robot, task: StandTask, demand: str, asked: StandTas
     if demand == "ground":
         slope = Quantity(task.ground.slope, "rad")
         steps = list(_of_feet(task, FIELDS["heights"]))
-        return diagnose("demanded-ground", field=name, value=slope, cut=_cut(slope), steps=steps)
+        return diagnose("demanded-ground", field=name, value=slope, steps=steps)
     (field,) = _FIELDS[demand]
     if field.kind == "contact":
         given = {of: one for of, one in task.contacts.items() if one != asked.contacts[of]}
@@ -315,24 +296,14 @@ def _describe_demand(robot: Robot, task: StandTask, demand: str, asked: StandTas
         return diagnose("demanded-of-feet", field=name, feet=feet)
     if field.per:
         return diagnose("demanded-of-feet", field=name, feet=list(_of_feet(task, field)))
-    value = field.quantity(getattr(task, demand))
-    if isinstance(value, Vector):
-        return diagnose("demanded-place", field=name, place=value)
-    if field.kind == "angle":
-        return diagnose("demanded-angle", field=name, value=value, cut=_cut(value))
-    if field.nominal != "zero":
-        return diagnose("demanded-height", field=name, value=value)
-    return diagnose("demanded-length", field=name, value=value)
+    return _describe_value(name, field.quantity(getattr(task, demand)))
 
 
 def _of_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
-    for foot, value in _values(task, field):
-        message = field.quantity(value)
-        if isinstance(message, Vector):
-            yield diagnose("demanded-place", field=foot, place=message)
-        else:
-            yield diagnose("demanded-of-foot", subject=("foot", foot), value=message)
+    return (_describe_value(foot, field.quantity(value)) for foot, value in _values(task, field))
 
 
-def _cut(angle: Quantity) -> Quantity:
-    return Quantity(_short(angle.value), angle.unit)
+def _describe_value(name: Term | str, value: Quantity | Vector) -> Diagnostic:
+    if isinstance(value, Vector):
+        return diagnose("demanded-place", field=name, place=value)
+    return diagnose("demanded-value", field=name, value=value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,6 @@ from pupper_analysis.stance.demands import (
     give_further,
     give_up,
     round_demands,
-    round_in_radians,
 )
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, make_goal
@@ -215,56 +213,13 @@ class _Search:
         if not demands:
             return None
         for share in _FURTHER:
-            task = self._rounded(way, demands, share)
-            if task is None or any(_is_nothing(robot, task, demand) for demand in demands):
+            there = give_further(robot, way.task, self.goal.task, demands, share)
+            task = round_demands(robot, there, self.goal.task, demands)
+            if any(_is_nothing(robot, task, demand) for demand in demands):
                 continue
-            if (stand := self._typed(task, demands)) is not None:
+            if (stand := self._stand(task)) is not None:
                 return _Way(demands, way.slack, stand)
         return None
-
-    def _rounded(self, way: Relaxation, demands: Sequence[str], share: float) -> StandTask | None:
-        """Returns the task of a way as it is reported, its demands giving more by a share.
-
-        One after the other, those that give most first: where one has been rounded, the others
-        give as little as that leaves them.
-        """
-        robot, task, left = self.context.robot, self.goal.task, [*demands]
-        now: Relaxation | None = way
-        while now is not None:
-            demand = max(left, key=now.given.__getitem__)
-            left.remove(demand)
-            there = give_further(robot, now.task, self.goal.task, [demand], share)
-            ends = [round_demands(robot, there, self.goal.task, [demand])]
-            if left:  # what it has given may be all that it can: the others then give more
-                ends.append(round_demands(robot, now.task, self.goal.task, [demand], back=True))
-            before, now = now, None
-            for end in ends:
-                trial = replace(task, **{demand: getattr(end, demand)})
-                if not left:
-                    return trial
-                way = Programme(self.context.shapes, self._goal(trial), left).solve(
-                    before.qpos, before.task
-                )
-                if way.met:
-                    task, now = trial, way
-                    break
-        return None
-
-    def _typed(self, task: StandTask, demands: Sequence[str]) -> Stand | None:
-        """Returns the stand of a task, if who types it finds it, in degrees and in radians.
-
-        Where several demands go together, the less of one, by its digits, may ask for more of
-        another: all are tried in either unit, and each in radians with the others in degrees.
-        """
-        angles = [demand for demand in demands if round_in_radians(task, [demand]) != task]
-        stand = None
-        counts = sorted({len(angles), min(len(angles), 1), 0}, reverse=True)
-        for count in counts:  # degrees alone last: that is what is kept
-            for some in combinations(angles, count):
-                stand = self._stand(round_in_radians(task, some))
-                if stand is None:
-                    return None
-        return stand
 
     def _stand(self, task: StandTask) -> Stand | None:
         """Returns the stand of a task, as who types it finds it."""
