@@ -213,12 +213,30 @@ class _Search:
         if not demands:
             return None
         for share in _FURTHER:
-            there = give_further(robot, way.task, self.goal.task, demands, share)
-            task = round_demands(robot, there, self.goal.task, demands)
-            if any(_is_nothing(robot, task, demand) for demand in demands):
+            task = self._rounded(way, demands, share)
+            if task is None or any(_is_nothing(robot, task, demand) for demand in demands):
                 continue
             if (stand := self._stand(task)) is not None:
                 return _Way(demands, way.slack, stand)
+        return None
+
+    def _rounded(self, way: Relaxation, demands: Sequence[str], share: float) -> StandTask | None:
+        """Returns the task of a way as it is reported, its demands giving more by a share.
+
+        One after the other, those that give most first: where one has been rounded, the others
+        give as little as that leaves them.
+        """
+        robot, asked, task, left = self.context.robot, self.goal.task, self.goal.task, [*demands]
+        while way.met:
+            demand = max(left, key=way.given.__getitem__)
+            left.remove(demand)
+            there = give_further(robot, way.task, asked, [demand], share)
+            end = round_demands(robot, there, asked, [demand])
+            task = replace(task, **{demand: getattr(end, demand)})
+            if not left:
+                return task
+            elastic = Programme(self.context.shapes, self._goal(task), left)
+            way = elastic.solve(way.qpos, way.task)
         return None
 
     def _stand(self, task: StandTask) -> Stand | None:
