@@ -34,9 +34,6 @@ aims within half of it: at the end of reach it is all that there is."""
 _PAIRS = 12
 """Pairs of links that are looked at, the nearest: of a quadruped's 300 no more touch at once."""
 
-_FEET = frozenset({"feet", "foot_offsets", "ground", "contacts"})
-_FOOTHOLDS, _PLACE, _MARGIN = _FEET | {"swing"}, _FEET | {"offset", "com"}, _FEET | {"com_margin"}
-
 
 class Constraint:
     """Something that a stand of a goal must fulfil.
@@ -50,16 +47,10 @@ class Constraint:
     name: ClassVar[str]
     equal: ClassVar[bool] = False
     given: ClassVar[bool] = False
-    _reads: ClassVar[frozenset[str]] = frozenset()
 
     # A stand is measured in 50 us: nothing is made here that only a search or a refusal asks for.
     def __init__(self, shapes: ClearanceShapes, goal: Goal) -> None:
         self._shapes, self._begun = shapes, goal
-
-    @property
-    def reads(self) -> frozenset[str]:
-        """Fields of the task that it depends on, besides the base's height and turn."""
-        return self._reads
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """Returns what shall be zero, or not negative (n,) (m, rad).
@@ -126,8 +117,6 @@ class Footholds(Constraint):
 
     name, equal = "footholds", True
 
-    _reads = _FOOTHOLDS
-
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``: of a sole, its points' follow from each other."""
         feet = at.feet
@@ -179,8 +168,6 @@ class PlaceConstraint(Constraint):
 
     name, equal = "com-place", True
 
-    _reads = _PLACE
-
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
         return (at.qpos[:2] if goal.by_base else np.array(at.com[:2])) - goal.place
@@ -205,8 +192,6 @@ class SupportMargin(Constraint):
     """The com is inside the support polygon by the task's margin."""
 
     name = "support-margin"
-
-    _reads = _MARGIN
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
@@ -233,8 +218,6 @@ class JointLimits(Constraint):
     """Joints keep off their limits by the task's margin."""
 
     name = "joint-limits"
-
-    _reads = frozenset({"joint_margin"})
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
@@ -263,15 +246,6 @@ class GroundClearance(Constraint):
 
     name = "ground-clearance"
 
-    _reads = frozenset({"ground", "contacts", "ground_clearance"})
-
-    @property
-    def reads(self) -> frozenset[str]:
-        """See ``Constraint``: steps are where feet are."""
-        ground = self._begun.task.ground
-        steps = any((*ground.heights.values(), *ground.planes))
-        return self._reads | (_FOOTHOLDS if steps else frozenset())
-
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
         heights = self._shapes.heights(at, goal.task.ground, goal.rigid_targets, goal.depths)
@@ -290,8 +264,6 @@ class SelfClearance(Constraint):
     """Links that are not neighbours are apart by the task's clearance."""
 
     name = "self-clearance"
-
-    _reads = frozenset({"self_clearance"})
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""

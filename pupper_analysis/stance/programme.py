@@ -341,7 +341,7 @@ class Programme:
         ends = np.cumsum([len(rate) for rate in rates])
         columns, numbers = [], self._numbers
         towards = np.copysign(_DIFFERENCE_STEP * numbers.units, numbers.values - values)
-        for number, (demand, unit) in enumerate(zip(numbers.demands, numbers.units, strict=True)):
+        for number, unit in enumerate(numbers.units):
             near = values.copy()  # towards what is asked: beyond it there may be nothing
             near[number] += towards[number]
             if near[number] > numbers.high[number] > numbers.low[number]:
@@ -350,9 +350,8 @@ class Programme:
             goal = self._goal_at(near, there.goal)
             column = moved[:, :6] @ (_twist(there.goal, goal) / step)
             for one, before, end in zip(self._constraints, there.residuals, ends, strict=True):
-                if demand in one.reads:
-                    change = one.residual(goal, at) - before
-                    column[end - len(before) : end] += change / step
+                change = one.residual(goal, at) - before
+                column[end - len(before) : end] += change / step
             columns.append(unit * column)
         by_numbers = np.array(columns).reshape(-1, len(moved)).T
         by_motion = moved[:, self._moving]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal, overload
 
 import numpy as np
@@ -36,7 +36,6 @@ def solve_stand(
     robot: Robot,
     task: StandTask | None = None,
     *,
-    depths: Mapping[str, float] | None = None,
     explain: bool = True,
 ) -> Stand:
     """Finds the configuration that satisfies a stand task, within the joint limits.
@@ -49,8 +48,6 @@ def solve_stand(
     Args:
         robot: A robot with a floating base.
         task: How to stand; the nominal stand by default.
-        depths: {foot that carries: how deep it sinks into the ground (m)}; 0 where not given. The
-            base stays where the task has it. ``solve_stand_on_soft_ground`` finds MuJoCo's.
         explain: Where the stance is out of reach, find out how near the feet can come, which
             demands are in the way, as few as possible, and how far they would have to give (a
             second, or some where the com may be anywhere inside).
@@ -62,13 +59,13 @@ def solve_stand(
     Raises:
         ConfigurationError: If the robot's base is fixed, or it has no feet; or if the margins leave
             nothing.
-        UnknownNameError: If the task, or depths, name a foot that the robot does not have.
+        UnknownNameError: If the task names a foot that the robot does not have.
         StanceUnreachableError: If it is out of reach; names the feet and how far they miss, and the
             demands of which one would have to give.
     """
     robot = touching(robot, task.contacts) if task is not None else robot
     with lend(robot, Context) as context:
-        return solve_goal(context, make_goal(robot, task, depths or {}), explain=explain)
+        return solve_goal(context, make_goal(robot, task, {}), explain=explain)
 
 
 def solve_goal(context: Context, goal: Goal, *, explain: bool) -> Stand:

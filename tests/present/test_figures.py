@@ -21,8 +21,6 @@ from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.pose import (
     draw_skeleton,
     ground_corners,
-    hull_corners,
-    nearest_edge_point,
     pose_figure,
     step_corners,
 )
@@ -30,8 +28,6 @@ from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.tools.analyze.document import deviation_plot
 from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 from tests.support.variants import load, stand_of
-
-NAMES = ("original", "v3")
 
 PANELS: tuple[Callable[[Any, Path], None], ...] = (torque_figure, height_figure, gain_figure)
 
@@ -105,15 +101,6 @@ def test_the_base_is_its_boxes(name: str, count: int) -> None:
     np.testing.assert_allclose(sorted(edges), sorted(sizes), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_margin_is_drawn_to_the_nearest_edge(name: str) -> None:
-    statics = analysis_of(name).statics
-    com = statics.center_of_mass[:2]
-    polygon = hull_corners(statics.contact_points.values())
-    nearest = nearest_edge_point(polygon, com)
-    assert np.linalg.norm(nearest - com) == pytest.approx(statics.com_margin, abs=1e-12)
-
-
 # ------------------------------------------------------------------------------------- figures
 
 
@@ -135,13 +122,9 @@ def test_pose_figure_draws_slopes_steps_and_lifted_feet(monkeypatch: pytest.Monk
     figure = drawn(monkeypatch, pose_figure, robot, stand, pa.stance.stand_statics(robot, stand))
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert "swing foot" in labels
-    figure.canvas.draw()
-    boxes = [
-        text.get_window_extent() for text in figure.axes[-1].texts if text.get_text().endswith(" N")
-    ]
-    assert len(boxes) == 3
-    for number, one in enumerate(boxes):
-        assert not any(one.overlaps(other) for other in boxes[number + 1 :])
+    for axes in figure.axes:
+        arrows = [text for text in axes.texts if text.arrow_patch is not None]  # type: ignore[attr-defined]
+        assert len(arrows) == 3
 
 
 @pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)

@@ -104,13 +104,6 @@ def hull_corners(points: Iterable[Array]) -> Array:
     return np.array(line.coords)
 
 
-def nearest_edge_point(polygon: Array, place: Array) -> Array:
-    """Returns the point (2,) on a polygon's edge (n, 2) that is nearest to a place (2,) (m)."""
-    edge = shapely.LineString(polygon) if len(polygon) > 1 else shapely.Point(polygon[0])
-    nearest = shapely.shortest_line(shapely.Point(place), edge)
-    return np.array(nearest.coords[-1])
-
-
 _AROUND = 0.25
 """How far the plane is drawn beyond the feet, in parts of their distance."""
 
@@ -152,11 +145,10 @@ def _seen_from(elevation: float, azimuth: float) -> Array:
     )
 
 
-_IN_SPACE = _seen_from(16, -33)  # from the front and the right
-_FROM_ABOVE = _seen_from(90, 180)  # forward is up, and left is left
+_SIDES = ((_seen_from(16, -33), "from the front"), (_seen_from(90, 180), "from above"))
+"""How it is seen: in space from the right; and with forward up, and left on the left."""
 
 _ARROW = 0.35  # length of the largest force's arrow / length of the support polygon
-_MOST_LABELS = 8  # letters of a foot's name: what there is room for beside the polygon
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT = "#CFE8F7"
@@ -169,7 +161,7 @@ _PROJECTION: dict[str, Any] = {"color": drawing.GREEN, "marker": "x", "ls": "", 
 def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: str | Path) -> None:
     """Draws how a robot stands: legs, base, contact forces, com and support polygon.
 
-    On the left in space; on the right from above, with the com's margin to the polygon's edge.
+    On the left in space, on the right from above.
 
     Args:
         robot: The robot.
@@ -184,21 +176,12 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     figure = drawing.page_figure(f"{robot.name}: how it stands", 0.6 * drawing.WIDTH)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=drawing.FONT, va="top")
-    space = figure.add_axes((0.01, 0.09, 0.55, 0.77))
-    above = figure.add_axes((0.64, 0.17, 0.35, 0.66))
-    for axes, projection in ((space, _IN_SPACE), (above, _FROM_ABOVE)):
-        _draw_stand(axes, 1e3 * projection, lines, stand, seen)
-    _draw_forces(space, 1e3 * _IN_SPACE, seen)
-    space.set_axis_off()
-    margin = statics.com_margin
-    drawing.title_panel(above, "from above" + _draw_margin(above, seen, margin))
-    above.set_xlabel("y, left (mm)", size=drawing.FONT)
-    above.set_ylabel("x, forward (mm)", size=drawing.FONT)
-    above.xaxis.set_major_formatter(
-        lambda value, _: f"{0.0 - value:g}".replace("-", "\N{MINUS SIGN}")
-    )
-    above.locator_params(nbins=5)
-    _name_feet(above, seen)
+    for place, (projection, side) in zip((0.01, 0.6), _SIDES, strict=True):
+        axes = figure.add_axes((place, 0.09, 0.57 if place < 0.5 else 0.39, 0.74))
+        _draw_stand(axes, projection, lines, stand, seen)
+        _draw_forces(axes, projection, seen)
+        drawing.title_panel(axes, side)
+        axes.set_axis_off()
     leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": drawing.BLACK, "ms": 4}
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
@@ -217,7 +200,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
 def _draw_stand(
     axes: Axes, projection: Array, lines: Skeleton, stand: Stand, seen: StandingScene
 ) -> None:
-    """Draws a robot that stands, its com and ground, in a projection (2, 3) to mm."""
+    """Draws a robot that stands, its com and ground, in a projection (2, 3)."""
 
     def line(points: Array, *marks: str, **how: Any) -> None:
         axes.plot(*(projection @ np.atleast_2d(points).T), *marks, **how)
@@ -230,12 +213,8 @@ def _draw_stand(
     boxes = [(box, _STEP, _EDGE, 0.5) for box in step_corners(seen)]
     boxes += [(box, _BASE_FACE, _BASE_EDGE, 3) for box in lines.boxes]
     for box, face, edge, order in boxes:
-        if len(box) > 8:  # a bar's rims
-            outline = shapely.MultiPoint(box @ projection.T).convex_hull.exterior.coords
-            axes.add_patch(Polygon(outline, fc=face, ec=edge, alpha=0.4, lw=0.8, zorder=order))
-            continue
-        for corners in BOX_FACES:
-            area(box[list(corners)], fc=face, ec=edge, alpha=0.4, lw=0.8, zorder=order)
+        outline = hull_corners(box @ projection.T)
+        axes.add_patch(Polygon(outline, fc=face, ec=edge, alpha=0.4, lw=0.8, zorder=order))
     area(seen.polygon, fc=_SUPPORT, ec=drawing.BLUE, hatch="//", alpha=0.7, lw=1.2, zorder=1)
     hips = np.array([leg[0] for leg in lines.legs.values()])
     small = 1.0 if len(seen.contacts) >= len(seen.points) else 0.45  # of feet with several points
@@ -260,7 +239,7 @@ def _draw_stand(
 
 
 def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
-    """Draws the contact forces as arrows that end at the feet, in a projection (2, 3) to mm."""
+    """Draws the contact forces as arrows that end at the feet, in a projection (2, 3)."""
     largest = max(float(np.linalg.norm(one.force)) for one in seen.contacts)
     scale = _ARROW * float(np.ptp(seen.polygon[:, :2], axis=0).max()) / largest
     arrow = {"arrowstyle": "-|>", "color": drawing.RED, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
@@ -269,37 +248,3 @@ def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:
         tip, end = (tuple(projection @ place) for place in (one.point, tail))
         axes.annotate("", tip, end, zorder=7, arrowprops=arrow)
         axes.plot(*end, alpha=0.0)  # so that there is room for it
-
-
-def _name_feet(axes: Axes, seen: StandingScene) -> None:
-    """Names the feet beside their contacts from above (mm), with what each carries."""
-    middle = seen.points[:, 1].mean()
-    for one in seen.contacts:
-        side = -1 if one.point[1] > middle else 1
-        short = len(one.foot) <= _MOST_LABELS
-        name = one.foot if short else f"{one.foot[: _MOST_LABELS - 1]}…"
-        axes.annotate(
-            f"{name}\n{np.linalg.norm(one.force):.2f} N",
-            tuple(1e3 * _FROM_ABOVE @ one.point),
-            (9 * side, 0),
-            textcoords="offset points",
-            size=drawing.FONT,
-            color=drawing.RED,
-            ha="right" if side < 0 else "left",
-            va="center",
-            parse_math=False,
-        )
-    wide = np.array(axes.get_xlim())
-    axes.set_xlim(wide + 0.35 * np.ptp(wide) * np.array([-1, 1]))
-
-
-def _draw_margin(axes: Axes, seen: StandingScene, margin: float | None) -> str:
-    """Draws the com's margin (m) to the support polygon's edge, from above; returns its words."""
-    if margin is None or not math.isfinite(margin):
-        return ""
-    ring = np.concatenate([seen.polygon, seen.polygon[:1]])[:, :2]
-    edge = np.array([*nearest_edge_point(ring, seen.com[:2]), 0.0])
-    (x, y), (there, up) = 1e3 * _FROM_ABOVE @ seen.com, 1e3 * _FROM_ABOVE @ edge
-    axes.plot((x, there), (y, up), color=drawing.GREEN, lw=1.6, zorder=8)
-    axes.plot(there, up, "o", color=drawing.GREEN, ms=4, zorder=8)
-    return f": com margin {1e3 * margin:.1f} mm"
