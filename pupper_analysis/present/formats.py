@@ -12,7 +12,7 @@ import os
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -176,35 +176,21 @@ Source: GitHub documentation, "Limitations" of annotations of workflow commands.
 
 
 def group_remarks(annotations: Iterable[Annotation], most: int = SHOWN) -> list[Annotation]:
-    """Puts annotations together until no level has more than GitHub shows.
-
-    Those of one rule, in one file, become one, at the place of the first; if there are still too
-    many, the last one names the rest.
-    """
+    """Returns no more annotations of a level than GitHub shows: the last one names the rest."""
     result: list[Annotation] = []
     found = list(annotations)
     for level in dict.fromkeys(annotation.level for annotation in found):
         here = [annotation for annotation in found if annotation.level == level]
         if len(here) > most:
-            groups: dict[tuple[str, str], list[Annotation]] = {}
-            for one in here:
-                groups.setdefault((one.kind, one.file_and_line[0]), []).append(one)
-            here = [_combine(group, "and-more-of-this-kind") for group in groups.values()]
-        if len(here) > most:
-            here = [*here[: most - 1], _combine(here[most - 1 :], "and-more-of-other-kinds")]
+            last, *others = here[most - 1 :]
+            named = ", ".join(
+                one.title + (f" ({one.place})" if one.place else "") for one in others
+            )
+            values = {"message": last.message, "count": len(others), "names": named}
+            message = fill_template(phrase("and-more-remarks", "en"), values, "en")
+            here = [*here[: most - 1], replace(last, message=message)]
         result += here
     return result
-
-
-def _combine(group: Sequence[Annotation], how: str) -> Annotation:
-    first, *others = group
-    if not others:
-        return first
-    named = ", ".join(
-        other.title if other.place is None else f"{other.title} ({other.place})" for other in others
-    )
-    values = {"message": first.message, "count": len(others), "names": named}
-    return replace(first, message=fill_template(phrase(how, "en"), values, "en"))
 
 
 def write_github(annotations: Iterable[Annotation]) -> str:

@@ -85,7 +85,7 @@ def load_blocks(
     return [
         replace(torques, notes=notes, source=source),
         torque_plot(statics, verification.joint_torques.tolist(), limits),
-        _contacts(statics, min_max_torque, verification),
+        _contacts(statics, verification),
     ]
 
 
@@ -162,60 +162,33 @@ def torque_plot(
     )
 
 
-def contact_table(
-    statics: GravityCompensation, more: Mapping[doc.Column, Mapping[str, doc.Cell]] = NOTHING
-) -> doc.Table:
-    """Returns the contact forces on the feet.
-
-    Args:
-        statics: What it takes.
-        more: Further columns, {column: {foot: its cell}}.
-    """
+def contact_table(statics: GravityCompensation) -> doc.Table:
+    """Returns the contact forces on the feet."""
+    loads: dict[str, tuple[Iterable[float], float | None]] = {
+        **{
+            foot: (load.force, load.friction_utilisation)
+            for foot, load in statics.foot_loads.items()
+        },
+        **{name: (wrench[:3], None) for name, wrench in statics.weld_wrenches.items()},
+    }
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.Name(foot),
-            *(doc.number_cell(value, "+.3f") for value in load.force),
-            doc.number_cell(load.friction_utilisation, ".1f", scale=100),
-            *(cells[foot] for cells in more.values()),
-        )
-        for foot, load in statics.foot_loads.items()
-    ]
-    rows += [
-        (
             doc.Name(name),
-            *(doc.number_cell(value, "+.3f") for value in wrench[:3]),
-            doc.number_cell(None, ".1f"),
-            *(cells.get(name, doc.number_cell(None, ".1f")) for cells in more.values()),
+            *(doc.number_cell(value, "+.3f") for value in force),
+            doc.number_cell(share, ".1f", scale=100),
         )
-        for name, wrench in statics.weld_wrenches.items()
+        for name, (force, share) in loads.items()
     ]
     columns = (
         doc.Column(text("foot"), left=True),
         *(doc.Column(text("force-axis", axis=axis), "N") for axis in "xyz"),
         doc.Column(text("friction-used"), "%"),
-        *more,
     )
     return doc.Table(text("contact-forces-on-the-feet"), columns, tuple(rows))
 
 
-def _contacts(
-    statics: GravityCompensation,
-    min_max_torque: GravityCompensation,
-    verification: StandVerification,
-) -> doc.Table:
+def _contacts(statics: GravityCompensation, verification: StandVerification) -> doc.Table:
     flat = len(statics.foot_loads) < len(statics.contact_forces)
-    more: dict[doc.Column, Mapping[str, doc.Cell]] = {
-        doc.Column(text("simulated-axis", axis=axis), "N"): {
-            foot: doc.number_cell(force[index], "+.3f")
-            for foot, force in verification.foot_forces.items()
-        }
-        for index, axis in enumerate("xyz")
-    }
-    least = doc.Column(text("min-max-torque-x-y-z"), "N", left=True, detail=True)
-    more[least] = {
-        foot: doc.vector_cell(load.force, "+.3f")
-        for foot, load in min_max_torque.foot_loads.items()
-    }
     notes = [
         text(
             "centre-of-pressure-of-foot",
@@ -243,7 +216,7 @@ def _contacts(
         )
     )
     source = page_of("explanation/statics.md", "Which of them last")
-    table = contact_table(statics, more)
+    table = contact_table(statics)
     return replace(table, notes=tuple(notes), source=(source, proof_text(verification)))
 
 
