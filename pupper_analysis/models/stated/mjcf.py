@@ -1,8 +1,4 @@
-"""Reads the model of an MJCF, and its other elements' numbers, from what MuJoCo makes of it.
-
-A file that MuJoCo refuses to compile is repaired in a copy, so that the rest can be audited; what
-was wrong is still seen in the spec, which holds the values as they are written.
-"""
+"""Reads the model of an MJCF, and its other elements' numbers, from what MuJoCo makes of it."""
 
 from __future__ import annotations
 
@@ -15,7 +11,6 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.base.arrays import inertia_tensor, rotation_from_quaternion
-from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.attributes import COMPILED, ELEMENT_ATTRIBUTES, IN_A_TREE
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
@@ -46,19 +41,12 @@ KINDS: dict[int, str] = {
 
 
 def read_mjcf_model(file: MjcfFile) -> MjcfModel:
-    """Returns the model of an MJCF; empty if MuJoCo refuses even a repaired copy."""
-    notes, refusal = list(file.notes), file.refusal
-    if refusal is None:
-        spec = file.spec.copy()
-        spec.compiler.fusestatic = False  # links are kept apart, as in the file
-        model = spec.compile()  # numbers the elements of this spec
-    else:
-        spec, model = repair_spec(file.spec)
-    if model is None:
-        notes.append(diagnose("not-compiled-after-repair"))
-        return MjcfModel("mjcf", "body", "", {}, tuple(notes), file, None, refusal, ())
-    if refusal:
-        notes.append(diagnose("repaired-copy-audited"))
+    """Returns the model of an MJCF; empty if MuJoCo refuses it."""
+    if file.refusal is not None:
+        return MjcfModel("mjcf", "body", "", {}, file.notes, file, None, file.refusal, ())
+    spec = file.spec.copy()
+    spec.compiler.fusestatic = False  # links are kept apart, as in the file
+    model = spec.compile()  # numbers the elements of this spec
     names = body_names(model)
     base = _base(model)
     data = mujoco.MjData(model)
@@ -73,7 +61,6 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
     written = {
         copied.id: original for original, copied in zip(file.spec.joints, spec.joints, strict=True)
     }
-    ranges = switched_off_ranges(file.spec, spec)
     frames: dict[int, list[Frame]] = {}
     bare = set(file.bare)
     for site in range(model.nsite):
@@ -88,7 +75,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
             parent=names[parent] if parent else None,
             pose=pose,
             joints=tuple(
-                _joint(file, model, data, joint, names, to_base, written.get(joint), ranges)
+                _joint(file, model, data, joint, names, to_base, written.get(joint))
                 for joint in _range(model.body_jntadr[body], model.body_jntnum[body])
             ),
             inertial=_inertial(model, body, stated.get(body)),
@@ -101,9 +88,9 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
             ),
             frames=tuple(frames.get(body, ())),
         )
-    said = refusal or file.as_it_is
+    said = file.as_it_is
     return MjcfModel(
-        "mjcf", "body", names[base], bodies, tuple(notes), file, model, said, tuple(names)
+        "mjcf", "body", names[base], bodies, file.notes, file, model, said, tuple(names)
     )
 
 
@@ -167,14 +154,11 @@ def _joint(
     names: list[str],
     to_base: Pose,
     written: mujoco.MjsJoint | None,
-    ranges: dict[int, tuple[float, float]],
 ) -> Joint:
     body = int(model.jnt_bodyid[joint])
     kind = KINDS[int(model.jnt_type[joint])]
     limited = bool(model.jnt_limited[joint]) and kind in (HINGE, SLIDE)
     lower, upper = model.jnt_range[joint] if limited else (-math.inf, math.inf)
-    if joint in ranges:
-        lower, upper = ranges[joint]
     limits = {"lower": float(lower), "upper": float(upper), "effort": effort_limit(model, joint)}
     return Joint(
         name=joint_name(model, joint),
@@ -225,63 +209,6 @@ def _inertial(model: mujoco.MjModel, body: int, stated: mujoco.MjsBody | None) -
     if model.body_mass[body] == 0:
         return None
     return Inertial.of(inertia_of_body(model, body), stated=False)
-
-
-MUJOCO_ERRORS = (ValueError, RuntimeError, TypeError, OSError, MemoryError)
-"""What MuJoCo's bindings raise when they refuse a model."""
-
-
-def repair_spec(original: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel | None]:
-    """Returns a copy whose usual faults are mended, and what MuJoCo compiles it to, if it does."""
-    spec = original.copy()
-    spec.compiler.balanceinertia = True
-    spec.compiler.boundmass = 1e-9
-    spec.compiler.boundinertia = 1e-12
-    spec.compiler.fusestatic = False
-    for body in spec.bodies:
-        body.mass = max(body.mass, 0.0)
-        body.inertia = np.maximum(body.inertia, 0.0)
-        if not math.isnan(body.fullinertia[0]):
-            tensor = inertia_tensor(np.array(body.fullinertia))
-            moments = Inertial(1.0, np.zeros(3), tensor, stated=True).moments
-            if not (moments[0] > 0 and moments[0] + moments[1] >= moments[2]):
-                body.fullinertia = np.full(6, np.nan)
-                body.inertia = np.full(3, np.clip(np.nan_to_num(np.abs(moments).max()), 1e-9, 1e9))
-    for joint in spec.joints:
-        if joint.range[0] >= joint.range[1]:
-            joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
-        if not np.linalg.norm(joint.axis) > 1e-9:
-            joint.axis = (0.0, 0.0, 1.0)
-    for actuator in spec.actuators:
-        for what in ("ctrl", "force"):
-            low, high = getattr(actuator, f"{what}range")
-            if low >= high:
-                setattr(actuator, f"{what}limited", mujoco.mjtLimited.mjLIMITED_FALSE)
-    for without_keyframes in (False, True):
-        try:
-            if without_keyframes:
-                for key in list(spec.keys):
-                    spec.delete(key)
-            return spec, spec.compile()
-        except MUJOCO_ERRORS:
-            continue
-    return spec, None
-
-
-def switched_off_ranges(
-    original: mujoco.MjSpec, compiled: mujoco.MjSpec
-) -> dict[int, tuple[float, float]]:
-    """Returns the ranges of those joints whose limits the repair has switched off (rad, m)."""
-    ranges = {}
-    for joint, copied in zip(original.joints, compiled.joints, strict=True):
-        if joint.limited == copied.limited:
-            continue
-        angular = joint.type in (JointKind.HINGE, JointKind.BALL)
-        unit = math.pi / 180 if angular and original.compiler.degree else 1.0
-        stated = any(joint.range) or joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE
-        if stated:
-            ranges[copied.id] = (float(joint.range[0]) * unit, float(joint.range[1]) * unit)
-    return ranges
 
 
 # Numbers of an MJCF besides bodies and joints: of geoms, contact pairs, options, keyframes.

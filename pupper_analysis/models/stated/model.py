@@ -262,7 +262,7 @@ class MjcfModel(RobotModel):
 
     Attributes:
         file: The file.
-        mj_model: What MuJoCo makes of it, perhaps after repair; None if it refuses even that.
+        mj_model: What MuJoCo makes of it; None if it refuses it.
         refusal: MuJoCo's message if it refuses the file as it stands, and the place it names.
         body_names: The name here of each of MuJoCo's bodies, by id.
     """
