@@ -172,25 +172,15 @@ def effort_limit(model: mujoco.MjModel, joint: int) -> float:
     return max(abs(limit.lower), abs(limit.upper))
 
 
-def gear_left_out(model: mujoco.MjModel, joint: int, effort: float) -> float | None:
+def _gear_left_out(
+    model: mujoco.MjModel, drives: Sequence[int], stated: Sequence[EffortStatement], effort: float
+) -> float | None:
     """Returns the gear by which a URDF's effort falls short of its joint's; None if it does not.
 
     A URDF's effort is the joint's; some have the motor's, before its gear. So it is where one of
     the MJCF's limits is that of the URDF times the gear exactly: Cassie's hip has an effort of
     4.5 N m, a ``ctrlrange`` of 4.5 and a gear of 25.
-
-    Args:
-        model: MuJoCo's model of the MJCF.
-        joint: The id of a hinge or slide in it.
-        effort: The URDF's (N m).
     """
-    drives = drives_of(model, joint)
-    return _gear_left_out(model, drives, _stated(model, joint, drives), effort)
-
-
-def _gear_left_out(
-    model: mujoco.MjModel, drives: Sequence[int], stated: Sequence[EffortStatement], effort: float
-) -> float | None:
     if len(drives) != 1 or not effort > 0:
         return None
     gear = abs(float(actuator_gear(model, drives[0])[0]))

@@ -78,9 +78,6 @@ def leave_out_missing(
                     file=meshes[geom.meshname],
                 ),
             )
-    names = {geom.name for geom in geoms if geom.name}
-    _refuse_wrapped(tree.root, names)
-    users = _users(spec, names)
     files = {"mesh": meshes, "height field": hfields, "texture": textures, "skin": skins}
     touching = dict.fromkeys(
         meshes[geom.meshname]
@@ -101,8 +98,6 @@ def leave_out_missing(
         if named
     ]
     notes += _pointers(spec, folders, {*meshes.values(), *hfields.values(), *skins.values()})
-    if users:
-        notes.append(diagnose("users-left-out", users=users))
     for element in geoms:
         spec.delete(element)
     for name in textures:
@@ -149,35 +144,6 @@ def gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
     low, high = geom.compiler.inertiagrouprange
     weight = geom.density if math.isnan(geom.mass) else geom.mass
     return bool(low <= geom.group <= high and weight != 0)
-
-
-def _refuse_wrapped(root: Node, names: set[str]) -> None:
-    for section in root.children:
-        for tendon in section.children if section.tag == "tendon" else ():
-            for part in tendon.children:
-                if part.attributes.get("geom") in names:
-                    geom = ("geom", part.attributes["geom"])
-                    raise refuse_file(
-                        part.place, diagnose("tendon-wraps-missing-mesh", subject=geom)
-                    )
-
-
-def _users(spec: mujoco.MjSpec, names: set[str]) -> list[Diagnostic]:
-    """Deletes the sensors and contact pairs that refer to geoms; returns what they are."""
-    kind = mujoco.mjtObj.mjOBJ_GEOM
-    users = [
-        *(
-            ("sensor", sensor)
-            for sensor in spec.sensors
-            if (sensor.objtype == kind and sensor.objname in names)
-            or (sensor.reftype == kind and sensor.refname in names)
-        ),
-        *(("contact pair", p) for p in spec.pairs if {p.geomname1, p.geomname2} & names),
-    ]
-    messages = [diagnose("named-element", subject=(what, user.name)) for what, user in users]
-    for _, user in users:
-        spec.delete(user)
-    return messages
 
 
 _FLAT: Final = re.compile(r"mesh volume is too small: (.*?) \. Try setting inertia to shell")

@@ -71,39 +71,15 @@ _SECTIONS = {
     "actuatorfrcrange": "joint",
     "loose-joints": "joint",
     "spring": "joint",
-    "damping": "joint",
     "range": "joint",
 }
 
 
-_OPTIONS = {
-    "override": ("flag", {"override"}),
-    "actuatorgroupdisable": ("option", {"actuatorgroupdisable"}),
-    "timestep": ("option", {"timestep"}),
-    "iterations": ("option", {"solver", "iterations", "tolerance"}),
-    "gravity": ("option", {"gravity"}),
-    "fluid": ("option", {"density", "viscosity", "wind"}),
-}
-"""The elements of options, and their attributes."""
-
-
 def with_line(cause: Cause, mjcf: MjcfFile) -> Cause:
-    """Returns a cause with the line where its first element stands, where that is known."""
-    name = cause.elements[0] if cause.elements else ""
-    line = None
-    if cause.code in _SECTIONS:
-        line = mjcf.place(_SECTIONS[cause.code], name).line
-    elif cause.code == "exclude" or " and " in name:
-        tag = "exclude" if cause.code == "exclude" else "pair"
-        ends = set(name.split(" and "))
-        line = next(
-            (place.line for words, place in mjcf.elements(tag) if ends <= set(words.values())), None
-        )
-    elif cause.code in _OPTIONS:
-        tag, stated = _OPTIONS[cause.code]
-        places = (place.line for words, place in mjcf.elements(tag) if stated & words.keys())
-        line = next(places, None)
-    return replace(cause, line=line)
+    """Returns a cause with the line where its first element stands, where that has a name."""
+    if cause.code not in _SECTIONS or not cause.elements:
+        return cause
+    return replace(cause, line=mjcf.place(_SECTIONS[cause.code], cause.elements[0]).line)
 
 
 def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
@@ -229,16 +205,13 @@ def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
 
 
 def _signs(bare: Bare, robot: Robot) -> Iterator[Candidate]:
-    """Signs that are seldom meant: of an actuator's gear, of a joint's damping."""
-    model, joints = bare.model, _joints_of(bare, robot)
+    """Gears that turn a motor round, which is seldom meant."""
+    model = bare.model
     turned = [m for m in _motors_of(bare, robot).tolist() if actuator_gear(model, m)[0] < 0]
     outputs = model.actuator_outadr[turned]
     straight = -model.actuator_gear[outputs, 0]
     named = _motor_names(model, turned)
     yield from _if_any("gear", named, "actuator_gear", (outputs, 0), straight)
-    driving = joints[model.dof_damping[model.jnt_dofadr[joints]] < 0]
-    named = _names(model, _OBJ.mjOBJ_JOINT, driving)
-    yield from _if_any("damping", named, "dof_damping", model.jnt_dofadr[driving])
 
 
 def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:

@@ -305,8 +305,6 @@ def cause_text(cause: Cause) -> Diagnostic:
     """
     if cause.code == "pair":
         return diagnose("files-differ", difference=cause.difference)
-    if cause.code == "damping":
-        return diagnose("joints-damped-negatively", joints=cause.elements)
     return diagnose(_CAUSES[cause.code], names=cause.elements, line=cause.line)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.efforts import EffortStatement, effort_of, gear_left_out
+from pupper_analysis.models.efforts import EffortStatement, effort_of
 from pupper_analysis.models.transmission import Drive, drive_of
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot.build import rebuild_robot
@@ -139,7 +139,6 @@ def test_an_effort_before_the_gear_is_multiplied_by_it(
     found = effort_of(model, 0, 4.5)
     assert (found.upper, found.gear) == (limit, gear)
     assert found.origin == EffortStatement.of("URDF", "joint", "turn", "effort", (-4.5, 4.5), gear)
-    assert gear_left_out(model, 0, 4.5) == (None if gear == 1.0 else gear)
     assert len(effort_notes([found])) == (1 if gear != 1.0 or "4.4" in motor else 0)
 
 

@@ -170,20 +170,6 @@ class Meshes:
                 inertia="shell" if path in self._shells else None,
             )
 
-    @property
-    def elsewhere(self) -> Diagnostic | None:
-        """Says where meshes are that do not move with the MJCF's folder; empty if all do."""
-        outside = {
-            Path(self._relative(path)).parent
-            for path, _ in self._names
-            if self._place(path) == path
-        }
-        outside = {folder for folder in outside if ".." in folder.parts or folder.is_absolute()}
-        if not outside:
-            return None
-        folders = sorted(folder.as_posix() for folder in outside)
-        return diagnose("meshes-elsewhere", folders=folders)
-
     def _relative(self, path: Path) -> str:
         """Returns a file's path from the folder of the MJCF."""
         return os.path.relpath(path, self.output.parent.resolve())

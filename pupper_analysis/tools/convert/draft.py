@@ -215,8 +215,7 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
     else:
         notes.append(diagnose("base-fixed-in-the-world"))
         notes += _put_held(bare, options)
-    elsewhere = meshes.elsewhere
-    notes += [*_unstated(mjcf), *([elsewhere] if elsewhere else [])]
+    notes += _unstated(mjcf)
     meshes.write(mjcf.section("asset"))
     mjcf.remove_empty_sections()
     put_defaults(mjcf.root)

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_tensor
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
-from pupper_analysis.models.efforts import gear_left_out
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody
+from pupper_analysis.models.efforts import effort_of
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.compare.differences import (
     OF_INERTIALS,
@@ -190,8 +190,8 @@ def before_gears(case: PatternCase) -> Found:
     for kind, name in case.open:
         if kind == "effort":
             effort = case.first.joints[name].effort
-            gear = gear_left_out(model, model.joint(name).id, effort)
-            if gear is not None:
+            gear = effort_of(model, model.joint(name).id, effort).gear
+            if gear != 1.0:
                 found[effort, gear].append(name)
     if not found:
         return
