@@ -26,6 +26,7 @@ MOST_FILE: Final = 500_000_000
 """Bytes of any other file that is: a mesh, a texture."""
 
 _PART: Final = 1 << 20
+_LONGEST_KEY: Final = 500
 
 
 def check_input(path: Path, most: int, *, own: bool = False) -> None:
@@ -131,6 +132,15 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         found = re.search(r"at line (\d+)", str(error))
         problem = diagnose("not-toml", problem=" ".join(str(error).split()))
         raise InputError(path, problem, int(found[1]) if found else None) from error
+    tables: list[Any] = [values]
+    for table in tables:  # which grows: who refuses a key names it
+        if isinstance(table, dict):
+            for key in table:
+                if len(key) > _LONGEST_KEY:
+                    message = diagnose("toml-key-too-long", begins=key[:40], most=_LONGEST_KEY)
+                    raise InputError(path, message)
+        if isinstance(table, dict | list):
+            tables += table.values() if isinstance(table, dict) else table
     return text, values
 
 

@@ -666,14 +666,13 @@ def mjcf_of_text(path: Path, text: str, assets: Mapping[str, bytes]) -> MjcfFile
     try:
         with silence_mujoco():
             spec, same = (mujoco.MjSpec.from_string(text, assets=dict(assets)) for _ in range(2))
-    except MUJOCO_ERRORS as error:
+    except _MUJOCO_ERRORS as error:
         message = one_line(error)
         raise refuse_file(Place(path), diagnose("mjcf-not-valid", message=message)) from error
     return MjcfFile(path, spec, _model=compile_spec(same, path))
 
 
-MUJOCO_ERRORS: Final = (ValueError, RuntimeError, TypeError, OSError, MemoryError)
-"""What MuJoCo's bindings raise when they refuse a model."""
+_MUJOCO_ERRORS: Final = (ValueError, RuntimeError, TypeError, OSError, MemoryError)
 
 
 def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
@@ -697,7 +696,7 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
             put_shells(spec, shells)
             notes.append(taken_as_shells(shells))
             as_it_is = _not_compiled(tree, index, ValueError(said))
-    except MUJOCO_ERRORS as error:
+    except _MUJOCO_ERRORS as error:
         refused = _not_compiled(tree, index, error)
     problem = None if model is None else no_number(model)
     if problem is not None:
@@ -723,7 +722,7 @@ def _spec(
     try:
         with silence_mujoco():
             spec = spec_of(tree.path)
-    except MUJOCO_ERRORS as error:
+    except _MUJOCO_ERRORS as error:
         message, place = _mujoco_message(tree, index, error)
         raise refuse_file(place, diagnose("mjcf-not-valid", message=message)) from error
     return spec, [*leave_out_missing(spec, tree, index), *put_ground(spec)]

@@ -33,7 +33,7 @@ from pupper_analysis.models.mjcf import (
     silence_mujoco,
     start_data,
 )
-from pupper_analysis.models.mjcf_file import MUJOCO_ERRORS, MjcfFile
+from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import DIRECTIONS, Shape, read_shape
 from pupper_analysis.models.spec_tree import SpecTree
