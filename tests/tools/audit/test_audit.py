@@ -471,53 +471,6 @@ def test_the_tutorials_long_leg_is_found(tmp_path: Path) -> None:
             assert values[name].value == pytest.approx(expected), name  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize(
-    "extra",
-    [
-        (),
-        (Edit("<general", "<general ", '<general damping="0.5" armature="0.001" gear="1.5" '),),
-        (Edit("<option", "/>", '><flag eulerdamp="disable"/></option>'),),
-    ],
-    ids=["plain", "motor", "explicit"],
-)
-def test_servo_stability_is_that_of_the_simulation(extra: tuple[Edit, ...], tmp_path: Path) -> None:
-    """Just below the limit a disturbance dies out, just above it grows."""
-    edits = (
-        *extra,
-        Edit("<option", 'timestep="0.004" integrator="implicitfast"', 'timestep="STEP"'),
-        Edit("<option", 'gravity="0 0 -9.81"', 'gravity="0 0 0"'),
-        Edit("<default>", 'forcelimited="true" forcerange="-18 18"', ""),
-        Edit("<default>", 'limited="true"', 'limited="false"'),
-        Edit("<default>", 'frictionloss="0.002"', ""),
-        Edit('<body name="base_link"', "0.158", "1"),
-    )
-    text = written(tmp_path, "mjcf", edits).read_text()
-
-    def audited(step: float) -> tuple[Path, float | None]:
-        path = tmp_path / "stiff.xml"
-        path.write_text(text.replace("STEP", str(step)))
-        findings = found(audit_model(path), "servo-unstable")
-        if not findings:
-            return path, None
-        return path, float(findings[0].diagnostic.values["times"])  # type: ignore[arg-type]
-
-    low, high = 0.001, 0.02
-    assert audited(low)[1] is None
-    assert audited(high)[1] is not None
-    for _ in range(8):
-        middle = (low + high) / 2
-        low, high = (middle, high) if audited(middle)[1] is None else (low, middle)
-    for step, grows in ((0.95 * low, False), (1.05 * high, True)):
-        model = mujoco.MjModel.from_xml_path(str(audited(step)[0]))
-        data = mujoco.MjData(model)
-        data.qvel[6:] = 1e-6 * np.random.default_rng(0).normal(size=12)
-        greatest = 0.0
-        for _ in range(400):
-            mujoco.mj_step(model, data)
-            greatest = max(greatest, float(np.abs(data.qvel[6:]).max()))
-        assert (greatest > 1e-3) == grows, step
-
-
 def test_of_a_file_that_mujoco_refuses_its_refusal_is_told_alone(tmp_path: Path) -> None:
     edits = (
         Edit('<default class="HFE">', "-1.8 1.2", "1.2 -1.8"),
