@@ -30,7 +30,7 @@ TERMS = {
 }
 """{term: its size; None where that is the number of joints, or of phases twice}.
 
-Velocities and the direction of gravity are those of the base (or of the IMU) in its own frame,
+Velocities and the direction of gravity are those of the base in its own frame,
 joint positions are less the default ones, the up-command is where the vertical is to be in the
 base's frame, the phase cosines and then sines of the feet's phases.
 """
@@ -89,7 +89,6 @@ class Contract:
         phase_rate: Of the gait's phase (Hz), where one is observed.
         phase_offsets: Of the feet (rad).
         signs: (n,) -1 where a joint of the policy turns the other way than the robot's.
-        imu: Site of the MJCF at which velocities and gravity are observed; empty: the base.
         sources: Where each of these is from: {field: what stated it}.
     """
 
@@ -110,7 +109,6 @@ class Contract:
     phase_rate: float
     phase_offsets: Array
     signs: Array
-    imu: str
     sources: Mapping[str, str]
 
     @property
@@ -190,7 +188,6 @@ def of_rtneural(values: Mapping[str, Any], inputs: int, outputs: int) -> dict[st
 _KEYS = (
     "observation", "joints", "default", "action-scale", "lower", "upper", "kp", "kd", "rate",
     "latency", "clip", "history", "newest-first", "layout", "phase-rate", "phase-offsets", "signs",
-    "imu",
 )  # fmt: skip
 
 
@@ -308,7 +305,6 @@ def contract_of(
         phase_rate=given.number("phase-rate", 0.0, 0.0, 20.0),
         phase_offsets=offsets,
         signs=signs,
-        imu=str(values.get("imu", "")),
         sources=homes,
     )
     for term in terms:

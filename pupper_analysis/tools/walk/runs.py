@@ -27,7 +27,7 @@ from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains, servos_used
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT, Upright
-from pupper_analysis.simulation.rollout import FORCED, STATE, full_state
+from pupper_analysis.simulation.rollout import FORCED, full_state
 from pupper_analysis.tools.walk.contract import BY_FRAME, Contract
 from pupper_analysis.tools.walk.policy import Policy
 
@@ -104,7 +104,6 @@ class Stage:
         default: (nq,) the pose in which a run starts.
         substeps: Time steps per action.
         upright: What a fall is measured against.
-        imu: The site at which is observed; None: the base.
     """
 
     robot: Robot
@@ -116,7 +115,6 @@ class Stage:
     default: Array
     substeps: int
     upright: Upright
-    imu: int | None
 
     @property
     def timestep(self) -> float:
@@ -135,7 +133,7 @@ def stage_of(robot: Robot, policy: Policy) -> Stage:
         ConfigurationError: If the base is fixed, or it has no feet.
         ModelError: If a joint has no motor, if the policy states no gains and the robot has no
             servos, or their joints do not fit.
-        UnknownNameError: If the policy names a joint or a site that the robot has not.
+        UnknownNameError: If the policy names a joint that the robot has not.
     """
     robot.check_floating()
     contract = policy.contract
@@ -180,19 +178,7 @@ def stage_of(robot: Robot, policy: Policy) -> Stage:
         default=default,
         substeps=substeps,
         upright=Upright.of(robot, default),
-        imu=_imu(model, policy),
     )
-
-
-def _imu(model: mujoco.MjModel, policy: Policy) -> int | None:
-    """Returns the site at which a policy observes; None if it is the base."""
-    name = policy.contract.imu
-    if not name:
-        return None
-    sites = [model.site(index).name for index in range(model.nsite)]
-    if name not in sites:
-        raise UnknownNameError(policy.name, "site", name, sites)
-    return sites.index(name)
 
 
 def joint_indices(robot: Robot, policy: Policy) -> Integers:
@@ -268,7 +254,7 @@ class Lockstep:
         self.current = np.array([_start(stage, case) for case in cases])
         self.tick = 0
         self._data, self._runner = mujoco.MjData(stage.model), mujoco.rollout.Rollout(nthread=0)
-        self._observer = Observer(stage, self.commands, self._models)
+        self._observer = Observer(stage, self.commands)
         self._memory = stage.policy.network.start(len(cases))
         delays = np.array([[round(case.delay / stage.timestep)] for case in cases])
         # Which command before the newest one is due at each step of an action.
@@ -404,16 +390,6 @@ def rotations(quaternions: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def verticals(quaternions: Array) -> Array:
-    """Returns the vertical (..., 3) in frames of unit quaternions (..., 4), w first."""
-    w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    up: Array = np.empty((*w.shape, 3))
-    up[..., 0] = 2 * (x * z - w * y)
-    up[..., 1] = 2 * (y * z + w * x)
-    up[..., 2] = 1 - 2 * (x * x + y * y)
-    return up
-
-
 def lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     """Returns how far bases lean (rad), and how much lower they are than they stood (m).
 
@@ -422,7 +398,7 @@ def lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
         states: (..., size).
     """
     upright, index = stage.upright, stage.robot.mj_convention.qpos_index
-    up = verticals(states[..., 1 + index[3:7]])
+    up = rotations(states[..., 1 + index[3:7]])[..., 2, :]
     with np.errstate(invalid="ignore"):
         lean = np.arccos(np.clip(up @ upright.rotation[2], -1.0, 1.0))
     height = states[..., 1 + index[2]] + up @ upright.lever
@@ -435,15 +411,13 @@ class Observer:
     Args:
         stage: The policy on its robot.
         commands: (runs, 3) what they are commanded.
-        models: Of each.
 
     Attributes:
         last: (runs, n) their last actions.
     """
 
-    def __init__(self, stage: Stage, commands: Array, models: Sequence[mujoco.MjModel]) -> None:
-        self._stage, self._commands, self._models = stage, commands, models
-        self._data = None if stage.imu is None else mujoco.MjData(stage.model)
+    def __init__(self, stage: Stage, commands: Array) -> None:
+        self._stage, self._commands = stage, commands
         self._contract: Contract = stage.policy.contract
         self.last = np.zeros((len(commands), self._contract.actions))
         shape = (len(commands), self._contract.history, self._contract.frame)
@@ -481,16 +455,16 @@ class Observer:
         convention, joints = stage.robot.mj_convention, stage.joints
         qpos = states[:, 1 + convention.qpos_index]
         qvel = states[:, 1 + stage.model.nq + convention.qvel_index]
-        linear, angular, gravity = self._sensed(states, going, qpos, qvel)
+        turned = rotations(qpos[:, 3:7])
         phase = contract.phase_offsets + (
             2 * math.pi * contract.phase_rate * tick * stage.substeps * stage.timestep
         )
         runs = len(going)
         up = np.array([0.0, 0.0, 1.0])
         values = {
-            "linear-velocity": linear,
-            "angular-velocity": angular,
-            "gravity": gravity,
+            "linear-velocity": np.einsum("rji,rj->ri", turned, qvel[:, :3]),
+            "angular-velocity": qvel[:, 3:6],
+            "gravity": -turned[:, 2],
             "command": self._commands[going],
             "up-command": np.tile(up, (runs, 1)),
             "joint-positions": contract.signs * qpos[:, 7 + joints] - contract.default,
@@ -499,24 +473,3 @@ class Observer:
             "phase": np.tile(np.concatenate([np.cos(phase), np.sin(phase)]), (runs, 1)),
         }
         return np.concatenate([values[term.name] * term.scale for term in contract.terms], axis=1)
-
-    def _sensed(
-        self, states: Array, going: Integers, qpos: Array, qvel: Array
-    ) -> tuple[Array, Array, Array]:
-        """Returns linear and angular velocities, and where gravity points, in the IMU's frame."""
-        if self._data is None:
-            linear = np.zeros((len(qpos), 3))
-            if any(term.name == "linear-velocity" for term in self._contract.terms):
-                linear = np.einsum("rji,rj->ri", rotations(qpos[:, 3:7]), qvel[:, :3])
-            return linear, qvel[:, 3:6], -verticals(qpos[:, 3:7])
-        data, site = self._data, self._stage.imu
-        found, velocity = np.empty((len(going), 9)), np.empty(6)
-        for row, (run, state) in enumerate(zip(going.tolist(), states, strict=True)):
-            model = self._models[run]
-            mujoco.mj_setState(model, data, state, STATE)
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_comVel(model, data)
-            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 1)
-            found[row] = (*velocity[3:], *velocity[:3], *-data.site_xmat[site, 6:])
-        return found[:, :3], found[:, 3:6], found[:, 6:]
