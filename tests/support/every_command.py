@@ -239,7 +239,7 @@ def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
         stance = live.simulate_stance(asked)
     except PupperAnalysisError as error:
         return Cell(False, True, False, False, type(error).__name__)
-    page = render_panel(simulation_document(stance, feedforward=True), Language())
+    page = render_panel(simulation_document(stance), Language())
     return replace(_cell(not stance.verdict.passed, page, ""), word=stance.verdict.code.name)
 
 

@@ -23,7 +23,6 @@ from pupper_analysis.robot.joints import free_joints, named_positions
 from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.robot.tool import split_place
 from pupper_analysis.stance.fields import FIELDS, Field, Slider
 from pupper_analysis.stance.posture import joint_ranges, joint_units
 from pupper_analysis.tools.live.render import Language
@@ -105,12 +104,7 @@ class Controls:
         gui, say = self._gui, self._say
         for folder in ("Payload", "Servos"):
             with gui.add_folder(term(folder, say.code)):
-                if folder == "Payload":
-                    links = {escape_control(link): link for link in self._robot.structure.links}
-                    self.on = gui.add_dropdown(say("payload-on"), list(links))
-                    self._links = links
                 self._add(folder)
-        self.on.on_update(self._when(self._with_link))
 
     def _add(self, folder: str, *but: str) -> None:
         """Adds the sliders under a heading."""
@@ -171,11 +165,6 @@ class Controls:
             new = value
         state = state.having(**{field.name: {**whole, self._chosen: new} if field.per else new})
         return state.having(place="offset") if field.name == "offset" else state
-
-    def _with_link(self, state: State) -> State:
-        """Returns a state whose payload is on the chosen link."""
-        link, (*_, x, y, z) = self._links[self.on.value], state.payload_at
-        return state.having(payload_at=(x, y, z) if link == self._robot.base else (link, x, y, z))
 
     def _with_lift(self, state: State) -> State:
         others = {foot: height for foot, height in state.swing.items() if foot != self._chosen}
@@ -240,7 +229,6 @@ class Controls:
             self._show_place()
             self._show_foot()
             self.posture.show(self._posture_of(state))
-            self._show_link()
         if notify:
             self._changed()
 
@@ -266,12 +254,6 @@ class Controls:
             return named_positions(self._robot, state.posture)
         except PupperAnalysisError:  # the answer says so
             return {}
-
-    def _show_link(self) -> None:
-        frame, _ = split_place(self._state.payload_at)
-        link = escape_control(frame or self._robot.base)
-        if link in self._links:  # else it is on a site or a body
-            self.on.value = link
 
     def _show_foot(self) -> None:
         foot, state = self._chosen, self._state

@@ -104,19 +104,11 @@ def refusal_document(
     )
 
 
-def simulation_document(stance: Stance, *, feedforward: bool) -> doc.Document:
-    """Returns what MuJoCo made of a stance, beside the prediction.
-
-    Args:
-        stance: What was simulated.
-        feedforward: Which of its simulations is shown.
-    """
-    run = stance.verification if feedforward else stance.sagging
-    expected: float | None = float(stance.stand.qpos[2])
-    if not feedforward:
-        expected = None if stance.settled is None else stance.settled.base_height
-    title = "simulation-with-feed-forward" if feedforward else "simulation-without-feed-forward"
-    headed = text(title, time=f"{run.duration:.0f}")
+def simulation_document(stance: Stance) -> doc.Document:
+    """Returns what MuJoCo made of a stance without feed-forward, beside the prediction."""
+    run = stance.sagging
+    expected = None if stance.settled is None else stance.settled.base_height
+    headed = text("simulation-without-feed-forward", time=f"{run.duration:.0f}")
     table = replace(simulated_table(run), title=NOWHERE)
     predicted = (text("base-at-predicted"), doc.number_cell(expected, ".5f"), doc.Name("m"))
     blocks = (replace(table, rows=(predicted, *table.rows)), _AS_SIMULATED)

@@ -173,14 +173,13 @@ def simulate_stance(answer: Answer) -> Stance:
     return study_stance(answer.robot, answer.task, kp=answer.state.kp, kd=answer.state.kd)
 
 
-def push_stand(answer: Answer, impulse: float, direction: float, *, feedforward: bool) -> PushTrial:
-    """Pushes the stand.
+def push_stand(answer: Answer, impulse: float, direction: float) -> PushTrial:
+    """Pushes the stand, on position commands alone.
 
     Args:
         answer: How it stands.
         impulse: N s.
         direction: From the base's forward (rad).
-        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
 
     Raises:
         PupperAnalysisError: If it cannot be.
@@ -195,5 +194,5 @@ def push_stand(answer: Answer, impulse: float, direction: float, *, feedforward:
         duration=PUSHED,
         kp=answer.state.kp,
         kd=answer.state.kd,
-        feedforward=feedforward,
+        feedforward=False,
     )

@@ -72,9 +72,6 @@ class Panels:
 
     def _simulation(self, gui: Any, mass: float) -> None:
         acts, say = self._acts, self.say
-        self._feedforward = gui.add_checkbox(
-            say("feed-forward"), False, hint=say("hint-feed-forward")
-        )
         simulate = gui.add_button(say("simulate"), hint=say("hint-simulate"))
         most = max(1.0, round(2.0 * mass, 1))  # N s: 2 m/s tip over what is about as high as v3
         with gui.add_folder(say("push")):
@@ -96,11 +93,6 @@ class Panels:
         """Sends a file to the browser, of the stance that is asked for."""
         content = write_stance_file(self.controls.state).encode()
         self._client.send_file_download("stance.toml", content, save_immediately=True)
-
-    @property
-    def feedforward(self) -> bool:
-        """Whether servos are given the torque in advance."""
-        return bool(self._feedforward.value)
 
     @property
     def push_asked(self) -> tuple[float, float]:
@@ -327,15 +319,13 @@ class Session:
             self._if_shown(answer, show_sag)
 
     def _simulate(self, answer: Answer) -> None:
-        feedforward = self._panels.feedforward
         stance = answers.simulate_stance(answer)
-        shown = stance.verification if feedforward else stance.sagging
-        message = simulation_document(stance, feedforward=feedforward)
-        self._show_motion(answer, message, shown.motion_time, shown.motion, stance.verdict)
+        run, message = stance.sagging, simulation_document(stance)
+        self._show_motion(answer, message, run.motion_time, run.motion, stance.verdict)
 
     def _push(self, answer: Answer) -> None:
         impulse, direction = self._panels.push_asked
-        trial = answers.push_stand(answer, impulse, direction, feedforward=self._panels.feedforward)
+        trial = answers.push_stand(answer, impulse, direction)
         message = push_document(trial)
         self._show_motion(answer, message, trial.motion_time, trial.motion)
 

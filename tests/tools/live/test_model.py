@@ -138,8 +138,10 @@ def test_simulations_are_the_python_interfaces() -> None:
     assert report.passed
     assert report.base_height == pytest.approx(again.base_height, abs=1e-9)
     assert report.kp == pytest.approx(40.0)
-    trial = push_stand(found, 0.5, 1.0, feedforward=True)
-    same = pa.simulation.simulate_push(robot, held, 0.5, 1.0, duration=4.0, kp=40.0, kd=0.6)
+    trial = push_stand(found, 0.5, 1.0)
+    same = pa.simulation.simulate_push(
+        robot, held, 0.5, 1.0, duration=4.0, kp=40.0, kd=0.6, feedforward=False
+    )
     assert trial.motion == pytest.approx(same.motion, abs=1e-6)
 
 

@@ -167,7 +167,6 @@ def test_a_stance_that_changes_during_a_simulation_ends_it(page: Open) -> None:
 
 
 def test_a_simulation_is_told(page: Open) -> None:
-    page.session._panels._feedforward.value = True
     page.session.simulate()
     wait_for(lambda: "HOLDS" in page.result, "it is not verified")
     page.session.push()  # while it is played
