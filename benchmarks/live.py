@@ -22,7 +22,7 @@ from pupper_analysis.tools.live.model import Model, predict_sag
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.server import LOOPBACK
 from pupper_analysis.tools.live.session import Panels, Session
-from pupper_analysis.tools.live.state import State, source_of_variant
+from pupper_analysis.tools.live.state import State
 
 
 class Still(Session):
@@ -34,7 +34,7 @@ class Still(Session):
 
 def measure(variant: str, moves: int) -> dict[str, list[float]]:
     """Returns the times (s) of the parts of each move."""
-    model = Model(source_of_variant(pa.VARIANTS[variant]))
+    model = Model(pa.load_variant(variant))
     port = render.free_port(LOOPBACK, None)
     server = render.start_server(LOOPBACK, port, "benchmark")
     taken: dict[str, list[float]] = {name: [] for name in ("solve and forces", "scene", "words")}
@@ -51,7 +51,7 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
                 scene.show(answer)
                 shown = time.thread_time()
                 panels.status(stance_document(answer, None, None))
-                panels.answered(answer)
+                panels.answered()
             done = time.thread_time()
             wall.append(time.perf_counter() - begun)
             for name, took in zip(

@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, sync_playwright
 
 import pupper_analysis as pa
 from pupper_analysis.tools.live.server import Page
-from pupper_analysis.tools.live.state import State, source_of_variant
+from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.stand.stance import study_stance
 
 IMAGES = Path(__file__).resolve().parent / "images"
@@ -29,7 +29,7 @@ PATIENCE = 120_000.0
 
 def live(browser: Browser, path: Path) -> None:
     """The live page: v3 on three legs, uphill, and the simulated robot beside it."""
-    served = Page(source_of_variant(pa.VARIANTS["v3"]), STATE)
+    served = Page(pa.load_variant("v3"), STATE)
     page = browser.new_page(viewport={"width": 1240, "height": 840})
     page.set_default_timeout(PATIENCE)
     page.goto(served.address)

@@ -20,7 +20,6 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base.errors import NotStandingError, PupperAnalysisError
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.prepare.judge import judge_stand
 from tests.support import arm, arm_features, features, legged, slips
 from tests.support.commands import answer
@@ -228,12 +227,10 @@ def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
     from pupper_analysis.tools.live import model as live
     from pupper_analysis.tools.live.documents import simulation_document
     from pupper_analysis.tools.live.render import Language, render_panel
-    from pupper_analysis.tools.live.state import State, source_of_files
+    from pupper_analysis.tools.live.state import State
 
     try:
-        asked = live.Model(source_of_files(RobotFiles.of(str(urdf), mjcf=str(mjcf)))).answer(
-            State()
-        )
+        asked = live.Model(pa.load_robot(urdf=urdf, mjcf=mjcf)).answer(State())
         if asked.refusal is not None:
             raise asked.refusal
         stance = live.simulate_stance(asked)

@@ -65,20 +65,6 @@ class RobotFiles:
 
         return load_robot(*self.models, **self.options, **more)
 
-    def arguments(self) -> list[str]:
-        """Returns the words and options that the command line takes."""
-        words = [*self.models]
-        for foot, frame in self.options.get("feet", {}).items():
-            words += ["--foot", f"{foot}={frame if isinstance(frame, str) else ':'.join(frame)}"]
-        for one, other in self.options.get("joints", {}).items():
-            words += ["--map", f"{one}={other}"]
-        for package, folder in self.options.get("packages", {}).items():
-            words += ["--package", f"{package}={folder}"]
-        for name in (*_NAMED, "keyframe", "take", "body"):
-            if name in self.options:
-                words += [f"--{name}", self.options[name]]
-        return words
-
     def plain(self) -> dict[str, Any]:
         """Returns it as plain data, as a study's file has it."""
         return {**({"models": list(self.models)} if self.models else {}), **self.options}
@@ -111,10 +97,6 @@ class FileSource:
             name = next(iter(scales))
             raise ConfigurationError(name, diagnose("robot-not-scaled", robot=self.loaded.name))
         return self.loaded
-
-    def arguments(self, scales: Mapping[str, float]) -> list[str]:  # noqa: ARG002 - it has none
-        """Returns the words and options that the command line takes."""
-        return self.files.arguments()
 
     def asked(self) -> dict[str, Any]:
         """Returns how a study's file says it, as plain data."""

@@ -174,20 +174,12 @@ def _open_page(
     """Serves the page until Ctrl-C."""
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.server import Page
-    from pupper_analysis.tools.live.state import source_of_files, source_of_variant
 
     import_viser()  # before anything is loaded
     begin = None if stance is None else read_stance(stance)
-    if isinstance(meant, RobotFiles):
-        with shared.show_progress("preparing the robot: feet, start pose, servos"):
-            source = source_of_files(RobotFiles.of(*meant.models, **meant.options))
-        print_notes(source.robot)
-    else:
-        from pupper_analysis.pupper.variants import variant_spec
-
-        source = source_of_variant(variant_spec(meant))
+    robot = walked_robot(meant, "text", everything=False)
     with shared.show_progress("making the page"):
-        page = Page(source, begin, **where)
+        page = Page(robot, begin, **where)
     _serve(page, where["host"], browser=browser)
 
 

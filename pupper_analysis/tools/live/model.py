@@ -27,7 +27,7 @@ from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.tools.live.state import LiveSource, State
+from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.push.bench import PushTrial, simulate_push
 from pupper_analysis.tools.stand.stance import Stance, study_stance
 
@@ -81,11 +81,11 @@ class Model:
     """Answers for one robot's states; several threads may ask.
 
     Args:
-        source: Which robot.
+        robot: The robot.
     """
 
-    def __init__(self, source: LiveSource) -> None:
-        self.source = source
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
         self._loaded: tuple[object, Robot] | None = None
 
     def robot(self, state: State) -> Robot:
@@ -95,11 +95,11 @@ class Model:
             PupperAnalysisError: If there is none.
         """
         if not state.payload:
-            return self.source.robot
+            return self._robot
         key = state.payload, state.payload_point()
         last = self._loaded
         if last is None or last[0] != key:
-            self._loaded = last = key, with_payload(self.source.robot, *key)
+            self._loaded = last = key, with_payload(self._robot, *key)
         return last[1]
 
     def answer(self, state: State) -> Answer:

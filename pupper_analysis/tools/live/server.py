@@ -10,13 +10,14 @@ from collections.abc import Callable
 from typing import Any, TypedDict, Unpack
 
 from pupper_analysis.robot.joints import placed_joints
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.access import Access
 from pupper_analysis.tools.live.model import Model
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.session import Session
-from pupper_analysis.tools.live.state import LiveSource, State
+from pupper_analysis.tools.live.state import State, check_robot
 
 LOOPBACK = "127.0.0.1"
 
@@ -110,26 +111,24 @@ class Page(Served):
     """A page of stances.
 
     Args:
-        source: Which robot it is about.
+        robot: The robot.
         state: What it begins with.
         **where: See ``Served``.
 
     Raises:
-        PupperAnalysisError: If there is no such robot.
         ConfigurationError: If it cannot be served there, the robot has no such state, or the
             language is neither.
         MissingPackageError: If viser is not installed.
     """
 
-    def __init__(
-        self, source: LiveSource, state: State | None = None, **where: Unpack[Where]
-    ) -> None:
+    def __init__(self, robot: Robot, state: State | None = None, **where: Unpack[Where]) -> None:
         render.import_viser()  # before the work
-        model, begin = Model(source), state or State()
+        check_robot(robot)
+        model, begin = Model(robot), state or State()
         check_state(model, begin)
         super().__init__(
-            source.robot.name,
-            source.robot.stand_height,
+            robot.name,
+            robot.stand_height,
             lambda client, say: Session(client, model, begin, say),
             **where,
         )

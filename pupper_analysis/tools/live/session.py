@@ -19,7 +19,6 @@ import numpy as np
 
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.present.document import Document, text
-from pupper_analysis.present.formats import escape_control
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.tools.live import model as answers
 from pupper_analysis.tools.live import render
@@ -35,7 +34,7 @@ from pupper_analysis.tools.live.documents import (
 from pupper_analysis.tools.live.model import Answer, Model, PredictedSag
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.scene import Scene
-from pupper_analysis.tools.live.state import State, write_command, write_stance_file
+from pupper_analysis.tools.live.state import State, write_stance_file
 
 
 class Panels:
@@ -49,7 +48,7 @@ class Panels:
     """
 
     def __init__(self, client: Any, model: Model, acts: Session, say: Language) -> None:
-        self._client, self._model, self._acts, self.say = client, model, acts, say
+        self._client, self._acts, self.say = client, acts, say
         gui = client.gui
         robot = model.robot(State())
         self._numbers = render.Numbers(gui, say, "solving", 330)
@@ -58,6 +57,7 @@ class Panels:
         with tabs.add_tab(say("stance")):
             self.controls.stance()
             self._nearest = gui.add_button(say("go-to-the-nearest-stance"), visible=False)
+            save = gui.add_button(say("save-the-stance"))
             reset = gui.add_button(say("reset-all"), color="gray")
         with tabs.add_tab(say("joints-title")):
             self.controls.joints()
@@ -65,9 +65,8 @@ class Panels:
             self.controls.body()
         with tabs.add_tab("MuJoCo"):
             self._simulation(gui, robot.total_mass)
-        with tabs.add_tab(say("share-title")):
-            self._share(gui)
         self._nearest.on_click(lambda _: acts.go_to_nearest())
+        save.on_click(lambda _: self._save())
         reset.on_click(lambda _: acts.reset())
 
     def _simulation(self, gui: Any, mass: float) -> None:
@@ -83,11 +82,6 @@ class Panels:
         self._result = gui.add_html(render.render_hint(text("not-simulated-yet"), say))
         simulate.on_click(lambda _: acts.simulate())
         push.on_click(lambda _: acts.push())
-
-    def _share(self, gui: Any) -> None:
-        say = self.say
-        self._command = gui.add_text(say("as-a-command"), "", multiline=True)
-        gui.add_button(say("save-the-stance")).on_click(lambda _: self._save())
 
     def _save(self) -> None:
         """Sends a file to the browser, of the stance that is asked for."""
@@ -115,11 +109,10 @@ class Panels:
         """Shows why there is no result of a simulation."""
         self._result.content = render.render_hint(text(key), self.say)
 
-    def answered(self, answer: Answer) -> None:
-        """Shows all that follows from a state at once."""
+    def answered(self) -> None:
+        """Shows that a state has changed."""
         self.nearest(False)
         self.hint("not-simulated-yet")
-        self._command.value = escape_control(write_command(self._model.source, answer.state))
 
     def nearest(self, there: bool) -> None:
         """Shows the way to the nearest stance, if there is one."""
@@ -246,7 +239,7 @@ class Session:
             self._begin(answer, answers.expect_verdict(answer, closely=False))
             self._scene.show(answer)
             self._tell()
-            self._panels.answered(answer)
+            self._panels.answered()
 
     def _tell(self) -> None:
         answer = self._answer

@@ -1,10 +1,9 @@
-"""What a page asks for, in the units of its sliders: as a command, and as a file."""
+"""What a page asks for, in the units of its sliders, and as a file."""
 
 from __future__ import annotations
 
 import json
 import math
-import shlex
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -14,54 +13,22 @@ from pupper_analysis.base.arguments import check_finite
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
-from pupper_analysis.prepare.convert.files import RobotFiles
-from pupper_analysis.pupper.variant_files import load_variant
-from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
 from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS, UNITS, Field
 from pupper_analysis.stance.task import StandTask
 
-# Which robot a page is about, and how a script or a command line names it.
 
-
-@dataclass(frozen=True, eq=False)
-class LiveSource:
-    """The robot of a page, and how a command line names it.
-
-    Attributes:
-        robot: The robot.
-        arguments: The words and options that the command line takes.
-    """
-
-    robot: Robot
-    arguments: tuple[str, ...]
-
-
-def source_of_files(files: RobotFiles) -> LiveSource:
-    """Loads the robot of a page.
+def check_robot(robot: Robot) -> None:
+    """Checks that a page can be of a robot.
 
     Raises:
         ConfigurationError: If its base is fixed, or it has no feet.
-        ModelError: As ``load_robot``.
     """
-    robot = files.load()
     if not robot.floating:
         raise ConfigurationError("robot", diagnose("page-of-fixed-base", robot=robot.name))
     if not robot.contact_points:
         raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
-    return LiveSource(robot, tuple(files.arguments()))
-
-
-def source_of_variant(spec: VariantSpec) -> LiveSource:
-    """Loads a variant: by its name, if it has one, or by its scales."""
-    spec = {one: one for one in VARIANTS.values()}.get(spec, spec)
-    words = [spec.name]
-    if spec.name not in VARIANTS:
-        scales = {"--leg-scale": spec.leg_scale, "--torso-mass-scale": spec.torso_mass_scale}
-        words = ["--base", spec.base]
-        words += [word for one, value in scales.items() for word in (one, repr(value))]
-    return LiveSource(load_variant(spec), tuple(words))
 
 
 PLACES = ("centre", "inside", "offset")
@@ -271,16 +238,7 @@ def state_of_task(task: StandTask, **more: Any) -> State:
     return State(place, **asked, **more)
 
 
-# A stance for elsewhere: as a command, as a file of options.
-
-
-def write_command(source: LiveSource, state: State) -> str:
-    """Returns the command that solves and simulates the same stand."""
-    typed = (
-        f"--{option}={of}={value}" if of else f"--{option}={value}"
-        for option, of, value in _typed_options(state)
-    )
-    return shlex.join(["pupper-analysis", "stand", *source.arguments, *typed])
+# A stance for elsewhere: as a file of options.
 
 
 def write_stance_file(state: State) -> str:

@@ -21,7 +21,6 @@ from pupper_analysis.tools.live.access import (
 )
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.server import Page
-from pupper_analysis.tools.live.state import source_of_variant
 from tests.support.stubs import problem
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
@@ -100,7 +99,7 @@ def test_a_page_tells_no_folders_of_the_server(text: str, shown: str) -> None:
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    one = Page(source_of_variant(pa.VARIANTS["v3"]))
+    one = Page(pa.load_variant("v3"))
     yield one
     one.close()
 
@@ -121,7 +120,7 @@ def test_a_server_answers_by_its_own_names_alone(page: Page) -> None:
 
 
 def test_a_page_that_others_can_reach_asks_for_its_token() -> None:
-    page = Page(source_of_variant(pa.VARIANTS["v3"]), host="0.0.0.0")
+    page = Page(pa.load_variant("v3"), host="0.0.0.0")
     try:
         (token,) = parse_qs(urlsplit(page.address).query)["token"]
         bare = page.address.partition("?")[0]

@@ -21,7 +21,7 @@ from PIL import Image
 
 import pupper_analysis as pa
 from pupper_analysis.tools.live.server import Page
-from pupper_analysis.tools.live.state import State, source_of_variant, write_stance_file
+from pupper_analysis.tools.live.state import State, write_stance_file
 from tests.present.test_html_browser import browser  # noqa: F401 - the fixture
 from tests.repository.test_readme import commands
 from tests.support.repository import ROOT
@@ -51,7 +51,7 @@ def threads() -> list[str]:
 
 @pytest.fixture(scope="module")
 def served() -> Iterator[Page]:
-    page = Page(source_of_variant(pa.VARIANTS["v3"]))
+    page = Page(pa.load_variant("v3"))
     yield page
     page.close()
     wait_for(lambda: not threads(), "threads are left")
@@ -176,12 +176,11 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
 
 def test_a_page_begins_with_a_stance_and_saves_it(browser: Any) -> None:  # noqa: F811
     state = State(height=122.0, swing={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
-    served = Page(source_of_variant(pa.VARIANTS["v3"]), state)
+    served = Page(pa.load_variant("v3"), state)
     one = Opened(browser, served.address)
     robot = pa.robot.with_payload(load("v3"), 0.4)
     stand = pa.stance.solve_stand_on_soft_ground(robot, state.task())
     one.takes(stand, robot)
-    one.tab("Share")
     with one.page.expect_download() as caught:
         one.button("Save the stance, for --stance")
     assert Path(caught.value.path()).read_text() == write_stance_file(state)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-import shlex
+from pathlib import Path
 
 import pytest
 
-import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.cli.stance_fields import TYPED, task_of
 from pupper_analysis.stance.fields import Field
 from pupper_analysis.tools.live.controls import CONTROLS, ranges_of
-from pupper_analysis.tools.live.state import State, source_of_variant, write_command
+from pupper_analysis.tools.live.state import State, write_stance_file
 from tests.stance.test_fields import ON_PAGE, SLIDING, asked, near
 from tests.support.variants import load
 
@@ -50,10 +49,10 @@ def test_each_field_has_sliders_with_words_and_a_range(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
-def test_each_field_is_exported_as_a_command(field: Field) -> None:
-    state = state_with(field)
-    source = source_of_variant(pa.VARIANTS["v3"])
-    words = shlex.split(write_command(source, state))[2:]
+def test_each_field_is_in_the_file_that_is_saved(field: Field, tmp_path: Path) -> None:
+    file = tmp_path / "stance.toml"
+    file.write_text(write_stance_file(state_with(field)))
+    words = ["--stance", str(file)]
     context = cli.find_command("stand").make_context("stand", words)
     typed = task_of({name: context.params[name] for name in TYPED})
     assert near(typed.values()[field.name], asked(field))

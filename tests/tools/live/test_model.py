@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 import socket
 import sys
 from dataclasses import replace
@@ -16,7 +15,6 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.shapes import Pose, Shape
-from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.present.scene import Contact
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.live import render
@@ -44,14 +42,7 @@ from pupper_analysis.tools.live.scene import (
     parts_of,
     triangles_of,
 )
-from pupper_analysis.tools.live.state import (
-    LiveSource,
-    State,
-    source_of_files,
-    source_of_variant,
-    write_command,
-    write_stance_file,
-)
+from pupper_analysis.tools.live.state import State, write_stance_file
 from tests.support.commands import answer as run_command
 from tests.support.robots import arm, urdf_text
 from tests.support.variants import load
@@ -82,7 +73,7 @@ ENGLISH = Language("en")
 
 
 def model_of(name: str = "v3") -> Model:
-    return Model(source_of_variant(pa.VARIANTS[name]))
+    return Model(load(name))
 
 
 def test_an_answer_is_the_python_interfaces() -> None:
@@ -187,27 +178,11 @@ def outcome(found: Answer) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[typ
     return found.stand.qpos, found.statics.joint_torques
 
 
-def own_pair(folder: Path) -> LiveSource:
-    urdf, mjcf = pa.pupper.write_variant("v3-heavy", folder)
-    feet = {leg: f"leg_{place}_3_foot_site" for leg, place in
-            {"FR": "front_r", "FL": "front_l", "RR": "back_r", "RL": "back_l"}.items()}  # fmt: skip
-    return source_of_files(RobotFiles.of(str(urdf), str(mjcf), feet=feet))
-
-
-SOURCES = {
-    "variant": lambda _: source_of_variant(pa.VARIANTS["v3"]),
-    "scaled": lambda _: source_of_variant(pa.pupper.VariantSpec("v3", 1.2, 1.1)),
-    "own": own_pair,
-}
-
-
-@pytest.mark.parametrize("kind", SOURCES)
-def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
-    source = SOURCES[kind](tmp_path)
-    qpos, _ = outcome(Model(source).answer(RICH))
-    words = shlex.split(write_command(source, RICH))
-    assert words[0] == "pupper-analysis"
-    done = run_command(*words[1:], "--json", "stance.json", folder=tmp_path)
+def test_the_file_that_is_saved_makes_the_same_stand(tmp_path: Path) -> None:
+    qpos, _ = outcome(model_of().answer(RICH))
+    (tmp_path / "stance.toml").write_text(write_stance_file(RICH))
+    words = ("stand", "v3", "--stance", "stance.toml", "--json", "stance.json")
+    done = run_command(*words, folder=tmp_path)
     assert done.returncode in (0, 1), done.stderr
     saved = json.loads((tmp_path / "stance.json").read_text())
     assert saved["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)

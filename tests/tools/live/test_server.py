@@ -11,7 +11,6 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.tools.live.server import Page
-from pupper_analysis.tools.live.state import source_of_variant
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 websockets = pytest.importorskip("websockets.asyncio.client")
@@ -19,7 +18,7 @@ websockets = pytest.importorskip("websockets.asyncio.client")
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    one = Page(source_of_variant(pa.VARIANTS["v3"]))
+    one = Page(pa.load_variant("v3"))
     yield one
     one.close()
 
