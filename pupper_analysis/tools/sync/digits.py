@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import bisect
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arrays import rotation_from_quaternion
-from pupper_analysis.base.inputs import read_text
 from pupper_analysis.models.xml import NUMBER
 from pupper_analysis.tools.sync.xml_bytes import Element
 
@@ -30,67 +27,42 @@ _ROUNDING: Final = ((10, 1e-13), (16, 4e-16))
 are no accident, and may be further off."""
 
 
-class Digits:
-    """Writes numbers with the digits of a file.
+def written_word(value: float, scale: float) -> str:
+    """Writes a number.
 
-    A number that went through a product of rotations is known to some 1e-15; where the other file
-    has the number that it came from, that is written.
+    Args:
+        value: The number.
+        scale: What its error is relative to.
     """
+    size = abs(value)
+    if size <= SAME * scale:
+        return "0"
+    return repr(float(np.copysign(_shortest(size, scale), value))).removesuffix(".0")
 
-    def __init__(self, *sources: Iterable[str]) -> None:
-        """Knows the numbers of some texts; those of the first sources go before the others'."""
-        self._known = [
-            sorted({abs(float(found)) for text in texts for found in NUMBER.findall(text)})
-            for texts in sources
-        ]
 
-    @staticmethod
-    def of(*sources: Iterable[Path]) -> Digits:
-        """Knows the numbers of some files."""
-        return Digits(*([read_text(f) for f in files] for files in sources))
+def written_words(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> str | None:
+    """Writes a vector, with the old words where they still are right.
 
-    def word(self, value: float, scale: float) -> str:
-        """Writes a number.
+    Args:
+        old: The words that state it now; may be fewer, or none.
+        new: The vector.
+        floor: The least scale.
 
-        Args:
-            value: The number.
-            scale: What its error is relative to.
-        """
-        size = abs(value)
-        if size <= SAME * scale:
-            return "0"
-        best = _shortest(size, scale)
-        for numbers in self._known:
-            at = bisect.bisect_left(numbers, size)
-            near = [known for known in numbers[max(at - 1, 0) : at + 1] if known]
-            known = min(near, key=lambda number: abs(number - size), default=np.inf)
-            if abs(known - size) <= SAME * scale:
-                best = known
-                break
-        return repr(float(np.copysign(best, value))).removesuffix(".0")
-
-    def words(self, old: Sequence[str], new: Array, floor: float = 0.0) -> str | None:
-        """Writes a vector, with the old words where they still are right.
-
-        Args:
-            old: The words that state it now; may be fewer, or none.
-            new: The vector.
-            floor: The least scale.
-
-        Returns:
-            The text; None if all the old words are right.
-        """
-        scale = max(floor, float(np.abs(new).max(initial=0.0)))
-        kept = [
-            word if word is not None and abs(_read(word) - value) <= SAME * scale else None
-            for word, value in zip([*old, *[None] * len(new)], new, strict=False)
-        ]
-        if len(old) >= len(new) and all(word is not None for word in kept):
-            return None
-        return " ".join(
-            word if word is not None else self.word(float(value), scale)
-            for word, value in zip(kept, new, strict=True)
-        )
+    Returns:
+        The text; None if all the old words are right.
+    """
+    values = np.atleast_1d(np.asarray(new, dtype=float))
+    scale = max(floor, float(np.abs(values).max(initial=0.0)))
+    kept = [
+        word if word is not None and abs(_read(word) - value) <= SAME * scale else None
+        for word, value in zip([*old, *[None] * len(values)], values, strict=False)
+    ]
+    if len(old) >= len(values) and all(word is not None for word in kept):
+        return None
+    return " ".join(
+        word if word is not None else written_word(float(value), scale)
+        for word, value in zip(kept, values, strict=True)
+    )
 
 
 def _read(word: str) -> float:

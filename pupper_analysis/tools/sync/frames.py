@@ -15,14 +15,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.multibody import MultibodyTree, with_value_of
 from pupper_analysis.robot.matching.alignment import Alignment
 from pupper_analysis.robot.matching.conventions import with_zero
 from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees
-from pupper_analysis.tools.sync.digits import Digits
 
 Array = NDArray[np.float64]
 
@@ -171,21 +170,11 @@ class Side:
     Attributes:
         sides: Both robots.
         wanted: What this file's shall be.
-        digits: Writes the numbers.
         left: {difference: why it cannot be written}.
         notes: What else is to be said, per difference.
     """
 
     sides: MatchedRobots
     wanted: MultibodyTree
-    digits: Digits
     left: dict[Key, Diagnostic] = field(default_factory=dict)
     notes: dict[Key, Diagnostic] = field(default_factory=dict)
-
-    def on_same_body(self, key: Key) -> bool:
-        """Says whether a frame is on one body in both files; notes why it is left, if not."""
-        name = key[1]
-        same = bool(self.sides.urdf.frames[name][0] == self.sides.mjcf.frames[name][0])
-        if not same:
-            self.left[key] = diagnose("frame-on-other-body-unwritten")
-        return same

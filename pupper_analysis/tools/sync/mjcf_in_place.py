@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import existing_file
-from pupper_analysis.tools.sync.digits import AngleUnits, Digits, stated_orientation
+from pupper_analysis.tools.sync.digits import AngleUnits, stated_orientation, written_words
 from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
 
 Array = NDArray[np.float64]
@@ -25,12 +25,11 @@ class MjcfInPlace:
         documents: {file: its document}.
         root: The root element.
         units: What its compiler says of angles.
-        digits: Writes the numbers.
     """
 
-    def __init__(self, file: MjcfFile, digits: Digits) -> None:
+    def __init__(self, file: MjcfFile) -> None:
         self.documents: dict[Path, XmlDocument] = {}
-        self.digits, self._file = digits, file
+        self._file = file
         self._main = file.path
         self.root = self._read(file.path)
         compiler = file.spec.compiler
@@ -52,14 +51,6 @@ class MjcfInPlace:
         named = [joint for joint in joints if joint.get("name") == name]
         unnamed = [joint for joint in joints if joint.get("name") is None]
         return (*named, *unnamed, None)[0]
-
-    def named(self, tag: str, name: str) -> Element | None:
-        """Returns an element of the bodies by its name."""
-        for section in self._sections("worldbody"):
-            for element in section.walk():
-                if element.tag == tag and element.get("name") == name:
-                    return element
-        return None
 
     def drives(self, joint: str) -> list[Element]:
         """Returns the actuators at a joint."""
@@ -85,7 +76,7 @@ class MjcfInPlace:
             text: str | None = value
         else:
             stated = (element.get(attribute) or "").split()
-            text = self.digits.words(stated, np.atleast_1d(value), floor)
+            text = written_words(stated, value, floor)
         if text is not None:
             element.set(attribute, text)
         return text is not None

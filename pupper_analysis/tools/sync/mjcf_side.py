@@ -15,7 +15,6 @@ from pupper_analysis.base.arrays import inertia_entries, placement_of
 from pupper_analysis.base.diagnostics import Diagnostic, Source, diagnose
 from pupper_analysis.models.conversion import inertia_of_body, joint_armature, joint_damping
 from pupper_analysis.models.efforts import (
-    EffortStatement,
     effort_limit,
     stated_by_actuator,
     stated_by_joint,
@@ -27,8 +26,8 @@ from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.sync.digits import (
     SAME,
     AngleUnits,
-    Digits,
     stated_rotation,
+    written_words,
 )
 from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, ways_to_weigh
 from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
@@ -88,26 +87,26 @@ def _plan(side: MjcfSide, body: int, part: pin.Inertia) -> _Plan | None:
     inertial = element.find("inertial")
     if inertial is not None:
         now = inertia_of_body(side.model, body)
-        changes = inertial_changes(inertial, now, wanted, side.elements.units, side.digits)
+        changes = inertial_changes(inertial, now, wanted, side.elements.units)
         return len(changes), inertial, changes, None
     new = Element("inertial", {}, element.file, -1, element.line, element)
     words = {
-        "pos": side.digits.words([], wanted.lever, 1.0),
-        "mass": side.digits.words([], np.array([wanted.mass])),
-        "fullinertia": side.digits.words([], inertia_entries(wanted.inertia)),
+        "pos": written_words([], wanted.lever, 1.0),
+        "mass": written_words([], wanted.mass),
+        "fullinertia": written_words([], inertia_entries(wanted.inertia)),
     }
     stated = {name: text for name, text in words.items() if text is not None}
     return _NEW_INERTIAL_COST, new, stated, diagnose("inertial-put-in")
 
 
 def inertial_changes(
-    element: Element, now: pin.Inertia, wanted: pin.Inertia, units: AngleUnits, digits: Digits
+    element: Element, now: pin.Inertia, wanted: pin.Inertia, units: AngleUnits
 ) -> dict[str, str]:
     """Returns the fewest changes by which an <inertial> states a mass, in the form that it has."""
     changes = {}
     for attribute, values, floor in (("pos", wanted.lever, 1.0), ("mass", [wanted.mass], 0.0)):
         words = (element.get(attribute) or "").split()
-        text = digits.words(words, np.array(values), floor)
+        text = written_words(words, np.array(values), floor)
         if text is not None:
             changes[attribute] = text
     size = float(np.abs(wanted.inertia).max())
@@ -115,21 +114,19 @@ def inertial_changes(
         return changes
     if element.get("diaginertia") is None:
         words = (element.get("fullinertia") or "").split()
-        text = digits.words(words, inertia_entries(wanted.inertia))
+        text = written_words(words, inertia_entries(wanted.inertia))
         return changes if text is None else changes | {"fullinertia": text}
-    return changes | _principal(element, wanted.inertia, units, digits)
+    return changes | _principal(element, wanted.inertia, units)
 
 
-def _principal(
-    element: Element, wanted: Array, units: AngleUnits, digits: Digits
-) -> dict[str, str]:
+def _principal(element: Element, wanted: Array, units: AngleUnits) -> dict[str, str]:
     """Returns the changes of principal moments, or of their axes, or of both."""
     moments = np.array([float(word) for word in (element.get("diaginertia") or "").split()])
     own = stated_rotation(element, units)
     size = float(np.abs(wanted).max())
     inside = own.T @ wanted @ own
     if float(np.abs(inside - np.diag(np.diag(inside))).max()) <= 1e-11 * size:
-        text = digits.words((element.get("diaginertia") or "").split(), np.diag(inside))
+        text = written_words((element.get("diaginertia") or "").split(), np.diag(inside))
         return {} if text is None else {"diaginertia": text}
     values, axes = np.linalg.eigh(wanted)
     order = list(np.argsort(np.argsort(moments)))
@@ -138,14 +135,14 @@ def _principal(
     axes = axes * np.where(np.sum(axes * own, axis=0) < 0, -1.0, 1.0)
     if np.linalg.det(axes) < 0:
         axes[:, int(np.argmin(np.abs(np.sum(axes * own, axis=0))))] *= -1
-    text = digits.words((element.get("diaginertia") or "").split(), values)
+    text = written_words((element.get("diaginertia") or "").split(), values)
     changes = {} if text is None else {"diaginertia": text}
     x, y, z, w = pin.Quaternion(axes).coeffs()
     quaternion = np.array([w, x, y, z])
     stated = parse_numbers(element.get("quat"), "1 0 0 0")
     if float(quaternion @ stated) < 0:
         quaternion = -quaternion
-    text = digits.words((element.get("quat") or "").split(), quaternion, 1.0)
+    text = written_words((element.get("quat") or "").split(), quaternion, 1.0)
     return changes if text is None else changes | {"quat": text}
 
 
@@ -173,16 +170,11 @@ class MjcfSide(Side):
     def plan(self, taken: Collection[Key]) -> None:
         """Notes all changes in the documents: places first, for what is on them moves along."""
         for key in taken:
-            if key[0] == "frame":
-                self._frame(key)
-        for key in taken:
             if key[0] == "position":
                 self._place(key)
         for key in taken:
             kind, name = key
-            if kind == "axis":
-                self._axis(key)
-            elif kind in ("lower limit", "upper limit"):
+            if kind in ("lower limit", "upper limit"):
                 self._limits(key)
             elif kind == "effort":
                 write_effort(self, key)
@@ -229,38 +221,10 @@ class MjcfSide(Side):
             )
         return written
 
-    def _frame(self, key: Key) -> None:
-        name = key[1]
-        if not self.on_same_body(key):
-            return
-        owner, position = self.wanted.frames[name]
-        inside = self.sides.mjcf_frames[owner].inverse() * position
-        there = self.robot.description.frames[name][1]
-        # As `models.conversion` names its frames: a body goes before a site of its name.
-        bodies = [self.model.body(i).name for i in range(self.model.nbody)]
-        if there in bodies:
-            body = self.model.body(there).id
-            element, now = self.elements.body(there), np.array(self.model.body_pos[body])
-            parent = int(self.model.body_parentid[body])
-        else:
-            site = self.model.site(there).id
-            element, now = self.elements.named("site", there), np.array(self.model.site_pos[site])
-            parent = int(self.model.site_bodyid[site])
-        self._set_position(key, element, now, self._body_pose(parent).inverse() * inside)
-
     def _body_pose(self, body: int) -> pin.SE3:
         """Returns where a body is in the frame of the body that a joint moves."""
         name = str(self.model.body(body).name)
         return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
-
-    def _set_position(self, key: Key, element: Element | None, now: Array, wanted: Array) -> None:
-        """Writes an element's place, unless it is there."""
-        if element is None:
-            self.left[key] = COPIED
-        elif self.elements.is_framed(element):
-            self.left[key] = diagnose("place-in-a-frame")
-        elif float(np.abs(now - wanted).max()) > SAME:
-            self.write(key, element, "pos", wanted, 1.0)
 
     def _place(self, key: Key) -> None:
         """Moves the body of a joint, with all that is on it."""
@@ -281,30 +245,17 @@ class MjcfSide(Side):
         own = self.sides.own.joints[name].placement
         wanted = frame.inverse() * joint * own.inverse() * frame * now
         element = self.elements.body(str(self.model.body(body).name))
-        self._set_position(key, element, np.array(now.translation), np.array(wanted.translation))
+        if element is None:
+            self.left[key] = COPIED
+        elif self.elements.is_framed(element):
+            self.left[key] = diagnose("place-in-a-frame")
+        elif float(np.abs(np.array(wanted.translation) - now.translation).max()) > SAME:
+            self.write(key, element, "pos", wanted.translation, 1.0)
 
     def joint_in_file(self, name: str) -> Element | None:
         """Returns the element of a joint."""
         body = int(self.model.jnt_bodyid[self.model.joint(name).id])
         return self.elements.joint(name, str(self.model.body(body).name))
-
-    def _axis(self, key: Key) -> None:
-        element = self.joint_in_file(key[1])
-        if element is None:
-            self.left[key] = COPIED
-            return
-        frame, joint = self.sides.mjcf_frames[key[1]], self.wanted.joints[key[1]]
-        if self.elements.is_framed(element):
-            self.left[key] = diagnose("place-in-a-frame")
-            return
-        # The files may put a hinge's origin elsewhere on its axis: it must be on the new one.
-        if not joint.slides and float(np.abs(frame.translation).max()) > SAME:
-            self.left[key] = diagnose("joint-off-its-body")
-            return
-        now = np.array(self.model.jnt_axis[self.model.joint(key[1]).id])
-        wanted = np.array(frame.rotation).T @ joint.axis
-        if float(np.abs(now - wanted).max()) > SAME:
-            self.write(key, element, "axis", wanted, 1.0)
 
     def _limits(self, key: Key) -> None:
         name = key[1]
@@ -415,7 +366,7 @@ def _position(
     if ("kp", name) in wanted:
         side.write(("kp", name), element, "kp", stiffness)
     if ("kd", name) in wanted:
-        text = side.digits.words((element.get("kv") or "").split(), np.array([damping]))
+        text = written_words((element.get("kv") or "").split(), damping)
         if text is not None:  # a ratio of damping gives way to a damping
             element.rename_or_set("dampratio", "kv", text)
 
@@ -432,10 +383,10 @@ def _padded(element: Element, attribute: str, values: list[float]) -> list[float
 def write_effort(side: MjcfSide, key: Key) -> None:
     """Notes the changes that give a joint another greatest torque.
 
-    It is the least of what the joint's ``actuatorfrcrange``, the actuators' ``forcerange`` and the
-    ``ctrlrange`` of plain motors allow: whichever is stated and is not right, is changed.
+    It is the least of what the joint's ``actuatorfrcrange``, the actuator's ``forcerange`` and the
+    ``ctrlrange`` of a plain motor allow: whichever is stated and is not right, is changed.
     """
-    name, model, spec = key[1], side.model, side.robot.description.mjcf
+    name, model = key[1], side.model
     wanted = side.wanted.joints[name].effort
     joint = model.joint(name).id
     element = side.joint_in_file(name)
@@ -443,51 +394,24 @@ def write_effort(side: MjcfSide, key: Key) -> None:
     if element is None or len(motors) != len(drives):
         side.left[key] = diagnose("actuators-are-copies")
         return
-    of_joint = [(element, one) for one in stated_by_joint(model, joint)]
-    of_motors = [
-        (motor, one)
-        for motor, drive in zip(motors, drives, strict=True)
-        for one in stated_by_actuator(model, drive)
-        if one.factor
-    ]
+    if len(drives) > 1:
+        side.left[key] = diagnose("actuators-share-it")
+        return
+    stated = [(element, one) for one in stated_by_joint(model, joint)]
+    for motor, drive in zip(motors, drives, strict=True):
+        stated += [(motor, one) for one in stated_by_actuator(model, drive) if one.factor]
     now = effort_limit(model, joint)
-    for owner, one in (*of_joint, *(of_motors if len(drives) == 1 else ())):
+    for owner, one in stated:
         # What is looser than the least bound does no harm, unless it is below what is wanted.
         off = abs(one.greatest - wanted) > SAME * max(wanted, one.greatest)
         if off and (one.greatest < wanted or one.greatest <= now * (1 + SAME)):
-            _write_effort_element(side, key, owner, one.attribute, wanted / abs(one.factor), one)
-    if len(drives) == 1:
-        gear = abs(float(actuator_gear(model, drives[0])[0]))
-        if gear == 0:
-            side.left[key] = diagnose("gear-is-zero")
-        elif not (of_motors or of_joint):
-            motor = next(actuator for actuator in spec.actuators if actuator.target == name)
-            _write_effort_element(side, key, motors[0], "forcerange", wanted / gear)
-            _limit(side, motors[0], "forcelimited", motor.forcelimited)
-    elif drives and now < wanted and not any(one.greatest == now for _, one in of_joint):
-        side.left[key] = diagnose("actuators-share-it")
-    elif not of_joint:
-        _write_effort_element(side, key, element, "actuatorfrcrange", wanted)
-        _limit(side, element, "actuatorfrclimited", spec.joint(name).actfrclimited)
-
-
-def _write_effort_element(
-    side: MjcfSide,
-    key: Key,
-    element: Element,
-    attribute: str,
-    value: float,
-    stated: EffortStatement | None = None,
-) -> None:
-    """Writes a range whose greater end is a value; one that is not symmetric keeps its shape."""
-    pair, old = np.array([-value, value]), np.array((0.0, 0.0) if stated is None else stated.stated)
-    if abs(old.sum()) > SAME:
-        pair = old * (value / float(np.abs(old).max()))
-    side.write(key, element, attribute, pair)
-
-
-def _limit(side: MjcfSide, element: Element, attribute: str, limited: int) -> None:
-    """Says that a new range is one, where that does not follow from its being there."""
-    automatic = limited == mujoco.mjtLimited.mjLIMITED_AUTO.value and side.elements.autolimits
-    if limited != mujoco.mjtLimited.mjLIMITED_TRUE.value and not automatic:
-        side.elements.write(element, attribute, "true")
+            value, ends = wanted / abs(one.factor), np.array(one.stated)
+            pair = ends * (value / float(np.abs(ends).max()))  # one-sided ranges keep their shape
+            symmetric = abs(ends.sum()) <= SAME
+            side.write(key, owner, one.attribute, [-value, value] if symmetric else pair)
+    if not stated:
+        side.write(key, element, "actuatorfrcrange", [-wanted, wanted])
+        limited = side.robot.description.mjcf.joint(name).actfrclimited
+        automatic = limited == mujoco.mjtLimited.mjLIMITED_AUTO.value and side.elements.autolimits
+        if limited != mujoco.mjtLimited.mjLIMITED_TRUE.value and not automatic:
+            side.elements.write(element, "actuatorfrclimited", "true")

@@ -37,7 +37,6 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.tools.sync.digits import Digits
 from pupper_analysis.tools.sync.frames import Key, MatchedRobots, Side, is_same_body, pair_robots
 from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
@@ -177,7 +176,7 @@ def write_numbers(
         _edit_urdf(edited, changes, urdf)
         layout.append(copies_of_urdf(urdf))
     if mjcf_path is not None:
-        _edit_mjcf(edited, changes, mjcf, urdf_path)
+        _edit_mjcf(edited, changes, mjcf)
         layout.append(copies_of_mjcf(mjcf))
     else:
         lost = [key for key in changes.wanted if key[0] in (*OF_SERVOS, "armature")]
@@ -238,15 +237,13 @@ def _edit_urdf(edited: _Edited, changes: NumberChanges, urdf: UrdfFile) -> None:
         tree=UrdfTree(document.root),
         sides=changes.both,
         wanted=changes.tree("urdf"),
-        digits=Digits.of([urdf.path]),
     )
     side.plan([key for key in changes.wanted if key[0] in (*OF_BODIES, "damping", "friction")])
     edited.take(side)
 
 
-def _edit_mjcf(edited: _Edited, changes: NumberChanges, mjcf: MjcfFile, urdf: Path | None) -> None:
-    texts = [*mjcf.files] if urdf is None else [urdf, *mjcf.files]
-    elements = MjcfInPlace(mjcf, Digits.of(texts))
+def _edit_mjcf(edited: _Edited, changes: NumberChanges, mjcf: MjcfFile) -> None:
+    elements = MjcfInPlace(mjcf)
     edited.documents.update(elements.documents)
     gains = {key: float(value) for key, value in changes.wanted.items() if key[0] in OF_SERVOS}
     side = MjcfSide(
@@ -254,7 +251,6 @@ def _edit_mjcf(edited: _Edited, changes: NumberChanges, mjcf: MjcfFile, urdf: Pa
         elements=elements,
         sides=changes.both,
         wanted=changes.tree("mjcf"),
-        digits=elements.digits,
         gains=gains,
     )
     side.plan([key for key in changes.wanted if key not in gains])

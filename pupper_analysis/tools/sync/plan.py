@@ -21,10 +21,9 @@ from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import placeholders_among
 from pupper_analysis.robot.compare.attribution import align_robot
-from pupper_analysis.robot.compare.differences import LIMITS, OF_BODIES_AND_PLACES, OF_INERTIALS
+from pupper_analysis.robot.compare.differences import LIMITS, OF_INERTIALS
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.tools.sync.digits import Digits
 from pupper_analysis.tools.sync.frames import Key, MatchedRobots, pair_robots
 from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
@@ -33,7 +32,7 @@ from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_docu
 
 _OF_BOTH = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
 
-_WRITTEN = tuple(kind for kind in (*OF_BODIES_AND_PLACES, *_OF_BOTH) if kind != "rotation")
+_WRITTEN = (*OF_INERTIALS, "position", *_OF_BOTH)
 """Kinds of differences that are numbers of both formats, and are written."""
 
 _REASONS = {
@@ -41,8 +40,7 @@ _REASONS = {
     "parent": diagnose("parent-unwritten"),
     "name": diagnose("name-unwritten"),
     "base frame": diagnose("base-frame-unwritten"),
-    "rotation": diagnose("rotation-unwritten"),
-    "zero": diagnose("rotation-unwritten"),
+    **dict.fromkeys(("rotation", "axis", "frame", "zero"), diagnose("direction-unwritten")),
     "gravity": diagnose("urdf-without-gravity"),
     "velocity": diagnose("mjcf-without-velocity"),
     "armature": diagnose("urdf-without-armature"),
@@ -151,8 +149,7 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) ->
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
     matched = match_models(urdf, mjcf, names=files.names, feet=files.feet, tolerances=tolerances)
     both = pair_robots(matched, align_robot(matched.robot, tolerances))
-    theirs = list(mjcf.files)
-    elements = MjcfInPlace(mjcf, Digits.of([urdf.path], theirs))
+    elements = MjcfInPlace(mjcf)
     document = read_document(urdf.path)
     copies = laid_out(copies_of_urdf(urdf), copies_of_mjcf(mjcf))
     plan = Plan(files, {files.urdf: document}, elements.documents, copies)
@@ -160,14 +157,12 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) ->
         tree=UrdfTree(document.root),
         sides=both,
         wanted=both.urdf,
-        digits=Digits.of(theirs, [urdf.path]),
     )
     into_mjcf = MjcfSide(
         file=mjcf,
         elements=elements,
         sides=both,
         wanted=both.mjcf,
-        digits=elements.digits,
     )
     for side, other in ((into_urdf, "mjcf"), (into_mjcf, "urdf")):
         keys = [key for key, whose in taken.items() if whose == other]

@@ -15,7 +15,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
-from pupper_analysis.tools.sync.digits import SAME, Digits
+from pupper_analysis.tools.sync.digits import written_words
 from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, ways_to_weigh
 from pupper_analysis.tools.sync.xml_bytes import Element
 
@@ -50,17 +50,12 @@ class UrdfSide(Side):
 
     def plan(self, taken: Collection[Key]) -> None:
         """Notes all changes in the document: places first, for what is on them moves along."""
-        for key in taken:
-            if key[0] == "frame":
-                self._frame(key)
         for kind, name in taken:
             if kind == "position":
                 self._place(name)
         for key in taken:
             kind, name = key
-            if kind == "axis":
-                self._axis(name)
-            elif kind in _RANGE:
+            if kind in _RANGE:
                 self._limits(key)
             elif kind in _NUMBERS:
                 self._number(key)
@@ -80,40 +75,16 @@ class UrdfSide(Side):
             link = self._above[link].parent
         return self._movers[link]
 
-    def _frame(self, key: Key) -> None:
-        name = key[1]
-        joint = self._above[self.sides.matched.robot.description.frames[name][0]]
-        if not self.on_same_body(key):
-            return
-        owner, position = self.wanted.frames[name]
-        inside = self.sides.urdf_frames[owner].inverse() * position
-        self._set_place(joint.element, self._pose(joint.parent).inverse() * inside)
-
     def _place(self, name: str) -> None:
         joint = self._joint(name)
         frame = self.sides.urdf_frames[self._mover(joint.parent)] * self._pose(joint.parent)
         placed = frame.inverse() * self.wanted.joints[name].placement
-        self._set_place(joint.element, np.array(placed.translation))
+        text = place_change(joint.element, np.array(placed.translation))
+        if text is not None:
+            joint.element.ensure("origin").set("xyz", text)
 
     def _joint(self, name: str) -> UrdfJoint:
         return self.tree.joints[self.sides.matched.urdf_joint[name]]
-
-    def _set_place(self, element: Element, place: Array) -> None:
-        """States where a joint's frame is in its parent's."""
-        text = place_change(element, place, self.digits)
-        if text is not None:
-            element.ensure("origin").set("xyz", text)
-
-    def _axis(self, name: str) -> None:
-        """States a joint's axis, unless it has that direction."""
-        element, axis = self._joint(name).element, self.wanted.joints[name].axis
-        old = element.find("axis")
-        stated = (None if old is None else old.get("xyz")) or "1 0 0"
-        before = np.array(stated.split(), dtype=float)
-        text = self.digits.words(stated.split(), axis, 1.0)
-        apart = np.abs(before / float(np.linalg.norm(before)) - axis)
-        if text is not None and float(apart.max()) > SAME:
-            element.ensure("axis").set("xyz", text)
 
     def _state(self, joint: UrdfJoint, kind: str, value: float, floor: float = 0.0) -> None:
         """States a number of a joint; what is not above the floor is as good as 0."""
@@ -121,7 +92,7 @@ class UrdfSide(Side):
         assert attribute.urdf is not None
         tag, word = attribute.urdf
         stated = (joint.stated(attribute) or "").split()
-        text = self.digits.words(stated, np.array([value]), floor)
+        text = written_words(stated, value, floor)
         if text is not None:
             joint.element.ensure(tag).set(word, text)
 
@@ -184,7 +155,7 @@ class UrdfSide(Side):
 
         def changed(link: str, part: pin.Inertia) -> Changes:
             inside = self._pose(link).actInv(part)
-            return inertial_changes(self._links[link].element, inside, self.digits)
+            return inertial_changes(self._links[link].element, inside)
 
         tries = [(link, changed(link, part)) for link, part in ways]
         best, changes = min(tries, key=lambda way: len(way[1]))
@@ -200,35 +171,35 @@ class UrdfSide(Side):
             element.ensure(path).set(attribute, text)
 
 
-def place_change(owner: Element | None, place: Array, digits: Digits) -> str | None:
+def place_change(owner: Element | None, place: Array) -> str | None:
     """Returns what the <origin> in an element must say for a place; None if it does."""
     origin = None if owner is None else owner.find("origin")
     stated = None if origin is None else origin.get("xyz")
-    return digits.words((stated or "0 0 0").split(), place, 1.0)
+    return written_words((stated or "0 0 0").split(), place, 1.0)
 
 
-def inertial_changes(link: Element, wanted: pin.Inertia, digits: Digits) -> Changes:
+def inertial_changes(link: Element, wanted: pin.Inertia) -> Changes:
     """Returns the changes by which a link's inertial states a mass, in the axes that it has."""
     inertial = link.find("inertial")
     weight, entry = (inertial and inertial.find(tag) for tag in ("mass", "inertia"))
     changes: Changes = {}
     old = weight and weight.get("value")
-    text = digits.words((old or "").split(), np.array([wanted.mass]))
+    text = written_words((old or "").split(), wanted.mass)
     if text is not None:
         changes["mass", "value"] = text
     rotation = np.array(origin_of(inertial).rotation)
     stated = [None if entry is None else entry.get(name) for name in INERTIA_ENTRIES]
     inside = rotation.T @ np.array(wanted.inertia) @ rotation
-    changes |= dict(_tensor_changes(stated, inertia_entries(inside), digits))
-    text = place_change(inertial, np.array(wanted.lever), digits)
+    changes |= dict(_tensor_changes(stated, inertia_entries(inside)))
+    text = place_change(inertial, np.array(wanted.lever))
     return changes if text is None else changes | {("origin", "xyz"): text}
 
 
 def _tensor_changes(
-    stated: list[str | None], values: Array, digits: Digits
+    stated: list[str | None], values: Array
 ) -> Iterator[tuple[tuple[str, str], str]]:
     scale = float(np.abs(values).max())
     for name, old, value in zip(INERTIA_ENTRIES, stated, values, strict=True):
-        text = digits.words((old or "").split(), np.array([value]), scale)
+        text = written_words((old or "").split(), value, scale)
         if text is not None:
             yield ("inertia", name), text

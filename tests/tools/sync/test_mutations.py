@@ -107,14 +107,6 @@ def turned(choose: random.Random, values: list[float]) -> list[float]:
     ]
 
 
-def swung(choose: random.Random, values: list[float]) -> list[float]:
-    if choose.random() < 0.5:
-        return [-value for value in values]
-    made = [value + choose.uniform(-0.2, 0.2) for value in values]
-    length = math.hypot(*made)
-    return [value / length for value in made]
-
-
 def one_scaled(choose: random.Random, values: list[float]) -> list[float]:
     index = choose.choice([place for place, value in enumerate(values) if value])
     factor = 1 + choose.uniform(0.01, 0.05)
@@ -133,8 +125,6 @@ KINDS: dict[str, list[tuple[str, str, Change]]] = {
         ("inertia", "iyy", scaled),
         ("inertia", "izz", scaled),
         ("moving origin", "xyz", shifted),
-        ("fixed origin", "xyz", shifted),
-        ("axis", "xyz", swung),
         ("limit", "lower", limits),
         ("limit", "upper", limits),
         ("limit", "effort", scaled),
@@ -148,17 +138,14 @@ KINDS: dict[str, list[tuple[str, str, Change]]] = {
         ("inertial", "diaginertia", one_scaled),
         ("inertial", "quat", turned),
         ("body", "pos", shifted),
-        ("joint", "axis", swung),
         ("joint", "range", limits),
         ("joint", "damping", scaled),
         ("joint", "frictionloss", scaled),
-        ("joint+", "axis", lambda *_: [0.6, 0.0, -0.8]),
         ("joint+", "range", lambda *_: [-0.3, 0.4]),
         ("joint+", "damping", lambda *_: [0.3]),
         ("joint+", "frictionloss", lambda *_: [0.3]),
         ("motor+", "forcerange", lambda *_: [-2.5, 2.5]),
         ("motor", "ctrlrange", lambda _, values: [0.9 * value for value in values]),
-        ("site", "pos", shifted),
     ],
 }
 

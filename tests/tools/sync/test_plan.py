@@ -123,16 +123,19 @@ def test_degrees_are_kept(tmp_path: Path) -> None:
     assert float(limit.new.split()[0]) == pytest.approx(math.degrees(-0.5), rel=1e-15)
 
 
-def test_orientations_are_left(tmp_path: Path) -> None:
+def test_directions_are_left(tmp_path: Path) -> None:
     """And what depends on none is written, where it was chosen by itself."""
     files = pair(tmp_path, changed(ROBOT, "base", mass=7.0))
     text = files.mjcf.read_text()
     files.mjcf.write_text(
         re.sub(r'(body name="thigh1"[^>]*) quat="[^"]*"', r'\1 zaxis="0 1 1"', text)
     )
+    replaced(files.urdf, '<axis xyz="1.0 0.0 0.0"/>', '<axis xyz="-1.0 0.0 0.0"/>')
     for side in ("urdf", "mjcf"):
         result = sync(files, side, dry_run=True)
-        assert {left.reason.code for left in result.not_mended} == {"rotation-unwritten"}
+        kinds = {left.difference.rpartition(": ")[2] for left in result.not_mended}
+        assert kinds == {"rotation", "axis"}
+        assert {left.reason.code for left in result.not_mended} == {"direction-unwritten"}
         assert not result.agree
     assert [edit.attribute for edit in sync(files, "urdf:mass").edits] == ["mass"]
 
@@ -169,7 +172,9 @@ def test_includes_are_changed_in_place(tmp_path: Path) -> None:
     assert result.written == (str(tmp_path / "parts" / "leg.xml"),)
     assert files.mjcf.read_bytes() == before
     after = (tmp_path / "parts" / "leg.xml").read_bytes()
-    assert after == leg.replace(b'mass="0.5"', f'mass="{ROBOT["shank3"].mass!r}"'.encode())
+    (mass,) = result.edits
+    assert float(mass.new) == pytest.approx(ROBOT["shank3"].mass, rel=1e-15)
+    assert after == leg.replace(b'mass="0.5"', f'mass="{mass.new}"'.encode())
     assert len(list(tmp_path.rglob("*.xml"))) == 2
 
 
