@@ -8,18 +8,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody, to_pinocchio
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.places import Place
 from pupper_analysis.robot.compare.attribution import EXPLAINED
 from pupper_analysis.robot.compare.differences import (
@@ -274,7 +275,7 @@ class _Comparison:
             residual=left,
             complete=all(value <= EXPLAINED for value in left.values()),
             combined=combined,
-            notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes, *_undefined(trial)))),
+            notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes))),
         )
 
     def _others(self) -> Iterator[Difference]:
@@ -322,12 +323,6 @@ class _Comparison:
         )
 
 
-def _undefined(trial: Trial) -> Iterator[Diagnostic]:
-    """Says what was not compared."""
-    for name in trial.undefined:
-        yield diagnose("quantity-undefined", subject=("quantity", name), what=Term(name))
-
-
 def _mass(values: MultibodyTree) -> float:
     return float(sum(body.mass for body in values.bodies.values()))
 
@@ -370,10 +365,7 @@ def _words(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-# What changes are judged by: quantities of a tree of joints at random states, in Pinocchio.
-#
-# In Pinocchio's own coordinates, with the base's velocity in its own axes: two trees are compared
-# with each other, and no other engine is asked.
+# What changes are judged by: quantities of a tree of joints at random states, in MuJoCo.
 
 
 _COUNT = 10
@@ -391,75 +383,61 @@ class Trial:
     values: MultibodyTree
 
     @cached_property
-    def undefined(self) -> tuple[str, ...]:
-        """Quantities that are no numbers: links without mass move by themselves."""
-        found = self._evaluated(self.values)
-        return tuple(name for name, value in found.items() if not np.isfinite(value).all())
-
-    @cached_property
-    def joints(self) -> dict[str, Array]:
-        """{joint: (n,) positions inside its limits (rad or m)}."""
-        rng, found = np.random.default_rng(0), {}
-        for name, joint in self.values.joints.items():
-            lower = joint.lower if np.isfinite(joint.lower) else -np.pi
-            upper = joint.upper if np.isfinite(joint.upper) else np.pi
-            found[name] = rng.uniform(min(lower, upper), max(lower, upper), _COUNT)
-        return found
-
-    @cached_property
-    def rates(self) -> dict[str, Array]:
-        """{joint: (n,) velocities (rad/s or m/s)}."""
-        rng = np.random.default_rng(1)
-        return {name: rng.normal(size=_COUNT) for name in self.values.joints}
-
-    @cached_property
-    def efforts(self) -> dict[str, Array]:
-        """{joint: (n,) torques (N m) or forces (N) of its motor}."""
-        rng = np.random.default_rng(2)
-        return {
-            name: rng.uniform(-1, 1, _COUNT)
-            * (joint.effort if np.isfinite(joint.effort) and joint.effort > 0 else 1.0)
-            for name, joint in self.values.joints.items()
-        }
-
-    @cached_property
-    def base(self) -> tuple[Array, Array]:
-        """The base's place and quaternion (n, 7), and its velocity (n, 6)."""
-        rng = np.random.default_rng(3)
+    def qpos(self) -> Array:
+        """(n, nq) positions: the base's place and quaternion, if it is free, and the joints'."""
+        rng = np.random.default_rng(0)
+        joints = self.values.joints.values()
+        lower = [joint.lower if np.isfinite(joint.lower) else -np.pi for joint in joints]
+        upper = [joint.upper if np.isfinite(joint.upper) else np.pi for joint in joints]
         turns = rng.normal(size=(_COUNT, 4))
         turns /= np.linalg.norm(turns, axis=1, keepdims=True)
-        places = np.hstack([rng.uniform(-1, 1, (_COUNT, 3)), turns])
-        return places, rng.normal(size=(_COUNT, 6))
+        base = [rng.uniform(-1, 1, (_COUNT, 3)), turns] if self.values.floating else []
+        ends = np.minimum(lower, upper), np.maximum(lower, upper)
+        return np.hstack([*base, rng.uniform(*ends, (_COUNT, len(joints)))])
+
+    @cached_property
+    def qvel(self) -> Array:
+        """(n, nv) velocities, likewise (m/s, rad/s)."""
+        size = len(self.values.joints) + 6 * self.values.floating
+        return np.random.default_rng(1).normal(size=(_COUNT, size))
+
+    @cached_property
+    def _tree(self) -> MujocoTree:
+        return MujocoTree(self.values)
+
+    def _taken(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:
+        """Returns a tree in MuJoCo, and where the states' positions and velocities are in it."""
+        tree = self._tree if self._tree.fits(values) else MujocoTree(values)
+        tree.take(values)
+        ids = [tree.model.joint(name).id for name in self.values.joints]
+        base = self.values.floating
+        places = [*range(7 * base), *tree.model.jnt_qposadr[ids].tolist()]
+        return tree.model, places, [*range(6 * base), *tree.model.jnt_dofadr[ids].tolist()]
 
     def behaviour(self, values: MultibodyTree) -> dict[str, Array]:
-        """Evaluates a tree of the same joints at all states, without what is undefined."""
-        found = self._evaluated(values)
-        return {name: value for name, value in found.items() if name not in self.undefined}
-
-    def _evaluated(self, values: MultibodyTree) -> dict[str, Array]:
-        model = to_pinocchio(values)
-        data, order = model.createData(), _dofs(model, values)
+        """Evaluates a tree of the same joints at all states; damping is among the bias forces."""
+        model, places, dofs = self._taken(values)
+        data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+        bodies = [int(model.joint(name).bodyid[0]) for name in self.values.joints]
+        sites = [model.site(name).id for name in values.frames]
         rows: dict[str, list[Array]] = {}
-        damping = np.array(model.damping)
-        for number in range(_COUNT):
-            q, v, tau = self._state(model, values, number)
-            upper = np.triu(np.atleast_2d(pin.crba(model, data, q)))
-            result = {"mass matrix": (upper + np.triu(upper, 1).T)[np.ix_(order, order)]}
-            gravity = pin.computeGeneralizedGravity(model, data, q)
-            result["gravity"] = gravity[order]
-            result["bias forces"] = pin.nonLinearEffects(model, data, q, v)[order]
-            result["forward dynamics"] = pin.aba(model, data, q, v, tau - damping * v)[order]
-            pin.framesForwardKinematics(model, data, q)
-            result["com"] = _com(model, data)
-            if values.joints:
-                joints = [model.getJointId(name) for name in self.values.joints]
-                result["joint positions"] = np.array([data.oMi[j].translation for j in joints])
-            if values.frames:
-                frames = [model.getFrameId(name, pin.FrameType.BODY) for name in values.frames]
-                places = [data.oMf[frame].translation for frame in frames]
-                result["foot positions"] = np.array(places)
+        for qpos, qvel in zip(self.qpos, self.qvel, strict=True):
+            data.qpos[places], data.qvel[:] = qpos, 0.0
+            mujoco.mj_forward(model, data)
+            mujoco.mj_fullM(model, data, full)
+            result = {
+                "mass matrix": full[np.ix_(dofs, dofs)],
+                "gravity": data.qfrc_bias[dofs],
+                "com": data.xipos.T @ model.body_mass / max(float(model.body_mass.sum()), 1e-300),
+                "joint positions": data.xpos[bodies],
+                "foot positions": data.site_xpos[sites],
+            }
+            data.qvel[dofs] = qvel
+            mujoco.mj_forward(model, data)
+            result["bias forces"] = (data.qfrc_bias - data.qfrc_passive)[dofs]
             for name, value in result.items():
-                rows.setdefault(name, []).append(np.array(value))
+                if value.size:
+                    rows.setdefault(name, []).append(np.array(value))
         return {name: np.array(found) for name, found in rows.items()}
 
     def holding_torques(self, values: MultibodyTree) -> dict[str, float]:
@@ -468,46 +446,17 @@ class Trial:
         With the base level and held, at the positions of the states: what a motor must give to
         hold its links in the air.
         """
-        model = to_pinocchio(values)
-        data, greatest = model.createData(), dict.fromkeys(self.values.joints, 0.0)
-        for number in range(_COUNT):
-            q, _, _ = self._state(model, values, number)
-            if values.floating:
-                q[:7] = 0, 0, 0, 0, 0, 0, 1
-            gravity = pin.computeGeneralizedGravity(model, data, q)
-            for name in greatest:
-                here = abs(float(gravity[model.joints[model.getJointId(name)].idx_v]))
-                greatest[name] = max(greatest[name], here)
-        return greatest
-
-    def _state(
-        self, model: pin.Model, values: MultibodyTree, number: int
-    ) -> tuple[Array, Array, Array]:
-        """Returns q, v and the generalised force of the motors, in the model's order."""
-        q, v, tau = np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nv)
-        if values.floating:
-            q[:7], v[:6] = self.base[0][number], self.base[1][number]
-        for name in values.joints:
-            joint = model.joints[model.getJointId(name)]
-            q[joint.idx_q] = self.joints[name][number]
-            v[joint.idx_v] = self.rates[name][number]
-            tau[joint.idx_v] = self.efforts[name][number]
-        return q, v, tau
-
-
-def _dofs(model: pin.Model, values: MultibodyTree) -> list[int]:
-    """Returns where the base's and the joints' velocities are: in the order of the values."""
-    base = list(range(6)) if values.floating else []
-    return base + [model.joints[model.getJointId(name)].idx_v for name in values.joints]
-
-
-def _com(model: pin.Model, data: pin.Data) -> Array:
-    """Returns the com (3,) of all that has mass, a fixed base's too (m)."""
-    masses = [float(inertia.mass) for inertia in model.inertias]
-    coms = [
-        place.act(inertia.lever) for place, inertia in zip(data.oMi, model.inertias, strict=True)
-    ]
-    return np.asarray(np.average(coms, axis=0, weights=masses) if any(masses) else np.zeros(3))
+        model, places, dofs = self._taken(values)
+        data, count = mujoco.MjData(model), len(self.values.joints)
+        greatest = np.zeros(count)
+        for qpos in self.qpos:
+            data.qpos[places] = qpos
+            if self.values.floating:
+                data.qpos[:7] = 0, 0, 0, 1, 0, 0, 0
+            mujoco.mj_forward(model, data)
+            held = np.abs(data.qfrc_bias[dofs[len(dofs) - count :]])
+            greatest = np.maximum(greatest, held)
+        return dict(zip(self.values.joints, greatest.tolist(), strict=True))
 
 
 def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
