@@ -56,7 +56,6 @@ class Element:
     """An element of an MJCF.
 
     Attributes:
-        row: Its row in MuJoCo's arrays.
         values: {word: its numbers}.
         place: Returns where a word of it is stated, in itself or a default class; where it stands
             itself, if it is not.
@@ -65,7 +64,6 @@ class Element:
         of: The body of a geom, the two geoms of a pair, or the two bodies of an exclude.
     """
 
-    row: int
     values: Mapping[str, Value]
     place: Callable[[str], Place]
     shape: Shape | None = None
@@ -97,31 +95,31 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
         place = partial(place_of_geom, file, geom)
         body = model.body(int(model.geom_bodyid[geom])).name
         found["geom", name] = Element(
-            geom, values, place, read_shape(model, geom), geom in touching, (body,)
+            values, place, read_shape(model, geom), geom in touching, (body,)
         )
     pairs, excludes = ([place for _, place in file.elements(tag)] for tag in ("pair", "exclude"))
     for pair in range(model.npair):
         ends = names[int(model.pair_geom1[pair])], names[int(model.pair_geom2[pair])]
         values = element_values(model, "pair", pair)
         at = _at(_nth(pairs, pair, model.npair, file))
-        found["pair", both_of(ends)] = Element(pair, values, at, of=ends)
+        found["pair", both_of(ends)] = Element(values, at, of=ends)
     for exclude, signature in enumerate(model.exclude_signature.tolist()):
         ends = model.body(signature >> 16).name, model.body(signature & 0xFFFF).name
         at = _at(_nth(excludes, exclude, model.nexclude, file))
-        found["exclude", both_of(ends)] = Element(exclude, {}, at, of=ends)
+        found["exclude", both_of(ends)] = Element({}, at, of=ends)
     stated = next((place for _, place in file.elements("option")), Place(file.path))
     found["option", "option"] = Element(
-        0, element_values(model, "option", 0), _stating(file, "option", stated)
+        element_values(model, "option", 0), _stating(file, "option", stated)
     )
     flags = next((place for _, place in file.elements("flag")), stated)
     for bit in (*DISABLE_BITS, *ENABLE_BITS):
         enabled = {ENABLED: (float(has_flag(model, bit)),)}
-        found["flag", flag_name(bit)] = Element(0, enabled, _at(flags))
+        found["flag", flag_name(bit)] = Element(enabled, _at(flags))
     found |= _bound(file)
     for key in range(model.nkey):
         name = model.key(key).name or f"#{key}"
         found["key", name] = Element(
-            key, element_values(model, "key", key), _at(file.place("key", name))
+            element_values(model, "key", key), _at(file.place("key", name))
         )
     return found
 
@@ -143,7 +141,7 @@ def _bound(file: MjcfFile) -> dict[Key, Element]:
             elif kind == "equality":
                 name = equality_name(model, row)
             place = partial(_place_of, file, kind, name, row)
-            found[kind, name] = Element(row, element_values(model, kind, row), place)
+            found[kind, name] = Element(element_values(model, kind, row), place)
     return found
 
 
@@ -182,7 +180,7 @@ def list_collisions(model: UrdfModel) -> dict[Key, Element]:
         for number, shape in enumerate(touching, 1):
             name = link.name if number == 1 else f"{link.name} #{number}"
             place = model.file.nth(link.name, "collision", number - 1)
-            found["collision", name] = Element(number - 1, {}, _at(place), shape, of=(link.name,))
+            found["collision", name] = Element({}, _at(place), shape, of=(link.name,))
     return found
 
 

@@ -10,7 +10,6 @@ from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 from pupper_analysis.cli.shared import (
     fine_tolerance_option,
-    frame_option,
     map_file_option,
     map_option,
     mapped_names,
@@ -44,7 +43,6 @@ from pupper_analysis.cli.shared import (
 @map_option
 @map_file_option
 @shared.package_option
-@frame_option
 @fine_tolerance_option
 @shared.json_option
 @shared.look_option
@@ -60,7 +58,6 @@ def command(
     pairs: tuple[str, ...],
     map_file: Path | None,
     packages: tuple[str, ...],
-    feet: tuple[str, ...],
     changes: tuple[str, ...],
     json_path: Path | None,
     style: str,
@@ -105,7 +102,6 @@ def command(
         force=force,
         names=names,
         packages=folders,
-        feet=feet,
         tolerances=tolerances,
     )
     document = sync_document(result, chosen=bool(take), dry_run=dry_run)

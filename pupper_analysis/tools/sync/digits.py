@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.models.xml import NUMBER
-from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
 
@@ -77,43 +73,3 @@ def _shortest(value: float, scale: float) -> float:
             if abs(rounded - value) <= error * scale:
                 return rounded
     return value
-
-
-FORMS: Final = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
-"""The attributes of an MJCF that state an orientation."""
-
-
-@dataclass(frozen=True)
-class AngleUnits:
-    """What an MJCF's compiler says of angles.
-
-    Attributes:
-        degrees: Whether angles are degrees.
-        eulerseq: The order of Euler angles, small letters for axes that turn along.
-    """
-
-    degrees: bool
-    eulerseq: str
-
-    @property
-    def factor(self) -> float:
-        """Of a number in the file to radians."""
-        return float(np.pi / 180) if self.degrees else 1.0
-
-
-def stated_rotation(element: Element, units: AngleUnits) -> Array:
-    """Returns the orientation that an MJCF's element states, by MuJoCo's own reading."""
-    form = stated_orientation(element)
-    if form is None:
-        return np.eye(3)
-    angle = "degree" if units.degrees else "radian"
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><compiler angle="{angle}" eulerseq="{units.eulerseq}"/>'
-        f'<worldbody><site {form}="{element.get(form)}"/></worldbody></mujoco>'
-    )
-    return rotation_from_quaternion(model.site_quat[0])
-
-
-def stated_orientation(element: Element) -> str | None:
-    """Returns the attribute by which an MJCF's element states its orientation itself."""
-    return next((form for form in FORMS if element.get(form) is not None), None)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -10,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import existing_file
-from pupper_analysis.tools.sync.digits import AngleUnits, stated_orientation, written_words
+from pupper_analysis.tools.sync.digits import written_words
 from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ class MjcfInPlace:
     Attributes:
         documents: {file: its document}.
         root: The root element.
-        units: What its compiler says of angles.
+        angle: A unit of its angles (rad).
     """
 
     def __init__(self, file: MjcfFile) -> None:
@@ -33,8 +33,7 @@ class MjcfInPlace:
         self._main = file.path
         self.root = self._read(file.path)
         compiler = file.spec.compiler
-        sequence = "".join(str(letter) for letter in compiler.eulerseq)
-        self.units = AngleUnits(bool(compiler.degree), sequence)
+        self.angle = math.pi / 180 if compiler.degree else 1.0
         self.autolimits = bool(compiler.autolimits)
         self._bodies = self._named_bodies(file.spec)
 
@@ -80,20 +79,6 @@ class MjcfInPlace:
         if text is not None:
             element.set(attribute, text)
         return text is not None
-
-    def write_all(self, element: Element, changes: Mapping[str, str]) -> None:
-        """Writes an element's attributes; a quaternion replaces other forms of orientation."""
-        for attribute, text in changes.items():
-            form = stated_orientation(element) if attribute == "quat" else None
-            element.rename_or_set(form or attribute, attribute, text)
-
-    def class_stating(self, element: Element, attribute: str) -> Place | None:
-        """Returns where a default class states what an element itself does not in the file."""
-        name = element.get("name") or element.get("joint")
-        if attribute in element.attributes or name is None:
-            return None
-        drives = element.parent is not None and element.parent.tag == "actuator"
-        return self._file.stated("actuator" if drives else element.tag, name, [attribute])
 
     def is_framed(self, element: Element) -> bool:
         """Says whether an element is in a <frame>, in which it states its place."""

@@ -9,10 +9,15 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import inertia_entries, placement_of
-from pupper_analysis.base.diagnostics import Diagnostic, Source, diagnose
+from pupper_analysis.base.arrays import (
+    inertia_entries,
+    placement_of,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.conversion import inertia_of_body, joint_armature, joint_damping
 from pupper_analysis.models.efforts import (
     effort_limit,
@@ -25,8 +30,6 @@ from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.sync.digits import (
     SAME,
-    AngleUnits,
-    stated_rotation,
     written_words,
 )
 from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, ways_to_weigh
@@ -38,8 +41,8 @@ Array = NDArray[np.float64]
 _NEW_INERTIAL_COST = 100
 """What a new <inertial> counts, in attributes: any change of what is there goes before it."""
 
-_Plan = tuple[int, Element, dict[str, str], Diagnostic | None]
-"""How many attributes change, of which element, which, and what to say."""
+_AXES = ("axisangle", "euler", "xyaxes", "zaxis")
+"""Words for the axes of an <inertial> that are not written."""
 
 
 def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
@@ -49,85 +52,57 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     wanted = side.sides.mjcf_frames[mover].actInv(side.wanted.bodies[mover].rigid)
     top = model.body(side.sides.matched.mjcf_body[mover]).id
     group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
-    placed = {body: _pose(side, body).act(inertia_of_body(model, body)) for body in group}
+    poses = {body: side.sides.bodies[str(model.body(body).name)] for body in group}
+    placed = {body: pose.act(inertia_of_body(model, body)) for body, pose in poses.items()}
     heavy = {body: part for body, part in placed.items() if part.mass > 0}
     if is_same_body(sum(heavy.values(), pin.Inertia.Zero()), wanted):
         return
-    ways = ways_to_weigh(heavy, wanted, top)
-    found = [plan for body, part in ways if (plan := _plan(side, body, part)) is not None]
-    if not found:
-        copied = any(_element(side, body) is None for body, _ in ways)
-        reason = diagnose("body-is-a-copy" if copied else "no-body-to-change")
-        side.left.update(dict.fromkeys(keys, reason))
+    plans = []
+    for body, part in ways_to_weigh(heavy, wanted, top):
+        element = side.elements.body(str(model.body(body).name))
+        if element is None:
+            side.left.update(dict.fromkeys(keys, COPIED))
+            return
+        inertial, cost = element.find("inertial"), 0
+        if inertial is None:
+            inertial = Element("inertial", {}, element.file, -1, element.line, element)
+            cost = _NEW_INERTIAL_COST
+        if not any(word in inertial.attributes for word in _AXES):
+            changes = inertial_changes(inertial, poses[body].actInv(part))
+            plans.append((cost + len(changes), inertial, changes))
+    if not plans:
+        side.left.update(dict.fromkeys(keys, diagnose("no-body-to-change")))
         return
-    best = min(found, key=lambda plan: plan[0])
-    _, element, changes, how = best
-    if element.start < 0 and element.parent is not None:
-        element.parent.children.insert(0, element)
-    side.elements.write_all(element, changes)
-    if len(heavy) > 1:
-        how = diagnose("one-body-changed", how=how, bodies=len(heavy))
-    if how is not None:
-        side.notes.update(dict.fromkeys(keys, how))
+    _, inertial, changes = min(plans, key=lambda plan: plan[0])
+    if inertial.start < 0 and inertial.parent is not None:
+        inertial.parent.children.insert(0, inertial)
+    inertial.changes.update(changes)
 
 
-def _element(side: MjcfSide, body: int) -> Element | None:
-    return side.elements.body(str(side.model.body(body).name))
-
-
-def _pose(side: MjcfSide, body: int) -> pin.SE3:
-    return side.sides.bodies[str(side.model.body(body).name)]
-
-
-def _plan(side: MjcfSide, body: int, part: pin.Inertia) -> _Plan | None:
-    """Returns how to give a body a mass by the file's own words, by the fewest; None if not."""
-    element, wanted = _element(side, body), _pose(side, body).actInv(part)
-    if element is None:
-        return None
-    inertial = element.find("inertial")
-    if inertial is not None:
-        now = inertia_of_body(side.model, body)
-        changes = inertial_changes(inertial, now, wanted, side.elements.units)
-        return len(changes), inertial, changes, None
-    new = Element("inertial", {}, element.file, -1, element.line, element)
-    words = {
-        "pos": written_words([], wanted.lever, 1.0),
-        "mass": written_words([], wanted.mass),
-        "fullinertia": written_words([], inertia_entries(wanted.inertia)),
-    }
-    stated = {name: text for name, text in words.items() if text is not None}
-    return _NEW_INERTIAL_COST, new, stated, diagnose("inertial-put-in")
-
-
-def inertial_changes(
-    element: Element, now: pin.Inertia, wanted: pin.Inertia, units: AngleUnits
-) -> dict[str, str]:
+def inertial_changes(element: Element, wanted: pin.Inertia) -> dict[str, str]:
     """Returns the fewest changes by which an <inertial> states a mass, in the form that it has."""
-    changes = {}
-    for attribute, values, floor in (("pos", wanted.lever, 1.0), ("mass", [wanted.mass], 0.0)):
-        words = (element.get(attribute) or "").split()
-        text = written_words(words, np.array(values), floor)
-        if text is not None:
-            changes[attribute] = text
-    size = float(np.abs(wanted.inertia).max())
-    if float(np.abs(wanted.inertia - now.inertia).max()) <= 1e-11 * size:
-        return changes
+    numbers = {"pos": wanted.lever, "mass": wanted.mass}
     if element.get("diaginertia") is None:
-        words = (element.get("fullinertia") or "").split()
-        text = written_words(words, inertia_entries(wanted.inertia))
-        return changes if text is None else changes | {"fullinertia": text}
-    return changes | _principal(element, wanted.inertia, units)
+        numbers["fullinertia"] = inertia_entries(wanted.inertia)
+    else:
+        numbers |= _principal(element, wanted.inertia)
+    floors = {"pos": 1.0, "quat": 1.0}
+    words = {
+        name: written_words((element.get(name) or "").split(), value, floors.get(name, 0.0))
+        for name, value in numbers.items()
+    }
+    return {name: text for name, text in words.items() if text is not None}
 
 
-def _principal(element: Element, wanted: Array, units: AngleUnits) -> dict[str, str]:
-    """Returns the changes of principal moments, or of their axes, or of both."""
-    moments = np.array([float(word) for word in (element.get("diaginertia") or "").split()])
-    own = stated_rotation(element, units)
+def _principal(element: Element, wanted: Array) -> dict[str, Array]:
+    """Returns the principal moments, and their axes if they are others than are stated."""
+    moments = parse_numbers(element.get("diaginertia"), "")
+    stated = parse_numbers(element.get("quat"), "1 0 0 0")
+    own = rotation_from_quaternion(stated / np.linalg.norm(stated))
     size = float(np.abs(wanted).max())
     inside = own.T @ wanted @ own
     if float(np.abs(inside - np.diag(np.diag(inside))).max()) <= 1e-11 * size:
-        text = written_words((element.get("diaginertia") or "").split(), np.diag(inside))
-        return {} if text is None else {"diaginertia": text}
+        return {"diaginertia": np.diag(inside)}
     values, axes = np.linalg.eigh(wanted)
     order = list(np.argsort(np.argsort(moments)))
     values, axes = values[order], axes[:, order]
@@ -135,15 +110,11 @@ def _principal(element: Element, wanted: Array, units: AngleUnits) -> dict[str, 
     axes = axes * np.where(np.sum(axes * own, axis=0) < 0, -1.0, 1.0)
     if np.linalg.det(axes) < 0:
         axes[:, int(np.argmin(np.abs(np.sum(axes * own, axis=0))))] *= -1
-    text = written_words((element.get("diaginertia") or "").split(), values)
-    changes = {} if text is None else {"diaginertia": text}
-    x, y, z, w = pin.Quaternion(axes).coeffs()
-    quaternion = np.array([w, x, y, z])
-    stated = parse_numbers(element.get("quat"), "1 0 0 0")
-    if float(quaternion @ stated) < 0:
-        quaternion = -quaternion
-    text = written_words((element.get("quat") or "").split(), quaternion, 1.0)
-    return changes if text is None else changes | {"quat": text}
+    quaternion = quaternion_from_rotation(axes)
+    return {
+        "diaginertia": values,
+        "quat": -quaternion if float(quaternion @ stated) < 0 else quaternion,
+    }
 
 
 COPIED = diagnose("body-is-a-copy")
@@ -190,37 +161,6 @@ class MjcfSide(Side):
         for name in dict.fromkeys(e for k, e in taken if k in ("mass", "com", "inertia")):
             write_inertial(self, name, [key for key in taken if key[1] == name])
 
-    def write(
-        self,
-        key: Key,
-        element: Element,
-        attribute: str,
-        value: ArrayLike,
-        floor: float = 0.0,
-    ) -> bool:
-        """Writes numbers as an attribute of an element itself, unless it states them.
-
-        Where a default class states it, what is reported of the difference says so.
-
-        Args:
-            key: The difference.
-            element: The element.
-            attribute: The attribute.
-            value: The numbers.
-            floor: The least scale of what counts as the same.
-
-        Returns:
-            Whether something was written.
-        """
-        written = self.elements.write(element, attribute, value, floor)
-        place = self.elements.class_stating(element, attribute) if written else None
-        if place is not None:
-            source = Source(str(place.file), place.line)
-            self.notes[key] = diagnose(
-                "class-stays", attribute=attribute, place=str(place), sources=source
-            )
-        return written
-
     def _body_pose(self, body: int) -> pin.SE3:
         """Returns where a body is in the frame of the body that a joint moves."""
         name = str(self.model.body(body).name)
@@ -250,7 +190,7 @@ class MjcfSide(Side):
         elif self.elements.is_framed(element):
             self.left[key] = diagnose("place-in-a-frame")
         elif float(np.abs(np.array(wanted.translation) - now.translation).max()) > SAME:
-            self.write(key, element, "pos", wanted.translation, 1.0)
+            self.elements.write(element, "pos", wanted.translation, 1.0)
 
     def joint_in_file(self, name: str) -> Element | None:
         """Returns the element of a joint."""
@@ -266,20 +206,14 @@ class MjcfSide(Side):
         if not (math.isfinite(joint.lower) and math.isfinite(joint.upper)):
             self.left[key] = diagnose("mjcf-one-limit-unwritten")
             return
-        factor = 1.0 if joint.slides else self.elements.units.factor
+        factor = 1.0 if joint.slides else self.elements.angle
         values = [joint.lower / factor, joint.upper / factor]
         index = self.model.joint(name).id
         limited = self.robot.description.mjcf.joint(name).limited
         auto = limited == mujoco.mjtLimited.mjLIMITED_AUTO.value and self.elements.autolimits
-        if not self.model.jnt_limited[index]:
-            if not auto:
-                self.elements.write(element, "limited", "true")
-        elif element.get("range") is None:
-            scale = max(1.0, float(np.abs(values).max()))
-            now = np.array(self.model.jnt_range[index]) / factor
-            if float(np.abs(now - values).max()) <= SAME * scale:
-                return
-        self.write(key, element, "range", values, 1.0)
+        if not (self.model.jnt_limited[index] or auto):
+            self.elements.write(element, "limited", "true")
+        self.elements.write(element, "range", values, 1.0)
 
     def _damping(self, key: Key) -> None:
         name = key[1]
@@ -315,7 +249,7 @@ class MjcfSide(Side):
         if element is None:
             self.left[key] = COPIED
             return
-        self.write(key, element, attribute, values)
+        self.elements.write(element, attribute, values)
 
 
 # Writes the gains of position servos into an MJCF, in the words in which it states them.
@@ -346,10 +280,11 @@ def write_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:
     if element.tag == "position":
         _position(side, element, name, wanted, stiffness, damping)
     elif element.tag == "general":
-        key = next(iter(wanted))
         gain = _padded(element, "gainprm", [stiffness])
-        side.write(key, element, "gainprm", gain)
-        side.write(key, element, "biasprm", _padded(element, "biasprm", [0, -stiffness, -damping]))
+        side.elements.write(element, "gainprm", gain)
+        side.elements.write(
+            element, "biasprm", _padded(element, "biasprm", [0, -stiffness, -damping])
+        )
     else:
         message = diagnose("servo-without-words", tag=element.tag)
         side.left.update(dict.fromkeys(wanted, message))
@@ -364,7 +299,7 @@ def _position(
     damping: float,
 ) -> None:
     if ("kp", name) in wanted:
-        side.write(("kp", name), element, "kp", stiffness)
+        side.elements.write(element, "kp", stiffness)
     if ("kd", name) in wanted:
         text = written_words((element.get("kv") or "").split(), damping)
         if text is not None:  # a ratio of damping gives way to a damping
@@ -408,9 +343,9 @@ def write_effort(side: MjcfSide, key: Key) -> None:
             value, ends = wanted / abs(one.factor), np.array(one.stated)
             pair = ends * (value / float(np.abs(ends).max()))  # one-sided ranges keep their shape
             symmetric = abs(ends.sum()) <= SAME
-            side.write(key, owner, one.attribute, [-value, value] if symmetric else pair)
+            side.elements.write(owner, one.attribute, [-value, value] if symmetric else pair)
     if not stated:
-        side.write(key, element, "actuatorfrcrange", [-wanted, wanted])
+        side.elements.write(element, "actuatorfrcrange", [-wanted, wanted])
         limited = side.robot.description.mjcf.joint(name).actfrclimited
         automatic = limited == mujoco.mjtLimited.mjLIMITED_AUTO.value and side.elements.autolimits
         if limited != mujoco.mjtLimited.mjLIMITED_TRUE.value and not automatic:

@@ -92,7 +92,6 @@ def sync_models(
     force: bool = False,
     names: Mapping[str, str] | None = None,
     packages: Mapping[str, Path] | None = None,
-    feet: Sequence[str] = (),
     tolerances: Tolerances | None = None,
 ) -> Sync:
     """Makes a URDF and an MJCF of one robot agree, by writing numbers of one into the other.
@@ -113,7 +112,6 @@ def sync_models(
         force: Write to files of a git repository with changes that are not committed.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: its folder}, for ``package://`` paths.
-        feet: Frames, by their names in the MJCF, that are compared; by default all in common.
         tolerances: What counts as a difference; by default what does for `compare_models`, so that
             numbers of 5 or 6 digits stay as they are written. ``Tolerances.strict()`` is for all
             but the rounding of floating-point numbers.
@@ -126,7 +124,7 @@ def sync_models(
         ConfigurationError: If a choice means nothing.
         OutputError: If a file cannot be written, or has changes that are not committed.
     """
-    files = Files(Path(urdf), Path(mjcf), dict(names or {}), dict(packages or {}), tuple(feet))
+    files = Files(Path(urdf), Path(mjcf), dict(names or {}), dict(packages or {}))
     tolerances = tolerances or Tolerances()
     comparison = _compared(files, tolerances)
     choices = choose_files(comparison.differences, take)
@@ -162,7 +160,6 @@ def _compared(files: Files, tolerances: Tolerances) -> FilesCompared:
         files.mjcf,
         names=files.names,
         packages=files.packages,
-        feet=files.feet,
         tolerances=tolerances,
     ).result
 

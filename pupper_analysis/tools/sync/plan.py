@@ -92,7 +92,6 @@ class Files:
     mjcf: Path
     names: Mapping[str, str]
     packages: Mapping[str, Path]
-    feet: tuple[str, ...]
 
 
 @dataclass(eq=False)
@@ -147,7 +146,7 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) ->
         taken: {kind and element of a difference: ``"urdf"`` or ``"mjcf"``, whose value is taken}.
     """
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
-    matched = match_models(urdf, mjcf, names=files.names, feet=files.feet, tolerances=tolerances)
+    matched = match_models(urdf, mjcf, names=files.names, tolerances=tolerances)
     both = pair_robots(matched, align_robot(matched.robot, tolerances))
     elements = MjcfInPlace(mjcf)
     document = read_document(urdf.path)

@@ -104,7 +104,6 @@ class UrdfSide(Side):
             return
         if element.get("type") == "continuous":
             element.set("type", "revolute")
-            self.notes[key] = diagnose("joint-made-revolute")
         for kind in _RANGE:
             self._state(moved, kind, getattr(joint, BY_KIND[kind].field), 1.0)
         self._complete(key, moved)
@@ -159,16 +158,8 @@ class UrdfSide(Side):
 
         tries = [(link, changed(link, part)) for link, part in ways]
         best, changes = min(tries, key=lambda way: len(way[1]))
-        self._write(best, changes)
-        if len(placed) > 1:
-            message = diagnose("one-link-changed", links=len(placed), link=best)
-            self.notes.update(dict.fromkeys(keys, message))
-
-    def _write(self, link: str, changes: Changes) -> None:
-        """Notes changes of a link's inertial."""
         for (path, attribute), text in changes.items():
-            element = self._links[link].element.ensure("inertial")
-            element.ensure(path).set(attribute, text)
+            self._links[best].element.ensure("inertial").ensure(path).set(attribute, text)
 
 
 def place_change(owner: Element | None, place: Array) -> str | None:

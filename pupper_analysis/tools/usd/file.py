@@ -6,6 +6,7 @@ Nothing is fetched, and no plugin is asked for.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -40,8 +41,7 @@ class UsdFile:
         path: The file.
         stage: Its `pxr.Usd.Stage`, all payloads loaded.
         bodies: {name: path of the prim} of its rigid bodies. A name is the prim's, or the one it is
-            shown by where a converter had to change that; of several alike, as much of the path as
-            tells them apart.
+            shown by where a converter had to change that; of several alike, the path.
         joints: Likewise of its joints.
         notes: What was left out on reading.
     """
@@ -161,19 +161,10 @@ def _check_depth(path: Path, text: bytes) -> None:
 
 
 def _named(prims: list[Any]) -> dict[str, str]:
-    """Names prims: by what they are called, and where several are alike, by more of their paths."""
-    names = [prim.GetDisplayName() or prim.GetName() for prim in prims]
-    named = {}
-    for prim, name in zip(prims, names, strict=True):
-        parts = str(prim.GetPath()).strip("/").split("/")
-        length = 1
-        while name in named or (length == 1 and names.count(name) > 1):
-            length += 1
-            name = "/".join(parts[-length:])
-            if length > len(parts):
-                break
-        named[name] = str(prim.GetPath())
-    return named
+    """Names prims: by what they are called; several alike by their paths."""
+    called = [(prim.GetDisplayName() or prim.GetName(), str(prim.GetPath())) for prim in prims]
+    counts = Counter(name for name, _ in called)
+    return {name if counts[name] == 1 else path.strip("/"): path for name, path in called}
 
 
 @contextmanager

@@ -30,7 +30,6 @@ from pupper_analysis.models.stated.model import (
     FREE,
     HINGE,
     SLIDE,
-    Frame,
     Inertial,
     Joint,
     Link,
@@ -281,13 +280,11 @@ class Weighed:
     Attributes:
         inertial: None if that is not known.
         origin: Of its mass.
-        newton: (3, 3) What `newton:inertia` states, in the body's axes (kg m^2); None if nothing.
         lacks: What of ``"mass"``, ``"com"`` and ``"inertia"`` it does not state.
     """
 
     inertial: Inertial | None
     origin: Origin
-    newton: Array | None
     lacks: tuple[str, ...] = ()
 
 
@@ -304,8 +301,7 @@ def weigh_body(body: Any, place: Placed, shapes: Sequence[Any], units: StageUnit
     mass = (_positive(body, "physics:mass") or below) * units.mass
     com = _vector(body, "physics:centerOfMass")
     moments = _vector(body, "physics:diagonalInertia")
-    newton = _newton(body, units)
-    tensor = newton
+    tensor = None
     rounding = 0.0
     if moments is not None and moments.any():
         turn = _axes(body)
@@ -316,11 +312,11 @@ def weigh_body(body: Any, place: Placed, shapes: Sequence[Any], units: StageUnit
     if mass < 0 or not lacks:
         com = np.zeros(3) if com is None else com * place.scale
         tensor = np.zeros((3, 3)) if tensor is None else tensor
-        return Weighed(Inertial(mass, com, tensor, True, rounding), Origin.STATED, newton)
+        return Weighed(Inertial(mass, com, tensor, True, rounding), Origin.STATED)
     if not mass and not shapes:
-        return Weighed(None, Origin.UNKNOWN, newton, lacks)
+        return Weighed(None, Origin.UNKNOWN, lacks)
     water = not mass and not all(_is_weighed(body, shape) for shape in shapes)
-    return Weighed(None, Origin.WATER if water else Origin.SHAPES, newton, lacks)
+    return Weighed(None, Origin.WATER if water else Origin.SHAPES, lacks)
 
 
 def _is_weighed(body: Any, shape: Any) -> bool:
@@ -351,15 +347,6 @@ def _axes(prim: Any) -> Array:
     """Returns the rotation (3, 3) of the principal axes: the body's, where they are not stated."""
     value = value_of(prim, "physics:principalAxes", "quaternion")
     return np.eye(3) if value is None else rotation_of((value.GetReal(), *value.GetImaginary()))
-
-
-def _newton(body: Any, units: StageUnits) -> Array | None:
-    """Returns what `newton:inertia` states: xx, yy, zz, xy, xz, yz in the body's axes."""
-    value = value_of(body, "newton:inertia", "list")
-    if value is None or len(value) != 6:
-        return None
-    xx, yy, zz, xy, xz, yz = np.array(value, dtype=float) * units.inertia
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -446,7 +433,6 @@ def read_usd_model(file: UsdFile) -> UsdModel:
             joints,
             weights[name].inertial,
             (),
-            tuple(_frames(file, prims[name], places[name], units, cache)),
         )
     return UsdModel(
         "usd",
@@ -619,22 +605,6 @@ def _free(body: str, pose: Pose) -> Joint:
     """Returns the joint of a body that nothing holds."""
     none, infinite = np.zeros(3), (-math.inf, math.inf, math.inf)
     return Joint(f"({body})", FREE, "world", body, pose.position, none, none, {}, *infinite)
-
-
-def _frames(
-    file: UsdFile, body: Any, place: Placed, units: StageUnits, cache: Any
-) -> Iterator[Frame]:
-    """Yields what only marks a place on a body: transforms without anything in them, and guides."""
-    from pxr import UsdGeom, UsdPhysics
-
-    for prim in own_prims(file, body):
-        if prim == body or prim.HasAPI(UsdPhysics.CollisionAPI) or not prim.IsA(UsdGeom.Xformable):
-            continue
-        guide = UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide
-        empty = prim.GetTypeName() == "Xform" and not prim.GetChildren()
-        if guide or empty:
-            world = np.array(world_matrix(file, prim, cache))[3, :3] * units.length
-            yield Frame(prim.GetDisplayName() or prim.GetName(), place.pose.inverse().point(world))
 
 
 def _gravity(file: UsdFile, units: StageUnits) -> Array | None:

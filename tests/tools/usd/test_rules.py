@@ -21,9 +21,6 @@ SLIPS = {
     "mass-not-positive": (("float physics:mass = 500\n", "float physics:mass = -500\n"), THIGH),
     "inertia-unstated": (("float3 physics:diagonalInertia = (20000, 19000, 2000)", ""), SHANK),
     "triangle-inequality": (("(30000, 26000, 5000)", "(30000, 2600, 5000)"), THIGH),
-    "inertias-contradict": (
-        ("float physics:mass = 500\n", "float physics:mass = 500\n"
-         "double[] newton:inertia = [26000, 30000, 5000, 0, 0, 0]\n"), THIGH),
     "joint-numbers-contradict": (
         ("double mjc:damping = 1000000", "double mjc:damping = 1000000\n"
          "float newton:damping = 1000000"), HIP),
