@@ -1,4 +1,4 @@
-"""One slip that explains many differences: a lost tensor, a link that is missing, a decimal point.
+"""One slip that explains many differences: units, an Euler sequence, left for right, a lost tensor.
 
 Each is tried out: the slip is undone, and what is gone of the differences is what it explains.
 
@@ -13,9 +13,10 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from functools import partial
+from itertools import combinations, islice, product
 
 import mujoco
 import numpy as np
@@ -23,17 +24,20 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_tensor
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
 from pupper_analysis.models.efforts import effort_of
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml import MAX_NUMBER
 from pupper_analysis.robot.compare.differences import (
     OF_INERTIALS,
     Difference,
     PatternCause,
     body_changes,
+    changes_between,
 )
+from pupper_analysis.robot.matching.alignment import align_frames, in_body_frame
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees, poses_at_zero
 from pupper_analysis.robot.robot import Robot
@@ -140,6 +144,7 @@ class PatternCase:
     Attributes:
         robot: The robot.
         first: The URDF's tree.
+        raw: The MJCF's, as it is.
         second: The MJCF's, in the URDF's link frames.
         keys: The differences.
         tolerances: What counts as one.
@@ -151,6 +156,7 @@ class PatternCase:
 
     robot: Robot
     first: MultibodyTree
+    raw: MultibodyTree
     second: MultibodyTree
     keys: Sequence[Key]
     tolerances: Tolerances
@@ -163,6 +169,37 @@ class PatternCase:
     def open(self) -> list[Key]:
         """The differences that no cause explains yet."""
         return [key for key in self.keys if key not in self.taken]
+
+    def left(self, second: MultibodyTree, only: Collection[str] | None = None) -> set[Key]:
+        """Returns the differences to another tree in place of the MJCF's.
+
+        Args:
+            second: The other tree.
+            only: The joints that are compared, with what they carry; by default all and the base.
+        """
+        first = self.first if only is None else self.first.part(only)
+        try:
+            both = align_frames(second, first, self.tolerances).values
+            found = {(c.kind, c.element) for c in changes_between(first, both, self.tolerances)}
+        except (ValueError, KeyError):  # not the same joints any more
+            return set(self.keys)
+        return found
+
+    def masses_apart(self, exchange: Mapping[str, str]) -> int:
+        """Returns how many masses differ where bodies are exchanged; no frame's place matters."""
+        pairs = [*exchange.items(), *((two, one) for one, two in exchange.items())]
+        masses = [(self.first.bodies[a].mass, self.raw.bodies[b].mass) for a, b in pairs]
+        greatest = self.tolerances.mass
+        return sum(abs(two - one) > greatest * max(abs(one), abs(two)) for one, two in masses)
+
+    def gone(self, second: MultibodyTree) -> set[Key]:
+        """Returns the differences that another tree in place of the MJCF's does not have.
+
+        None if it has others instead, or if most of them are left.
+        """
+        left = self.left(second)
+        gone = set(self.keys) - left
+        return gone if not left - set(self.keys) and len(gone) > 1 else set()
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +218,203 @@ class PatternFinding:
 
 
 Found = Iterator[PatternFinding]
+
+
+_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+
+
+def other_angles(case: PatternCase) -> Found:
+    """Finds another eulerseq, or degrees for radians, that ends differences."""
+    if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
+        kind for kind, _ in case.keys
+    }:
+        return
+    spec = case.robot.description.mjcf
+    said = "".join(
+        chr(letter) if isinstance(letter, int) else letter for letter in (spec.compiler.eulerseq)
+    )
+    tries: list[tuple[tuple[str, str, str], Callable[[mujoco.MjSpec], None]]] = []
+    if _has_euler(spec):
+        for order in (*_SEQUENCES, *(sequence.upper() for sequence in _SEQUENCES)):
+            if order != said:
+                tries.append((("eulerseq", order, said), partial(_set_sequence, order=order)))
+    degree = bool(spec.compiler.degree)
+    unit, other_unit = ("degree", "radian") if degree else ("radian", "degree")
+    if _has_euler(spec) or {"lower limit", "upper limit"} & {kind for kind, _ in case.keys}:
+        tries.append((("angle", other_unit, unit), partial(_set_degree, degree=not degree)))
+    best: tuple[tuple[str, str, str], set[Key]] = (("", "", ""), set())
+    for setting, change in tries:
+        other = spec.copy()
+        change(other)
+        try:
+            model = other.compile()
+        except (ValueError, RuntimeError):
+            continue
+        tree = kinematic_trees(replace(case.robot, mj_model=model))[1]
+        gone = case.gone(replace(tree, gravity=case.first.gravity))
+        if len(gone) > len(best[1]):
+            best = (setting, gone)
+    (attribute, value, stated), gone = best
+    turned = [key for key in case.keys if key[0] in ("rotation", "axis")]
+    limits = [key for key in case.keys if key[0] in ("lower limit", "upper limit")]
+    concerned = turned or limits
+    if concerned and sum(key in gone for key in concerned) >= 0.6 * len(concerned):
+        yield PatternFinding(
+            "angles",
+            diagnose(
+                "angles-meant-otherwise",
+                attribute=attribute,
+                value=value,
+                stated=stated,
+                count=len(gone),
+                total=len(case.keys),
+            ),
+            gone,
+        )
+
+
+def _has_euler(spec: mujoco.MjSpec) -> bool:
+    kind = mujoco.mjtOrientation.mjORIENTATION_EULER
+    return any(body.alt.type == kind or body.ialt.type == kind for body in spec.bodies)
+
+
+def _set_sequence(spec: mujoco.MjSpec, order: str) -> None:
+    spec.compiler.eulerseq = list(order)
+
+
+def _set_degree(spec: mujoco.MjSpec, degree: bool) -> None:
+    spec.compiler.degree = degree
+
+
+def find_exchanged(case: PatternCase) -> Found:
+    """Finds limbs whose names are exchanged."""
+    tops = case.first.children(case.first.base)
+    limbs = {top: [top, *case.first.below(top)] for top in tops}
+    concerned = {
+        case.first.frames[element][0] if kind == "frame" else element for kind, element in case.keys
+    }
+    shaken = [top for top, names in limbs.items() if concerned & set(names)]
+    pairs: list[tuple[str, str]] = []
+    second, gone = case.raw, set[Key]()
+    tries = ((a, b) for a, b in combinations(shaken, 2) if len(limbs[a]) == len(limbs[b]))
+    for one, two in islice(tries, _EXCHANGES):
+        if any({one, two} & set(pair) for pair in pairs):
+            continue
+        own = {*limbs[one], *limbs[two]}
+        exchange = dict(zip(limbs[one], limbs[two], strict=True))
+        carried = own | {frame for name in own for frame in case.first.carried_by(name)}
+        before = {key for key in case.keys if key[1] in carried}
+        if case.masses_apart(exchange) > _STAY * len(before):
+            continue  # these alone are too many of those that would stay
+        both = replace(second.part(own), frames=second.frames)
+        left = case.left(_renamed(both, exchange), [*limbs[one], *limbs[two]])
+        own = carried
+        after = {key for key in left if key[1] in own}
+        if len(before) > 1 and len(after) <= _STAY * len(before):
+            pairs.append((one, two))
+            second, gone = _renamed(second, exchange), gone | (before - after)
+    if pairs:
+        listed_limbs = [diagnose("limbs-of-a-pair", one=one, two=two) for one, two in pairs]
+        yield PatternFinding(
+            "exchanged",
+            diagnose("limbs-exchanged", pairs=listed_limbs, count=len(gone), total=len(case.keys)),
+            gone,
+        )
+
+
+_STAY = 0.2
+"""Share of the differences of two limbs that may stay where they are exchanged."""
+
+_EXCHANGES = 300
+"""Pairs of limbs that are tried: all of 24 limbs and more than any robot of limbs has."""
+
+
+def _renamed(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
+    """Exchanges joints of a tree, with all that they move."""
+    new = {**names, **{two: one for one, two in names.items()}}
+    joints = {
+        new.get(name, name): replace(joint, parent=new.get(joint.parent, joint.parent))
+        for name, joint in values.joints.items()
+    }
+    return replace(
+        values,
+        joints=joints,
+        bodies={new.get(name, name): body for name, body in values.bodies.items()},
+        frames={
+            frame: (new.get(owner, owner), place) for frame, (owner, place) in values.frames.items()
+        },
+    )
+
+
+_MASS = {
+    1e3: ("g", "kg"),
+    1e-3: ("kg", "g"),
+    2.20462: ("pounds", "kg"),
+    0.453592: ("kg", "pounds"),
+}
+_ANGLE = {math.degrees(1.0): ("degrees", "radians")}
+_LENGTH = {1e3: ("mm", "m"), 1e2: ("cm", "m"), 39.3701: ("inches", "m")}
+_INERTIA = {
+    1e3: ("g m^2", "kg m^2"),
+    1e4: ("kg cm^2", "kg m^2"),
+    1e6: ("kg mm^2", "kg m^2"),
+    1e7: ("g cm^2", "kg m^2"),
+    1e9: ("g mm^2", "kg m^2"),
+}
+
+
+def other_units(case: PatternCase) -> Found:
+    """Finds masses, lengths or inertias that are all the same multiple of the other file's."""
+    first, raw = case.first, case.raw
+    bodies = [(one, raw.bodies[name]) for name, one in first.bodies.items() if one.mass]
+    masses = _factor([(np.array([a.mass]), np.array([b.mass])) for a, b in bodies])
+    inertias = _factor(
+        [(a.inertia, case.second.bodies[n].inertia) for n, a in first.bodies.items()]
+    )
+    places = [(one.position, raw.joints[name].position) for name, one in first.joints.items()]
+    lengths = _factor(places)
+    hinges = [(one, raw.joints[name]) for name, one in first.joints.items() if not one.slides]
+    bounds = [tuple(np.array([j.lower, j.upper]) for j in pair) for pair in hinges]
+    limits = _factor((a, b) for a, b in bounds if np.abs([a, b]).max() <= MAX_NUMBER)
+    for what, factor, units, kinds in (
+        ("limits", limits, _ANGLE, ("lower limit", "upper limit")),
+        ("masses", masses, _MASS, ("mass",)),
+        ("lengths", lengths, _LENGTH, ("position", "com", "frame")),
+        ("inertias", inertias, _INERTIA, ("inertia",)),
+    ):
+        if factor is None:
+            continue
+        yield PatternFinding(
+            "units",
+            diagnose("all-scaled", what=Term(what), factor=factor, guess=_unit(factor, units)),
+            {key for key in case.keys if key[0] in kinds},
+        )
+
+
+def _factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
+    """Returns the one factor between all pairs of arrays; None if there is none, or it is 1."""
+    ratios = []
+    for one, two in pairs:
+        size = float(np.linalg.norm(one))
+        if size < 1e-12:
+            continue
+        ratio = float(np.sum(one * two)) / size**2
+        if float(np.linalg.norm(two - ratio * one)) > 1e-3 * abs(ratio) * size:
+            return None
+        ratios.append(ratio)
+    if len(ratios) < 2 or min(ratios) <= 0 or max(ratios) > 1.001 * min(ratios):
+        return None
+    factor = float(np.median(ratios))
+    return None if math.isclose(factor, 1.0, rel_tol=1e-2) else factor
+
+
+def _unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic | None:
+    for size, (meant, right) in units.items():
+        for file, times in (("MJCF", size), ("URDF", 1 / size)):
+            if math.isclose(factor, times, rel_tol=2e-3):
+                return diagnose("guess-unit", meant=Term(meant), right=Term(right), file=file)
+    decimal = math.isclose(abs(math.log10(factor)), 1, abs_tol=1e-3)
+    return diagnose("guess-decimal-point") if decimal else None
 
 
 def before_gears(case: PatternCase) -> Found:
@@ -523,6 +757,68 @@ def other_inertials(case: PatternCase) -> Found:
         )
 
 
+_PARALLEL = 1e-9  # sine of an angle
+
+_MOST_MOVED_JOINTS = 20
+"""Joints elsewhere of which no single one is looked at: it is another robot, and each look takes as
+long as a comparison."""
+
+
+def other_lines(case: PatternCase) -> Found:
+    """Finds joints whose axis alone is elsewhere.
+
+    A body is drawn from its joint on: if that is moved, com, children and frames all are at other
+    places as seen from it, though none of them has moved in the robot.
+    """
+    names = [element for kind, element in case.keys if kind == "position"]
+    for name in names if len(names) <= _MOST_MOVED_JOINTS else ():
+        moved = with_line_of(case.second, case.first, name)
+        gone = case.gone(moved)
+        if ("position", name) not in gone:
+            continue
+        away, angle = _apart(case.first.joints[name], case.second.joints[name])
+        yield PatternFinding(
+            "line",
+            diagnose(
+                "axis-elsewhere",
+                subject=("joint", name),
+                distance=Quantity(away, "m") if away > case.tolerances.position else None,
+                angle=Quantity(angle, "rad") if angle > case.tolerances.axis else None,
+            ),
+            gone,
+        )
+
+
+def with_line_of(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
+    """Returns a robot in which a joint turns about another's axis; its body stays at zero.
+
+    Args:
+        values: The robot.
+        other: A robot with that joint, in the same frame of the parent's.
+        name: The joint.
+    """
+    mine, new = values.joints[name], other.joints[name]
+    put = new.placement.actInv(mine.placement)
+    joint = replace(mine, position=new.position, rotation=new.rotation, axis=new.axis)
+    turned = in_body_frame(values, name, np.array(put.rotation), np.array(put.translation))
+    return replace(turned, joints={**turned.joints, name: joint})
+
+
+def _apart(one: TreeJoint, two: TreeJoint) -> tuple[float, float]:
+    """Returns the distance (m) of two joints' axes, and the angle (rad) between them.
+
+    In the frame of the parent, at zero; an axis of the opposite sign is the same line.
+    """
+    first, second = one.rotation @ one.axis, two.rotation @ two.axis
+    between, across = two.position - one.position, np.cross(first, second)
+    sine = float(np.linalg.norm(across))
+    if sine > _PARALLEL:
+        away = abs(float(between @ across)) / sine
+    else:
+        away = float(np.linalg.norm(np.cross(between, first)))
+    return away, float(np.arctan2(sine, abs(float(first @ second))))
+
+
 def find_causes(
     robot: Robot,
     second: MultibodyTree,
@@ -546,7 +842,8 @@ def find_causes(
     bodies = any(kind in OF_INERTIALS for kind, _ in keys)
     urdf = urdf_links(robot) if bodies else {}
     mjcf = mjcf_links(robot, raw, second) if bodies else {}
-    case = PatternCase(robot, first, second, keys, tolerances, urdf, mjcf, from_geoms)
+    raw = replace(raw, gravity=first.gravity)
+    case = PatternCase(robot, first, raw, second, keys, tolerances, urdf, mjcf, from_geoms)
     found: list[PatternCause] = []
     taken: set[int] = set()
     for look in _LOOKS:
@@ -561,11 +858,15 @@ def find_causes(
 
 
 _LOOKS = (
+    other_angles,
+    find_exchanged,
+    other_units,
     before_gears,
     find_dropped,
     masses_of_geoms,
     closed_loops,
     other_links,
     other_inertials,
+    other_lines,
 )
 """From what explains most at once to what explains a single body."""

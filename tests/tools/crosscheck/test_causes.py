@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.support.robots import (
     Files,
@@ -18,6 +20,7 @@ from tests.support.robots import (
     found,
     headline,
     mjcf_text,
+    numbers,
     quadruped,
     urdf_text,
     write,
@@ -33,6 +36,81 @@ def first_line(files: Files) -> str:
 
 def pair(folder: Path, mjcf: Parts) -> Files:
     return write(folder, urdf_text(quadruped()), mjcf_text(mjcf))
+
+
+def with_euler(text: str, order: str, compiler: str) -> str:
+    """The quaternions of bodies as Euler angles in an order; and what the compiler says of it."""
+
+    def euler(match: re.Match[str]) -> str:
+        quaternion = [float(word) for word in match[1].split()]
+        # MuJoCo's small letters are axes that turn along, scipy's are fixed ones.
+        angles = Rotation.from_quat(quaternion, scalar_first=True).as_euler(order.swapcase())
+        return f'euler="{numbers(angles)}"'
+
+    text = re.sub(r'quat="([^"]*)"', euler, text)
+    return text.replace('<compiler angle="radian"/>', f"<compiler {compiler}/>")
+
+
+def test_euler_angles_that_are_meant_agree(tmp_path: Path) -> None:
+    text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian" eulerseq="XYZ"')
+    assert compared(write(tmp_path, urdf_text(quadruped()), text)).agree
+
+
+def test_another_euler_sequence(tmp_path: Path) -> None:
+    text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian"')
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert 'the MJCF\'s angles are meant otherwise: with eulerseq="XYZ" in place of "xyz"' in line
+
+
+def test_degrees_for_radians(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped()).replace('angle="radian"', 'angle="degree"')
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert 'with angle="radian" in place of "degree" in its <compiler>' in line
+
+
+def test_limbs_that_are_exchanged(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped())
+    for kind in ("hip", "knee"):
+        for one, two in (("0", "1"), ("2", "3")):
+            text = text.replace(f'"{kind}{one}"', "@").replace(f'"{kind}{two}"', f'"{kind}{one}"')
+            text = text.replace("@", f'"{kind}{two}"')
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert "limbs are exchanged between the files: hip0 and hip1, hip2 and hip3;" in line
+
+
+def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float = 1.0) -> Parts:
+    return {
+        name: replace(
+            part,
+            mass=mass * part.mass,
+            position=tuple(length * np.array(part.position)),
+            com=tuple(length * np.array(part.com)),
+            inertia=tuple(inertia * np.array(part.inertia)),
+        )
+        for name, part in parts.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ({"mass": 1e3}, "all masses of the MJCF are 1000 times those of the URDF: g for kg"),
+        ({"mass": 0.1}, "all masses of the MJCF are 0.1 times those of the URDF: a decimal point?"),
+        ({"length": 1e3}, "all lengths of the MJCF are 1000 times those of the URDF: mm for m"),
+        ({"inertia": 1e6}, "all inertias of the MJCF are 1000000 times those of the URDF: kg mm^2"),
+    ],
+)
+def test_a_ratio_of_a_unit_is_named(tmp_path: Path, factors: dict[str, float], words: str) -> None:
+    assert words in first_line(pair(tmp_path, scaled(quadruped(), **factors)))
+
+
+def test_limits_in_degrees(tmp_path: Path) -> None:
+    urdf = {
+        name: replace(part, lower=math.degrees(part.lower), upper=math.degrees(part.upper))
+        for name, part in quadruped().items()
+    }
+    line = first_line(write(tmp_path, urdf_text(urdf), mjcf_text(quadruped())))
+    assert line.endswith("0.0174533 times those of the URDF: degrees for radians in the URDF?")
 
 
 def test_one_mass_ten_times_too_large(tmp_path: Path) -> None:
@@ -121,6 +199,43 @@ def test_no_pattern_where_there_is_none(tmp_path: Path) -> None:
     mjcf = changed(changed(quadruped(), "base", mass=6.1), "shank0", mass=0.25, upper=0.1)
     assert compared(pair(tmp_path, mjcf)).causes == ()
     assert compared(pair(tmp_path, all_changed(quadruped(), friction=0.3))).causes == ()
+
+
+def offset_joint(text: str, joint: str, pos: str) -> str:
+    """An MJCF in which a joint is not in its body's origin."""
+    assert f'<joint name="{joint}"' in text
+    return text.replace(f'<joint name="{joint}"', f'<joint pos="{pos}" name="{joint}"')
+
+
+def test_an_axis_alone_that_is_elsewhere(tmp_path: Path) -> None:
+    """The body stays; its com and its child have moved as seen from its joint alone."""
+    text = offset_joint(mjcf_text(quadruped()), "hip1", "0 0 0.004")
+    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    assert {("position", "hip1"), ("position", "knee1"), ("com", "hip1")} <= set(found(comparison))
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert "joint hip1: its axis is elsewhere in the MJCF, 4 mm away, and all" in line
+
+
+def test_an_axis_that_is_turned_about_another_of_its_points(tmp_path: Path) -> None:
+    """The axes meet, though not in the URDF's origin: that is nothing apart."""
+    text = mjcf_text(quadruped())
+    axis = re.search(r'<joint name="hip1"[^>]*axis="([^"]*)"', text)
+    assert axis is not None
+    old = np.array([float(word) for word in axis[1].split()])
+    across = np.cross(old, (0.3, 0.5, 0.8))
+    new = Rotation.from_rotvec(0.2 * across / np.linalg.norm(across)).apply(old)
+    turned = axis[0].replace(axis[1], numbers(new))
+    text = offset_joint(text.replace(axis[0], turned), "hip1", numbers(0.1 * old))
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert "joint hip1: its axis is elsewhere in the MJCF, turned by 11.46 deg, and all" in line
+
+
+def test_a_body_that_is_elsewhere_takes_its_axis_along(tmp_path: Path) -> None:
+    part = quadruped()["thigh1"]
+    place = tuple(np.add(part.position, (0.0, 0.0, 0.004)))
+    comparison = compared(pair(tmp_path, changed(quadruped(), "thigh1", position=place)))
+    assert found(comparison) == [("position", "hip1")]
+    assert comparison.causes == ()
 
 
 def geared(text: str, gears: tuple[float, ...]) -> str:
