@@ -263,18 +263,23 @@ class _Reader:
         """Refuses keys and values that are not valid, also in the tables of a table."""
         for key, value in table.items():
             if key not in valid:
-                raise self.unknown("key-unknown", key, within, valid)
+                raise self.unknown(key, within, valid)
             if not valid[key].check(value):
                 raise self.invalid(key, value, valid[key].valid)
             for name, one in value.items() if key in _IN_TABLES else ():
                 if name not in _KEYS.get(key, value):
-                    code = "rule-unknown" if key == "disable" else "key-unknown"
-                    raise self.unknown(code, name, f"{within}.{key}".strip("."), _KEYS[key])
+                    table = f"{within}.{key}".strip(".")
+                    raise self.unknown(name, table, _KEYS[key], rule=key == "disable")
                 if not _IN_TABLES[key].check(one):
                     raise self.invalid(name, one, _IN_TABLES[key].valid)
 
-    def unknown(self, code: str, key: str, within: str, valid: Iterable[str]) -> ModelError:
-        return ModelError(self.path, diagnose(code, key=key, within=within, known=tuple(valid)))
+    def unknown(
+        self, key: str, within: str, valid: Iterable[str], *, rule: bool = False
+    ) -> ModelError:
+        message = diagnose(
+            "rule-unknown" if rule else "key-unknown", key=key, within=within, known=tuple(valid)
+        )
+        return ModelError(self.path, message)
 
     def invalid(self, key: str, value: object, valid: Term | Diagnostic) -> ModelError:
         message = diagnose("setting-not-valid", key=key, value=repr(value), valid=valid)
