@@ -1,4 +1,8 @@
-"""One design: its numbers, the robot and stand that they make, and what is measured of it."""
+"""One design: its numbers, the robot and stand that they make, and what is measured of it.
+
+Its diagnostics are kept as plain data: what is reported today can be said tomorrow, in any
+language.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,19 @@ from typing import Any, TypeVar
 import numpy as np
 import orjson
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Phrase,
+    Quantity,
+    Severity,
+    Source,
+    Subject,
+    Term,
+    Value,
+    Vector,
+    diagnose,
+    entry,
+)
 from pupper_analysis.base.errors import (
     ConfigurationError,
     ModelError,
@@ -26,6 +42,7 @@ from pupper_analysis.base.errors import (
     StaticsInfeasibleError,
     VariantError,
 )
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import state_of
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
@@ -49,6 +66,65 @@ from pupper_analysis.tools.study.parameters import (
     with_gains,
     without_visuals,
 )
+
+
+def to_record(message: Diagnostic) -> dict[str, Any]:
+    """Returns a diagnostic as JSON can hold it, from which ``from_record`` makes it again."""
+    subject, sources = message.subject, message.sources
+    return {
+        "code": message.code,
+        "severity": message.severity.value,
+        "subject": None if subject is None else [subject.kind, subject.name],
+        "values": {name: _recorded(value) for name, value in message.values.items()},
+        "sources": [[one.file, one.line, one.element, one.attribute] for one in sources],
+    }
+
+
+def from_record(kept: dict[str, Any]) -> Diagnostic:
+    """Returns the diagnostic of a record.
+
+    Raises:
+        KeyError: If the catalogue has its code no more.
+    """
+    entry(kept["code"])
+    return Diagnostic(
+        kept["code"],
+        Severity(kept["severity"]),
+        None if kept["subject"] is None else Subject(*kept["subject"]),
+        FrozenDict({name: _restored(value) for name, value in kept["values"].items()}),
+        tuple(Source(*one) for one in kept["sources"]),
+    )
+
+
+def _recorded(value: Value) -> Any:
+    """Returns a value; what is no plain one is a dict with its kind as the key."""
+    if isinstance(value, tuple):
+        return [_recorded(one) for one in value]
+    if isinstance(value, Diagnostic):
+        return {"diagnostic": to_record(value)}
+    if isinstance(value, Quantity):
+        return {"quantity": [value.value, value.unit]}
+    if isinstance(value, Vector):
+        return {"vector": [list(value.values), value.unit]}
+    if isinstance(value, Phrase):
+        return {"phrase": [str(value), value.chinese]}
+    return {"term": str(value)} if isinstance(value, Term) else value
+
+
+def _restored(kept: Any) -> Value:
+    if isinstance(kept, list):
+        return tuple(map(_restored, kept))
+    if not isinstance(kept, dict):
+        return kept  # type: ignore[no-any-return]  # a number, a text, true or false, None
+    ((kind, value),) = kept.items()
+    if kind == "diagnostic":
+        return from_record(value)
+    if kind == "quantity":
+        return Quantity(*value)
+    if kind == "phrase":
+        return Phrase(*value)
+    return Vector(tuple(value[0]), value[1]) if kind == "vector" else Term(value)
+
 
 # Where the robots of a study come from.
 
@@ -413,14 +489,15 @@ def row_of(maker: Maker, numbers: Mapping[str, float], metrics: tuple[Metric, ..
 
 Row = dict[str, Any]
 
-ENDS = ("failure", "failed_metric", "reason", "reason_zh")
-"""Columns that tell what failed: of which kind, in measuring what (None: in making it), and why, in
-English and in Chinese."""
+ENDS = ("failure", "failed_metric", "reason", "diagnostic")
+"""Columns that tell what failed: of which kind, in measuring what (None: in making it), and why: in
+English, and as the record of a diagnostic."""
 
 
 def failure_columns(kind: str, reason: Diagnostic) -> Row:
     """Returns a row's columns of what failed."""
-    return {"failure": kind, "reason": str(reason), "reason_zh": reason.text("zh")}
+    kept = orjson.dumps(to_record(reason)).decode()
+    return {"failure": kind, "reason": str(reason), "diagnostic": kept}
 
 
 def measured_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:

@@ -99,7 +99,7 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
             doc.Name(one.metric or ""),
             doc.number_cell(one.designs, ".0f"),
             doc.Number(f"{one.share:.1%}", 100 * one.share, share=one.share),
-            doc.Text(one.reason, one.reason_zh),
+            doc.Name(one.reason) if one.diagnostic is None else doc.tell(one.diagnostic),
         )
         for one in outcome.failures
     ]

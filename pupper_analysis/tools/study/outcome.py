@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_type, real_array
@@ -21,7 +22,7 @@ from pupper_analysis.present.verdict import on_servos, own_clauses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.stance.fields import FIELDS
-from pupper_analysis.tools.study.design import ENDS, NUMBERS, UNBOUNDED
+from pupper_analysis.tools.study.design import ENDS, NUMBERS, UNBOUNDED, from_record
 from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.parameters import AXES, OF_JOINTS, OF_LINKS
 from pupper_analysis.tools.study.store import Store, require_library
@@ -47,7 +48,7 @@ class Failures(Result):
         designs: How many.
         share: Of all designs.
         reason: What the first of them says.
-        reason_zh: The same in Chinese.
+        diagnostic: The same as data; None in a folder of an older version.
     """
 
     kind: str
@@ -55,7 +56,7 @@ class Failures(Result):
     designs: int
     share: float
     reason: str
-    reason_zh: str
+    diagnostic: Diagnostic | None
 
 
 @dataclass(frozen=True)
@@ -254,9 +255,17 @@ def _failures(table: pd.DataFrame) -> tuple[Failures, ...]:
         first = table[table["failure"] == kind].iloc[0]
         metric = first["failed_metric"] if isinstance(first["failed_metric"], str) else None
         share = float(count) / len(table)
-        reasons = str(first["reason"]), str(first["reason_zh"])
-        found.append(Failures(str(kind), metric, int(count), share, *reasons))
+        reason, finding = str(first["reason"]), _read_diagnostic(first.get("diagnostic"))
+        found.append(Failures(str(kind), metric, int(count), share, reason, finding))
     return tuple(found)
+
+
+def _read_diagnostic(kept: object) -> Diagnostic | None:
+    """Returns the diagnostic of a cell; None where it has none, or one whose code is gone."""
+    try:
+        return from_record(orjson.loads(kept)) if isinstance(kept, str) else None
+    except (KeyError, ValueError):
+        return None
 
 
 def _named(source: Any) -> str:

@@ -1,6 +1,8 @@
-"""What is made of a study's table: fronts, sensitivities."""
+"""What is made of a study's table: fronts, sensitivities, recorded diagnostics."""
 
 from __future__ import annotations
+
+import json
 
 import numpy as np
 import pandas as pd
@@ -8,6 +10,8 @@ import pytest
 from scipy import stats
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Phrase, Quantity, Source, Term, Vector, diagnose
+from pupper_analysis.tools.study.design import from_record, to_record
 from pupper_analysis.tools.study.outcome import main_effects, pareto_front
 
 
@@ -48,3 +52,27 @@ def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
         share = between * (ratio - 1) / (between * ratio + len(made) - groups)
         assert found[name] == pytest.approx(max(0.0, share), abs=1e-12)
     assert 0 < found["x"] < 1
+
+
+def test_what_is_recorded_can_be_said_again_in_any_language() -> None:
+    missed = diagnose(
+        "foot-misses-target",
+        subject=("foot", "FL"),
+        gap=Quantity(0.002, "m"),
+        sources=Source("a.urdf", 7, "joint/limit", "effort"),
+    )
+    within = diagnose(
+        "name-unknown", kind=Term("joint"), unknown="joint", known=("a", "term: joint")
+    )
+    one = diagnose(
+        "com-moved-otherwise",
+        body="base",
+        moved=Vector((0.0, 1.5, 0.0), "m"),
+        asked=Vector((0.0, 0.0, 0.0), "m"),
+    )
+    said = diagnose("problem", problem=Phrase("height 1 m", "高度 1 m"))
+    whole = diagnose("argument-not-valid", field="f", problem=within)
+    for kept in (missed, within, one, said, whole):
+        again = from_record(json.loads(json.dumps(to_record(kept))))
+        assert again == kept
+        assert (again.text("en"), again.text("zh")) == (kept.text("en"), kept.text("zh"))
