@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
@@ -19,8 +20,9 @@ from pupper_analysis.present.documents.standing import (
 )
 from pupper_analysis.present.verdict import clause_text, verdict_clauses
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
+from pupper_analysis.stance.sag.steady_state import SteadyState
 from pupper_analysis.tools.live.access import without_folders
-from pupper_analysis.tools.live.model import Answer, PredictedSag
+from pupper_analysis.tools.live.model import Answer
 from pupper_analysis.tools.push.bench import PushTrial
 from pupper_analysis.tools.push.document import trial_document
 from pupper_analysis.tools.stand.stance import Stance
@@ -30,7 +32,7 @@ NOWHERE = doc.Name("")
 
 
 def stance_document(
-    answer: Answer, sag: PredictedSag | None, judged: Verdict | None
+    answer: Answer, sag: SteadyState | Diagnostic | None, judged: Verdict | None
 ) -> doc.Document:
     """Returns what a stance takes.
 
@@ -64,17 +66,16 @@ def _title(answer: Answer) -> doc.Name:
     return NOWHERE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
 
 
-def _sag(sag: PredictedSag | None) -> Iterable[doc.Block]:
+def _sag(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block]:
     title = text("predicted-sag-without-feed-forward")
     if sag is None:
         yield doc.Lines((text("being-worked-out"),), "warn", title)
-    elif sag.unsettled is not None:
-        yield doc.Lines((doc.tell(sag.unsettled),), "bad", title)
-    elif sag.settled is not None:
-        columns = quantity_columns()
-        yield doc.Table(title, columns, run_rows([sag.settled], SAG))
-        if sag.settled.failures:
-            yield doc.Lines(tuple(map(doc.tell, sag.settled.failures)), "bad")
+    elif isinstance(sag, Diagnostic):
+        yield doc.Lines((doc.tell(sag),), "bad", title)
+    else:
+        yield doc.Table(title, quantity_columns(), run_rows([sag], SAG))
+        if sag.failures:
+            yield doc.Lines(tuple(map(doc.tell, sag.failures)), "bad")
 
 
 def refusal_document(

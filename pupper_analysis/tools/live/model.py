@@ -64,19 +64,6 @@ class Answer:
         return isinstance(self.refusal, StanceUnreachableError)
 
 
-@dataclass(frozen=True, eq=False)
-class PredictedSag:
-    """What servos without feed-forward make of a stand.
-
-    Attributes:
-        settled: ``steady_state``'s; None where nothing is predicted.
-        unsettled: Why not; None where it is predicted.
-    """
-
-    settled: SteadyState | None
-    unsettled: Diagnostic | None
-
-
 class Model:
     """Answers for one robot's states; several threads may ask.
 
@@ -129,16 +116,16 @@ def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
     return None
 
 
-def predict_sag(answer: Answer) -> PredictedSag:
-    """Predicts where the stand settles without feed-forward."""
+def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
+    """Predicts where the stand settles without feed-forward; or says why nothing is predicted."""
     assert answer.robot is not None
     assert answer.stand is not None
     try:
-        return PredictedSag(steady_state(answer.robot, answer.stand, kp=answer.state.kp), None)
+        return steady_state(answer.robot, answer.stand, kp=answer.state.kp)
     except StaticsInfeasibleError:
-        return PredictedSag(None, diagnose("cannot-be-held"))
+        return diagnose("cannot-be-held")
     except PupperAnalysisError as error:
-        return PredictedSag(None, error.diagnostic)
+        return error.diagnostic
 
 
 def expect_verdict(answer: Answer, *, closely: bool) -> Verdict | None:

@@ -17,9 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.present.document import Document, text
 from pupper_analysis.simulation.verdict import Verdict
+from pupper_analysis.stance.sag.steady_state import SteadyState
 from pupper_analysis.tools.live import model as answers
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.controls import Controls
@@ -31,7 +33,7 @@ from pupper_analysis.tools.live.documents import (
     stance_document,
     unexpected_document,
 )
-from pupper_analysis.tools.live.model import Answer, Model, PredictedSag
+from pupper_analysis.tools.live.model import Answer, Model
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.state import State, write_stance_file
@@ -146,7 +148,7 @@ class Session:
         self._asked, self._think = threading.Event(), threading.Event()
         self._closed = threading.Event()
         self._lock = threading.RLock()
-        self._sag: PredictedSag | None
+        self._sag: SteadyState | Diagnostic | None
         self._refusal: Any
         self._job: Callable[[Answer], None] | None
         self._begin(None, None)
@@ -199,7 +201,7 @@ class Session:
             self._job = job
         self._think.set()
 
-    def export(self) -> tuple[Answer | None, PredictedSag | None]:
+    def export(self) -> tuple[Answer | None, SteadyState | Diagnostic | None]:
         """Returns what is shown, whole."""
         with self._lock:
             return self._answer, self._sag

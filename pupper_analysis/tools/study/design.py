@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
-from typing import Any, TypeVar
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import orjson
@@ -52,7 +52,7 @@ from pupper_analysis.robot.build import build_robot, rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS
-from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.measures import METRICS, Design, Metric
 from pupper_analysis.tools.study.parameters import (
@@ -244,26 +244,6 @@ def _plain(value: Any) -> Any:
     return repr(value)
 
 
-_T = TypeVar("_T")
-
-
-@dataclass(frozen=True)
-class DesignNumber:
-    """A number of a design that is neither a scale nor a factor.
-
-    Attributes:
-        low: The least that makes sense.
-        high: The greatest.
-        unit: Its unit.
-        open: Whether ``low`` itself makes no sense.
-    """
-
-    low: float
-    high: float
-    unit: str
-    open: bool = False
-
-
 STANCE = {
     name: (known, axis)
     for known in FIELDS.values()
@@ -279,33 +259,10 @@ A metric of the same name, such as ``com_margin``, would be in the same column o
 MODEL = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
 """Numbers of the robot, for all joints and feet alike."""
 
-NUMBERS = {
-    name: DesignNumber(known.low, known.high, known.unit, known.open)
-    for name, known in ({name: one for name, (one, _) in STANCE.items()} | MODEL).items()
-}
-
-UNBOUNDED = DesignNumber(-math.inf, math.inf, "m")
-"""How far a centre of mass is moved, or where a joint is, whose limits are the robot's."""
+NUMBERS = {name: field for name, (field, _) in STANCE.items()} | MODEL
 
 KEPT = 8
 """So many robots and stands are remembered: neighbours in a product of lists share them."""
-
-
-class Remembered:
-    """The latest results of a function, by what they depend on."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[Hashable, Any] = OrderedDict()
-
-    def get(self, key: Hashable, make: Callable[[], _T]) -> _T:
-        """Returns what is remembered for a key; makes it if it is not."""
-        if key not in self._kept:
-            self._kept[key] = make()
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        found: _T = self._kept[key]
-        return found
 
 
 @dataclass(eq=False)
@@ -321,9 +278,16 @@ class Maker:
     source: RobotSource
     task: StandTask
     point: tuple[str | float, ...]
-    _robots: Remembered = field(default_factory=Remembered)
-    _loaded: Remembered = field(default_factory=Remembered)
-    _stands: Remembered = field(default_factory=Remembered)
+
+    def __post_init__(self) -> None:
+        remember = lru_cache(KEPT)
+        self._scaled = remember(lambda scales: self.source.robot(dict(scales)))
+        self._loaded = remember(lambda numbers: self._robot(dict(numbers)))
+        self._stand = remember(
+            lambda model, stance: solve_stand(
+                self._loaded(model), task_of(self.task, dict(stance)), explain=False
+            )
+        )
 
     def design(self, numbers: Mapping[str, float]) -> Design:
         """Makes a design.
@@ -338,10 +302,7 @@ class Maker:
             if name in gains:
                 MODEL[name].check_range(name, gains[name])
         key = tuple(sorted(model.items()))
-        robot = self._loaded.get(key, lambda: self._robot(model))
-        stand = self._stands.get(
-            (key, tuple(sorted(stance.items()))), lambda: self._stand(robot, stance)
-        )
+        robot, stand = self._loaded(key), self._stand(key, tuple(sorted(stance.items())))
         own = not gains
         if gains:
             robot = with_gains(robot, gains.pop("kp", None), gains.pop("kd", None), gains)
@@ -350,17 +311,13 @@ class Maker:
     def _robot(self, numbers: Mapping[str, float]) -> Robot:
         scales = {name: v for name, v in numbers.items() if name in self.source.scales}
         factors = {name: v for name, v in numbers.items() if ":" in name}
-        base = tuple(sorted(scales.items()))
-        robot = scale_robot(self._robots.get(base, lambda: self.source.robot(scales)), factors)
+        robot = scale_robot(self._scaled(tuple(sorted(scales.items()))), factors)
         if "friction" in numbers:
             robot = with_friction(robot, numbers["friction"])
         if "payload" in numbers:
             robot = with_payload(robot, numbers["payload"], self.point)
             # Its stands are its own here: the com is over the feet with the payload.
         return robot
-
-    def _stand(self, robot: Robot, numbers: Mapping[str, float]) -> Stand:
-        return solve_stand(robot, task_of(self.task, numbers), explain=False)
 
 
 def servo_number(name: str) -> bool:
@@ -413,24 +370,26 @@ def check_range(name: str, low: float, high: float) -> None:
     Raises:
         ConfigurationError: If not.
     """
-    known = NUMBERS.get(name, DesignNumber(0.0, math.inf, "x", open=True))
-    named = Named.of(name)
-    if named is not None and named.kind in ADDED:
-        known = UNBOUNDED
-    elif named is not None:
-        known = DesignNumber(
-            0.0, math.inf, "x", open=name.partition(":")[0] in ("mass", "inertia", "length", "kp")
-        )
-    below = low <= known.low if known.open else low < known.low
-    if (math.isfinite(low) and below) or (math.isfinite(high) and high > known.high):
+    kind, colon, _ = name.partition(":")
+    if kind in ADDED and colon:  # the robot's own limits count
+        return
+    field = NUMBERS.get(name)
+    least, most, unit = (
+        (0.0, math.inf, "x") if field is None else (field.low, field.high, field.unit)
+    )
+    above = (
+        kind in ("mass", "inertia", "length", "kp") or not colon if field is None else field.open
+    )
+    below = low <= least if above else low < least
+    if (math.isfinite(low) and below) or (math.isfinite(high) and high > most):
         finding = diagnose(
             "out-of-range",
             first=low,
             last=high,
-            open=known.open,
-            low=known.low,
-            high=known.high if math.isfinite(known.high) else None,
-            unit=known.unit,
+            open=above,
+            low=least,
+            high=most if math.isfinite(most) else None,
+            unit=unit,
         )
         raise ConfigurationError(f"vary[{name!r}]", finding)
 

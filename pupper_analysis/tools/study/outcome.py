@@ -22,7 +22,11 @@ from pupper_analysis.present.verdict import on_servos, own_clauses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.stance.fields import FIELDS
+<<<<<<< HEAD
 from pupper_analysis.tools.study.design import ENDS, NUMBERS, UNBOUNDED, from_record
+=======
+from pupper_analysis.tools.study.design import ENDS, NUMBERS
+>>>>>>> 7ec8bcee (A study's numbers are fields of the table; policies have relu, elu, tanh, sigmoid and swish; the Chinese guide of the live page is of today's page)
 from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.parameters import AXES, OF_JOINTS, OF_LINKS
 from pupper_analysis.tools.study.store import Store, require_library
@@ -32,10 +36,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Array = NDArray[np.float64]
-
-
-SHARES = 8
-"""So many metrics are taken apart: more are more than anyone reads."""
 
 
 @dataclass(frozen=True)
@@ -356,7 +356,7 @@ def _cells(values: Array) -> Array:
 def unit_of(column: str) -> str:
     """Returns the unit of a metric or of a number that varies; empty of ratios and factors."""
     if column.partition(":")[0] in AXES:
-        return UNBOUNDED.unit
+        return "m"
     if column.partition(":")[0] in (*OF_JOINTS, *OF_LINKS):
         return FIELDS[column.partition(":")[0]].unit
     metric = METRICS.get(column.partition(".")[0])

@@ -76,9 +76,7 @@ class WrittenDesign(Result):
         return not self.failures
 
 
-def write_design(
-    study: Study, number: int, folder: str | Path, *, force: bool = False
-) -> WrittenDesign:
+def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign:
     """Writes a measured design of a study to ``design-NUMBER`` in the study's folder.
 
     The URDF, the MJCF with the design's servo gains, the meshes of both, and the stance as options
@@ -88,7 +86,6 @@ def write_design(
         study: The study.
         number: The row of its table, from 1.
         folder: The study's folder, as ``run`` has filled it.
-        force: Replace files that are there with another content.
 
     Raises:
         ConfigurationError: If there is no such design, or it makes no robot.
@@ -117,7 +114,7 @@ def write_design(
     contents[Path("stance.toml")] = stance_text(design.stand.task).encode()
     write_all(
         [
-            Writing(into / place, content, MODEL, force=force)
+            Writing(into / place, content, MODEL)
             for place, content in contents.items()
             if not _holds(into / place, content)
         ]

@@ -35,29 +35,12 @@ def elu(value: Array, alpha: float = 1.0) -> Array:
     return np.where(value > 0, value, alpha * np.expm1(np.minimum(value, 0.0)))
 
 
-def selu(value: Array) -> Array:
-    """Returns the scaled ELU of Klambauer et al. (2017)."""
-    scaled: Array = 1.0507009873554805 * elu(value, 1.6732632423543772)
-    return scaled
-
-
-def softmax(value: Array) -> Array:
-    """Returns exp(x) / sum(exp(x))."""
-    raised = np.exp(value - value.max(axis=-1, keepdims=True))
-    shares: Array = raised / raised.sum(axis=-1, keepdims=True)
-    return shares
-
-
 ACTIVATIONS: Mapping[str, Operation] = {
     "linear": lambda value: value,
     "relu": lambda value: np.maximum(value, 0.0),
     "elu": elu,
-    "selu": selu,
     "tanh": np.tanh,
     "sigmoid": sigmoid,
-    "softsign": lambda value: value / (1.0 + np.abs(value)),
-    "softplus": lambda value: np.logaddexp(0.0, value),
-    "softmax": softmax,
     "swish": lambda value: value * sigmoid(value),
 }
 """By the names of Keras."""

@@ -314,9 +314,6 @@ _OPERATORS: dict[str, Make] = {
     "Relu": _plain(ACTIVATIONS["relu"]),
     "Tanh": _plain(np.tanh),
     "Sigmoid": _plain(ACTIVATIONS["sigmoid"]),
-    "Softsign": _plain(ACTIVATIONS["softsign"]),
-    "Softplus": _plain(ACTIVATIONS["softplus"]),
-    "Selu": _plain(ACTIVATIONS["selu"]),
     "Elu": lambda given, _: lambda value: elu(value, given.get("alpha", 1.0)),
     "LeakyRelu": lambda given, _: (
         lambda value: np.where(value > 0, value, given.get("alpha", 0.01) * value)

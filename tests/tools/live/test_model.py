@@ -17,6 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.shapes import Pose, Shape
 from pupper_analysis.present.scene import Contact
 from pupper_analysis.simulation.verdict import VerdictCode
+from pupper_analysis.stance.sag.steady_state import SteadyState
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.command import read_stance
 from pupper_analysis.tools.live.documents import (
@@ -104,9 +105,9 @@ def test_an_answer_is_the_python_interfaces() -> None:
     statics = pa.stance.stand_statics(robot, stand)
     assert found.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
     assert found.statics.joint_torques == pytest.approx(statics.joint_torques, abs=1e-9)
-    settled = predict_sag(found).settled
+    settled = predict_sag(found)
     same = pa.steady_state(robot, stand, kp=20.0)
-    assert settled is not None
+    assert isinstance(settled, SteadyState)
     assert settled.height_loss == pytest.approx(same.height_loss, abs=1e-9)
 
 

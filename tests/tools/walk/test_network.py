@@ -28,8 +28,6 @@ BY_LOOPS: dict[str, Callable[[float], float]] = {
     "elu": lambda x: x if x > 0 else math.exp(x) - 1,
     "tanh": math.tanh,
     "sigmoid": lambda x: 1 / (1 + math.exp(-x)),
-    "softsign": lambda x: x / (1 + abs(x)),
-    "softplus": lambda x: math.log1p(math.exp(x)),
     "swish": lambda x: x / (1 + math.exp(-x)),
 }
 
@@ -61,10 +59,8 @@ def test_dense_as_by_loops(activation: str) -> None:
         assert out == pytest.approx(row, abs=ALIKE)
 
 
-def test_all_activations_are_tried_or_named() -> None:
-    assert set(ACTIVATIONS) - set(BY_LOOPS) == {"selu", "softmax"}
-    assert ACTIVATIONS["softmax"](np.array([0.0, math.log(3.0)])) == pytest.approx([0.25, 0.75])
-    assert ACTIVATIONS["selu"](np.array([2.0, -30.0])) == pytest.approx([2.101402, -1.758099])
+def test_all_activations_are_tried() -> None:
+    assert set(ACTIVATIONS) == set(BY_LOOPS)
 
 
 @pytest.mark.parametrize("after", [True, False])
@@ -123,7 +119,7 @@ def made_graphs() -> dict[str, bytes]:
     sizes = ((6, 8), (8, 5))
     # As small as those that are trained: onnxruntime adds up in single precision.
     layers = [(0.3 * draw.normal(size=size), 0.3 * draw.normal(size=size[1])) for size in sizes]
-    kinds = ("Relu", "Elu", "Tanh", "Sigmoid", "Softsign", "Softplus", "Selu", "LeakyRelu")
+    kinds = ("Relu", "Elu", "Tanh", "Sigmoid", "LeakyRelu")
     graphs = {kind: made.dense_onnx(layers, kind) for kind in kinds}
     u = 4
     for name, kind, gates in (("GRU", "GRU", 3), ("GRU before", "GRU", 3), ("LSTM", "LSTM", 4)):
