@@ -22,11 +22,7 @@ from pupper_analysis.present.verdict import on_servos, own_clauses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.stance.fields import FIELDS
-<<<<<<< HEAD
-from pupper_analysis.tools.study.design import ENDS, NUMBERS, UNBOUNDED, from_record
-=======
-from pupper_analysis.tools.study.design import ENDS, NUMBERS
->>>>>>> 7ec8bcee (A study's numbers are fields of the table; policies have relu, elu, tanh, sigmoid and swish; the Chinese guide of the live page is of today's page)
+from pupper_analysis.tools.study.design import ENDS, NUMBERS, from_record
 from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.parameters import AXES, OF_JOINTS, OF_LINKS
 from pupper_analysis.tools.study.store import Store, require_library
