@@ -352,12 +352,24 @@ def _joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tuple[Arra
     return lower, upper
 
 
+_INSIDE = 1e-4
+"""How far inside of where a com is in balance a place is that is proposed (m)."""
+
+
 def _check_inside(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:
     """Checks that the com shall be inside the support polygon, with the task's margin."""
     inside = margin_of_place((float(place[0]), float(place[1])), corners)
     if inside < min(task.com_margin, 0.0):
         there, outside = Vector((place[0], place[1]), "m"), Quantity(-inside, "m")
-        problem = diagnose("place-outside-polygon", place=there, distance=outside)
+        import shapely.ops  # slow to import
+
+        hull = shapely.MultiPoint(corners).convex_hull
+        kept = hull.buffer(-max(task.com_margin, 0.0) - _INSIDE)
+        near, _ = shapely.ops.nearest_points(
+            hull.centroid if kept.is_empty else kept, shapely.Point(place[:2])
+        )
+        inner = Vector((round(near.x, 5), round(near.y, 5)), "m")
+        problem = diagnose("place-outside-polygon", place=there, distance=outside, nearest=inner)
         raise ConfigurationError("com", problem)
     if inside < task.com_margin:
         margin, most = Quantity(task.com_margin, "m"), Quantity(math.floor(1e5 * inside) / 1e5, "m")
