@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,34 +129,13 @@ thousand in a smooth sequence a parabola is 3e-7 rad off, from where PlaCo takes
 regularisation leaves a millionth of a step undone; a cubic 4e-9, from where it takes one."""
 
 
-@overload
-def solve_stands(
-    robot: Robot,
-    tasks: Sequence[StandTask],
-    *,
-    explain: bool = ...,
-    keep_going: Literal[False] = ...,
-) -> tuple[Stand, ...]: ...
-
-
-@overload
-def solve_stands(
-    robot: Robot,
-    tasks: Sequence[StandTask],
-    *,
-    explain: bool = ...,
-    keep_going: bool,
-) -> tuple[Stand | StanceUnreachableError, ...]: ...
-
-
 @check_arguments
 def solve_stands(
     robot: Robot,
     tasks: Sequence[StandTask],
     *,
     explain: bool = False,
-    keep_going: bool = False,
-) -> tuple[Stand | StanceUnreachableError, ...]:
+) -> tuple[Stand, ...]:
     """Solves a sequence of stand tasks: quicker than one by one where neighbours are alike.
 
     Each search begins where the stands before it, four at most, lead to. If that comes to a stand
@@ -172,20 +150,17 @@ def solve_stands(
     Args:
         robot: A robot with a floating base.
         tasks: How to stand, one after the other.
-        explain: As in ``solve_stand``, for tasks that are out of reach (a second each).
-        keep_going: Where a task is out of reach, return the error in the place of its stand, and go
-            on; otherwise it is raised.
+        explain: As in ``solve_stand``, for a task that is out of reach (a second).
 
     Returns:
-        The stands, in the order of the tasks; with ``keep_going``, errors among them.
+        The stands, in the order of the tasks.
 
     Raises:
         ConfigurationError: As ``solve_stand``; before any is solved, and naming the task.
         UnknownNameError: Likewise.
-        StanceUnreachableError: Without ``keep_going``, for the first task that is out of reach;
-            ``where`` tells which.
+        StanceUnreachableError: For the first task that is out of reach; ``where`` tells which.
     """
-    solved: list[Stand | StanceUnreachableError] = []
+    solved: list[Stand] = []
     robot = touching(robot, tasks[0].contacts) if tasks else robot
     goals = _goals(robot, tasks)
     with lend(robot, Context) as context:
@@ -194,10 +169,7 @@ def solve_stands(
             try:
                 solved.append(sequence.solve(goal, explain=explain))
             except StanceUnreachableError as error:
-                message = error.at(f"tasks[{number}]")
-                if not keep_going:
-                    raise message from None
-                solved.append(message)
+                raise error.at(f"tasks[{number}]") from None
     return tuple(solved)
 
 

@@ -202,21 +202,6 @@ def _reached(
     return stand
 
 
-def solve_stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
-    """Returns a stand with one of its coordinates changed.
-
-    Args:
-        robot: The robot.
-        start: The stand.
-        direction: One of ``DIRECTIONS``.
-        value: The coordinate's value, as in ``BaseWorkspace.intervals`` (m, or rad).
-
-    Raises:
-        StanceUnreachableError: If it is out of reach.
-    """
-    return solve_stand(robot, _task_at(robot, start, direction, value), explain=False)
-
-
 def _task_at(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
     changes: dict[str, Any] = {direction: value}
     if start.task.com == "inside" and can_move_com(robot):

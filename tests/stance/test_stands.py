@@ -68,37 +68,19 @@ def test_what_is_out_of_reach_stops_the_sequence_and_is_named() -> None:
     tasks = [*wave(robot, 3), pa.StandTask(height=0.5), *wave(robot, 2)]
     with pytest.raises(pa.StanceUnreachableError) as caught:
         pa.solve_stands(robot, tasks)
-    assert caught.value.where == "tasks[3]"
+    assert pickle.loads(pickle.dumps(caught.value)).where == "tasks[3]"
     assert str(caught.value).startswith("tasks[3]: stance out of reach (height 500.0 mm")
-
-
-def test_what_is_out_of_reach_can_be_left_out() -> None:
-    """The others are as they would be without it, and the error tells as much as a single one."""
-    robot = load("v3")
-    tasks = wave(robot, 6)
-    tasks.insert(4, pa.StandTask(height=0.5))
-    found = pa.solve_stands(robot, tasks, keep_going=True)
-    error = found[4]
-    assert isinstance(error, pa.StanceUnreachableError)
-    with pytest.raises(pa.StanceUnreachableError) as caught:
-        pa.solve_stand(robot, tasks[4], explain=False)
-    assert error.shortfall == pytest.approx(caught.value.shortfall)
-    assert pickle.loads(pickle.dumps(error)).where == "tasks[4]"
-    for number in (0, 1, 2, 3, 5, 6):
-        one = found[number]
-        assert isinstance(one, pa.Stand)
-        assert_same(one, pa.solve_stand(robot, tasks[number]))
 
 
 def test_a_wrong_task_is_refused_before_any_is_solved() -> None:
     robot = load("v3")
     wrong = pa.StandTask(swing={"XX": 0.02})
     with pytest.raises(pa.UnknownNameError, match=r"tasks\[1\].*'XX'"):
-        pa.solve_stands(robot, [pa.StandTask(height=0.5), wrong], keep_going=True)
+        pa.solve_stands(robot, [pa.StandTask(height=0.5), wrong])
     with pytest.raises(pa.ConfigurationError, match=r"tasks\[2\]: joint_margin"):
         pa.solve_stands(robot, [pa.StandTask(), pa.StandTask(), pa.StandTask(joint_margin=3.0)])
     with pytest.raises(pa.ConfigurationError, match=r"tasks: .* is not a sequence"):
-        pa.solve_stands(robot, pa.StandTask())  # type: ignore[call-overload]
+        pa.solve_stands(robot, pa.StandTask())  # type: ignore[arg-type]
     with pytest.raises(pa.ConfigurationError, match=r"tasks: .* is not a sequence"):
-        pa.solve_stands(robot, np.array([0.12]))  # type: ignore[call-overload]
+        pa.solve_stands(robot, np.array([0.12]))  # type: ignore[arg-type]
     assert pa.solve_stands(robot, []) == ()

@@ -91,29 +91,23 @@ def write_plots(
     columns = min(len(plots), _COLUMNS)
     rows = [drawings[at : at + columns] for at in range(0, len(drawings), columns)]
     heights = [max(one.height / one.width for one in row) for row in rows]
-    legends = [_legend(drawing) for drawing in drawings]
-    shared = {name: kind for name, kind in legends[0].items()
-              if all(one.get(name) == kind for one in legends)}  # fmt: skip
-    legend = [_handle(name, kind) for name, kind in shared.items()]
-    across = WIDTH / columns
+    legends = [[_handle(*one) for one in _legend(drawing).items()] for drawing in drawings]
+    across, several = WIDTH / columns, bool(names or len(plots) > 1)
     # A legend has a line for every two of its entries, which may be long.
-    room = 0.45 + 0.45 * len(rows) * bool(names or len(plots) > 1) + 0.09 * len(legend)
+    room = 0.45 + len(rows) * (0.45 * several + 0.09 * max(map(len, legends)))
     figure = page_figure(
         in_english(title or plots[0].title), across * sum(heights) + room, layout="constrained"
     )
     grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
-    said = names or [in_english(one.title) if len(plots) > 1 else "" for one in drawings]
-    for index, (drawing, name) in enumerate(zip(drawings, said, strict=True)):
+    said = names or [in_english(one.title) if several else "" for one in drawings]
+    for index, (drawing, legend, name) in enumerate(zip(drawings, legends, said, strict=True)):
         axes = figure.add_subplot(grid[divmod(index, columns)])
         size = _LETTERS * 72 * across / drawing.width
         _draw(drawing, axes, size)
         title_panel(axes, name)
-        own = [_handle(*one) for one in legends[index].items() if one[0] not in shared]
-        if own:
-            axes.legend(handles=own, loc="upper center", bbox_to_anchor=(0.5, 0.0), fontsize=size,
-                        ncols=2, frameon=False)  # fmt: skip
-    if legend:
-        put_legend(figure, legend, columns=2)
+        if legend:
+            axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2,
+                        fontsize=size, frameon=False)  # fmt: skip
     save_figure(figure, path)
 
 
@@ -130,7 +124,7 @@ def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
                 axes.add_patch(Rectangle(place, *sides, color=fill, alpha=opacity, lw=0))
             case "line":
                 axes.plot([mark["x1"], mark["x2"]], [mark["y1"], mark["y2"]], **_line(kind, 0.7))
-            case "polyline" if kind != "unseen":
+            case "polyline":
                 axes.plot(*np.array(mark["points"]).T, **_line(kind, 1.3))
             case "circle":
                 fill = kind != "grid"
@@ -171,14 +165,10 @@ def _handle(name: str, kind: str) -> Artist:
 
 
 def page_figure(
-    title: str,
-    height: float,
-    *,
-    width: float = WIDTH,
-    layout: Literal["constrained"] | None = None,
+    title: str, height: float, *, layout: Literal["constrained"] | None = None
 ) -> Figure:
     """Returns an empty figure with a title (inch); ``layout`` is Matplotlib's."""
-    figure = Figure(figsize=(width, height), dpi=DPI, layout=layout)
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout=layout)
     figure.suptitle(title, x=0.012, ha="left", size=FONT + 2, weight="bold", parse_math=False)
     return figure
 
@@ -191,31 +181,19 @@ def title_panel(axes: Axes, title: str) -> None:
         axes.spines[spine].set_visible(False)
 
 
-_CROWDED_LEGEND = 8
-"""Entries of a legend that need less room between them to stand in one line."""
+def put_legend(figure: Figure, handles: Sequence[Artist]) -> None:
+    """Puts a legend under a figure, in one line."""
+    figure.legend(handles=list(handles), loc="lower center", ncols=len(handles), fontsize=FONT,
+                  frameon=False, handletextpad=0.5, columnspacing=0.8,
+                  handlelength=1.6)  # fmt: skip
 
 
-def put_legend(figure: Figure, handles: Sequence[Artist], *, columns: int | None = None) -> None:
-    """Puts a legend under a figure, in one line or in columns."""
-    figure.legend(
-        handles=list(handles),
-        loc="outside lower center" if figure.get_layout_engine() else "lower center",
-        ncols=columns or len(handles),
-        fontsize=FONT,
-        frameon=False,
-        handletextpad=0.5,
-        columnspacing=1.4 if len(handles) < _CROWDED_LEGEND else 0.8,
-        handlelength=2.0 if len(handles) < _CROWDED_LEGEND else 1.6,
-    )
-
-
-def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> None:
+def save_figure(figure: Figure, path: str | Path) -> None:
     """Writes a figure as a PNG, and its folder if need be; no half-written file is ever there.
 
     Args:
         figure: The figure.
         path: The file.
-        force: Replace what is no figure of ours, too.
 
     Raises:
         OutputError: If the file cannot be written, or is no figure of ours.
@@ -227,5 +205,5 @@ def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> Non
         "Software": f"{GENERATOR} {__version__}",
         "Source": "\n".join(find_provenance().lines()),
     }
-    with whole_file(Path(path), PICTURE, force=force) as file:
+    with whole_file(Path(path), PICTURE) as file:
         figure.savefig(file, format="png", metadata=made)
