@@ -1,7 +1,7 @@
 """Which numbers make two models disagree: each difference, its effect, and that none is missing.
 
-And the rotors' inertia, of which a URDF has none: what it does, and where it differs from leg to
-leg.
+And the rotors' inertia, of which a URDF has none: what it does, and where it differs from that of
+its mirror image.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.models.sides import ANY_MOTOR, mirror_pairs, unlike_pairs
+from pupper_analysis.models.sides import mirror_pairs, unlike_pairs
 from pupper_analysis.robot.compare.behaviour import (
     Behaviour,
     MujocoBehaviour,
     affordable_states,
     random_states,
-    still_acting,
 )
 from pupper_analysis.robot.compare.differences import (
     Difference,
@@ -131,7 +130,6 @@ def explain_differences(
         deviations={name: judge.relative(name, urdf[name], mjcf[name]) for name in urdf},
         residual=left,
         complete=all(value <= EXPLAINED for value in left.values()),
-        remains=tuple(still_acting(reference, bare, states)),
         notes=tuple(
             _given_notes(
                 {"armature": robot.joint_names, **(unstated or {})},
@@ -185,22 +183,14 @@ def _mimic(name: str, said: tuple[str, float, float]) -> Difference:
     return Difference("mimic", name, said, None, "", message, {})
 
 
-_LEG_LOAD_RATIO = 1.25
-"""Of two legs one carries no more than this of what the other does below a joint: front and hind
-legs differ by percents."""
-
-_AWAY = 0.01  # m: nor is the joint further from the one above it
-
-
 def armature_differences(
     values: MultibodyTree, behaviour: Behaviour, judge: RelativeError
-) -> list[Difference]:
-    """Returns armatures of no rotor, and unlike those of the other legs.
+) -> Iterator[Difference]:
+    """Yields armatures of no rotor, and unlike those of mirror images: a URDF can state neither.
 
-    A URDF can state neither. Before a free joint there is no rotor: the armature of a default class
-    has reached it, and adds to the base's mass in every direction what weighs nothing.
+    Before a free joint there is no rotor: the armature of a default class has reached it, and adds
+    to the base's mass in every direction what weighs nothing.
     """
-    differences = []
     if values.base_armature:
         value = values.base_armature
         unit = "kg and kg m^2"
@@ -208,87 +198,24 @@ def armature_differences(
             "free-joint-armature", subject=("body", values.base), armature=Quantity(value, unit)
         )
         effects = judge.effects(behaviour(replace(values, base_armature=0.0)), judge.one)
-        differences.append(Difference("armature", values.base, None, value, unit, message, effects))
-    for name, usual in _unusual_armatures(values).items():
-        joint = replace(values.joints[name], armature=usual)
+        yield Difference("armature", values.base, None, value, unit, message, effects)
+    stated = {name: joint.armature for name, joint in values.joints.items()}
+    often = Counter(stated.values())
+    for pair in unlike_pairs(mirror_pairs(values.joints), stated):
+        name, like = sorted(pair, key=lambda one: often[stated[one]])  # the rarer is the odd one
+        joint = replace(values.joints[name], armature=stated[like])
         alone = behaviour(replace(values, joints={**values.joints, name: joint}))
-        value = values.joints[name].armature
         unit = "kg" if joint.slides else "kg m^2"
         message = diagnose(
-            "armature-unlike-other-legs",
+            "armature-unlike-mirror-image",
             subject=("joint", name),
-            armature=Quantity(value, unit),
-            usual=Quantity(usual, unit),
+            armature=Quantity(stated[name], unit),
+            like=like,
+            usual=Quantity(stated[like], unit),
         )
         effects = judge.effects(judge.one, alone)
-        differences.append(Difference("armature", name, None, value, unit, message, effects))
-    return differences
+        yield Difference("armature", name, None, stated[name], unit, message, effects)
 
-
-def _unusual_armatures(values: MultibodyTree) -> dict[str, float]:
-    """Returns the joints whose armature differs from that of most at the same place of a leg.
-
-    Joints are at the same place if as many joints are above as below them, and they carry about as
-    much: a neck is no leg, nor is an arm.
-
-    Returns:
-        {joint: the usual armature there}.
-    """
-    places: dict[tuple[int, int], list[str]] = {}
-    depth = {values.base: 0}
-    carried = {name: values.bodies[name].mass for name in values.joints}
-    below = dict.fromkeys(values.joints, 0)
-    for name, joint in values.joints.items():
-        depth[name] = depth[joint.parent] + 1
-        ancestor = joint.parent
-        while ancestor != values.base:
-            below[ancestor] += 1
-            carried[ancestor] += values.bodies[name].mass
-            ancestor = values.joints[ancestor].parent
-    for name in values.joints:
-        places.setdefault((depth[name], below[name]), []).append(name)
-    unusual: dict[str, float] = {}
-    for names in (group for place in places.values() for group in _alike(place, carried, values)):
-        found = Counter(values.joints[name].armature for name in names)
-        usual, count = found.most_common(1)[0]
-        same = 2 * count > len(names)
-        if not same:  # identified one by one
-            usual = sorted(found.elements())[len(names) // 2]
-        # A value that a mirror image has too is meant: thumbs among fingers.
-        odd = {armature for armature, times in found.items() if times == 1}
-        if not same:
-            odd = {value for value in odd if not usual < value * ANY_MOTOR < usual * ANY_MOTOR**2}
-        if len(names) >= 3 and (same or usual):
-            unusual |= {n: usual for n in names if values.joints[n].armature in odd}
-    armatures = {name: joint.armature for name, joint in values.joints.items()}
-    for one, other in unlike_pairs(mirror_pairs(values.joints), armatures):
-        if not {one, other} & unusual.keys():  # two legs alone
-            unusual[other] = armatures[one]
-    return unusual
-
-
-def _alike(
-    names: list[str], carried: Mapping[str, float], values: MultibodyTree
-) -> Iterator[list[str]]:
-    """Yields joints in groups of those that carry about as much, as far from the joint above."""
-    left = sorted(names, key=carried.__getitem__)
-    away = {name: float(np.linalg.norm(values.joints[name].position)) for name in names}
-    while left:
-        group = [left.pop(0)]
-        for name in list(left):
-            if carried[name] > _LEG_LOAD_RATIO * carried[group[-1]]:
-                break
-            if abs(away[name] - away[group[0]]) < _AWAY:
-                group.append(name)
-                left.remove(name)
-        yield group
-
-
-_VALUES = 6
-"""Different values that are listed; of more, the least and the greatest."""
-
-_NAMED = 3
-"""Joints that are named; more are counted."""
 
 _GIVEN = {
     "armature": "armature-of-the-mjcf-alone",
@@ -314,25 +241,12 @@ def _given_notes(
                 effects[name].relative if name in effects else 0.0
                 for name in ("mass matrix", "forward dynamics")
             )
-            listed = _by_value(own, _UNITS[kind])
-            yield diagnose(_GIVEN[kind], values_are=listed, mass_matrix=of_mass, forward=forward)
-
-
-def _by_value(values: Mapping[str, float], unit: str) -> list[Diagnostic]:
-    """Lists the joints of each value; of many values, the least and the greatest."""
-    found: dict[str, list[str]] = {}
-    for name, value in values.items():
-        found.setdefault(f"{value:.6g}", []).append(name)
-    if len(found) > _VALUES:
-        least, greatest = (Quantity(f(values.values()), unit) for f in (min, max))
-        return [diagnose("values-of-joints", least=least, greatest=greatest, count=len(values))]
-    return [
-        diagnose(
-            "value-of-joints",
-            value=Quantity(values[names[0]], unit),
-            joints=names,
-            count=len(names),
-            few=len(names) <= _NAMED,
-        )
-        for names in found.values()
-    ]
+            least, greatest = (Quantity(f(own.values()), _UNITS[kind]) for f in (min, max))
+            yield diagnose(
+                _GIVEN[kind],
+                least=least,
+                greatest=greatest if greatest != least else None,
+                count=len(own),
+                mass_matrix=of_mass,
+                forward=forward,
+            )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.models.conversion import MujocoTree, joint_damping
+from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.contact import foot_site
@@ -116,39 +115,6 @@ def _members(robot: Robot, reference: Reference) -> list[bool]:
         and reference.names.body(body).name in kept
         for body in range(model.nbody)
     ]
-
-
-_FORCES = ("spring", "damper", "gravcomp", "fluid", "adhesion", "actuator", "constraint")
-
-
-def still_acting(
-    reference: Reference, model: mujoco.MjModel, states: States
-) -> Iterator[Diagnostic]:
-    """Yields the forces that still act, besides linear damping, of which a tree of joints has none.
-
-    Args:
-        reference: The MJCF.
-        model: The reference's, without what was found that a URDF cannot state.
-        states: The states.
-    """
-    data = mujoco.MjData(model)
-    convention = reference.convention()
-    damping = joint_damping(model)
-    worst = dict.fromkeys(_FORCES, 0.0)
-    scale = 0.0
-    for qpos, qvel in zip(states.qpos, states.qvel, strict=True):
-        convention.set_state(data, qpos, qvel)
-        mujoco.mj_forward(model, data)
-        scale = max(scale, float(np.abs(data.qfrc_bias).max()))
-        for name in worst:
-            force = np.array(getattr(data, f"qfrc_{name}"))
-            if name == "damper":
-                force += damping * data.qvel
-            worst[name] = max(worst[name], float(np.abs(force[convention.qvel_index]).max()))
-    for name, greatest in worst.items():
-        if greatest > 1e-12 * scale:  # rounding
-            force_field = f"qfrc_{name}"
-            yield diagnose("force-of-mujoco-remains", field=force_field, greatest=greatest)
 
 
 class Behaviour:

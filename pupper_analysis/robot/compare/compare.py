@@ -5,7 +5,7 @@ MJCF stands. But who loads the URDF as it is computes other torques, if that is 
 
 What a foot stands on is part of the robot: a radius that is another one raises it, a shape that
 touches nothing lets it fall. What else touches, and a foot of another shape that stands as high (a
-ball for a mesh, say), is chosen otherwise in most pairs of files, moves no stand, and is noted.
+ball for a mesh, say), is chosen otherwise in most pairs of files, and moves no stand.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.base.tools import offering
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.loading import reader_of
@@ -114,7 +114,7 @@ def compare_collisions(
             touches elsewhere for that reason, and is not compared.
 
     Returns:
-        Differences of feet, and notes on what else touches.
+        Differences of feet, and a note where they are not compared.
     """
     meant = matched.conventions
     one, two = read_urdf_model(urdf), read_mjcf_model(mjcf)
@@ -125,19 +125,17 @@ def compare_collisions(
         return [], [diagnose("collisions-not-compared")]
     data = start_data(mjcf.model)
     elsewhere = {matched.mjcf_body[name] for name in moved if name in matched.mjcf_body}
+    ends = limb_ends(mjcf.model)
     tried = {
         name: _of_limb(name, matched, (one, urdf), (two, mjcf), data)
         for name, body in matched.mjcf_body.items()
-        if body in two.links and elsewhere.isdisjoint((body, *two.ancestors(body)))
+        if body in two.links
+        and elsewhere.isdisjoint((body, *two.ancestors(body)))
+        and mjcf.model.body_weldid[mjcf.model.body(body).id] in ends
     }
     limbs = {name: pair for name, pair in tried.items() if pair is not None}
     feet = _feet(limbs, matched, data) if matched.robot.floating else []
-    found = list(_of_feet({name: limbs[name] for name in feet}, matched, urdf, mjcf))
-    different = {difference.element for difference in found}
-    return (
-        found,
-        list(_of_others({name: limbs[name] for name in limbs if name not in different})),
-    )
+    return list(_of_feet({name: limbs[name] for name in feet}, matched, urdf, mjcf)), []
 
 
 Limb = tuple[tuple[_Placed, ...], tuple[_Placed, ...]]
@@ -202,11 +200,10 @@ def _touching_the_world(model: mujoco.MjModel) -> list[int]:
 def _feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> list[str]:
     """Returns the joints that move the feet: the ends of limbs that are as low as the lowest."""
     model = data.model
-    last = limb_ends(model)
     ends = {
         name: min(float(-one.world.support(_DOWN)[0]) for one in (*urdf, *mjcf))  # type: ignore[index]
         for name, (urdf, mjcf) in limbs.items()
-        if model.body_weldid[model.body(matched.mjcf_body[name]).id] in last and (urdf or mjcf)
+        if urdf or mjcf
     }
     if not ends:
         return []
@@ -226,10 +223,7 @@ def _of_feet(
         subject, sides = ("joint", name), (_lowest(one), _lowest(two))
         here, there = sides[0][2], sides[1][2]
         link, body = matched.urdf_link[name], matched.mjcf_body[name]
-        if there is not None:
-            stated = there.place()
-        else:
-            stated = mjcf.place("body", body) if here is None else _untouched(mjcf, body, here)
+        stated = mjcf.place("body", body) if there is None else there.place()
         at = ((urdf.place("link", link) if here is None else here.place()).path, stated.path)
         both = {"one": sides[0][1], "two": sides[1][1], **FORMATS.named}
         if not (one and two):
@@ -262,89 +256,17 @@ def _of_feet(
             )
 
 
-def _reach(shapes: Sequence[_Placed], directions: Array) -> Array:
-    """Returns the support function of several shapes together."""
-    reaches = [reach for shape in shapes if (reach := shape.world.support(directions)) is not None]
-    return np.asarray(np.max(reaches, axis=0))
-
-
-def _untouched(mjcf: MjcfFile, body: str, other: _Placed) -> Place:
-    """Finds what keeps a foot from touching: contacts off, or the bits of the geom at its place.
-
-    Args:
-        mjcf: The file.
-        body: The body of the foot.
-        other: What touches there in the other file.
-    """
-    model = mjcf.model
-    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
-        stated = (place for words, place in mjcf.elements("flag") if "contact" in words)
-        return next(stated, Place(mjcf.path))
-    data, moving = start_data(model), model.body_weldid == model.body_weldid[model.body(body).id]
-    geoms = np.flatnonzero(moving[model.geom_bodyid])
-    if not len(geoms):
-        return mjcf.place("body", body)
-    away = np.linalg.norm(data.geom_xpos[geoms] - other.world.pose.position, axis=1)
-    nearest = geoms[np.flatnonzero(away < away.min() + SAME_CONTACT)[-1]]  # drawn ones go before
-    return place_of_geom(mjcf, int(nearest), "touches")
-
-
 def _lowest(shapes: Sequence[_Placed]) -> tuple[float, Diagnostic | Term, _Placed | None]:
     """Returns the height (m) of the lowest point of shapes, and the shape that has it."""
     if not shapes:
         return math.nan, Term("none"), None
-    heights = [float(-_reach([shape], _DOWN)[0]) for shape in shapes]
+    heights = [float(-shape.world.support(_DOWN)[0]) for shape in shapes]  # type: ignore[index]
     first = int(np.argmin(heights))
     return heights[first], shapes[first].shape.diagnostic, shapes[first]
 
 
-def _of_others(limbs: Mapping[str, Limb]) -> Iterator[Diagnostic]:
-    """Notes by how much what else touches differs."""
-    off = {
-        name: float(np.abs(_reach(one, DIRECTIONS) - _reach(two, DIRECTIONS)).max())
-        for name, (one, two) in limbs.items()
-        if one and two
-    }
-    apart = {name: value for name, value in off.items() if value > SAME_CONTACT}
-    lone = [name for name, (one, two) in limbs.items() if bool(one) != bool(two)]
-    if apart:
-        worst = max(apart, key=apart.__getitem__)
-        far = Quantity(apart[worst], "m")
-        yield diagnose("collisions-differ", worst=worst, off=far, names=tuple(apart))
-    if lone:
-        yield diagnose("collisions-in-one-file", names=tuple(lone))
-
-
-@dataclass(frozen=True, eq=False)
-class Mount(Result):
-    """A fixed base that is tilted in one of the files.
-
-    Attributes:
-        tilt: Angle between the two files' verticals, as seen from the base (rad).
-        torques: {joint: what it needs against gravity at zero angles by the URDF, and by the MJCF,
-            each as it is loaded (N m; N of a slide)}; the one that differs most is the first.
-        unit: Unit of the torques of the first.
-    """
-
-    tilt: float
-    torques: dict[str, tuple[float, float]]
-    unit: str
-
-    @property
-    def diagnostic(self) -> Diagnostic:
-        """What the tilt does to gravity."""
-        joint, (one, two) = next(iter(self.torques.items()))
-        return diagnose(
-            "base-tilted",
-            subject=("joint", joint),
-            tilt=Quantity(self.tilt, "rad"),
-            urdf=Quantity(one, self.unit),
-            mjcf=Quantity(two, self.unit),
-        )
-
-
-def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Mount | None:
-    """Returns how the base of the MJCF is tilted against the URDF's; None if it is not.
+def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Diagnostic | None:
+    """Says how the base of the MJCF is tilted against the URDF's; None if it is not.
 
     Args:
         matched: The files.
@@ -364,9 +286,15 @@ def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Mo
     if not two.gravity.any() or tilt <= tolerances.rotation:
         return None
     first, second = gravity_torques(one, down), gravity_torques(two, two.gravity)
-    names = sorted(one.joints, key=lambda name: -abs(second[name] - first[name]))
-    unit = "N" if one.joints[names[0]].slides else "N m"
-    return Mount(tilt, {name: (first[name], second[name]) for name in names}, unit)
+    joint = max(one.joints, key=lambda name: abs(second[name] - first[name]))
+    unit = "N" if one.joints[joint].slides else "N m"
+    return diagnose(
+        "base-tilted",
+        subject=("joint", joint),
+        tilt=Quantity(tilt, "rad"),
+        urdf=Quantity(first[joint], unit),
+        mjcf=Quantity(second[joint], unit),
+    )
 
 
 def gravity_torques(tree: MultibodyTree, gravity: Array) -> dict[str, float]:
@@ -411,8 +339,8 @@ class FilesCompared(Tabular):
         residual: {quantity: relative deviation that is left when all differences are taken away}.
         explained: Share of the worst deviation that the differences explain (1 is all).
         complete: Whether nothing is left unexplained.
-        mount: How a fixed base is tilted in one file, and what that does to gravity; None if it is
-            not, or the base is free.
+        mount: How a fixed base is tilted in one file, and what that does to the torque that differs
+            most; None if it is not, or the base is free.
         objections: Why the files do not agree, besides the differences: what no difference
             explains, and what differences within the tolerances add up to.
         agree: Whether the models agree, within the tolerances: no difference, no joint in one file
@@ -435,7 +363,7 @@ class FilesCompared(Tabular):
     residual: dict[str, float]
     explained: float
     complete: bool
-    mount: Mount | None
+    mount: Diagnostic | None
     objections: tuple[Diagnostic, ...]
     agree: bool
     same_robot: bool
@@ -465,7 +393,7 @@ class FilesCompared(Tabular):
         if self.objections:
             return self.objections[0]
         if self.agree and self.mount is not None:
-            return diagnose("agree-but-tilted", tilt=self.mount.diagnostic)
+            return diagnose("agree-but-tilted", tilt=self.mount)
         return diagnose("agree" if self.agree else "joints-not-the-same")
 
     def _columns(self) -> dict[str, list[object]]:
@@ -547,7 +475,7 @@ def compare_files(
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = (*_legs_without_base(matched), *_objections(explanation, tolerances))
     if mount is not None and strict_names:
-        objections = (*objections, mount.diagnostic)
+        objections = (*objections, mount)
     result = FilesCompared(
         urdf=str(urdf_file.path),
         mjcf=str(mjcf_file.path),
@@ -708,7 +636,6 @@ def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Di
             subject=("quantity", name),
             left=left[name],
             what=Term(name),
-            remains=explanation.remains,
         )
         return
     if _mechanical(explanation.differences):

@@ -117,12 +117,11 @@ class Stated:
         kind: ``mass``, ``com``, ``inertia``, ``position``, ``rotation``, ``axis``, ``lower limit``,
             ``upper limit``, ``effort``, ``velocity``, ``damping``, ``friction``, ``frame``,
             ``parent``, ``type``, ``gravity``, ``base frame`` or ``zero`` (conventions, see
-            `conventions`), or ``armature`` (which a URDF cannot state: then it
-            differs from that of the joints at the same place of other legs); ``mimic``, that the
-            URDF alone has; ``servo stiffness`` or ``servo damping``, of another format;
-            ``name``, where names count; or what the MJCF alone has, the kinds of
-            `mjcf_only.MjcfOnlyEffect`. Of two versions of a file also ``joint``, that one
-            of them lacks, and ``motor``.
+            `conventions`), or ``armature`` (which a URDF cannot state: of a free joint, or unlike
+            that of the mirror image); ``mimic``, that the URDF alone has; ``servo stiffness`` or
+            ``servo damping``, of another format; ``name``, where names count; or what the MJCF
+            alone has, the kinds of `mjcf_only.MjcfOnlyEffect`. Of two versions of a file also
+            ``joint``, that one of them lacks, and ``motor``.
         element: The joint, the body (named by the joint that moves it, or the base) or the frame;
             of what the MJCF alone has, its name there, or ``#3``.
         urdf: The URDF's value, in the URDF's frames; None where it has none.
@@ -267,8 +266,6 @@ class Explanation(Result):
         residual: {quantity: relative deviation that is left when the URDF's model is given the
             MJCF's value for every difference, and what the MJCF alone has is taken out of it}.
         complete: Whether nothing is left.
-        remains: What acts in MuJoCo when all that was found is taken away, and has no part in a
-            tree of joints, by MuJoCo's names.
         notes: What the URDF was given of the MJCF's, and what it does: armature, and what it does
             not state of damping and dry friction.
     """
@@ -277,7 +274,6 @@ class Explanation(Result):
     deviations: dict[str, float]
     residual: dict[str, float]
     complete: bool
-    remains: tuple[Diagnostic, ...]
     notes: tuple[Diagnostic, ...]
 
 
@@ -489,7 +485,7 @@ def changes_between(
         message = diagnose("free-joint-damping-differs", subject=free, **both)
         values = one.base_damping, two.base_damping
         yield Change("damping", one.base, *values, "N s/m", message)
-    # A URDF is given the MJCF's: see `armature.armature_differences`.
+    # A URDF is given the MJCF's: see `attribution.armature_differences`.
     if sides.alike and two.base_armature != one.base_armature:
         unit = "kg and kg m^2"
         both = {**number_pair(one.base_armature, two.base_armature, unit), **sides.named}

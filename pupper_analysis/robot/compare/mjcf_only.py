@@ -15,18 +15,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
-from pupper_analysis.base.diagnostics import (
-    Diagnostic,
-    Quantity,
-    Term,
-    Vector,
-    diagnose,
-)
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 from pupper_analysis.models.mjcf import JointKind, equality_ends, equality_name
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint, motor_targets
 from pupper_analysis.robot.compare.differences import Stated
@@ -98,9 +92,20 @@ def without_effects(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) ->
 
 DISABLE = mujoco.mjtDisableBit
 
+Numbers = dict[str, float | list[float]]
+
+_SWITCHED = {
+    "stiffness": (DISABLE.mjDSBL_SPRING,),
+    "stiffnesspoly": (DISABLE.mjDSBL_SPRING,),
+    "damping": (DISABLE.mjDSBL_DAMPER,),
+    "dampingpoly": (DISABLE.mjDSBL_DAMPER,),
+    "frictionloss": (DISABLE.mjDSBL_FRICTIONLOSS,),
+}
+"""{attribute: the flags that switch it off}."""
+
 
 class NamedModel:
-    """One reference, and what asking it takes: its names, units and switches."""
+    """One reference, and what asking it takes: its names, numbers and switches."""
 
     def __init__(self, reference: Reference) -> None:
         self.reference, self.model, self.names = reference, reference.model, reference.names
@@ -136,197 +141,106 @@ class NamedModel:
             return self.reference.base
         return self.name("joint", joint)
 
-    def unit(self, joint: int) -> tuple[str, str]:
-        """The units of a joint's force and coordinate."""
-        slides = self.model.jnt_type[joint] == JointKind.SLIDE
-        return ("N", "m") if slides else ("N m", "rad")
+    def numbers(self, prefix: str, index: int | slice, words: Sequence[str]) -> Numbers:
+        """The numbers of an element that are not zero, {attribute: one, or several}.
+
+        Those that a flag switches off count as zero.
+        """
+        found: Numbers = {}
+        for word in words:
+            values = np.ravel(getattr(self.model, f"{prefix}_{word}")[index])
+            if values.any() and not any(self.off(bit) for bit in _SWITCHED.get(word, ())):
+                found[word] = float(values[0]) if len(values) == 1 else values.tolist()
+        return found
 
 
-def find_springs(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yields the springs of the robot's joints."""
-    model = scene.model
-    for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_SPRING) else ():
-        linear, higher = float(model.jnt_stiffness[joint]), model.jnt_stiffnesspoly[joint]
-        if not (linear or higher.any()):
-            continue
-        force, length = scene.unit(joint)
-        name = scene.joint_name(joint)
-        value: dict[str, object] = {"stiffness": linear}
-        free = model.jnt_type[joint] == JointKind.FREE
-        if higher.any():
-            value["polynomial"] = [float(each) for each in higher]
-        if not free:
-            value["rest"] = float(model.qpos_spring[model.jnt_qposadr[joint]])
-        if model.jnt_springyield[joint]:
-            value["yield"] = float(model.jnt_springyield[joint])
-        message = diagnose(
-            "spring-of-the-mjcf-alone",
-            subject=("joint", name),
-            stiffness=Quantity(linear, f"{force}/{length}"),
-            higher=Vector(tuple(higher.tolist()), "1") if higher.any() else None,
-            rest=None if free else Quantity(value["rest"], length),  # type: ignore[arg-type]
-            free=free,
-            yielding=value.get("yield"),
+def _effect(
+    kind: str,
+    subject: tuple[str, str],
+    prefix: str,
+    index: int | slice,
+    numbers: Numbers,
+    beside: Numbers | None = None,
+) -> MjcfOnlyEffect:
+    """Returns an effect of an element's numbers, all of which act, and others that stand beside."""
+    value = {**numbers, **(beside or {})}
+    stated = [
+        diagnose(
+            "mjcf-number",
+            word=word,
+            value=Vector(tuple(number), "1") if isinstance(number, list) else Quantity(number, "1"),
         )
-        yield MjcfOnlyEffect(
-            "spring",
-            name,
-            None,
-            value,
-            f"{force}/{length}",
-            message,
-            (("jnt_stiffness", joint), ("jnt_stiffnesspoly", joint)),
-        )
+        for word, number in value.items()
+    ]
+    message = diagnose("of-the-mjcf-alone", subject=subject, stated=stated)
+    slots = tuple((f"{prefix}_{word}", index) for word in numbers if word != "frictionloss")
+    given = value if len(value) > 1 else next(iter(value.values()))
+    return MjcfOnlyEffect(kind, subject[1], None, given, "", message, slots)
 
 
-def find_damping_polynomials(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yields damping in higher powers of a joint's speed."""
+def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Yields springs, damping in higher powers of the speed, and dry friction of the free joint."""
     model = scene.model
-    for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_DAMPER) else ():
+    for joint in scene.reference.joints():
+        subject, free = ("joint", scene.joint_name(joint)), model.jnt_type[joint] == JointKind.FREE
         first = int(model.jnt_dofadr[joint])
-        free = model.jnt_type[joint] == JointKind.FREE
-        dofs = slice(first, first + (6 if free else 1))
-        if model.dof_dampingpoly[dofs].any():
-            values = [float(each) for each in model.dof_dampingpoly[first]]
-            name = scene.joint_name(joint)
-            powers = Vector(tuple(values), "1")
-            message = diagnose("damping-in-higher-powers", subject=("joint", name), powers=powers)
-            slots = (("dof_dampingpoly", dofs),)
-            yield MjcfOnlyEffect("damping polynomial", name, None, values, "", message, slots)
+        spring = scene.numbers("jnt", joint, ("stiffness", "stiffnesspoly"))
+        if spring:
+            beside = scene.numbers("jnt", joint, ("springyield",))
+            if not free:
+                beside["springref"] = float(model.qpos_spring[model.jnt_qposadr[joint]])
+            yield _effect("spring", subject, "jnt", joint, spring, beside)
+        if damping := scene.numbers("dof", first, ("dampingpoly",)):
+            dofs = slice(first, first + (6 if free else 1))
+            yield _effect("damping polynomial", subject, "dof", dofs, damping)
+        if free and (friction := scene.numbers("dof", first, ("frictionloss",))):
+            yield _effect("dry friction", subject, "dof", first, friction)
 
 
-def find_gravity_compensation(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the bodies whose weight is (partly) carried by nothing."""
     model = scene.model
     for body in sorted(scene.bodies):
-        share = float(model.body_gravcomp[body])
-        if share and model.body_mass[body] and model.body_weldid[body]:
-            name = scene.name("body", body)
-            message = diagnose(
-                "gravity-compensation-of-the-mjcf-alone",
-                subject=("body", name),
-                share=Quantity(share, "1"),
-            )
-            slots = (("body_gravcomp", body),)
-            yield MjcfOnlyEffect("gravity compensation", name, None, share, "", message, slots)
+        lifted = scene.numbers("body", body, ("gravcomp",))
+        if lifted and model.body_mass[body] and model.body_weldid[body]:
+            subject = "body", scene.name("body", body)
+            yield _effect("gravity compensation", subject, "body", body, lifted)
 
 
-def free_joint_friction(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yields dry friction of the robot's free joint, which a default class may give it."""
-    model = scene.model
-    for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_FRICTIONLOSS) else ():
-        value = float(model.dof_frictionloss[model.jnt_dofadr[joint]])
-        if model.jnt_type[joint] == JointKind.FREE and value:
-            name = scene.joint_name(joint)
-            friction = Quantity(value, "N and N m")
-            message = diagnose("free-joint-friction", subject=("body", name), friction=friction)
-            yield MjcfOnlyEffect("dry friction", name, None, value, "", message)
-
-
-def find_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def of_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the tendons that pull at the robot, as far as they act without command."""
     model = scene.model
+    words = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature", "frictionloss")
     for tendon in range(model.ntendon):
         if not scene.holds(mujoco.mjtObj.mjOBJ_TENDON, tendon):
             continue
-        force, length = _tendon_units(scene, tendon)
-        value, terms, acts = _tendon_terms(scene, tendon, force, length)
-        if not value:
-            continue
-        name = scene.name("tendon", tendon)
-        arrays = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature")
-        slots = tuple((f"tendon_{array}", tendon) for array in arrays) if acts else ()
-        message = diagnose("tendon-of-the-mjcf-alone", subject=("tendon", name), terms=terms)
-        yield MjcfOnlyEffect("tendon", name, None, value, "", message, slots)
+        found, beside = scene.numbers("tendon", tendon, words), dict[str, float | list[float]]()
+        if found.keys() & {"stiffness", "stiffnesspoly"}:
+            beside["springlength"] = model.tendon_lengthspring[tendon].tolist()
+        if model.tendon_limited[tendon]:
+            beside["range"] = model.tendon_range[tendon].tolist()
+        if found or beside:
+            subject = "tendon", scene.name("tendon", tendon)
+            yield _effect("tendon", subject, "tendon", tendon, found, beside)
 
 
-def _tendon_terms(
-    scene: NamedModel, tendon: int, force: str, length: str
-) -> tuple[dict[str, object], list[Diagnostic], bool]:
-    """A tendon's numbers, told too, and whether it acts without limits and friction."""
-    model = scene.model
-    value: dict[str, object] = {}
-    terms = []
-    inertia = "kg" if length == "m" else "kg m^2"
-    for kind, unit, switch in (
-        ("stiffness", f"{force}/{length}", DISABLE.mjDSBL_SPRING),
-        ("damping", f"{force} s/{length}", DISABLE.mjDSBL_DAMPER),
-        ("armature", inertia, None),
-        ("frictionloss", force, None),
-    ):
-        linear = float(getattr(model, f"tendon_{kind}")[tendon])
-        powers = getattr(model, f"tendon_{kind}poly", np.zeros((model.ntendon, 1)))[tendon]
-        if not (linear or powers.any()) or (switch is not None and scene.off(switch)):
-            continue
-        value[kind] = linear if not powers.any() else [linear, *map(float, powers)]
-        rest = None
-        if kind == "stiffness":
-            value["rest"] = [float(each) for each in model.tendon_lengthspring[tendon]]
-            rest = Vector(tuple(model.tendon_lengthspring[tendon]), length)
-        terms.append(
-            diagnose(
-                "tendon-term",
-                what=Term(kind),
-                value=Quantity(linear, unit),
-                higher=Vector(tuple(powers), "1") if powers.any() else None,
-                rest=rest,
-            )
-        )
-    acts = bool(value.keys() & {"stiffness", "damping", "armature"})
-    if model.tendon_limited[tendon]:
-        value["range"] = [float(each) for each in model.tendon_range[tendon]]
-        kept = Vector(tuple(model.tendon_range[tendon]), length)
-        terms.append(diagnose("tendon-range", range=kept))
-    return value, terms, acts
-
-
-def _tendon_units(scene: NamedModel, tendon: int) -> tuple[str, str]:
-    """The units of a tendon's force and length; a fixed one adds up its joints' coordinates."""
-    model, first = scene.model, int(scene.model.tendon_adr[tendon])
-    if model.wrap_type[first] != mujoco.mjtWrap.mjWRAP_JOINT.value:
-        return "N", "m"
-    joints = model.wrap_objid[first : first + int(model.tendon_num[tendon])]
-    units = {scene.unit(int(joint)) for joint in joints}
-    return units.pop() if len(units) == 1 else ("", "unit of its length")
-
-
-def find_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def of_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Inertia and damping of motors; at one joint, the linear ones count as the joint's."""
     model = scene.model
     for motor in range(model.nactuator):
         what, targets = motor_targets(model, motor)
         if not any(scene.holds(what, target) for target in targets):
             continue
-        at_joint = is_at_one_joint(model, motor)
-        armature = 0.0 if at_joint else float(model.actuator_armature[motor])
-        damping = 0.0 if at_joint else float(model.actuator_damping[motor])
-        higher = model.actuator_dampingpoly[motor]
-        if scene.off(DISABLE.mjDSBL_DAMPER):
-            damping, higher = 0.0, np.zeros_like(higher)
-        value: dict[str, object] = {}
-        slots: list[Slot] = []
-        for word, number in (("armature", armature), ("damping", damping)):
-            if number:
-                value[word] = number
-                slots.append((f"actuator_{word}", motor))
-        if higher.any():
-            value["damping polynomial"] = [float(each) for each in higher]
-            slots.append(("actuator_dampingpoly", motor))
-        name = scene.name("actuator", motor)
+        subject = "actuator", scene.name("actuator", motor)
+        linear = () if is_at_one_joint(model, motor) else ("armature", "damping")
+        found = scene.numbers("actuator", motor, (*linear, "dampingpoly"))
         if acts_without_command(model, motor) and not scene.off(DISABLE.mjDSBL_ACTUATION):
-            message = diagnose("dc-motor-of-the-mjcf-alone", subject=("actuator", name))
+            message = diagnose("dc-motor-of-the-mjcf-alone", subject=subject)
             group = ("actuator_group", motor)  # 0 is off in `as_it_is`
-            yield MjcfOnlyEffect("actuator", name, None, "DC motor", "", message, (group,))
-        if value:
-            message = diagnose(
-                "actuator-terms-of-the-mjcf-alone",
-                subject=("actuator", name),
-                armature=value.get("armature"),
-                damping=value.get("damping"),
-                higher=Vector(tuple(higher), "1") if higher.any() else None,
-                gear=Vector(tuple(actuator_gear(model, motor)), "1"),
-            )
-            yield MjcfOnlyEffect("actuator", name, None, value, "", message, tuple(slots))
+            yield MjcfOnlyEffect("actuator", subject[1], None, "DC motor", "", message, (group,))
+        if found:
+            gear: Numbers = {"gear": list(map(float, actuator_gear(model, motor)))}
+            yield _effect("actuator", subject, "actuator", motor, found, gear)
 
 
 EQUALITY = mujoco.mjtEq
@@ -380,16 +294,11 @@ def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the medium, if it has density or viscosity."""
     option = scene.model.opt
     if option.density or option.viscosity:
-        wind = [float(each) for each in option.wind]
-        value = {"density": option.density, "viscosity": option.viscosity, "wind": wind}
-        message = diagnose(
-            "fluid-of-the-mjcf-alone",
-            density=Quantity(option.density, "kg/m^3"),
-            viscosity=Quantity(option.viscosity, "Pa s"),
-            wind=Vector(tuple(wind), "m/s"),
-        )
+        value: Numbers = {"density": option.density, "viscosity": option.viscosity}
+        wind: Numbers = {"wind": option.wind.tolist()}
+        effect = _effect("fluid", ("fluid", "option"), "opt", 0, value, wind)
         slots: tuple[Slot, ...] = (("opt.density", 0), ("opt.viscosity", 0))
-        yield MjcfOnlyEffect("fluid", "option", None, value, "", message, slots)
+        yield replace(effect, slots=slots)
 
 
 def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
@@ -447,12 +356,10 @@ def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:
     """Finds all that acts on the robot and that a URDF cannot state."""
     scene = NamedModel(reference)
     return [
-        *find_springs(scene),
-        *find_damping_polynomials(scene),
-        *find_gravity_compensation(scene),
-        *free_joint_friction(scene),
-        *find_tendons(scene),
-        *find_actuators(scene),
+        *of_joints(scene),
+        *of_bodies(scene),
+        *of_tendons(scene),
+        *of_actuators(scene),
         *find_fluid(scene),
         *find_equalities(scene),
         *find_flags(scene),

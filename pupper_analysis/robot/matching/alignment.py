@@ -60,8 +60,11 @@ def align_frames(
     nearest = _aligned(second, first, tolerances, fixed, names, as_the_first=False)
     if only is not None or not digits_in_all(first, nearest.values, tolerances):
         return nearest
+    # Where a file turns the frames of several links in a row, and back after the last, none of them
+    # is nearer to the other's by itself, but all together are (the thumb of a Shadow Hand).
     whole = _aligned(second, first, tolerances, fixed, names, as_the_first=True)
-    return _better(first, nearest, whole, tolerances)
+    costs = [digits_in_all(first, one.values, tolerances) for one in (nearest, whole)]
+    return whole if costs[1] < costs[0] - _GAIN else nearest
 
 
 def _aligned(
@@ -108,49 +111,6 @@ def _aligned(
     return Alignment(result, moved)
 
 
-def _better(
-    first: MultibodyTree, nearest: Alignment, whole: Alignment, tolerances: Tolerances
-) -> Alignment:
-    """Takes each branch from the alignment that tells less about it in all.
-
-    Where a file turns the frames of several links in a row, and back after the last, none of them
-    is nearer to the other's by itself, but all together are (the thumb of a Shadow Hand).
-    """
-    result, moved = nearest.values, dict(nearest.moved)
-    waiting = first.children(first.base)
-    while waiting:
-        name = waiting.pop()
-        one, two = nearest.values.joints[name], whole.values.joints[name]
-        if np.allclose(one.rotation, two.rotation, atol=1e-9) and np.allclose(
-            one.position, two.position, atol=1e-9
-        ):
-            waiting.extend(first.children(name))  # below it, each branch is one by itself
-            continue
-        branch = [name]
-        for known in branch:
-            branch.extend(first.children(known))
-        costs = [
-            digits_in_all(first, values, tolerances, branch)
-            for values in (nearest.values, whole.values)
-        ]
-        if costs[1] >= costs[0] - _GAIN:
-            continue
-        frames = {
-            frame: whole.values.frames[frame]
-            for frame, (owner, _) in result.frames.items()
-            if owner in branch
-        }
-        result = replace(
-            result,
-            joints={**result.joints, **{known: whole.values.joints[known] for known in branch}},
-            bodies={**result.bodies, **{known: whole.values.bodies[known] for known in branch}},
-            frames={**result.frames, **frames},
-        )
-        moved = {known: shift for known, shift in moved.items() if known not in branch}
-        moved |= {known: whole.moved[known] for known in branch if known in whole.moved}
-    return Alignment(result, moved)
-
-
 def tighten_tolerances(tolerances: Tolerances) -> Tolerances:
     """Returns tolerances of a hundredth."""
     return Tolerances(
@@ -172,15 +132,9 @@ def digits_of(one: MultibodyTree, two: MultibodyTree, name: str, tolerances: Tol
     return total
 
 
-def digits_in_all(
-    one: MultibodyTree,
-    two: MultibodyTree,
-    tolerances: Tolerances,
-    names: Iterable[str] | None = None,
-) -> float:
-    """Says how many digits tell the differences of joints and their bodies, by default of all."""
-    joints = one.joints if names is None else names
-    return sum(_of_joint(one, two, name, tolerances) for name in joints)
+def digits_in_all(one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances) -> float:
+    """Says how many digits tell the differences of all joints and their bodies."""
+    return sum(_of_joint(one, two, name, tolerances) for name in one.joints)
 
 
 def _of_joint(one: MultibodyTree, two: MultibodyTree, name: str, tolerances: Tolerances) -> float:

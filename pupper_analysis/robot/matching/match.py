@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 import math
-import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -63,14 +62,6 @@ from pupper_analysis.robot.matching.trees import (
 )
 from pupper_analysis.robot.robot import Robot
 
-_KINDS = (
-    ("gripper", re.compile(r"finger|grip|jaw|claw|pinch", re.IGNORECASE)),
-    ("hand", re.compile(r"hand|thumb|palm", re.IGNORECASE)),
-    ("head", re.compile(r"head|neck", re.IGNORECASE)),
-    ("tail", re.compile(r"tail", re.IGNORECASE)),
-    ("arm", re.compile(r"(^|_)arm", re.IGNORECASE)),
-)
-
 
 @dataclass(frozen=True)
 class RemovablePart:
@@ -91,17 +82,11 @@ class RemovablePart:
 
 def tell_lacking(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
     """Tells what one file has and the other lacks."""
-    names = [part.root, *part.joints]
-    kind = next(
-        (word for word, pattern in _KINDS if any(pattern.search(name) for name in names)), "part"
-    )
     return diagnose(
         "part-of-one-file",
         subject=("link" if has == "URDF" else "body", part.root),
         has=has,
         lacks=lacks,
-        kind=Term(kind),
-        arm=kind == "arm",
         carrier=part.carrier,
         mass=Quantity(part.mass, "kg"),
         joints=part.joints,

@@ -192,8 +192,8 @@ def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, .
         for whose, relative in quantity.edges.items()
         if whose in OF_ONE_MODEL
         and relative > ENGINES_AGREE
-        # With forces of MuJoCo's that a tree of joints has not, the two got different models.
-        and not (explanation.remains and whose in OF_THE_MJCF)
+        # With what no difference explains, the two got different models.
+        and (explanation.complete or whose not in OF_THE_MJCF)
     )
 
 

@@ -40,7 +40,7 @@ def matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
     """Says how joints were matched, and what was left out."""
     yield from comparison.notes
     if comparison.mount is not None:
-        yield diagnose("tilt-is-no-difference", tilt=comparison.mount.diagnostic)
+        yield diagnose("tilt-is-no-difference", tilt=comparison.mount)
     if comparison.guessed:
         yield _guessed(comparison)
     for joints, file in (

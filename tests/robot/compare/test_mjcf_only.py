@@ -197,7 +197,6 @@ PASSIVE = {
     "viscosity": ("fluid", "<worldbody>", '<option viscosity="{}"/><worldbody>'),
     "motor damping": ("damping", "m_hip3", 'damping="{}"'),
     "motor damping polynomial": ("actuator", "m_knee3", 'damping="0 {}"'),
-    "motor armature": ("armature", "m_knee0", 'armature="{}"'),
     "wrapped spring": (
         "tendon",
         "<worldbody>",
@@ -355,8 +354,7 @@ def test_it_is_named_first_and_the_engines_are_not_blamed(kind: str, tmp_path: P
     assert edges["engines (MJCF)"] < 1e-12
     assert edges["engines (URDF)"] < 1e-12
     # What is a joint's is a difference of the models; what a URDF cannot state has its own side.
-    side = EXTRAS if kind not in ("motor damping", "motor armature") else "models (MuJoCo)"
-    assert edges[side] > 1e-6 or kind == "motor armature"
+    assert edges["models (MuJoCo)" if kind == "motor damping" else EXTRAS] > 1e-6
 
 
 @pytest.mark.parametrize("kind", UNFELT)

@@ -149,7 +149,7 @@ def test_what_refers_to_a_joint_of_the_mjcf_alone_goes_with_it(tmp_path: Path, e
     comparison = compare_texts(tmp_path, URDF, mjcf)
     assert comparison.only_mjcf == ("to_tail",)
     (part,) = comparison.parts
-    assert "has a tail that the URDF lacks: body tail on the base (0.1 kg), with" in str(part)
+    assert "has a part that the URDF lacks: body tail on the base (0.1 kg), with" in str(part)
     assert found(comparison) == []  # with it taken off
     assert not comparison.agree
     assert comparison.complete
@@ -318,7 +318,7 @@ def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> N
     urdf, mjcf = (full, bare) if where == "URDF" else (bare, full)
     comparison = compared(write_parts(tmp_path, urdf, mjcf, free=False))
     (part,) = comparison.parts
-    assert f"the {where} has a gripper that the " in str(part)
+    assert f"the {where} has a part that the " in str(part)
     assert "hand on push (0.7 kg), with joints to_finger0, to_finger1" in str(part)
     assert found(comparison) == []
     assert not comparison.agree
