@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
-    Quantity,
     Term,
     diagnose,
 )
-from pupper_analysis.models.mjcf import CONTACT_OF_GEOM, silence_mujoco
+from pupper_analysis.models.mjcf import CONTACT_OF_GEOM
 from pupper_analysis.models.spec_tree import SpecTree
 
 Array = NDArray[np.float64]
@@ -104,42 +103,20 @@ def _laid(
 ) -> tuple[mujoco.MjsGeom, list[Diagnostic]]:
     """Returns the floor, which it lays down if need be, in the place of the one that there was.
 
-    Of several planes it is one that is level; ``floors`` begins with it afterwards.
+    Of several planes it is one that is at home; ``floors`` begins with it afterwards.
     """
-    if _is_at_home(floors[0]):
+    best = next((i for i, floor in enumerate(floors) if _is_at_home(floor)), None)
+    floors.insert(0, floors.pop(best or 0))
+    if best is not None:
         return floors[0], []
-    numbers = [next(i for i, g in enumerate(spec.geoms) if g == floor) for floor in floors]
-    mine = spec.copy()
-    mine.compiler.discardvisual = False  # which would take geoms out, and so change their order
-    with silence_mujoco():
-        model = mine.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    ids = [mine.geoms[number].id for number in numbers]
-    upward = [float(data.geom_xmat[geom][8]) for geom in ids]
-    best = next((i for i, up in enumerate(upward) if 1 - up < _LEVEL), 0)
-    floors.insert(0, floors.pop(best))
-    old, height, up = floors[0], float(data.geom_xpos[ids[best]][2]), upward[best]
-    tilt, off = np.arccos(np.clip(up, -1, 1)), abs(height) >= _LEVEL
-    tilted = 1 - up >= _LEVEL
-    done = []
-    if tilted or off:
-        done.append(
-            diagnose(
-                "floor-laid-level",
-                tilt=Quantity(tilt, "rad") if tilted else None,
-                height=Quantity(height, "m") if off else None,
-                both=tilted and off,
-            )
-        )
-    new = spec.worldbody.add_geom()
+    old, new = floors[0], spec.worldbody.add_geom()
     for word in (*CONTACT_OF_GEOM, "type", "size", "material", "rgba"):
         setattr(new, word, getattr(old, word))
     name = old.name
     spec.delete(old)
     new.name = name
     floors[0] = new
-    return new, done
+    return new, [diagnose("floor-laid-level")]
 
 
 def _leave_out(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:

@@ -43,22 +43,19 @@ def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
 
 
 @pytest.mark.parametrize(
-    ("floor", "said"),
+    "floor",
     [
-        (f'<body name="ground">{PLANE}/></body>', None),
-        (f'<body pos="0 0 0.3" euler="0 1.5707963267948966 0">{PLANE}/></body>', "tilted by 90"),
-        (f'{PLANE} pos="0.2 0 0.05"/>', "at z = 50 mm"),
-        (f'{PLANE} euler="0 0.1 0"/>', "tilted by 5.73 deg"),
-        (f'{PLANE} euler="0 0 1.5"/>', None),
-        (f'<frame euler="0 0 0.5">{PLANE}/></frame>', None),
+        f'<body name="ground">{PLANE}/></body>',
+        f'<body pos="0 0 0.3" euler="0 1.5707963267948966 0">{PLANE}/></body>',
+        f'{PLANE} pos="0.2 0 0.05"/>',
+        f'{PLANE} euler="0 0.1 0"/>',
+        f'<frame euler="0 0 0.5">{PLANE}/></frame>',
     ],
 )
-def test_a_floor_anywhere_is_the_ground(tmp_path: Path, floor: str, said: str | None) -> None:
+def test_a_floor_anywhere_is_the_ground(tmp_path: Path, floor: str) -> None:
     """A stand on it, and one on a slope, are those on the plane at home, to rounding."""
     robot, plain = (loaded(scene(tmp_path, text)) for text in (floor, PLANE + "/>"))
-    messages = [note for note in robot.notes if note.code == LEVEL]
-    assert bool(messages) == (said is not None)
-    assert not messages or (said or "") in str(messages[0])
+    assert [LEVEL in {note.code for note in one.notes} for one in (robot, plain)] == [True, False]
     assert not [note for note in robot.notes if note.code == OTHERS]
     for task in ({}, {"ground": pa.Ground(slope=0.05, uphill=0.7)}):
         seen, known = (stands(one, **task) for one in (robot, plain))

@@ -385,11 +385,6 @@ def number_pair(one: float, two: float, unit: str) -> dict[str, Any]:
     return {"one": describe_bound(one, unit), "two": describe_bound(two, unit)}
 
 
-def vector_pair(one: Array, two: Array, unit: str = "1") -> dict[str, Any]:
-    """Returns the first's vector and the second's, as values of a diagnostic."""
-    return {"one": Vector.rounded(one, unit), "two": Vector.rounded(two, unit)}
-
-
 MANIFOLD = 10.0
 """From so many times on a change is said as a factor: no one reads thousands of percent."""
 
@@ -459,6 +454,35 @@ class Change(Stated):
 NOTHING = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
 
 
+def _change(
+    code: str,
+    kind: str,
+    subject: tuple[str, str] | None,
+    values: tuple[Any, Any],
+    unit: str,
+    sides: ModelNames,
+    said: Mapping[str, Any] = FrozenDict(),
+    *,
+    element: str = "",
+    shown: tuple[Any, Any] | None = None,
+    felt: bool = True,
+) -> Change:
+    """Returns a difference; its message has both values, or what is shown of them, and more."""
+    one, two = (_as_said(value, unit) for value in shown or values)
+    message = diagnose(code, subject=subject, one=one, two=two, **said, **sides.named)
+    named = element if subject is None else element or subject[1]
+    return Change(kind, named, *values, unit, message, felt=felt)
+
+
+def _as_said(value: Any, unit: str) -> Any:
+    """Returns a value as a message has it: numbers with their unit, and words as they are."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, np.ndarray):
+        return Vector.rounded(value, unit)
+    return describe_bound(value, unit)
+
+
 def changes_between(
     one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances, sides: ModelNames = FORMATS
 ) -> Iterable[Change]:
@@ -475,37 +499,26 @@ def changes_between(
     for name, joint in one.joints.items():
         yield from _joint_changes(name, joint, two.joints[name], tolerances, sides)
     if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
-        both = {**vector_pair(one.gravity, two.gravity, "m/s^2"), **sides.named}
-        message = diagnose("gravity-differs" if sides.alike else "gravity-stated", **both)
-        yield Change("gravity", "option", one.gravity, two.gravity, "m/s^2", message)
-    greater = max(one.base_damping, two.base_damping)
-    free = ("body", one.base)
-    if abs(two.base_damping - one.base_damping) > tolerances.damping * greater:
-        both = {**number_pair(one.base_damping, two.base_damping, "N s/m"), **sides.named}
-        message = diagnose("free-joint-damping-differs", subject=free, **both)
-        values = one.base_damping, two.base_damping
-        yield Change("damping", one.base, *values, "N s/m", message)
+        code = "gravity-differs" if sides.alike else "gravity-stated"
+        pulls = one.gravity, two.gravity
+        yield _change(code, "gravity", None, pulls, "m/s^2", sides, element="option")
+    free, damping = ("body", one.base), (one.base_damping, two.base_damping)
+    if abs(damping[1] - damping[0]) > tolerances.damping * max(damping):
+        yield _change("free-joint-damping-differs", "damping", free, damping, "N s/m", sides)
     # A URDF is given the MJCF's: see `attribution.armature_differences`.
     if sides.alike and two.base_armature != one.base_armature:
-        unit = "kg and kg m^2"
-        both = {**number_pair(one.base_armature, two.base_armature, unit), **sides.named}
-        message = diagnose("free-joint-armature-differs", subject=free, **both)
-        values = one.base_armature, two.base_armature
-        yield Change("armature", one.base, *values, unit, message)
+        armature, unit = (one.base_armature, two.base_armature), "kg and kg m^2"
+        yield _change("free-joint-armature-differs", "armature", free, armature, unit, sides)
     for name, (owner, position) in one.frames.items():
         other_owner, other = two.frames[name]
-        apart = float(np.linalg.norm(other - position))
+        apart, subject = float(np.linalg.norm(other - position)), ("frame", name)
         if owner != other_owner:
-            links = {"one": one.bodies[owner].link, "two": two.bodies[other_owner].link}
-            both = {**links, **sides.named}
-            message = diagnose("frame-on-other-body", subject=("frame", name), **both)
+            code, places = "frame-on-other-body", (position, other)
+            links = one.bodies[owner].link, two.bodies[other_owner].link
+            yield _change(code, "frame", subject, places, "m", sides, shown=links)
         elif apart > tolerances.position:
-            both = {**vector_pair(position, other, "m"), **sides.named}
-            distance = Quantity(apart, "m")
-            message = diagnose("frame-apart", subject=("frame", name), distance=distance, **both)
-        else:
-            continue
-        yield Change("frame", name, position, other, "m", message)
+            far = {"distance": Quantity(apart, "m")}
+            yield _change("frame-apart", "frame", subject, (position, other), "m", sides, far)
 
 
 def apply_changes(
@@ -526,24 +539,15 @@ def body_changes(
 ) -> Iterable[Change]:
     """Yields the differences of two bodies."""
     body = ("link", one.link or two.link or name)
-    greater = max(abs(one.mass), abs(two.mass))
-    if abs(two.mass - one.mass) > tolerances.mass * greater:
-        both = {**number_pair(one.mass, two.mass, "kg"), **sides.named}
-        message = diagnose(
-            "mass-differs", subject=body, guess=describe_ratio(one.mass, two.mass), **both
-        )
-        yield Change("mass", name, one.mass, two.mass, "kg", message)
+    mass = one.mass, two.mass
+    if abs(two.mass - one.mass) > tolerances.mass * max(map(abs, mass)):
+        guess = {"guess": describe_ratio(*mass)}
+        yield _change("mass-differs", "mass", body, mass, "kg", sides, guess, element=name)
     apart = float(np.linalg.norm(two.com - one.com))
     if apart > tolerances.com:
-        message = diagnose(
-            "com-differs",
-            subject=body,
-            distance=Quantity(apart, "m"),
-            guess=name_mirrored(one.com, two.com, tolerances.com),
-            **vector_pair(one.com, two.com, "m"),
-            **sides.named,
-        )
-        yield Change("com", name, one.com, two.com, "m", message)
+        coms, way = (one.com, two.com), Quantity(apart, "m")
+        said = {"distance": way, "guess": name_mirrored(*coms, tolerances.com)}
+        yield _change("com-differs", "com", body, coms, "m", sides, said, element=name)
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
     differs = np.abs(two.inertia - one.inertia) > tolerances.inertia * size
     if differs.any():
@@ -577,71 +581,38 @@ def _turned(one: TreeBody, two: TreeBody) -> Diagnostic | None:
 def _joint_changes(
     name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
-    yield from _kinds_of_joints(name, one, two, sides)
-    yield from _placements(name, one, two, tolerances, sides)
-    yield from _axes(name, one, two, tolerances, sides)
-    yield from _joint_numbers(name, one, two, tolerances, sides)
-
-
-def _kinds_of_joints(
-    name: str, one: TreeJoint, two: TreeJoint, sides: ModelNames
-) -> Iterable[Change]:
-    """Yields another parent, and another type."""
+    """Yields another parent, type, place or axis of a joint, and other numbers."""
+    subject = "joint", name
     if one.parent != two.parent:
-        both = {"one": one.parent, "two": two.parent, **sides.named}
-        message = diagnose("parent-differs", subject=("joint", name), **both)
-        yield Change("parent", name, one.parent, two.parent, "", message)
+        yield _change("parent-differs", "parent", subject, (one.parent, two.parent), "", sides)
     if one.slides != two.slides:
-        kinds = ["prismatic" if joint.slides else "revolute" for joint in (one, two)]
-        both = {"one": Term(kinds[0]), "two": Term(kinds[1]), **sides.named}
-        message = diagnose("joint-type-differs", subject=("joint", name), **both)
-        yield Change("type", name, kinds[0], kinds[1], "", message)
-
-
-def _placements(
-    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
-) -> Iterable[Change]:
-    """Yields another position or orientation in the parent's frame."""
+        kinds = ("prismatic", "revolute") if one.slides else ("revolute", "prismatic")
+        shown = Term(kinds[0]), Term(kinds[1])
+        yield _change("joint-type-differs", "type", subject, kinds, "", sides, shown=shown)
+    places = one.position, two.position
     apart = float(np.linalg.norm(two.position - one.position))
     if apart > tolerances.position:
-        message = diagnose(
-            "joint-position-differs",
-            subject=("joint", name),
-            distance=Quantity(apart, "m"),
-            guess=name_mirrored(one.position, two.position, tolerances.position),
-            **vector_pair(one.position, two.position, "m"),
-            **sides.named,
-        )
-        yield Change("position", name, one.position, two.position, "m", message)
+        guess, way = name_mirrored(*places, tolerances.position), Quantity(apart, "m")
+        code, said = "joint-position-differs", {"distance": way, "guess": guess}
+        yield _change(code, "position", subject, places, "m", sides, said)
     turn = pin.log3(one.rotation.T @ two.rotation)
     angle = float(np.linalg.norm(turn))
     if angle > tolerances.rotation:
-        about = abs(float(turn @ one.axis)) > (1 - 1e-6) * angle
         message = diagnose(
             "joint-frame-turned",
-            subject=("joint", name),
+            subject=subject,
             angle=Quantity(angle, "rad"),
             axis=Vector.rounded(turn / angle),
-            about_its_axis=about,
+            about_its_axis=abs(float(turn @ one.axis)) > (1 - 1e-6) * angle,
             guess=quaternion_order(one.rotation, two.rotation),
         )
         yield Change("rotation", name, one.rotation, two.rotation, "1", message)
-
-
-def _axes(
-    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
-) -> Iterable[Change]:
     between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
     if float(np.linalg.norm(np.cross(one.axis, two.axis))) > tolerances.axis or between > 1.0:
-        reversed_axis = between > math.pi - tolerances.axis
-        message = diagnose(
-            "axis-reversed" if reversed_axis else "axis-turned",
-            subject=("joint", name),
-            angle=Quantity(between, "rad"),
-            **vector_pair(one.axis, two.axis),
-            **sides.named,
-        )
-        yield Change("axis", name, one.axis, two.axis, "1", message)
+        code = "axis-reversed" if between > math.pi - tolerances.axis else "axis-turned"
+        axes, how = (one.axis, two.axis), {"angle": Quantity(between, "rad")}
+        yield _change(code, "axis", subject, axes, "1", sides, how)
+    yield from _joint_numbers(name, one, two, tolerances, sides)
 
 
 def _joint_numbers(
@@ -668,15 +639,9 @@ def _joint_numbers(
         guess = in_degrees(a, b)
         if kind == "effort" and a == 0 and not sides.alike:
             guess = diagnose("guess-zero-for-unknown")
-        message = diagnose(
-            "joint-number-differs",
-            subject=("joint", name),
-            what=Term(kind),
-            guess=guess,
-            **number_pair(a, b, unit),
-            **sides.named,
-        )
-        yield Change(kind, name, a, b, unit, message, felt=attribute.felt)
+        code, said = "joint-number-differs", {"what": Term(kind), "guess": guess}
+        subject, felt = ("joint", name), attribute.felt
+        yield _change(code, kind, subject, (a, b), unit, sides, said, felt=felt)
 
 
 def convention_changes(
