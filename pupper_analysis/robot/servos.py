@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -166,9 +167,7 @@ def model_with_servos(
         model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~wanted.servo[driven]]]] = 0
     _limit(model, actuators, wanted.gear[driven], robot.effort_ranges[driven])
     if integrator is not None:
-        if integrator not in INTEGRATORS:
-            raise _unknown_integrator(integrator)
-        model.opt.integrator = INTEGRATORS[integrator].value
+        model.opt.integrator = _value_of("integrator", integrator, INTEGRATORS)
     used = next(
         (name for name, kind in INTEGRATORS.items() if kind.value == model.opt.integrator),
         mujoco.mjtIntegrator(int(model.opt.integrator)).name,
@@ -372,9 +371,12 @@ def _gain(name: str, value: ArrayLike, size: int) -> Array:
     return gain
 
 
-def _unknown_integrator(name: str) -> ConfigurationError:
-    known = tuple(INTEGRATORS)
-    return ConfigurationError("integrator", diagnose("integrator-unknown", name=name, known=known))
+def _value_of(option: str, name: str, known: Mapping[str, Any]) -> int:
+    """Returns MuJoCo's number of a name."""
+    if name not in known:
+        problem = diagnose("option-unknown", option=option, name=name, known=tuple(known))
+        raise ConfigurationError(option, problem)
+    return int(known[name].value)
 
 
 def with_options(
@@ -396,19 +398,14 @@ def with_options(
     Raises:
         ConfigurationError: If one is unknown, or no positive number.
     """
-    if integrator is not None and integrator not in INTEGRATORS:
-        raise _unknown_integrator(integrator)
-    if cone is not None and cone not in CONES:
-        problem = diagnose("cone-not-valid", cone=cone, known=CONES)
-        raise ConfigurationError("cone", problem)
-    if impratio is not None and not 0 < impratio < math.inf:
-        raise ConfigurationError("impratio", diagnose("impratio-not-valid", value=impratio))
     asked: dict[str, Any] = {}
     if integrator is not None:
-        asked["integrator"] = INTEGRATORS[integrator].value
+        asked["integrator"] = _value_of("integrator", integrator, INTEGRATORS)
     if cone is not None:
-        asked["cone"] = CONES[cone].value
+        asked["cone"] = _value_of("cone", cone, CONES)
     if impratio is not None:
+        if not 0 < impratio < math.inf:
+            raise ConfigurationError("impratio", diagnose("impratio-not-valid", value=impratio))
         asked["impratio"] = float(impratio)
     if not asked:
         return robot

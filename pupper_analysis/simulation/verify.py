@@ -1,7 +1,7 @@
 """Does it hold: MuJoCo's floating-base simulation of a stand, against what Pinocchio predicts.
 
 First the stand itself by MuJoCo's kinematics and dynamics; and what the prediction leaves out:
-loops that give way, constraints that it does not know, soles that touch at more places than one.
+loops that give way, soles that touch at more places than one.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from pupper_analysis.base.arrays import across
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
-from pupper_analysis.models.mjcf import equality_name
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, command_lead, command_ranges
@@ -91,36 +90,6 @@ def give_way(robot: Robot, stand: Stand, prediction: GravityCompensation) -> Dia
     if robot.closure.open_by(stand.qpos) > most / 2 or most < _OPEN:
         return None
     return diagnose("loops-are-soft", bonds=robot.closure.bonds, most=Quantity(most, "rad or m"))
-
-
-def closed_loops(robot: Robot, stand: Stand, least: float) -> Diagnostic | None:
-    """Says what equality constraints do in a stand, if it is more than a force (N or N m).
-
-    Those that are not predicted: what holds the robot in the world, say.
-    """
-    if robot.closure is not None:
-        return None
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_forward(model, data)
-    rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
-    forces = np.where(rows, data.efc_force, 0.0)
-    pushed = np.zeros(model.nv)
-    mujoco.mj_mulJacTVec(model, data, pushed, forces)
-    most = int(np.argmax(np.abs(pushed)))
-    if not abs(pushed[most]) > least:
-        return None
-    strongest = int(data.efc_id[int(np.argmax(np.abs(forces)))])
-    kind = mujoco.mjtEq(int(model.eq_type[strongest])).name.removeprefix("mjEQ_").lower()
-    name = equality_name(model, strongest)
-    joint = model.joint(int(model.dof_jntid[most])).name
-    return diagnose(
-        "constraints-not-predicted",
-        subject=("equality", name),
-        kind=kind,
-        force=abs(pushed[most]),
-        joint=joint,
-    )
 
 
 _SAME_CONTACT = 1e-3
@@ -604,8 +573,6 @@ def _deviations(
         return [*off, *two]
     if off and watch.touching:
         return [*off, *(diagnose("parts-touch", bodies=pair) for pair in watch.touching)]
-    if off and (acts := closed_loops(robot, stand, ANOTHER_ROBOT * weight)):
-        return [*off, acts]
     if off and (opens := give_way(robot, stand, prediction)):
         return [*off, opens]
     if off and (edges := several_contacts(robot, stand)):

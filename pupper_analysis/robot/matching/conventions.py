@@ -40,8 +40,6 @@ Array = NDArray[np.float64]
 
 _GAIN = 3.0  # bits that another frame of the base must save
 
-_SAMPLES = 12  # triples of coms that are fitted
-
 _TRIED = 6  # joints on the base whose frames are tried as a hint to where its own is
 
 
@@ -216,48 +214,9 @@ def _poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
     if all(base.mass and np.isfinite(base.com).all() for base in bases):
         here = np.vstack([here, bases[0].com])
         there = np.vstack([there, bases[1].com])
-    # Where bodies have their coms does not depend on where links have their frames.
-    coms = [_coms(values, names) for values in (first, second)]
-    for chosen in _samples(len(names)):
-        pose = _fitted(*(points[chosen] for points in coms))
-        if pose is not None:
-            yield pose
     for turn in quarter_turns():
         yield pin.SE3(turn, np.zeros(3))
         yield pin.SE3(turn, there.mean(axis=0) - turn @ here.mean(axis=0))
-
-
-def _coms(values: MultibodyTree, names: list[str]) -> Array:
-    """Returns the coms of the base and of some bodies on it, at zero, in the base's frame."""
-    points = [values.bodies[values.base].com]
-    for name in names:
-        joint = values.joints[name]
-        points.append(joint.position + joint.rotation @ values.bodies[name].com)
-    return np.array(points)
-
-
-def _samples(count: int) -> Iterator[list[int]]:
-    """Yields numbers of points to fit: all, and then triples, lest one that is off damages it."""
-    yield list(range(count + 1))
-    yield list(range(1, count + 1))
-    triples = itertools.combinations(range(min(count, _TRIED) + 1), 3)
-    yield from (list(triple) for triple in itertools.islice(triples, _SAMPLES))
-
-
-def _fitted(one: Array, two: Array) -> pin.SE3 | None:
-    """Returns the pose that brings points nearest to others; None if they lie in a line.
-
-    Or if one has no place: the com of bodies whose masses, one negative, add up to none.
-    """
-    if not (np.isfinite(one).all() and np.isfinite(two).all()):
-        return None
-    here, there = one - one.mean(axis=0), two - two.mean(axis=0)
-    if len(one) < 3 or min(np.linalg.matrix_rank(points, tol=1e-6) for points in (here, there)) < 2:
-        return None
-    from scipy.spatial.transform import Rotation  # slow to import
-
-    turn = Rotation.align_vectors(there, here)[0].as_matrix()
-    return pin.SE3(turn, two.mean(axis=0) - turn @ one.mean(axis=0))
 
 
 def quarter_turns() -> Iterator[Array]:

@@ -55,7 +55,7 @@ def pair_up(
     by_link = _by_link(root, spec, pairs)
     guessed |= by_link
     pairs |= by_link
-    guess = match_by_structure(root, files[0], tree, pairs)
+    guess = guess_of_trees(urdf_tree(root, files[0]), tree, pairs)
     guessed |= guess.pairs
     pairs |= guess.pairs
     choices = {one: others for one, others in guess.choices.items() if one not in pairs}
@@ -232,24 +232,14 @@ class Guess:
     choices: Mapping[str, tuple[str, ...]]
 
 
-def match_by_structure(
-    root: etree._Element,
-    urdf: Path,
-    tree: MultibodyTree,
-    pairs: Mapping[str, str],
-) -> Guess:
-    """Matches joints without a partner by structure.
+def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
+    """Matches the joints of two trees that ``pairs`` lack, by structure.
 
     Below the same parent, with parallel axes at zero angles, each the nearest to the other. Where
     no name is in common and the axes of the base do not match as they are, its frame may be turned
     by quarters in one of the files; if two turns match as many joints, each its own way, nothing is
-    guessed, unless one of them alone pairs left with right by the joints' names.
+    guessed.
     """
-    return guess_of_trees(urdf_tree(root, urdf), tree, pairs)
-
-
-def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
-    """Matches the joints of two trees, likewise; ``pairs`` are those that have a partner."""
     free, rest = len(set(one.joints) - set(pairs)), len(set(two.joints) - set(pairs.values()))
     if not free or not rest:
         return Guess({}, {})
@@ -260,7 +250,7 @@ def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, s
     for turn in quarter_turns():
         turned = with_base(one, pin.SE3(turn, np.zeros(3)))
         tried.append(_in_place(turned, two, pairs))
-    tried.sort(key=lambda i: (-len(i[0].pairs), _exchanges_sides(i[0].pairs), i[1]))
+    tried.sort(key=lambda one: (-len(one[0].pairs), one[1]))
     (best, distance) = tried[0]
     rivals = [
         other.pairs
@@ -268,7 +258,6 @@ def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, s
         if len(other.pairs) == len(best.pairs)
         and other.pairs != best.pairs
         and apart < 2 * distance + 1e-3
-        and not (_exchanges_sides(other.pairs) and not _exchanges_sides(best.pairs))
     ]
     if rivals and best.pairs:
         every = [best.pairs, *rivals]
@@ -278,21 +267,6 @@ def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, s
         }
         return Guess({}, choices)
     return best
-
-
-_SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
-
-
-def _exchanges_sides(pairs: Mapping[str, str]) -> bool:
-    """Tells whether a name that says left is paired with one that says right."""
-    sides = [
-        {_SIDES[word] for word in re.split(r"[^a-z]+", name.lower()) if word in _SIDES}
-        for pair in pairs.items()
-        for name in pair
-    ]
-    return any(
-        one and two and not one & two for one, two in zip(sides[::2], sides[1::2], strict=True)
-    )
 
 
 def _in_place(

@@ -46,8 +46,6 @@ class SmallPayload:
         self.mass = SMALL * robot.total_mass
         loaded = with_payload(robot, self.mass, point)
         self._laws = {foot: GroundLaw.of(loaded, foot) for foot in robot.contact_points}
-        share = robot.weight / len(self._laws)
-        self._usual = {foot: law.depth(share) for foot, law in self._laws.items()}
 
     def rows(self, stand: Stand) -> Array | None:
         """Returns rows (k, 2): a + b m >= 0 is what a mass m must leave; first where it buckles.
@@ -78,9 +76,8 @@ class SmallPayload:
         use = np.column_stack([torques, (held - torques) / mass])[bears] / limits[bears, None]
         normals, growth = (np.einsum("ni,ni->n", one, carrying.normals) for one in (forces, more))
         laws = [self._laws[foot] for foot in stand.stance_feet]
-        near = [self._usual[foot] for foot in stand.stance_feet]
         pressed = np.maximum(normals + mass * growth, 0.0)
-        deep = np.array([law.depth(*at) for law, *at in zip(laws, pressed, near, strict=True)])
+        deep = np.array([law.depth(load) for law, load in zip(laws, pressed, strict=True)])
         modes = _buckling_modes(config, stand, self._kp, (forces, more), self._point, laws, deep)
         if modes is None:
             return None

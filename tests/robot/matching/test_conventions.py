@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.robot.matching.conventions import _fitted
 from tests.support.robots import (
     FEET,
     Files,
@@ -229,13 +228,3 @@ def test_a_fixed_base_that_is_turned_in_the_world_is_said_once(tmp_path: Path, n
     (said,) = (str(note) for note in comparison.notes if "is placed" in str(note))
     assert "turned by 120 deg about (0.57735, 0.57735, 0.57735) in the world" in said
     assert set(comparison.joints) == {"turn", "lift", "push"}
-
-
-def test_a_com_of_masses_that_add_up_to_none_is_nowhere() -> None:
-    """By a negative mass: singular values of what is not a number are none."""
-    points = np.random.default_rng(0).normal(size=(5, 3))
-    pose = _fitted(points, points + 1.0)
-    assert pose is not None
-    np.testing.assert_allclose(pose.translation, 1.0)
-    points[2] = np.nan
-    assert _fitted(points, points) is None
