@@ -7,13 +7,12 @@ or a shape is missing.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.robot import Robot
 
@@ -23,12 +22,6 @@ _ALIKE = 0.05
 """Masses of links that are alike differ by no more than this part of them, and the ways from joint
 to joint by no more than this part of a limb: left and right ones of published robots are within
 1 %. One of the two is enough: a digit that is wrong is in one of them."""
-
-_APART = 2e-3
-"""Bodies that are further from the place of a mirror image are somewhere else (m)."""
-
-_IMAGES = tuple(np.diag([x, y, 1.0]) for x, y in itertools.product((1.0, -1.0), repeat=2))
-"""Left and right, front and rear, both: where a limb's like may be, in the base's axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,41 +101,12 @@ def structure(robot: Robot) -> tuple[Diagnostic, ...]:
         every = [other for other in limbs if other.like(limb)]
         if len(alike) * 2 < len(every):
             continue
-        body, gap = _displaced(robot, limb, alike)
         messages.append(
             diagnose(
                 "limb-without-foot",
                 subject=("body", model.body(limb.bodies[-1]).name),
                 feet=len(alike),
                 alike=len(every),
-                displaced=body,
-                gap=None if body is None else Quantity(gap, "m"),
             )
         )
     return tuple(messages)
-
-
-def _displaced(robot: Robot, limb: Limb, alike: list[Limb]) -> tuple[str | None, float]:
-    """Returns the first body of a limb that is not where those alike have theirs, and by how much.
-
-    Of all images of limbs that are alike the one that begins nearest counts.
-    """
-    model, data = robot.mj_model, robot.placed()
-    own = data.xpos[list(limb.bodies)]
-    gaps = []
-    for other in alike:
-        there = data.xpos[list(other.bodies)]
-        images = (*_IMAGES, _turned(there[0], own[0]))  # of a ring, the next one's
-        gaps += [np.linalg.norm(own - there @ image.T, axis=1) for image in images]
-    off = min(gaps, key=lambda gap: (float(np.round(gap[0], 3)), float(gap.max())))
-    first = next((number for number, gap in enumerate(off) if gap > _APART), None)
-    if first is None:
-        return None, 0.0
-    return str(model.body(limb.bodies[first]).name), float(off[first])
-
-
-def _turned(start: Array, end: Array) -> Array:
-    """Returns the rotation (3, 3) about the vertical that brings a place (3,) towards another."""
-    angle = np.arctan2(end[1], end[0]) - np.arctan2(start[1], start[0])
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

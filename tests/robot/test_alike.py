@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.alike import structure
@@ -23,19 +21,18 @@ def test_four_legs_that_are_alike_are_no_news(tmp_path: Path) -> None:
     assert structure(pa.load_robot(standing_urdf(tmp_path))) == ()
 
 
-def test_a_calf_that_is_elsewhere_is_named_with_its_gap(tmp_path: Path) -> None:
+def test_a_leg_whose_calf_is_elsewhere_has_no_foot(tmp_path: Path) -> None:
     """One digit, -0.2 -> -0.02, and the robot stands on three feet: that is no HOLDS."""
     path = slipped(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.02"')
     robot = pa.load_robot(path)
     [message] = structure(robot)
     assert (message.values["feet"], message.values["alike"]) == (3, 4)
-    assert message.values["gap"].value == pytest.approx(0.18, abs=1e-6)
     verdict = judge_stand(robot, pa.solve_stand(robot))
     assert verdict.code is VerdictCode.LIMB_WITHOUT_FOOT
     assert not verdict.passed
     assert verdict.remarks[0] == message
     held = pa.hold_posture(pa.load_robot(path, fixed_base=True))
-    assert "RR_calf is 180 mm from where the others" in " ".join(map(str, held.verdict.remarks))
+    assert message.code in {one.code for one in held.verdict.remarks}
     converted = pa.convert_model(path, tmp_path / "slipped.xml")
     assert message.code in {one.code for one in converted.failures}
     assert not converted.passed
@@ -45,8 +42,7 @@ def test_a_calf_that_is_elsewhere_is_named_with_its_gap(tmp_path: Path) -> None:
 def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
     robot = pa.load_robot(slipped(tmp_path, '<sphere radius="0.02"/>', ""))
     [message] = structure(robot)
-    assert message.values["gap"] is None
-    assert "no collision shape" in str(message)
+    assert "RR_calf has none" in str(message)
 
 
 def test_feet_that_are_named_are_as_they_are_meant(tmp_path: Path) -> None:

@@ -417,16 +417,6 @@ def in_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
     return None
 
 
-def name_mirrored(urdf: Array, mjcf: Array, tolerance: float) -> Diagnostic | None:
-    """Names the coordinate that has the other sign, if that is the whole difference."""
-    for index, name in enumerate("xyz"):
-        flipped = urdf.copy()
-        flipped[index] *= -1
-        if np.linalg.norm(flipped - mjcf) <= tolerance:
-            return diagnose("guess-coordinate-mirrored", axis=name)
-    return None
-
-
 def quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
     """Tells whether reading the MJCF's quaternion as (x, y, z, w) would end the difference."""
     x, y, z, w = pin.Quaternion(mjcf).coeffs()
@@ -545,9 +535,8 @@ def body_changes(
         yield _change("mass-differs", "mass", body, mass, "kg", sides, guess, element=name)
     apart = float(np.linalg.norm(two.com - one.com))
     if apart > tolerances.com:
-        coms, way = (one.com, two.com), Quantity(apart, "m")
-        said = {"distance": way, "guess": name_mirrored(*coms, tolerances.com)}
-        yield _change("com-differs", "com", body, coms, "m", sides, said, element=name)
+        coms, way = (one.com, two.com), {"distance": Quantity(apart, "m")}
+        yield _change("com-differs", "com", body, coms, "m", sides, way, element=name)
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
     differs = np.abs(two.inertia - one.inertia) > tolerances.inertia * size
     if differs.any():
@@ -561,21 +550,8 @@ def body_changes(
                         "inertia-entry-differs", entry=label, guess=describe_ratio(a, b), **both
                     )
                 )
-        message = diagnose(
-            "inertia-differs", subject=body, entries=entries, guess=_turned(one, two)
-        )
+        message = diagnose("inertia-differs", subject=body, entries=entries)
         yield Change("inertia", name, one.inertia, two.inertia, "kg m^2", message)
-
-
-def _turned(one: TreeBody, two: TreeBody) -> Diagnostic | None:
-    """Says so if two tensors have the same principal moments."""
-    moments = np.linalg.eigvalsh(one.inertia), np.linalg.eigvalsh(two.inertia)
-    off = np.abs(one.inertia - np.diag(np.diag(one.inertia))).max()
-    if np.allclose(np.diag(one.inertia), np.diag(two.inertia), rtol=1e-3) and off > 0:
-        return diagnose("guess-products-of-inertia")
-    if np.allclose(*moments, rtol=1e-3, atol=1e-3 * abs(moments[0]).max()):
-        return diagnose("guess-tensor-in-turned-axes")
-    return None
 
 
 def _joint_changes(
@@ -592,9 +568,8 @@ def _joint_changes(
     places = one.position, two.position
     apart = float(np.linalg.norm(two.position - one.position))
     if apart > tolerances.position:
-        guess, way = name_mirrored(*places, tolerances.position), Quantity(apart, "m")
-        code, said = "joint-position-differs", {"distance": way, "guess": guess}
-        yield _change(code, "position", subject, places, "m", sides, said)
+        way = {"distance": Quantity(apart, "m")}
+        yield _change("joint-position-differs", "position", subject, places, "m", sides, way)
     turn = pin.log3(one.rotation.T @ two.rotation)
     angle = float(np.linalg.norm(turn))
     if angle > tolerances.rotation:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
+from pupper_analysis.base.diagnostics import Quantity, Term, Vector, diagnose
 from pupper_analysis.models.mjcf import JointKind, equality_ends, equality_name
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint, motor_targets
 from pupper_analysis.robot.compare.differences import Stated
@@ -314,42 +314,18 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             continue  # of other objects of the scene
         name = equality_name(scene.names, index)
         kind = EQUALITY(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
-        one, two = (_end_name(scene, *end) for end in ends)
-        subject = ("equality", name)
-        yield MjcfOnlyEffect(
-            "equality",
-            name,
-            None,
-            [float(each) for each in model.eq_data[index]],
-            "",
-            diagnose(
-                "equality-of-the-mjcf-alone", subject=subject, kind=Term(kind), one=one, two=two
-            ),
-            (("eq_active0", index),),
-        )
-
-
-def _end_name(scene: NamedModel, what: mujoco.mjtObj, target: int) -> Diagnostic | Term:
-    if target < 0:
-        return Term("a constant")
-    name = mujoco.mj_id2name(scene.names, what.value, target) or f"#{target}"
-    return diagnose("element", subject=(what.name.removeprefix("mjOBJ_").lower(), name))
+        subject, data = ("equality", name), [float(each) for each in model.eq_data[index]]
+        message = diagnose("of-the-mjcf-alone", subject=subject, stated=Term(kind))
+        slot = ("eq_active0", index)
+        yield MjcfOnlyEffect("equality", name, None, data, "", message, (slot,))
 
 
 def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """What the file states and switches off again; springs and damping are 0 then."""
-    for bit, word, what in _FLAGS:
-        if scene.off(bit):
-            message = diagnose("flag-of-the-mjcf-alone", subject=("flag", word), what=Term(what))
+    for word in ("limit", "frictionloss", "constraint", "actuation"):
+        if scene.off(getattr(DISABLE, f"mjDSBL_{word.upper()}")):
+            message = diagnose("of-the-mjcf-alone", subject=("flag", word), stated="disable")
             yield MjcfOnlyEffect("flag", word, None, "disable", "", message)
-
-
-_FLAGS = (
-    (DISABLE.mjDSBL_LIMIT, "limit", "no joint limit acts"),
-    (DISABLE.mjDSBL_FRICTIONLOSS, "frictionloss", "no dry friction acts"),
-    (DISABLE.mjDSBL_CONSTRAINT, "constraint", "no limit, dry friction or contact acts"),
-    (DISABLE.mjDSBL_ACTUATION, "actuation", "no motor acts"),
-)
 
 
 def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:

@@ -222,7 +222,6 @@ class Match:
             links=self.urdf_link,
             joints=self.urdf_joint,
             frames={name: link for name, (link, _) in frames.items()},
-            movers={body: mover for mover, body in self.mjcf_body.items()},
             base=base,
         )
         two = MjcfSources(

@@ -57,7 +57,6 @@ class UrdfSources:
         links: {base or joint: the link that it moves}.
         joints: {joint: its name in the file}; others are called so there, too.
         frames: {frame: its link}; likewise.
-        movers: {body of the other file: base or joint that moves it}.
         base: What the base is called.
     """
 
@@ -66,7 +65,6 @@ class UrdfSources:
     links: Mapping[str, str]
     joints: Mapping[str, str]
     frames: Mapping[str, str]
-    movers: Mapping[str, str]
     base: tuple[str, ...]
 
     def place(self, kind: str, element: str) -> Place:
@@ -78,10 +76,7 @@ class UrdfSources:
                 another element, as it is called in the comparison.
         """
         child, file = _URDF_CHILD.get(kind), self.file
-        if kind == "gravity compensation":
-            mover = self.movers.get(element)
-            return Place(file.path) if mover is None else file.place("link", self.links[mover])
-        if kind in _SECTION or kind in _GLOBAL_OPTIONS:
+        if kind in _SECTION or kind in _GLOBAL_OPTIONS or kind == "gravity compensation":
             return Place(file.path)
         if kind in _OF_BODIES and element in self.links:
             return self.weight(kind, _heaviest(self.members(element)))

@@ -96,7 +96,7 @@ def _of_urdf(file: UrdfFile) -> Version:
         others={("mimic", name): list(value) for name, value in mimics.items()},
         elements=list_collisions(read_urdf_model(file)),
         bodies=carriers,
-        sources=UrdfSources(file, UrdfTree(root), carriers, {}, {}, {}, (base,)),
+        sources=UrdfSources(file, UrdfTree(root), carriers, {}, {}, (base,)),
         notes=(*file.notes, *held),
     )
 

@@ -270,26 +270,6 @@ HINTS: dict[str, tuple[dict[str, Any], dict[str, Any], str, str]] = {
     "percent": ({}, {"mass": 0.25}, "mass", "(+25 %)"),
     "degrees": ({}, {"lower": math.degrees(-2.5)}, "lower limit", "(degrees for radians?)"),
     "degrees rounded": ({"upper": -28.6}, {}, "upper limit", "(degrees for radians?)"),
-    "mirrored com": ({"com": (0.004, -0.001, -0.12)}, {}, "com", "(y has the other sign)"),
-    "mirrored position": (
-        {"position": (0.0, 0.08, 0.2)},
-        {},
-        "position",
-        "400 mm apart, from its parent's frame: (0, 0.08, 0.2) m in the URDF, (0, 0.08, -0.2) m in "
-        "the MJCF (z has the other sign)",
-    ),
-    "products' sign": (
-        {"inertia": (0.0015, 0.0014, 3e-4, 1e-4, 2e-4, 3e-6)},
-        {"inertia": (0.0015, 0.0014, 3e-4, 1e-4, -2e-4, 3e-6)},
-        "inertia",
-        "(the other sign) (the products of inertia differ, perhaps in sign)",
-    ),
-    "turned tensor": (
-        {"inertia": (0.0015, 3e-4, 0.0014, 0, 0, 0)},
-        {"inertia": (0.0015, 0.0014, 3e-4, 0, 0, 0)},
-        "inertia",
-        "(the same principal moments: one of the tensors is in turned axes)",
-    ),
     "reversed axis": ({}, {"axis": (0, -1, 0)}, "axis", "axis reversed: (0, 1, 0) in the URDF, (0"),
     "turned axis": ({}, {"axis": (1, 1, 0)}, "axis", "axis turned by 45 deg"),
     "quaternion order": (
