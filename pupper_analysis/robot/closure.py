@@ -46,9 +46,6 @@ loop's equations across its plane, which rounded files leave with 1e-9."""
 _MAX_ITERATIONS = 50
 _LONGEST_NEWTON_STEP = 0.3  # rad, m: a longer Newton step is shortened
 
-_STEPS = 12
-"""From the start to a configuration in which loops would be assembled otherwise."""
-
 _NEARLY = 1e-3
 """Loops of a file's own start are closed to rounding, or in a keyframe to a millimetre (m, rad)."""
 
@@ -181,20 +178,7 @@ class Closure:
             (nq,) with other joints; None if it does not converge.
         """
         found = self._newton(qpos, moving, give)
-        if found is None or self.as_built(found):
-            return found
-        # Round the dead point: from where the loops are as they are built, step by step.
-        way = qpos.copy()
-        joints = slice(self._size - len(self._joint_names), None)
-        found, span = self._reference, qpos[joints] - self._reference[joints]
-        for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
-            way[joints] = self._reference[joints] + share * span
-            kept = way.copy()
-            kept[joints][self.following] = found[joints][self.following]
-            found = self._newton(kept, moving, give)
-            if found is None:
-                return None
-        return found if self.as_built(found) else None
+        return found if found is not None and self.as_built(found) else None
 
     def as_built(self, qpos: Array) -> bool:
         """Tells whether loops are assembled as at the start, and not as beyond a dead point.

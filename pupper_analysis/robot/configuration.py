@@ -164,8 +164,8 @@ class Configuration:
 
     def foot_places(self, feet: Iterable[str]) -> Array:
         """Returns the centres (n, 3) of some feet's spheres, in the world (m)."""
-        place, numbers = self._workspace.place, self._structure.feet
-        places = [place(numbers[foot]) for foot in feet]
+        placements, numbers = self._data.oMf, self._structure.feet
+        places = [placements[numbers[foot]].translation for foot in feet]
         return np.array(places, dtype=float).reshape(-1, 3)
 
     def foot_jacobians(self) -> dict[str, Array]:

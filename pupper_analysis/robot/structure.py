@@ -23,10 +23,6 @@ _MOST_SPARE = 32
 """Workspaces that are kept for later (some 10 kB each); those that are in use are not counted."""
 
 
-Lent = tuple[pin.Data, dict[int, Array]]
-"""A Pinocchio ``Data``, and by their numbers where frames are in it: its own memory."""
-
-
 class Workspace:
     """A Pinocchio ``Data`` that belongs to its holder alone; another may have it afterwards.
 
@@ -34,25 +30,14 @@ class Workspace:
         data: The data.
     """
 
-    __slots__ = ("_lent", "_places", "_spare", "data")
+    __slots__ = ("_spare", "data")
 
-    def __init__(self, lent: Lent, spare: list[Lent]) -> None:
-        self.data, self._places = self._lent = lent
-        self._spare = spare
+    def __init__(self, data: pin.Data, spare: list[pin.Data]) -> None:
+        self.data, self._spare = data, spare
 
     def __del__(self) -> None:
         if len(self._spare) < _MOST_SPARE:
-            self._spare.append(self._lent)
-
-    def place(self, frame: int) -> list[float]:
-        """Returns where a frame is (3,), by its number (m).
-
-        Pinocchio takes five times as long for the way to the number as for the number.
-        """
-        if frame not in self._places:
-            self._places[frame] = self.data.oMf[frame].translation
-        place: list[float] = self._places[frame].tolist()
-        return place
+            self._spare.append(self.data)
 
 
 class Structure:
@@ -117,15 +102,15 @@ class Structure:
             self.carried[3:6, 3:6] = True
         in_order = bool((columns == np.arange(self.nv)).all())
         self._columns: IntArray | None = None if in_order else columns
-        self._spare: list[Lent] = []
+        self._spare: list[pin.Data] = []
 
     def workspace(self) -> Workspace:
         """Returns a workspace that nobody else holds."""
         try:
-            lent = self._spare.pop()
+            data = self._spare.pop()
         except IndexError:
-            lent = self.model.createData(), {}
-        return Workspace(lent, self._spare)
+            data = self.model.createData()
+        return Workspace(data, self._spare)
 
     def loaded(self) -> pin.Model:
         """Returns the model with the armature that the robot's has now: it may be changed."""

@@ -31,8 +31,6 @@ def test_a_leg_whose_calf_is_elsewhere_has_no_foot(tmp_path: Path) -> None:
     assert verdict.code is VerdictCode.LIMB_WITHOUT_FOOT
     assert not verdict.passed
     assert verdict.remarks[0] == message
-    held = pa.hold_posture(pa.load_robot(path, fixed_base=True))
-    assert message.code in {one.code for one in held.verdict.remarks}
     converted = pa.convert_model(path, tmp_path / "slipped.xml")
     assert message.code in {one.code for one in converted.failures}
     assert not converted.passed
