@@ -73,46 +73,31 @@ def efforts_of(
 
 def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
     """Tells of efforts: which file's count where they differ, and what was made of them."""
-    notes: list[Diagnostic] = []
-    unstated, geared, uneven = [], [], []
-    differing: dict[tuple[str, str, str], list[Diagnostic]] = {}
+    told: dict[str, list[Any]] = {
+        "effort-unstated": [
+            limit.joint
+            for limit in limits
+            if all(statement.file != "URDF" for statement in limit.stated)
+        ],
+        "efforts-multiplied-by-gear": [],
+        "effort-limits-differ": [],
+        "motors-uneven": [one.joint for one in limits if not _alike(-one.lower, one.upper)],
+    }
     for limit in limits:
-        urdf = [one for one in limit.stated if one.file == "URDF"]
-        others = [one for one in limit.stated if one.file != "URDF"]
-        if not urdf:
-            unstated.append(limit.joint)
+        joint, by_file = ("joint", limit.joint), sorted(limit.stated, key=lambda one: one.least)
         if limit.gear != 1.0:
-            effort = Quantity(urdf[0].stated[1], "N m")
-            joint = "joint", limit.joint
-            geared.append(diagnose("effort-geared", subject=joint, effort=effort, gear=limit.gear))
-        if not _alike(-limit.lower, limit.upper):
-            uneven.append(limit.joint)
-        if urdf and others and limit.origin is not None:
-            other = min(others, key=lambda one: one.least)
-            if not _alike(urdf[0].least, other.least):
-                pair = sorted((urdf[0], other), key=lambda one: one.least)
-                key = pair[0].file, pair[0].attribute, pair[1].attribute
-                least, unused = (Quantity(one.least, "N m") for one in pair)
-                joint = "joint", limit.joint
-                message = diagnose("lesser-effort", subject=joint, least=least, unused=unused)
-                differing.setdefault(key, []).append(message)
-    if unstated:
-        notes.append(diagnose("effort-unstated", joints=unstated))
-    if geared:
-        notes.append(diagnose("efforts-multiplied-by-gear", joints=geared))
-    for (file, attribute, other_attribute), joints in differing.items():
-        notes.append(
-            diagnose(
-                "effort-limits-differ",
-                file=file,
-                attribute=attribute,
-                instead_of=other_attribute,
-                joints=joints,
+            effort = Quantity(next(one.stated[1] for one in by_file if one.file == "URDF"), "N m")
+            message = diagnose("effort-geared", subject=joint, effort=effort, gear=limit.gear)
+            told["efforts-multiplied-by-gear"].append(message)
+        unused = next((one for one in by_file[1:] if one.file != by_file[0].file), None)
+        if unused and limit.origin is not None and not _alike(by_file[0].least, unused.least):
+            most = Quantity(unused.least, "N m")
+            least = Quantity(by_file[0].least, "N m")
+            message = diagnose(
+                "lesser-effort", subject=joint, file=by_file[0].file, least=least, unused=most
             )
-        )
-    if uneven:
-        notes.append(diagnose("motors-uneven", joints=uneven))
-    return notes
+            told["effort-limits-differ"].append(message)
+    return [diagnose(code, joints=joints) for code, joints in told.items() if joints]
 
 
 def _alike(one: float, other: float) -> bool:

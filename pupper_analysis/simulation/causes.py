@@ -78,9 +78,8 @@ def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnost
         after, moved = Quantity(nudge.duration, "s"), Quantity(nudge.moved, "rad")
         messages.append(diagnose("joint-left-by-nudge", after=after, moved=moved))
     elif nudge is not None and not nudge.stays:
-        after, way = Quantity(nudge.farthest_time, "s"), Quantity(nudge.farthest, "rad")
-        joint = nudge.farthest_joint
-        messages.append(diagnose("joint-left-and-came-back", after=after, way=way, joint=joint))
+        way = Quantity(nudge.farthest, "rad")
+        messages.append(diagnose("joint-left-and-came-back", way=way))
     return messages
 
 

@@ -151,8 +151,6 @@ class Nudge(Result):
         moved: The greatest way of a joint from where it was before, in the last third, beyond what
             it had crept already (rad, m).
         farthest: The same at any time after the nudge: what comes back has left all the same.
-        farthest_joint: Which joint that is; "" if it has no name.
-        farthest_time: When, after the nudge (s).
         decayed: Whether the motion ``left`` is less, or nothing to speak of.
     """
 
@@ -163,8 +161,6 @@ class Nudge(Result):
     left: float
     moved: float
     farthest: float
-    farthest_joint: str
-    farthest_time: float
     decayed: bool
 
     @property
@@ -211,15 +207,11 @@ def measure_response(
     windows = states[third : 2 * third], states[-third:]
     motion, left = (_swinging(rows[:, 1 + model.nq : 1 + model.nq + model.nv]) for rows in windows)
     whole = not monitor.has_diverged(states, timestep)
-    joints = scalar_joints(model)
-    hinges = model.jnt_qposadr[joints]
+    hinges = model.jnt_qposadr[scalar_joints(model)]
     distances = np.abs(states[:, 1 + hinges] - before[1 + hinges])
     if creep is not None:
         rates = np.abs(creep[-1] - creep[0])[1 + hinges] / (creep[-1, 0] - creep[0, 0])
         distances = np.maximum(distances - np.outer(states[:, 0] - before[0], rates), 0.0)
-    when, joint = (
-        np.unravel_index(np.argmax(distances), distances.shape) if distances.size else (0, None)
-    )
     gone = left <= max(_DECAYING * motion, _GONE * NUDGE)
     return Nudge(
         speed=NUDGE,
@@ -229,8 +221,6 @@ def measure_response(
         left=left,
         moved=float(distances[-third:].max(initial=0.0)),
         farthest=float(distances.max(initial=0.0)),
-        farthest_joint="" if joint is None else model.joint(joints[joint]).name,
-        farthest_time=timestep * (int(when) + 1),
         decayed=bool(whole and gone),
     )
 

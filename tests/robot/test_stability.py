@@ -263,14 +263,12 @@ def test_what_leaves_and_comes_back_has_left() -> None:
     angle = math.acos(damping)
     way = speed / natural * math.exp(-damping * angle / math.sin(angle))
     assert found.farthest == pytest.approx(way, rel=1e-4)
-    assert found.farthest_time == pytest.approx(angle / (natural * math.sin(angle)), abs=1e-3)
-    assert found.farthest_joint == "swing"
     assert found.decayed
     assert found.moved < 1e-6
     assert not found.stays
     stability = pa.robot.step_stability(model, mujoco.MjData(model))
     (said,) = find_instability(stability, found)
-    assert "swing is 2 deg from its position, and returns" in str(said)
+    assert "a joint is 2 deg from its position, and returns" in str(said)
     assert not find_instability(stability, replace(found, farthest=9e-3))
 
 
