@@ -263,8 +263,6 @@ def servo_gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None 
         raise ModelError(robot.description.mjcf_source, problem)
     stiffness = gain if kp is None else _gain("kp", kp, robot.nu)
     damping = damped if kd is None else _gain("kd", kd, robot.nu)
-    if kp is not None and (stiffness[~following] <= 0).any():
-        raise ConfigurationError("kp", diagnose("stiffness-not-positive", kp=stiffness.min()))
     if kp is not None and (stiffness[~following] < SOFTEST).any():
         problem = diagnose("stiffness-too-small", kp=stiffness.min(), least=SOFTEST)
         raise ConfigurationError("kp", problem)
@@ -364,10 +362,8 @@ def _gain(name: str, value: ArrayLike, size: int) -> Array:
     except ValueError as error:
         raise ConfigurationError(name, diagnose("no-numbers", count=size)) from error
     for one in gain.tolist():
-        if not math.isfinite(one) or one < 0:
-            raise ConfigurationError(name, diagnose("gain-not-valid", gain=one))
-        if one > STIFFEST:
-            raise ConfigurationError(name, diagnose("gain-too-large", gain=one, most=STIFFEST))
+        if not 0 <= one <= STIFFEST:
+            raise ConfigurationError(name, diagnose("gain-not-valid", gain=one, most=STIFFEST))
     return gain
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -28,9 +27,6 @@ from pupper_analysis.robot.plane import Bar, Contact, Weld
 from pupper_analysis.robot.robot import Robot, Touching
 from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.robot.tool import Tool, find_tool
-
-_LIKE = 0.5
-"""Names that are as like to one as this may be what was meant: FL where LF is typed."""
 
 _VIEWS = 8
 """Robots with contacts that are kept for later: as many as things that are lent."""
@@ -117,9 +113,7 @@ def _tool(robot: Robot, name: str) -> Tool:
         if name == "base":
             return find_tool(robot, robot.base)
         known = dict.fromkeys((*robot.feet, "base", *error.known))
-        near = difflib.get_close_matches(name, known, cutoff=_LIKE)
-        names = dict.fromkeys((*near, *known))
-        raise UnknownNameError(error.source, "foot or frame", name, names) from None
+        raise UnknownNameError(error.source, "foot or frame", name, known) from None
 
 
 def _freed(robot: Robot) -> Robot:

@@ -21,7 +21,6 @@ from pupper_analysis.simulation.causes import CREEPING, creep_speeds
 from pupper_analysis.simulation.rollout import Standing, begin_stand, check_stand, roll_out
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.statics.support_polygon import polygon_sides
 
 Array = NDArray[np.float64]
 
@@ -31,12 +30,12 @@ for a turn). An equilibrium that is not stable needs a reason to be left; one th
 percent, survives this."""
 
 _AROUND = 8
-"""Nudges along the ground, evenly round about; the first points to the nearest edge."""
+"""Nudges along the ground, evenly round about; the first ahead."""
 
 _BETWEEN = 1 / math.cos(math.pi / _AROUND)
 """Nudges along the ground are so many times ``NUDGE``: their octagon has the circle of that inside.
 What is unstable is left once its mode is moved beyond a limit, so who survives two neighbours
-survives what lies between them, whichever way the first one points."""
+survives what lies between them."""
 
 LEFT = 0.1
 """A joint that is further from where it began has left it (rad): robots that buckle go on to 0.3
@@ -88,7 +87,6 @@ class NudgeTrial(Result):
     """Simulations of a stand that is nudged from all sides.
 
     Attributes:
-        turn: Of the first nudge along the ground, from x towards y (rad).
         held: Whether it stood to the end, whichever way it was nudged.
         failure: What happened first if it did not.
         where: The motors, joints, feet or bodies concerned.
@@ -99,7 +97,6 @@ class NudgeTrial(Result):
         duration: s.
     """
 
-    turn: float
     held: bool
     failure: Failure | None
     where: tuple[str, ...]
@@ -121,9 +118,7 @@ def simulate_nudges(
     """Simulates a stand that begins with its base moving, in each of twelve directions.
 
     It moves at ``NUDGE``: up, down, turning one way or the other about z, or along the ground in
-    one of eight directions, by as much more as covers all those between them. The first of these
-    points to the nearest edge of the support polygon: where a nudge upsets a robot, it is the
-    middle of the directions that do.
+    one of eight directions, by as much more as covers all those between them.
 
     The joints have no friction loss, and the feet no torsional and rolling friction:
     dry friction holds up what is not stable, for as long as nothing moves it, and so proves
@@ -145,10 +140,9 @@ def simulate_nudges(
     held = begin_stand(robot, stand, kp=kp, kd=kd)
     robot, model, ctrl = held.robot, held.drive.model, held.ctrl
     free_of_friction(model)
-    turn = _nearest_edge(robot, stand)
     starts = np.tile(held.start, (_AROUND + 4, 1))
     columns = 1 + model.nq + robot.mj_convention.qvel_index
-    starts[:, columns] = nudge_velocities(robot, stand, turn)
+    starts[:, columns] = nudge_velocities(robot, stand)
     steps = max(2, round(duration / float(model.opt.timestep)))
     workers = [mujoco.MjData(model) for _ in range(2)]
     states = roll_out(model, workers, starts, np.tile(ctrl, (1, steps, 1)))
@@ -158,7 +152,6 @@ def simulate_nudges(
     time, failure, where = min(failed, key=lambda event: event[0]) if failed else (None, None, ())
     joints = states[:, -1, 1 + robot.mj_convention.qpos_index[7:]]
     return NudgeTrial(
-        turn=turn,
         held=not failed,
         failure=failure,
         where=where,
@@ -168,16 +161,6 @@ def simulate_nudges(
         joint_error=float(np.abs(joints - stand.qpos[7:]).max()),
         duration=duration,
     )
-
-
-def _nearest_edge(robot: Robot, stand: Stand) -> float:
-    """Returns where the nearest edge of the support polygon is, from x towards y (rad)."""
-    if len(stand.contact_points) < 2 or robot.welds:
-        return 0.0
-    x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
-    sides = polygon_sides(stand.corners(robot))
-    inward = sides[np.argmin(sides @ (x, y, 1.0))]
-    return math.atan2(-inward[1], -inward[0])
 
 
 def may_be_upset(robot: Robot, stand: Stand, statics: GravityCompensation) -> bool:
@@ -230,16 +213,15 @@ def height_of_com(robot: Robot, stand: Stand) -> float:
     return float(com[2] - np.mean(list(stand.contact_points.values()), axis=0)[2])
 
 
-def nudge_velocities(robot: Robot, stand: Stand, turn: float) -> Array:
+def nudge_velocities(robot: Robot, stand: Stand) -> Array:
     """Returns the velocities (12, nv) that nudge a base.
 
     Args:
         robot: The robot.
         stand: How it stands.
-        turn: Of the first one along the ground, from x towards y (rad).
     """
     speeds = np.zeros((_AROUND + 4, robot.nv))
-    angles = turn + 2 * np.pi * np.arange(_AROUND) / _AROUND
+    angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
     speeds[:_AROUND, :2] = _BETWEEN * NUDGE * np.column_stack([np.cos(angles), np.sin(angles)])
     speeds[_AROUND : _AROUND + 2, 2] = NUDGE, -NUDGE
     # The base's frame may lie on the ground; the com does not.

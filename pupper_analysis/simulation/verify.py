@@ -1,7 +1,7 @@
 """Does it hold: MuJoCo's floating-base simulation of a stand, against what Pinocchio predicts.
 
 First the stand itself by MuJoCo's kinematics and dynamics; and what the prediction leaves out:
-loops that give way, soles that touch at more places than one.
+soles that touch at more places than one.
 """
 
 from __future__ import annotations
@@ -43,7 +43,6 @@ from pupper_analysis.simulation.stability import (
 )
 from pupper_analysis.simulation.verdict import Outcome
 from pupper_analysis.stance.sag.steady_state import SteadyState
-from pupper_analysis.stance.soft_ground import open_loops
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -77,19 +76,6 @@ def balance_by_mujoco(
         remainder[joints] -= robot.closure.push(stand.qpos) @ remainder[joints]
     remainder[joints] -= prediction.joint_torques
     return foot_error, float(np.abs(remainder).max())
-
-
-_OPEN = 1e-5  # m or rad: what gives way by less is not why something is off
-
-
-def give_way(robot: Robot, stand: Stand, prediction: GravityCompensation) -> Diagnostic | None:
-    """Says by how much loops and couplings open under a load, if a stand has them closed."""
-    if robot.closure is None:
-        return None
-    most = float(np.abs(open_loops(robot, stand, prediction)).max(initial=0.0))
-    if robot.closure.open_by(stand.qpos) > most / 2 or most < _OPEN:
-        return None
-    return diagnose("loops-are-soft", bonds=robot.closure.bonds, most=Quantity(most, "rad or m"))
 
 
 _SAME_CONTACT = 1e-3
@@ -305,7 +291,7 @@ def verify_stand(
     failures += find_instability(found.stability, found.nudge)
     stays = not failures
     if feedforward:
-        failures += _deviations(robot, stand, watch, found, prediction, alone=stays)
+        failures += _deviations(robot, stand, watch, found, alone=stays)
     elif settled is not None and not settled.failures and robot.bolted and not stand.stance_feet:
         failures += _off_rest(robot, found, settled)
     return replace(found, passed=not failures, failures=tuple(failures), stays=stays)
@@ -558,7 +544,6 @@ def _deviations(
     stand: Stand,
     watch: Watch,
     found: StandVerification,
-    prediction: GravityCompensation,
     *,
     alone: bool,
 ) -> list[Diagnostic]:
@@ -573,8 +558,6 @@ def _deviations(
         return [*off, *two]
     if off and watch.touching:
         return [*off, *(diagnose("parts-touch", bodies=pair) for pair in watch.touching)]
-    if off and (opens := give_way(robot, stand, prediction)):
-        return [*off, opens]
     if off and (edges := several_contacts(robot, stand)):
         return [*off, edges]
     sunk = (float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())

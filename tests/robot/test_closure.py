@@ -111,7 +111,7 @@ def test_belts_stand_as_predicted_though_they_stretch(tmp_path: Path) -> None:
     assert 1e-3 < robot.closure.open(stand.qpos) < 0.05
     rigid = pa.verify_stand(robot, pa.solve_stand(robot))
     assert not rigid.passed
-    assert rigid.failures[-1].code == "loops-are-soft"
+    assert "motor-torque-off" in {failure.code for failure in rigid.failures}
 
 
 @pytest.mark.longest

@@ -91,13 +91,11 @@ class _Placed:
     Attributes:
         shape: As its file has it.
         world: The same, placed in the world.
-        carrier: The link or body that has it.
         place: Returns where it is stated.
     """
 
     shape: Shape
     world: Shape
-    carrier: str
     place: Callable[[], Place]
 
 
@@ -165,7 +163,6 @@ def _of_limb(
         _Placed(
             shape,
             shape.placed_in(place * part.pose),
-            part.name,
             partial(urdf_file.nth, part.name, "collision", number),
         )
         for part in one.fixed_group(link)
@@ -176,7 +173,6 @@ def _of_limb(
         _Placed(
             shape := read_shape(model, geom),
             shape.placed_in(Pose.of_body(data, int(model.geom_bodyid[geom]))),
-            model.body(model.geom_bodyid[geom]).name,
             partial(place_of_geom, mjcf_file, geom, "shape"),
         )
         for geom in _touching_the_world(model)
@@ -233,12 +229,9 @@ def _of_feet(
             continue
         lower = sides[0][0] - sides[1][0]  # of the MJCF's
         if abs(lower) > SAME_CONTACT:
-            apart = here and there and here.carrier != there.carrier
             message = diagnose(
                 "foot-surface-differs",
                 subject=subject,
-                link=here.carrier if here and apart else None,
-                body=there.carrier if there and apart else None,
                 lower=Quantity(lower, "m") if lower > 0 else None,
                 higher=Quantity(-lower, "m") if lower < 0 else None,
                 **both,

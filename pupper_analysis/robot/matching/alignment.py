@@ -173,9 +173,8 @@ def _angle(one: Array, two: Array) -> float:
 def _turns(first: MultibodyTree, second: MultibodyTree, name: str) -> Iterator[Array]:
     """Yields the turns of a body's frame that come into question.
 
-    None; that to the other's frame; and, where the zero angles differ, that to a frame which
-    differs from the other's by the joint's angle alone: by what the limits say, and by what
-    matches the body best.
+    None; that to the other's frame; and, where the limits say that the zero angles differ, that to
+    a frame which differs from the other's by the joint's angle alone.
     """
     one, two = first.joints[name], second.joints[name]
     yield np.eye(3)
@@ -186,25 +185,6 @@ def _turns(first: MultibodyTree, second: MultibodyTree, name: str) -> Iterator[A
     offset = offset_of_limits(one, two)
     if offset:
         yield pin.exp3(-offset * one.axis) @ full
-    sine, cosine = 0.0, 0.0
-    for here, there in _points(first, second, name):
-        turned = full @ there
-        sine += float(one.axis @ np.cross(turned, here))
-        cosine += float(turned @ here - (one.axis @ turned) * (one.axis @ here))
-    if math.hypot(sine, cosine) > 1e-9:
-        yield pin.exp3(math.atan2(sine, cosine) * one.axis) @ full
-
-
-def _points(
-    first: MultibodyTree, second: MultibodyTree, name: str
-) -> Iterator[tuple[Array, Array]]:
-    """Yields what is fixed to a body, in both: coms, children's places and axes, frames."""
-    yield from _places(first, second, name)
-    for child in first.children(name):
-        one, two = first.joints[child], second.joints[child]
-        if two.parent == name:
-            length = float(np.linalg.norm(one.position)) or 0.1  # m: as a direction weighs
-            yield length * one.rotation @ one.axis, length * two.rotation @ two.axis
 
 
 def _places(

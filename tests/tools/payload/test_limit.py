@@ -267,9 +267,11 @@ def test_who_stands_the_nudges_stands_those_between_them(
     nudges = trial.nudge_velocities
 
     def turned(by: float, size: float) -> Callable[..., NDArray[np.float64]]:
-        def turn(robot: pa.Robot, stand: pa.Stand, first: float) -> NDArray[np.float64]:
-            speeds = nudges(robot, stand, first + by)
-            speeds[:, :2] *= size
+        cos, sin = math.cos(by), math.sin(by)
+
+        def turn(robot: pa.Robot, stand: pa.Stand) -> NDArray[np.float64]:
+            speeds = nudges(robot, stand)
+            speeds[:, :2] = size * speeds[:, :2] @ [[cos, sin], [-sin, cos]]
             return speeds
 
         return turn
