@@ -66,12 +66,6 @@ class Conventions:
             values = with_zero(values, name, offset)
         return values
 
-    def undone(self, values: MultibodyTree) -> MultibodyTree:
-        """Returns a robot, given in the MJCF's conventions, in the URDF's."""
-        for name, offset in self.zeros.items():
-            values = with_zero(values, name, -offset)
-        return values if self.base is None else with_base(values, self.base.inverse())
-
 
 def find_conventions(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool

@@ -160,10 +160,10 @@ def test_a_motor_at_a_joint_has_the_joints_armature_and_damping(tmp_path: Path) 
 BEFORE, AFTER = "<actuator>", "</worldbody>"
 
 
-def rope(words: str, *sites: str, way: str = "") -> str:
-    """A spatial tendon from one site to another, by way of something."""
-    first, *others = (f'<site site="{site}"/>' for site in sites)
-    return f"<tendon><spatial {words}>{first}{way}{''.join(others)}</spatial></tendon>"
+def rope(words: str, *sites: str) -> str:
+    """A spatial tendon from one site to another."""
+    way = "".join(f'<site site="{site}"/>' for site in sites)
+    return f"<tendon><spatial {words}>{way}</spatial></tendon>"
 
 
 def belt(words: str, **joints: float) -> str:
@@ -172,44 +172,25 @@ def belt(words: str, **joints: float) -> str:
     return f"<tendon><fixed {words}>{parts}</fixed></tendon>"
 
 
-def drum(name: str, shape: str) -> str:
-    return f'<worldbody><geom name="{name}" {shape} contype="0" conaffinity="0"/>'
-
-
 def tied(kind: str, words: str) -> str:
     return f'{AFTER}<equality><{kind} {words} solref="-{{}} -1"/></equality>'
 
 
-PULLEY = '<site site="foot2"/><pulley divisor="2"/><site site="foot0"/>'
 TWO = {"hip1": 1, "hip2": -2}
 
 PASSIVE = {
     "spring": ("spring", "knee1", 'stiffness="{}" springref="-1.2"'),
     "free spring": ("spring", "<freejoint/>", '<joint type="free" stiffness="{}"/>'),
-    "stiffness polynomial": ("spring", "hip2", 'stiffness="0 {} 0"'),
     "damping polynomial": ("damping polynomial", 'damping="0.1"', 'damping="0.1 0 {}"'),
     "gravity compensation": ("gravity compensation", "shank3", 'gravcomp="{}"'),
     "tendon spring": ("tendon", BEFORE, belt('stiffness="{}"', hip0=1, knee2=2)),
     "spatial spring": ("tendon", BEFORE, rope('stiffness="{}"', "foot0", "foot3")),
-    "spatial damping": ("tendon", BEFORE, rope('damping="{}"', "foot1", "foot3")),
     "spatial armature": ("tendon", BEFORE, rope('armature="{}"', "foot1", "foot2")),
     "density": ("fluid", "<worldbody>", '<option density="{}"/><worldbody>'),
     "viscosity": ("fluid", "<worldbody>", '<option viscosity="{}"/><worldbody>'),
     "motor damping": ("damping", "m_hip3", 'damping="{}"'),
     "motor damping polynomial": ("actuator", "m_knee3", 'damping="0 {}"'),
-    "wrapped spring": (
-        "tendon",
-        "<worldbody>",
-        rope('stiffness="{}" springlength="0.3"', "foot0", "foot3", way='<geom geom="drum"/>')
-        + drum("drum", 'size="0.1"'),
-    ),
-    "wrapped damping": (
-        "tendon",
-        "<worldbody>",
-        rope('damping="{}"', "foot0", "foot2", way='<geom geom="reel"/>')
-        + drum("reel", 'type="cylinder" size="0.1 0.2"'),
-    ),
-    "pulley armature": ("tendon", BEFORE, rope('armature="{}"', "foot1", "foot3", way=PULLEY)),
+    "spatial damping": ("tendon", BEFORE, rope('damping="{}"', "foot1", "foot3")),
     "tendon damping polynomial": ("tendon", BEFORE, belt('damping="0 {}"', hip1=3)),
     "damping of a tendon's motor": (
         "actuator",
@@ -237,12 +218,6 @@ PASSIVE = {
         "equality",
         AFTER,
         tied("tendon", 'tendon1="both"') + belt('name="both"', knee1=1, knee3=-1),
-    ),
-    "wind": ("fluid", "<worldbody>", '<option density="{}" wind="5 0 1"/><worldbody>'),
-    "fluid around ellipsoids": (
-        "fluid",
-        "<worldbody>",
-        '<option density="{}"/><default><geom fluidshape="ellipsoid"/></default><worldbody>',
     ),
     "slack": (
         "tendon",
