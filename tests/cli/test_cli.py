@@ -57,14 +57,6 @@ def test_analyze_writes_figures_json_and_models_of_its_own_variant(tmp_path: Pat
         pa.pupper.VariantSpec("v3", 1.2)).total_mass)  # fmt: skip
 
 
-def test_a_line_for_each_robot_if_quiet(tmp_path: Path) -> None:
-    quiet = answer("analyze", "original", "--no-figures", "-q", folder=tmp_path)
-    assert quiet.stdout == "1 of 1 verified\n"
-    both = answer("analyze", "-q", "-v", folder=tmp_path)
-    assert both.returncode == 2
-    assert both.stderr == "error: -v, -q: give one of them, or none\n"
-
-
 ANALYZE = ("analyze_variant.py", "--json", "all.json")
 
 

@@ -29,7 +29,6 @@ def test_defaults_are_not_typed_and_new_options_are_refused() -> None:
 V3 = (str(ROOT / "urdf/pupper_v3.urdf"), str(ROOT / "mjcf/pupper_v3.xml"))
 _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("analyze", "v3", "--no-figures"): (("-o", "out"),),
-    ("analyze", "v3", "--format", "markdown"): (("-q",),),
     ("stand", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
     ("stand", "--leg-scale", "1.1"): (("--as-is",),),
     ("workspace", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
@@ -53,7 +52,6 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("live", "v3", "--mujoco", "--headless"): (("--port", "1"),),
     ("live", "v3", "--no-browser"): (("--headless",),),
     ("check", "--init"): (("--format", "sarif"), ("--json", "a.json")),
-    ("analyze", "--list"): (("--height", "12cm"), ("--verbose",)),
     ("audit", "--list-rules"): (("--json", "a.json"),),
     ("fit", "v3", "--plan", "2"): (
         *(("--weight", "3kg"), ("--hold-out", "0.3")),
@@ -76,7 +74,7 @@ def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_pat
         given = answer(*line, *more, folder=tmp_path)
         assert (given.returncode, given.stdout) == (2, ""), (line, more, given)
         assert len(given.stderr.strip().splitlines()) == 1
-        option = {"-o": "--output", "-q": "--quiet", "--free-base": "--fixed-base"}
+        option = {"-o": "--output", "--free-base": "--fixed-base"}
         shown = option.get(more[0], more[0])
         assert given.stderr.startswith(f"error: {shown}: "), given
     assert {path.name for path in tmp_path.iterdir()} == {"stands.csv"}

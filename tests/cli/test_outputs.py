@@ -184,7 +184,7 @@ def lines_of(command: click.Command) -> Iterator[list[str]]:
 def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parameter, Path | None]]:
     """Yields the outputs of a command line; of folders with a file that is written into them."""
     for option in command.outputs:
-        given = {"count": 4 if "--plan" in line else None, "no_figures": False, "list_only": False}
+        given = {"count": 4 if "--plan" in line else None, "no_figures": False}
         assert isinstance(option.type, OutputPath)
         holds = option.type.held(given)
         if isinstance(holds, Folder):

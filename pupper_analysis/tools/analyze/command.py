@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.modes import refuse_idle, refuse_unused
+from pupper_analysis.cli.modes import refuse_idle
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
@@ -42,12 +41,11 @@ _FIGURES = kinds.Folder(
 
 @shared.command("analyze")
 @robots_argument
-@click.option("--list", "list_only", is_flag=True, help="List the variants and exit.")
 @add_options(FILES, VARIANT, options_of("Base"))
 @shared.output_option(
     "-o",
     "--output",
-    holds=lambda given: None if given["no_figures"] or given["list_only"] else _FIGURES,
+    holds=lambda given: None if given["no_figures"] else _FIGURES,
     default=Path("output"),
     show_default=True,
     help="Write the figures into this folder; it is created if needed.",
@@ -57,7 +55,6 @@ _FIGURES = kinds.Folder(
 @click.option("--no-figures", is_flag=True, help="Draw no figures.")
 @shared.look_option
 @shared.verbose_option
-@click.option("-q", "--quiet", is_flag=True, help="Print only the overall verdict.")
 @shared.output_option(
     "--write",
     "write_folder",
@@ -68,22 +65,20 @@ _FIGURES = kinds.Folder(
 def command(
     which: RobotOptions,
     words: tuple[str, ...],
-    list_only: bool,
     output: Path,
     json_path: Path | None,
     report_path: Path | None,
     no_figures: bool,
     style: str,
     everything: bool,
-    quiet: bool,
     write_folder: Path | None,
     **stance: Any,
 ) -> None:
     """Take robots from their model files to a verified stand.
 
-    Each ROBOT is a variant of Pupper (see --list), a URDF, an MJCF, or both: the URDF and then the
-    MJCF. By default the six variants are analysed. Define a variant of your own with --base,
-    --leg-scale and --torso-mass-scale.
+    Each ROBOT is a variant of Pupper (original, long-leg, heavy, v3, v3-long-leg, v3-heavy; by
+    default all six), a URDF, an MJCF, or both: the URDF and then the MJCF. Define a variant of your
+    own with --base, --leg-scale and --torso-mass-scale.
 
     The output is a verdict and two lines per robot, and a table that compares them. With -v,
     everything is printed: the joints and the directions in which they turn, masses and CoM, the
@@ -104,27 +99,17 @@ def command(
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, variant_spec
 
-    if list_only:
-        listed = {"list_only", "words", *(one.name for one in fields(which))}
-        refuse_unused("--list", {"--list": listed})
     if no_figures:
         refuse_idle("--no-figures", "output")
-    if style == "markdown":
-        refuse_idle("--format markdown", "quiet")
-    if everything and quiet:
-        raise ConfigurationError("-v, -q", diagnose("verbose-or-quiet"))
     meant = [
         robot if isinstance(robot, RobotFiles) else variant_spec(robot)
         for robot in which.all(words) or VARIANTS.values()
     ]
     specs = [robot for robot in meant if not isinstance(robot, RobotFiles)]
-    if list_only:
-        _print_list(specs)
-        return
     if write_folder is not None and len(specs) < len(meant):
         raise ConfigurationError("--write", diagnose("written-are-variants"))
     task = task_of(stance)
-    shown = style == "text" and not quiet
+    shown = style == "text"
     analyses, robots = _analyze_all(meant, task, everything=everything, shown=shown)
     folder = None if no_figures else output
     rows = _compared(meant, analyses)
@@ -240,12 +225,3 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
     shared.confirm_written(f"{folder}/")
     if picture.note:
         click.echo(f"note: {picture.note}", err=True)
-
-
-def _print_list(specs: list[VariantSpec]) -> None:
-    from pupper_analysis.present.terminal import make_console, print_table
-    from pupper_analysis.pupper.variant_files import load_variant
-    from pupper_analysis.tools.analyze import document
-
-    variants = [(spec, load_variant(spec)) for spec in specs]
-    print_table(make_console(), document.variants_table(variants))

@@ -41,7 +41,6 @@ from pupper_analysis.present.documents.standing import (
     task_text,
 )
 from pupper_analysis.present.verdict import lines_to_read, verdict_of_files
-from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.tools.analyze.analysis import Analysis
@@ -380,32 +379,6 @@ def deviation_plot(sweep: GainSweep) -> doc.LinePlot:
             for kp, row in zip(sweep.kp, values, strict=True)
             if np.isfinite(row).any()
         ],
-    )
-
-
-def variants_table(variants: Iterable[tuple[VariantSpec, Robot]]) -> Table:
-    """Returns what variants there are."""
-    return Table(
-        text("variants"),
-        (
-            Column(text("variant"), left=True),
-            Column(text("base"), left=True),
-            Column(Name("leg_scale"), "1"),
-            Column(Name("torso_mass_scale"), "1"),
-            Column(text("mass"), "kg"),
-            Column(text("stand-height"), "mm"),
-        ),
-        tuple(
-            (
-                Name(spec.name),
-                Name(spec.base),
-                number_cell(spec.leg_scale, "g"),
-                number_cell(spec.torso_mass_scale, "g"),
-                number_cell(robot.total_mass, ".3f"),
-                number_cell(robot.stand_height, ".1f", scale=1e3),
-            )
-            for spec, robot in variants
-        ),
     )
 
 

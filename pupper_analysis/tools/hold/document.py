@@ -50,7 +50,6 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             force_plot(hold.force),
         ),
         (_posture(hold), *_findings(hold)),
-        details=(_agreement(hold),),
         notes=robot_notes(robot),
     )
 
@@ -91,7 +90,11 @@ def _tool(hold: Hold) -> doc.Table:
         ("tool-sag-simulated", hold.simulated_tool_sag, "+.2f"),
     )
     rows = [
-        (text(name), doc.vector_cell(1e3 * place, form), _length(place, form[1:]))
+        (
+            text(name),
+            doc.vector_cell(1e3 * place, form),
+            doc.number_cell(float(np.linalg.norm(place)), form[1:], scale=1e3),
+        )
         for name, place, form in places
         if place is not None
     ]
@@ -101,10 +104,6 @@ def _tool(hold: Hold) -> doc.Table:
         doc.Column(text("length"), "mm"),
     )
     return doc.Table(text("tool-of-link", tool=doc.Name(hold.tool.name)), columns, tuple(rows))
-
-
-def _length(place: NDArray[np.float64], form: str) -> doc.Cell:
-    return doc.number_cell(float(np.linalg.norm(place)), form, scale=1e3)
 
 
 def shown_scales(units: Iterable[str]) -> NDArray[np.float64]:
@@ -303,7 +302,3 @@ def _findings(hold: Hold) -> Iterable[doc.Words]:
 def _limit(most: float) -> str:
     """Writes a limit; nothing where there is none."""
     return (f"{most:.3g}" if most < 1e3 else f"{most:.0f}") if math.isfinite(most) else ""
-
-
-def _agreement(hold: Hold) -> doc.Words:
-    return text("gravity-by-both-engines", residual=f"{hold.verification.mujoco_residual:.1e}")

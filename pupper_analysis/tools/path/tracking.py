@@ -337,7 +337,6 @@ class PathTracking(Result):
         kp: (nu,) N m/rad.
         kd: (nu,) N m s/rad.
         joint_error: The largest deviation of a joint from the path (rad).
-        joint_error_rms: Root mean square over joints and time (rad).
         height_error: The largest deviation of the base's height (m).
         orientation_error: The largest angle between the base's orientation and the path's (rad).
         torque_error: The largest deviation of a motor's torque from the commanded feed-forward, in
@@ -353,7 +352,6 @@ class PathTracking(Result):
     kp: Array
     kd: Array
     joint_error: float
-    joint_error_rms: float
     height_error: float
     orientation_error: float
     torque_error: float
@@ -433,7 +431,6 @@ def track_path(
         kp=plan.drive.kp,
         kd=plan.drive.kd,
         joint_error=joint_error,
-        joint_error_rms=float(np.sqrt(np.mean(deviation**2))),
         height_error=float(np.abs(simulated[:, 2] - plan.qpos[:, 2]).max()),
         orientation_error=tilt,
         torque_error=torque_error,

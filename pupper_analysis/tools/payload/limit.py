@@ -18,7 +18,6 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos
 from pupper_analysis.robot.stability import LASTING
@@ -438,23 +437,13 @@ class _Search:
         held = self.at(mass)
         if held.stand is None or held.statics is None:
             return held.trouble
-        stand, forces = held.stand, held.statics.contact_forces
+        stand = held.stand
         with lend(held.robot, Context) as context:
             shapes = context.shapes
             # As the parts are, which in reach may sink as their own feet do.
             there = shapes.at(stand.qpos), stand.task.ground, stand.rigid_targets
             lowest = shapes.above_ground(*there, {})
-        if lowest is None:
-            return None
-        whole = 0.0
-        if stand.depths and not any(
-            stand.depths.values()
-        ):  # legs that do not follow: it sinks as a whole
-            whole = max(
-                GroundLaw.of(held.robot, foot).depth(max(0.0, float(forces[foot] @ normal)))
-                for foot, normal in stand.normals.items()
-            )
-        return None if lowest.distance > whole else (Failure.GROUND, lowest.links)
+        return None if lowest is None or lowest.distance > 0 else (Failure.GROUND, lowest.links)
 
     def motors(self, mass: float) -> Trouble:
         """Tells which motors are beyond their limits with a mass (kg)."""

@@ -159,19 +159,6 @@ def _details(stance: Stance) -> Iterable[doc.Words]:
     settled = stance.settled
     if settled is not None and not settled.failures and settled.release_margin >= RELEASE_MARGIN:
         yield _settles(stance, settled)
-    near, links = stance.stand.ground_clearance, stance.stand.self_clearance
-    if near is not None:
-        yield text(
-            "lowest-part-but-the-feet",
-            link=doc.Name(near.links[0]),
-            distance=f"{1e3 * near.distance:.1f}",
-        )
-    if links is not None:
-        yield text(
-            "nearest-links-links-distance",
-            links=doc.Name(" / ".join(links.links)),
-            distance=f"{1e3 * links.distance:.1f}",
-        )
     if stance.loops_open is not None:
         yield text(
             "the-mjcfs-loops-and-couplings",
