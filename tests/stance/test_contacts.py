@@ -714,32 +714,6 @@ def test_what_cannot_be_says_what_can(
         ask(robot, beyond.tolist())
 
 
-def test_a_path_keeps_its_contacts(armed: pa.Robot) -> None:
-    """A hand stays on its table, and forces balance the motion; others' tables are refused."""
-    plan = pytest.importorskip("pupper_analysis.tools.path.plan")
-    contacts = table(0.6) | {"RL_calf": pa.Contact(pa.Slope(0.2, 0.5))}
-    one = pa.StandTask(contacts=contacts)
-    tasks = [one, pa.StandTask(contacts=contacts, pitch=0.05, height=0.95 * armed.stand_height)]
-    path = plan.stance_path(armed, tasks, 1.0, rate=20.0, rolling=False)
-    robot = touching(armed, contacts)
-    first, last = (pa.Configuration(robot, qpos).foot_positions() for qpos in path.qpos[[0, -1]])
-    for foot, place in path.stances[1].foot_targets.items():
-        np.testing.assert_allclose(first[foot], place, atol=1e-9)
-        np.testing.assert_allclose(last[foot], place, atol=1e-9)
-    assert path.feet == (*robot.contact_points,)
-    middle = len(path.time) // 2
-    config = pa.Configuration(robot, path.qpos[middle])
-    acceleration = np.gradient(
-        [pa.Configuration(robot, qpos).center_of_mass() for qpos in path.qpos], path.time, axis=0
-    )
-    acceleration = np.gradient(acceleration, path.time, axis=0)[middle]
-    pushed = path.forces[middle].sum(axis=0) / robot.total_mass + robot.gravity
-    assert config.robot is robot
-    np.testing.assert_allclose(pushed, acceleration, atol=0.02 * np.abs(acceleration).max() + 1e-3)
-    with pytest.raises(pa.ConfigurationError, match="different grounds"):
-        plan.stance_path(armed, [one, pa.StandTask(contacts=table(0.6))], 1.0)
-
-
 def test_a_contact_is_seen_in_a_picture(armed: pa.Robot, tmp_path: Path) -> None:
     stand = pa.solve_stand_as_simulated(armed, pa.StandTask(contacts=table()))
     scene = describe_scene(armed, stand, pa.stance.stand_statics(armed, stand))

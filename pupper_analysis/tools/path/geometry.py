@@ -21,7 +21,6 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import placed_joints
-from pupper_analysis.robot.plane import Contact
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.problem import feet_centre, ground_normals
@@ -98,10 +97,9 @@ def segments_of(
         StanceUnreachableError: If one is out of reach; says which.
         UnknownNameError: If a task names a foot that the robot does not have.
     """
-    grounds = [(task.ground, task.contacts) for task in stances]
-    if any(one != grounds[0] for one in grounds):
+    if any(task.ground != stances[0].ground for task in stances):
         raise ConfigurationError("stances", diagnose("grounds-differ"))
-    fixed = any(task.offset is not None or not isinstance(task.com, str | None) for task in stances)
+    fixed = any(not isinstance(task.com, str | None) for task in stances)
     if fixed and any(task.com == "inside" for task in stances):
         raise ConfigurationError("stances", diagnose("com-inside-mixed"))
     solved: list[Stand] = []
@@ -170,27 +168,21 @@ def task_between(
     places = {foot: segment.start.feet[foot] for foot in robot.contact_points}
     places |= {foot: p + share * (segment.end.feet[foot] - p) for foot, p in places.items()}
     points = {point: place + away[point] for point, place in places.items()}
-    feet, touching = {}, {}
+    feet = {}
     for foot, own in robot.feet.items():
-        x, y, z = np.mean([points[point] for point in own], axis=0).tolist()
-        if isinstance(contact := one.contacts.get(foot), Contact):
-            touching[foot] = replace(contact, plane=ground.planes[foot], place=(x, y, z))
-        else:
-            feet[foot] = x, y
+        x, y, _ = np.mean([points[point] for point in own], axis=0).tolist()
+        feet[foot] = x, y
     contacts = {
-        point: ground.planes[foot].nearest(points[point])
-        if (foot := robot.foot_of(point)) in touching
-        else ground.centre(foot, points[point], robot.contact_radius[point])
+        point: ground.centre(robot.foot_of(point), points[point], robot.contact_radius[point])
         - robot.contact_radius[point] * out[point]
         for point in stance_feet
     }
     centre = feet_centre(robot, ground, contacts, points)
-    base = segment.start.base + share * (segment.end.base - segment.start.base)
+    height = between(float(segment.start.base[2]), float(segment.end.base[2]))
     com = segment.start.com + share * (segment.end.com - segment.start.com)
-    by_base = one.offset is not None or two.offset is not None
     needed = max(1e-6, between(one.com_margin, two.com_margin) - 1e-9)
     margin = com_margin(com, contacts)
-    if not by_base and not touching and margin < needed:  # of planes the task's own check says it
+    if margin < needed:
         raise StaticsInfeasibleError(
             Infeasibility.COM_OUTSIDE,
             diagnose(
@@ -215,14 +207,11 @@ def task_between(
     }
     carrying = robot.feet_with(stance_feet)
     return StandTask(
-        height=float(base[2] - centre[2]),
-        offset=(float(base[0] - centre[0]), float(base[1] - centre[1])) if by_base else None,
+        height=height - float(centre[2]),
         feet=feet,
         swing={f: max(TOUCHING, h) for f, h in heights.items() if f not in carrying},
         ground=replace(ground, heights={f: h for f, h in ground.heights.items() if f in feet}),
-        contacts=touching,
-        com="centre" if by_base else (float(com[0]), float(com[1])),
-        com_margin=max(0.0, between(one.com_margin, two.com_margin) - 1e-9) if by_base else 0.0,
+        com=(float(com[0]), float(com[1])),
         posture=posture,
         ik_seed=tuple(ik_seed),
         **others,
@@ -426,25 +415,20 @@ def _derivatives(
     d2q/ds2. (With more joints than constraints, the least motion.)
 
     The constraints: points of carrying feet that touch the ground stay (rolling), or their centres;
-    swing feet, the base's height, and the com or the base's place move evenly; the base turns as
-    roll, pitch and yaw change evenly, and so do joints in a posture.
+    swing feet, the base's height, and the com move evenly; the base turns as roll, pitch and yaw
+    change evenly, and so do joints in a posture.
     """
     one, two = segment.start, segment.end
     angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (one, two)])
     rpy, change = angles[0] + share * (angles[1] - angles[0]), angles[1] - angles[0]
     turn = pin.rpy.computeRpyJacobian(rpy, pin.LOCAL)
     turn_rate = pin.rpy.computeRpyJacobianTimeDerivative(rpy, change, pin.LOCAL)
-    by_base = one.task.offset is not None or two.task.offset is not None
     out = ground_normals(robot, one.task.ground)
 
     still = Configuration(robot, qpos)
     rows, wanted = [np.eye(robot.nv)[2:6]], [[two.base[2] - one.base[2]], turn @ change]
-    if by_base:
-        rows.append(np.eye(robot.nv)[:2])
-        wanted.append((two.base - one.base)[:2])
-    else:
-        rows.append(still.com_jacobian()[:2])
-        wanted.append((two.com - one.com)[:2])
+    rows.append(still.com_jacobian()[:2])
+    wanted.append((two.com - one.com)[:2])
     offsets = {
         foot: -robot.contact_radius[foot] * out[foot]
         if rolling and foot in segment.stance_feet
@@ -464,7 +448,7 @@ def _derivatives(
     moving = Configuration(robot, qpos, tangent)
     nothing = np.zeros(robot.nv)
     drift = [np.zeros(1), -turn_rate @ change]
-    drift.append(np.zeros(2) if by_base else moving.com_acceleration(nothing)[:2])
+    drift.append(moving.com_acceleration(nothing)[:2])
     accelerations = moving.foot_accelerations(nothing)
     for foot, offset in offsets.items():
         point = accelerations[foot]

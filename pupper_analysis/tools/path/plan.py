@@ -22,7 +22,6 @@ from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
@@ -238,7 +237,7 @@ def stance_path(
 
     All numbers of the tasks move along a minimum-jerk law, which is at rest, without velocity or
     acceleration, in every stance; each segment of the path takes the same time. The place that
-    moves evenly is the com's or, next to a stance that has an offset, the base's.
+    moves evenly is the com's.
 
     Torques and contact forces are those of the motion (``inverse_dynamics``): inertia, damping and
     dry friction of the joints, and the ground's resistance to feet that roll are in them. Of the
@@ -255,8 +254,8 @@ def stance_path(
 
     Args:
         robot: A robot with a floating base.
-        stances: The tasks, at least two, on one ground; to stay in one, give it twice. The ik_seed
-            of the first counts, the others follow from it.
+        stances: The tasks, at least two, of feet on one ground, without an offset of the base; to
+            stay in one, give it twice. The ik_seed of the first counts, the others follow from it.
         seconds: Time for all (s).
         rate: Least number of samples per second (Hz); a segment has ``LEAST_PER_SEGMENT`` or more.
         rolling: Whether the feet roll; otherwise their centres stay, and they must slip.
@@ -271,9 +270,10 @@ def stance_path(
     """
     robot.check_tree("a path")
     per_segment = _samples(seconds, rate, stances)
-    robot = touching(robot, stances[0].contacts)
-    if robot.welds:
-        raise ConfigurationError("contacts", diagnose("no-path-with-welds"))
+    if robot.welds or any(task.contacts for task in stances):
+        raise ConfigurationError("contacts", diagnose("no-path-with-contacts"))
+    if any(task.offset is not None for task in stances):
+        raise ConfigurationError("offset", diagnose("no-path-with-offsets"))
     geometry = path_geometry(robot, stances, per_segment, float(seconds), rolling=rolling)
     duration = float(seconds) / len(geometry.segments)
     efforts = []

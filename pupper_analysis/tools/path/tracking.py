@@ -302,7 +302,6 @@ def way_to(robot: Robot, stand: Stand) -> list[StandTask]:
         feet=task.feet,
         foot_offsets=task.foot_offsets,
         ground=task.ground,
-        contacts=task.contacts,
         ik_seed=task.ik_seed,
     )
     return [nominal, *([replace(over, swing={})] if task.swing else []), over]

@@ -42,7 +42,7 @@ def stances(name: str, kind: str) -> list[pa.StandTask]:
     low = Task(height=0.9 * load(name).stand_height)
     return {
         "squat": [Task(), low, Task()],
-        "sway": [Task(), Task(offset=(0.0, 0.015)), Task(offset=(0.0, -0.015)), Task()],
+        "sway": [Task(), Task(com=(0.0, 0.015)), Task(com=(0.0, -0.015)), Task()],
         "circle": circle(0.1),
         "lift": lift(name, "FL"),
     }[kind]
@@ -229,6 +229,7 @@ def test_files_hold_the_path(tmp_path: Path) -> None:
         path.to_csv(tmp_path / "new" / "path.csv" / "path.csv")
 
 
+WALL = pa.Contact(pa.Plane((0.1, 0.0, 0.0), (-1.0, 0.0, 0.0)))
 FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))
 
 
@@ -243,7 +244,8 @@ FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))
         ([Task(), Task()], 1e6, 50.0, "samples"),
         ([Task(), Task(ground=pa.Ground(slope=0.1))], 1.0, 50.0, "different grounds"),
         ([Task(com="inside"), Task(com=(0.0, 0.0))], 1.0, 50.0, "inside"),
-        ([Task(com="inside"), Task(offset=(0.0, 0.0))], 1.0, 50.0, "inside"),
+        ([Task(), Task(offset=(0.0, 0.0))], 1.0, 50.0, "offset: a path moves the com"),
+        ([Task(), Task(contacts={"FL": WALL})], 1.0, 50.0, "contacts: a path is of feet"),
         ([Task(), Task(foot_offsets={"FL": (0.01, 0.0)})], 1.0, 50.0, "FL carries load between"),
         ([Task(swing=FL), Task(swing=FR)], 1.0, 50.0, "only 2 feet carry between stances 1 and"),
         ([Task(swing=FL), Task(), Task(swing=FR)], 1.0, 50.0, "lands and another lifts"),
@@ -273,7 +275,7 @@ def test_refusals_name_the_moment() -> None:
     assert caught.value.reason is pa.errors.Infeasibility.COM_OUTSIDE
     assert "\n" not in str(caught.value)
     with pytest.raises(pa.StaticsInfeasibleError, match="between stances 1 and 2"):
-        stance_path(robot, [Task(offset=(0.0, 0.0)), Task(offset=(0.14, 0.0), height=0.1)], 1.0)
+        stance_path(robot, [Task(), Task(com=(0.14, 0.0), height=0.1)], 1.0)
     with pytest.raises(pa.StanceUnreachableError, match="stance 2: ") as missed:
         stance_path(robot, [Task(), Task(height=0.4)], 1.0)
     assert missed.value.shortfall
@@ -300,10 +302,10 @@ def test_a_path_keeps_its_clearances() -> None:
 def test_paths_keep_the_margin_of_the_com() -> None:
     robot = load("original")
     stances = [
-        pa.StandTask(offset=(x, 0.0), com_margin=margin) for x, margin in ((0.0, 0.0), (0.03, 0.05))
+        pa.StandTask(com=(x, 0.0), com_margin=margin) for x, margin in ((0.0, 0.0), (0.03, 0.05))
     ]
     path = pa.stance.stance_path(robot, stances, 2.0, rate=10.0)
     assert path.com_margin[-1] >= 0.05 - 1e-9
     # The margin moves along the same law as all else: half of it half way.
     with pytest.raises(pa.StanceUnreachableError, match="the com is"):
-        pa.stance.stance_path(robot, [stances[1], replace(stances[1], offset=(0.09, 0.0))], 2.0)
+        pa.stance.stance_path(robot, [stances[1], replace(stances[1], com=(0.09, 0.0))], 2.0)

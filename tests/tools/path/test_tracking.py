@@ -135,7 +135,7 @@ def test_what_fails_is_said() -> None:
 def fast_sway() -> pa.stance.StancePath:
     """v3's sway nearly as fast as friction allows by a minimum-jerk law."""
     robot = load("v3")
-    sides = [pa.StandTask(offset=(0.0, y)) for y in (0.02, -0.02)]
+    sides = [pa.StandTask(com=(0.0, y)) for y in (0.02, -0.02)]
     return stance_path(robot, [pa.StandTask(), *sides, pa.StandTask()], 0.85, rate=100)
 
 
