@@ -96,8 +96,10 @@ def command(
     Exit status: 0 all verified, 1 something failed verification or the cross-check,
     2 bad input (an unknown name, an invalid scale, a stance out of reach).
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.present.terminal import make_console, print_table
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, variant_spec
+    from pupper_analysis.tools.analyze.document import comparison_table
 
     if no_figures:
         refuse_idle("--no-figures", "output")
@@ -113,23 +115,24 @@ def command(
     analyses, robots = _analyze_all(meant, task, everything=everything, shown=shown)
     folder = None if no_figures else output
     rows = _compared(meant, analyses)
+    table, named = comparison_table(rows), [(one.name, one) for one in analyses]
     if shown and (everything or len(rows) > 1):
-        _print_comparison(rows)
+        print_table(make_console(), table)
     if style == "markdown":
-        from pupper_analysis.tools.analyze.document import comparison_table
-
-        overview = [comparison_table(rows)]
-        shared.show_results(_named(analyses), style, robots=robots, overview=overview)
+        shared.show_results(named, style, robots=robots, overview=[table])
     if folder is not None:
         _draw(robots, analyses, folder)
-    _write(robots, analyses, rows, json_path, report_path)
+    shared.write_json(json_path, {"variants": dict(named), "comparison": rows})
+    shared.write_page(report_path, [*analyses, table], robots)
+    good = sum(analysis.verified for analysis in analyses)
+    click.echo(f"{good} of {len(analyses)} verified", err=not shown)
     if shown and not everything:
         click.echo("every table: -v; every number: --json FILE; a page to share: --report FILE")
     if write_folder is not None:
         for spec in specs:
             for path in write_variant(spec, write_folder):
                 shared.confirm_written(path)
-    if not all(analysis.verified for analysis in analyses):
+    if good < len(analyses):
         click.get_current_context().exit(shared.FAILED)
 
 
@@ -156,10 +159,6 @@ def _analyze_all(
     return analyses, robots
 
 
-def _named(analyses: list[Analysis]) -> list[tuple[str, Analysis]]:
-    return [(analysis.name, analysis) for analysis in analyses]
-
-
 def _compared(
     meant: list[VariantSpec | RobotFiles], analyses: list[Analysis]
 ) -> list[ComparisonRow]:
@@ -178,31 +177,6 @@ def _compared(
         compare_with_base(analysis, base, *references.get(base, (None, None)))
         for base, analysis in zip(bases, analyses, strict=True)
     ]
-
-
-def _print_comparison(rows: list[ComparisonRow]) -> None:
-    from pupper_analysis.present.terminal import make_console, print_table
-    from pupper_analysis.tools.analyze.document import comparison_table
-
-    print_table(make_console(), comparison_table(rows))
-
-
-def _write(
-    robots: list[Robot],
-    analyses: list[Analysis],
-    rows: list[ComparisonRow],
-    json_path: Path | None,
-    report_path: Path | None,
-) -> None:
-    """Writes JSON and report, and says how many are verified."""
-    from pupper_analysis.tools.analyze.document import comparison_table
-
-    content: dict[str, Any] = {"variants": dict(_named(analyses)), "comparison": rows}
-    shared.write_json(json_path, content)
-    shared.write_page(report_path, [*analyses, comparison_table(rows)], robots)
-    good = sum(analysis.verified for analysis in analyses)
-    data = click.get_current_context().params["style"] != "text"
-    click.echo(f"{good} of {len(analyses)} verified", err=data)
 
 
 def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
