@@ -16,6 +16,7 @@ from pupper_analysis.prepare.self_check import (
 )
 from pupper_analysis.robot.alike import structure
 from pupper_analysis.robot.build import efforts_nobody_meant
+from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.trial import (
@@ -87,8 +88,24 @@ def judge(
             *structure(robot),
             *(robot.description.replaced_soles() if stand.stance_feet else ()),
             *remarks_of_files(robot),
+            *_buried(robot, stand, statics),
         ),
     )
+
+
+def _buried(
+    robot: Robot, stand: Stand, statics: GravityCompensation | None
+) -> tuple[Diagnostic, ...]:
+    """Tells if a foot's sphere sinks by more than its radius: what stands so stands on no floor."""
+    if statics is None:
+        return ()
+    for foot, force in statics.contact_forces.items():
+        radius, pressing = robot.contact_radius[foot], float(force @ stand.normals[foot])
+        depth = GroundLaw.of(robot, foot).depth(max(0.0, pressing))
+        if depth > radius > 0:
+            deep, size = Quantity(depth, "m"), Quantity(radius, "m")
+            return (diagnose("foot-buried", subject=("foot", foot), depth=deep, radius=size),)
+    return ()
 
 
 def _nudged(

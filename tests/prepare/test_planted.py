@@ -29,9 +29,8 @@ NEVER = {
 }
 """Codes of what is seen, and is no cause."""
 
-CONSEQUENCES = {"motors-overloaded", "limbs-unlike"}
-"""Of what is too weak, or loads it; of one joint whose range is no longer its like's: told
-beside the cause, and true."""
+CONSEQUENCES = {"motors-overloaded", "foot-buried"}
+"""Of what is too weak, or loads it; of feet that sink: told beside the cause, and true."""
 
 
 def servos(words: str) -> Edit:
