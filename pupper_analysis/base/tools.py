@@ -3,7 +3,7 @@
 A tool is a package that answers one question. Its docstring's first line says which, its
 ``HEADING`` under which heading ``--help`` lists it; ``command.py`` has its ``command``,
 ``document.py`` the pages of its results, ``words.toml`` its words; some have what others look for
-by its name: ``causes.py``, ``guard.py``, ``metrics.py``. None is imported here:
+by its name: ``causes.py``, ``guard.py``, ``metrics.py``, ``modes.py``. None is imported here:
 whoever lists them reads these lines.
 
 A format is a package that reads model files: ``format.toml`` says which, ``reader.py`` reads them

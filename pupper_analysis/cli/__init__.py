@@ -18,7 +18,7 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.inputs import forget_input
 from pupper_analysis.base.kinds import GENERATOR
 from pupper_analysis.base.runs import running
-from pupper_analysis.base.tools import HEADINGS, other_tools, own_tools
+from pupper_analysis.base.tools import HEADINGS, offering, other_tools, own_tools
 from pupper_analysis.cli.process import (
     Ended,
     ending_signals,
@@ -40,10 +40,14 @@ def list_tools() -> list[str]:
 
 @cache
 def _command(name: str) -> click.Command | None:
+    """Returns a command, with the modes that other tools (their ``modes.py``) bring to it."""
     tools = {**other_tools(), **own_tools()}
     if name not in tools:
         return None
     command: click.Command = import_module(f"{tools[name].package}.command").command
+    for package in offering("modes").values():
+        bring = import_module(f"{package}.modes").MODES.get(name)
+        command = command if bring is None else bring(command)
     return command
 
 

@@ -51,6 +51,7 @@ OPTIONS = {
 
 MORE: dict[str, list[list[str]]] = {
     "path": [["--seconds", "1"]],
+    **{name: [[], ["--policy", "policy.json"]] for name in ("push", "payload")},
     "walk": [["--seconds", "3", "--vary", "delay"]],
     "live": [["--headless", "--drop"]],
     "fit": [["--plan", "4"], ["--stands", "stands.csv"], ["--log", "log.csv"]],
@@ -167,8 +168,9 @@ def lines_of(command: click.Command) -> Iterator[list[str]]:
     ]
     of_policy = ("policy", "contract")
     for more in MORE.get(str(command.name), [[]]):
-        # A stance, where there may be a stance or a policy.
-        left = of_policy if "stance" in [one.name for one in command.params] else ()
+        # A stance or a policy, where there may be either.
+        either = "stance" in [one.name for one in command.params]
+        left = ("policy", "stance") if "--policy" in more else of_policy if either else ()
         inputs = [
             word
             for parameter in command.params
@@ -184,6 +186,8 @@ def lines_of(command: click.Command) -> Iterator[list[str]]:
 def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parameter, Path | None]]:
     """Yields the outputs of a command line; of folders with a file that is written into them."""
     for option in command.outputs:
+        if option.name == "figure" and "--policy" in line:
+            continue  # refused
         given = {"count": 4 if "--plan" in line else None, "no_figures": False}
         assert isinstance(option.type, OutputPath)
         holds = option.type.held(given)

@@ -24,7 +24,7 @@ from pupper_analysis.cli.robots import (
 from pupper_analysis.cli.stance_fields import TYPED, options_of, stance_option, task_of
 from pupper_analysis.cli.stance_options import GAINS, LOAD
 from pupper_analysis.prepare.convert.files import RobotFiles
-from pupper_analysis.tools.walk.command import COMMAND, CONTRACT, walked_robot
+from pupper_analysis.tools.walk.modes import COMMAND, CONTRACT, walked_robot
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec

@@ -14,41 +14,15 @@ from pupper_analysis.cli.robots import (
     VARIANT,
     RobotOptions,
     add_options,
-    print_notes,
     robot_argument,
-    robot_from,
     with_robot,
 )
-from pupper_analysis.prepare.convert.files import RobotFiles
+from pupper_analysis.tools.walk.modes import COMMAND, CONTRACT, walked_robot
 
 if TYPE_CHECKING:
-    from pupper_analysis.pupper.variants import VariantSpec
-    from pupper_analysis.robot.robot import Robot
     from pupper_analysis.tools.walk.gait import Walk
     from pupper_analysis.tools.walk.intervals import TrackedIntervals
     from pupper_analysis.tools.walk.orders import Orders
-
-
-CONTRACT = shared.file_option(
-    "--contract",
-    help="TOML of what the policy observes and commands; by default the one beside the policy.",
-)
-COMMAND = click.option(
-    "--command",
-    "asked",
-    default="0.5,0,0",
-    show_default=True,
-    metavar="VX,VY,W",
-    help="Speed forward and to the left (m/s), and turning to the left (rad/s).",
-)
-
-
-def walked_robot(meant: str | VariantSpec | RobotFiles, style: str, *, everything: bool) -> Robot:
-    """Loads a robot as its files have it, and prints what was added to them."""
-    robot = robot_from(meant)
-    if isinstance(meant, RobotFiles) and style == "text":  # Markdown has them in its page
-        print_notes(robot, everything=everything)
-    return robot
 
 
 @shared.command("walk")

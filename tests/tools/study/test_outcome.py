@@ -52,6 +52,11 @@ def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
         share = between * (ratio - 1) / (between * ratio + len(made) - groups)
         assert found[name] == pytest.approx(max(0.0, share), abs=1e-12)
     assert 0 < found["x"] < 1
+    many = np.random.default_rng(5).uniform(size=(600, 2))  # each value once: in evenly wide cells
+    sampled = pd.DataFrame({"x": many[:, 0], "y": many[:, 1], "m": 3 * many[:, 0]})
+    shares = main_effects(sampled, ["x", "y"], "m")
+    assert shares["x"] == pytest.approx(1 - 1 / 14**2, abs=3e-3)  # 14 cells: what is left in one
+    assert shares["y"] < 0.05
 
 
 def test_what_is_recorded_can_be_said_again_in_any_language() -> None:

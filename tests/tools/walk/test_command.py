@@ -95,16 +95,25 @@ def test_a_robot_without_servos_or_joints_of_the_policy_is_a_line(
 
 
 @pytest.mark.slow
-def test_pushes_and_payloads_are_in_newtons_and_kilograms_too(
+def test_push_and_payload_answer_as_walk_does(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    policy, path = str(made.still(tmp_path / "still.json")), tmp_path / "walk.json"
-    status, out, err = run_command(
-        capfd, "walk", "v3", "--policy", policy, "--vary", "push-forward,payload",
-        "--command", "0,0,0", "--seconds", "3", "--seeds", "1", "--json", str(path),
-    )  # fmt: skip
-    assert status == 0, err
-    found = json.loads(path.read_text())
-    push, payload = (one["common"][1] * found["mass"] for one in found["intervals"])
-    assert f"{payload:.3g} kg" in out
-    assert f"{push:.3g} N s forward" in out
+    """One question, one answer: the intervals are equal, and their ends in N s and kg."""
+    policy = str(made.still(tmp_path / "still.json"))
+    more = ("--command", "0,0,0", "--seconds", "3", "--seeds", "1", "--policy", policy, "--json")
+    found = {}
+    for name, words in {
+        "walk": ("walk", "v3", "--vary", "push-forward,push-left,payload"),
+        "push": ("push", "v3"),
+        "payload": ("payload", "v3"),
+    }.items():
+        path = tmp_path / f"{name}.json"
+        status, out, err = run_command(capfd, *words, *more, str(path))
+        assert status == 0, err
+        found[name] = json.loads(path.read_text()), out
+    walk, push, payload = (found[name][0] for name in ("walk", "push", "payload"))
+    assert push["v3"]["intervals"] == walk["intervals"][:2]
+    assert payload["intervals"] == walk["intervals"][2:]
+    assert f"{payload['intervals'][0]['common'][1] * payload['mass']:.3g} kg" in found["payload"][1]
+    forward = push["v3"]["intervals"][0]["common"][1] * push["v3"]["mass"]
+    assert f"{forward:.3g} N s forward" in found["push"][1]
