@@ -163,7 +163,11 @@ def model_with_servos(
         model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
         model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
         model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
-        _put_gains(model, actuators, *wanted.of_actuators(driven))
+        squared = wanted.gear[driven] ** 2
+        model.actuator_gainprm[actuators, 0] = wanted.kp[driven] / squared
+        model.actuator_biasprm[actuators, 0] = 0.0
+        model.actuator_biasprm[actuators, 1] = -wanted.kp[driven] / squared
+        model.actuator_biasprm[actuators, 2] = -wanted.kd[driven] / squared
         model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~wanted.servo[driven]]]] = 0
     _limit(model, actuators, wanted.gear[driven], robot.effort_ranges[driven])
     if integrator is not None:
@@ -192,21 +196,6 @@ class Gains:
     kd: Array
     gear: Array
     servo: NDArray[np.bool_]
-
-    def of_actuators(self, driven: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Returns stiffness and damping of the actuators of the joints that have one (n,)."""
-        squared = self.gear[driven] ** 2
-        return self.kp[driven] / squared, self.kd[driven] / squared
-
-
-def _put_gains(
-    model: mujoco.MjModel, actuators: NDArray[np.int64], gain: Array, damping: Array
-) -> None:
-    """Writes gains (n,) of actuators, which are affine, into a model."""
-    model.actuator_gainprm[actuators, 0] = gain
-    model.actuator_biasprm[actuators, 0] = 0.0
-    model.actuator_biasprm[actuators, 1] = -gain
-    model.actuator_biasprm[actuators, 2] = -damping
 
 
 def _limit(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array, ranges: Array) -> None:

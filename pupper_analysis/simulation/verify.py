@@ -1,7 +1,6 @@
 """Does it hold: MuJoCo's floating-base simulation of a stand, against what Pinocchio predicts.
 
-First the stand itself by MuJoCo's kinematics and dynamics; and what the prediction leaves out:
-soles that touch at more places than one.
+First the stand itself by MuJoCo's kinematics and dynamics.
 """
 
 from __future__ import annotations
@@ -76,40 +75,6 @@ def balance_by_mujoco(
         remainder[joints] -= robot.closure.push(stand.qpos) @ remainder[joints]
     remainder[joints] -= prediction.joint_torques
     return foot_error, float(np.abs(remainder).max())
-
-
-_SAME_CONTACT = 1e-3
-"""Contacts of a round foot are at one place (m)."""
-
-
-def several_contacts(robot: Robot, stand: Stand) -> Diagnostic | None:
-    """Says so if a foot that is one point in the prediction touches at several places in MuJoCo."""
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_fwdPosition(model, data)
-    places: dict[str, list[np.ndarray]] = {}
-    # A sole of several balls is one point, too, if its leg cannot lay it flat: that of one of them.
-    bodies = {int(robot.contact_places[foot][0]): foot for foot in robot.contact_points}
-    for touch in data.contact:
-        if touch.dist >= 0 or 0 not in model.body_weldid[model.geom_bodyid[touch.geom]]:
-            continue
-        for geom in touch.geom.tolist():
-            foot = robot.foot_geoms.get(geom) or bodies.get(int(model.geom_bodyid[geom]))
-            if len(robot.feet.get(str(foot), ())) == 1:
-                places.setdefault(str(foot), []).append(np.array(touch.pos))
-    spread = {
-        foot: max(float(np.linalg.norm(one - two)) for one in found for two in found)
-        for foot, found in places.items()
-    }
-    foot = max(spread, key=spread.__getitem__, default=None)
-    if foot is None or spread[foot] < _SAME_CONTACT:
-        return None
-    return diagnose(
-        "foot-touches-at-several-places",
-        subject=("foot", foot),
-        count=len(places[foot]),
-        spread=Quantity(spread[foot], "m"),
-    )
 
 
 STABLE_DEVIATION = 5e-3
@@ -558,8 +523,6 @@ def _deviations(
         return [*off, *two]
     if off and watch.touching:
         return [*off, *(diagnose("parts-touch", bodies=pair) for pair in watch.touching)]
-    if off and (edges := several_contacts(robot, stand)):
-        return [*off, edges]
     sunk = (float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
     deepest = max(sunk, default=0.0)
     if off and alone and deepest > SOFT and not any(stand.depths.values()):

@@ -169,9 +169,7 @@ def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
     tilted, found = (pa.verify_stand(robot, stand) for stand in stands)
     assert tilted.passed  # on an edge each
     assert not found.passed
-    cause = found.failures[-1]
-    assert cause.code == "foot-touches-at-several-places"
-    assert cause.values["count"] > 1
+    assert "foot-force-off" in {failure.code for failure in found.failures}
 
 
 def test_soles_of_balls_that_lean_the_other_way_are_told(tmp_path: Path) -> None:

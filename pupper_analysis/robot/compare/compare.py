@@ -58,9 +58,9 @@ from pupper_analysis.robot.compare.differences import (
     Effect,
     Explanation,
     PatternCause,
+    change_of,
     convention_changes,
     in_degrees,
-    number_pair,
     with_names_of_models,
 )
 from pupper_analysis.robot.contact import limb_ends
@@ -608,15 +608,10 @@ def _servo_gains(
         units = (("N m/rad", "N m s/rad"), ("N/m", "N s/m"))[joints[name].slides]
         for kind, one, two, unit in zip(SERVO_GAINS, mine, theirs[name], units, strict=True):
             if abs(two - one) > tolerances.damping * max(abs(one), abs(two)):
-                message = diagnose(
-                    "joint-number-differs",
-                    subject=("joint", name),
-                    what=Term(kind),
-                    guess=in_degrees(one, two),
-                    **number_pair(one, two, unit),
-                    **FORMATS.named,
-                )
-                yield Difference(kind, name, one, two, unit, message, {})
+                said = {"what": Term(kind), "guess": in_degrees(one, two)}
+                code, subject = "joint-number-differs", ("joint", name)
+                change = change_of(code, kind, subject, (one, two), unit, FORMATS, said)
+                yield change.difference({})
 
 
 def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:

@@ -444,7 +444,7 @@ class Change(Stated):
 NOTHING = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
 
 
-def _change(
+def change_of(
     code: str,
     kind: str,
     subject: tuple[str, str] | None,
@@ -491,24 +491,24 @@ def changes_between(
     if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
         code = "gravity-differs" if sides.alike else "gravity-stated"
         pulls = one.gravity, two.gravity
-        yield _change(code, "gravity", None, pulls, "m/s^2", sides, element="option")
+        yield change_of(code, "gravity", None, pulls, "m/s^2", sides, element="option")
     free, damping = ("body", one.base), (one.base_damping, two.base_damping)
     if abs(damping[1] - damping[0]) > tolerances.damping * max(damping):
-        yield _change("free-joint-damping-differs", "damping", free, damping, "N s/m", sides)
+        yield change_of("free-joint-damping-differs", "damping", free, damping, "N s/m", sides)
     # A URDF is given the MJCF's: see `attribution.armature_differences`.
     if sides.alike and two.base_armature != one.base_armature:
         armature, unit = (one.base_armature, two.base_armature), "kg and kg m^2"
-        yield _change("free-joint-armature-differs", "armature", free, armature, unit, sides)
+        yield change_of("free-joint-armature-differs", "armature", free, armature, unit, sides)
     for name, (owner, position) in one.frames.items():
         other_owner, other = two.frames[name]
         apart, subject = float(np.linalg.norm(other - position)), ("frame", name)
         if owner != other_owner:
             code, places = "frame-on-other-body", (position, other)
             links = one.bodies[owner].link, two.bodies[other_owner].link
-            yield _change(code, "frame", subject, places, "m", sides, shown=links)
+            yield change_of(code, "frame", subject, places, "m", sides, shown=links)
         elif apart > tolerances.position:
             far = {"distance": Quantity(apart, "m")}
-            yield _change("frame-apart", "frame", subject, (position, other), "m", sides, far)
+            yield change_of("frame-apart", "frame", subject, (position, other), "m", sides, far)
 
 
 def apply_changes(
@@ -532,11 +532,11 @@ def body_changes(
     mass = one.mass, two.mass
     if abs(two.mass - one.mass) > tolerances.mass * max(map(abs, mass)):
         guess = {"guess": describe_ratio(*mass)}
-        yield _change("mass-differs", "mass", body, mass, "kg", sides, guess, element=name)
+        yield change_of("mass-differs", "mass", body, mass, "kg", sides, guess, element=name)
     apart = float(np.linalg.norm(two.com - one.com))
     if apart > tolerances.com:
         coms, way = (one.com, two.com), {"distance": Quantity(apart, "m")}
-        yield _change("com-differs", "com", body, coms, "m", sides, way, element=name)
+        yield change_of("com-differs", "com", body, coms, "m", sides, way, element=name)
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
     differs = np.abs(two.inertia - one.inertia) > tolerances.inertia * size
     if differs.any():
@@ -560,16 +560,16 @@ def _joint_changes(
     """Yields another parent, type, place or axis of a joint, and other numbers."""
     subject = "joint", name
     if one.parent != two.parent:
-        yield _change("parent-differs", "parent", subject, (one.parent, two.parent), "", sides)
+        yield change_of("parent-differs", "parent", subject, (one.parent, two.parent), "", sides)
     if one.slides != two.slides:
         kinds = ("prismatic", "revolute") if one.slides else ("revolute", "prismatic")
         shown = Term(kinds[0]), Term(kinds[1])
-        yield _change("joint-type-differs", "type", subject, kinds, "", sides, shown=shown)
+        yield change_of("joint-type-differs", "type", subject, kinds, "", sides, shown=shown)
     places = one.position, two.position
     apart = float(np.linalg.norm(two.position - one.position))
     if apart > tolerances.position:
         way = {"distance": Quantity(apart, "m")}
-        yield _change("joint-position-differs", "position", subject, places, "m", sides, way)
+        yield change_of("joint-position-differs", "position", subject, places, "m", sides, way)
     turn = pin.log3(one.rotation.T @ two.rotation)
     angle = float(np.linalg.norm(turn))
     if angle > tolerances.rotation:
@@ -586,7 +586,7 @@ def _joint_changes(
     if float(np.linalg.norm(np.cross(one.axis, two.axis))) > tolerances.axis or between > 1.0:
         code = "axis-reversed" if between > math.pi - tolerances.axis else "axis-turned"
         axes, how = (one.axis, two.axis), {"angle": Quantity(between, "rad")}
-        yield _change(code, "axis", subject, axes, "1", sides, how)
+        yield change_of(code, "axis", subject, axes, "1", sides, how)
     yield from _joint_numbers(name, one, two, tolerances, sides)
 
 
@@ -616,7 +616,7 @@ def _joint_numbers(
             guess = diagnose("guess-zero-for-unknown")
         code, said = "joint-number-differs", {"what": Term(kind), "guess": guess}
         subject, felt = ("joint", name), attribute.felt
-        yield _change(code, kind, subject, (a, b), unit, sides, said, felt=felt)
+        yield change_of(code, kind, subject, (a, b), unit, sides, said, felt=felt)
 
 
 def convention_changes(
