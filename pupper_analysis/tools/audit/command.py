@@ -48,8 +48,8 @@ def command(
     """Find what is physically or practically wrong in one model file, URDF, MJCF or USD.
 
     Impossible masses and inertias, legs that are not mirror images, shapes that do not reach their
-    joints, limits in degrees, servos that jitter, feet that start inside the floor, and more. Each
-    finding says where it is, why it matters, and what to do.
+    joints, limits in degrees, servos of wrong sign, feet that start inside the floor, and more.
+    Each finding says where it is, why it matters, and what to do.
 
     \b
     Examples:

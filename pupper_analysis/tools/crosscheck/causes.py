@@ -623,22 +623,14 @@ def _slip(case: PatternCase, name: str) -> _Slip | None:
 
 
 def _subsets(links: Sequence[ComparedLink], mass: float) -> Iterator[tuple[ComparedLink, ...]]:
-    """Yields sets of links of a mass, the smallest first; of many links those alike in name."""
-    if len(links) > _MOST_SUBSET_LINKS:
-        named = {link.name: link for link in links}
-        alike = [[named[name] for name in names] for names in by_pattern(list(named)).values()]
-        tries = [*alike, *([link] for link in links), list(links)]
-    else:
-        masses = np.array([link.body.mass for link in links])
-        choices = np.array(list(product((False, True), repeat=len(links))))
-        near = np.abs(choices @ masses - mass) <= 1.5 * _MOST_RESIDUAL * mass if len(links) else []
-        tries = [
-            [link for link, taken in zip(links, choice, strict=True) if taken]
-            for choice in choices[near]
-        ]
-    for chosen in sorted(tries, key=len):
-        if chosen:
-            yield tuple(chosen)
+    """Yields sets of links of a mass, the smallest first; of many links, of the heaviest."""
+    heaviest = sorted(links, key=lambda link: -link.body.mass)[:_MOST_SUBSET_LINKS]
+    masses = np.array([link.body.mass for link in heaviest])
+    choices = np.array(list(product((False, True), repeat=len(heaviest))))
+    near = np.abs(choices @ masses - mass) <= 1.5 * _MOST_RESIDUAL * mass
+    for choice in sorted(choices[near].tolist(), key=sum):
+        if any(choice):
+            yield tuple(link for link, taken in zip(heaviest, choice, strict=True) if taken)
 
 
 def _is_it(

@@ -73,7 +73,7 @@ FL_HFE = '<joint name="FL_HFE"'
 # the element's tag; a pattern that is replaced behind that tag and its replacement, or edits.
 SLIPS: list[tuple[Any, ...]] = [
     ("mass-not-positive", "urdf link FL_calf", '<mass', 'value="0.05"', 'value="-0.05"'),
-    ("moving-body-without-mass", "urdf link base_link", '<mass', 'value="1.506"', 'value="0.0001"'),
+    ("moving-body-without-mass", "urdf link FL_thigh", '<mass', 'value="[^"]*"', 'value="1e-5"'),
     ("com-outside-shapes", "urdf link FL_calf", '<origin', '-0.055', '0.055'),
     ("mass-beyond-motors", "urdf link base_link", '', '1.506', '1506'),
     ("link-without-inertial", "urdf link body_imu_site", '', '(?s)<inertial>.*?</inertial>', ''),
@@ -689,6 +689,19 @@ def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
     assert bare.element == "link 'body_imu_site'"
     rules = {each.rule for each in audit_model(ROOT / "urdf/pupper_v3.urdf").findings}
     assert not rules & {"link-without-inertial", "massless-link-collides"}
+
+
+def test_of_a_link_without_shapes_a_com_beyond_the_robot_is_told(tmp_path: Path) -> None:
+    """In degrees, say: 5.73 m, on a leg of 0.6 m."""
+    pair = quadruped(tmp_path)
+    thigh = '<inertial pos="0 0 -0.1" mass="0.5"'
+    assert not any(one.rule == "com-outside-shapes" for one in pa.audit_model(pair.mjcf).findings)
+    pair.mjcf.write_text(pair.mjcf.read_text().replace(thigh, thigh.replace("-0.1", "-5.73"), 1))
+    (message,) = (
+        one for one in pa.audit_model(pair.mjcf).findings if one.rule == "com-outside-shapes"
+    )
+    assert message.severity == "warning"
+    assert message.diagnostic.code == "com-far-from-joints"
 
 
 def rules_of(folder: Path, text: str) -> set[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
@@ -67,15 +67,14 @@ def mass_not_positive(robot: RobotModel) -> Iterator[Found]:
 def moving_body_without_mass(robot: RobotModel) -> Iterator[Found]:
     """Finds moving bodies without mass, fixed ones counted in; WARNING if others hang on them.
 
-    So are those, and bases of legs, that weigh less than a thousandth of what hangs on them: of
-    1500 links in use none that has mass is lighter than five thousandths of what it carries.
+    So are those that weigh less than a thousandth of what hangs on them: of 1500 links in use none
+    that has mass is lighter than five thousandths of what it carries.
     """
     for body in robot.links.values():
         group = robot.fixed_group(body.name)
         mass = sum(part.mass for part in group)
         carried = sum(other.mass for other in robot.descendants(body.name)) + body.mass - mass
-        base = body.parent is None and len(_limbs(robot, group)) > 1
-        if (body.moving or base) and 0 < mass < LEAST_SHARE * carried:
+        if body.moving and 0 < mass < LEAST_SHARE * carried:
             message = diagnose(
                 "hardly-any-mass", mass=Quantity(mass, "kg"), carried=Quantity(carried, "kg")
             )
@@ -91,30 +90,34 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[Found]:
         )
 
 
-def _limbs(robot: RobotModel, group: Sequence[Link]) -> set[str]:
-    """Returns the moving links that hang on others, and carry joints of legs."""
-    return {
-        child.name
-        for part in group
-        for child in robot.children(part.name)
-        for below in (child, *robot.descendants(child.name))
-        if child.moving and any(map(OF_LEGS.search, (below.name, *(j.name for j in below.joints))))
-    }
-
-
 LEAST_SHARE = 1e-3
 """Of the mass that hangs on a link: what weighs less is a slip of units, or was forgotten."""
 
 
 @rule
 def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
-    """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it."""
+    """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it.
+
+    That of a body without shapes is compared with the robot: no com is farther from the body's
+    joints than its longest limb is long.
+    """
+    span = max((_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
         inertial = body.inertial
         if inertial is None or not inertial.stated or robot.is_negligible(body):
             continue
         group = robot.fixed_group(body.name)
         points = extent_points(group, body)
+        if points is None:
+            outside = outside_hull(link_points(robot, body), inertial.com)
+            if 0 < span < outside:
+                message = diagnose(
+                    "com-far-from-joints",
+                    com=Vector(tuple(inertial.com), "m"),
+                    outside=Quantity(outside, "m"),
+                    size=Quantity(span, "m"),
+                )
+                yield Found(robot.link_tag, body.name, message, robot.inertial_part("origin"))
         if points is None or not body.shapes:
             continue
         points = np.concatenate([points, link_points(robot, body)])
@@ -130,6 +133,12 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
                 size=Quantity(size, "m"),
             )
             yield Found(robot.link_tag, body.name, message, robot.inertial_part("origin"))
+
+
+def _reach(robot: RobotModel, name: str) -> float:
+    """Returns how far a link is from its root along the joints (m)."""
+    chain = [robot.links[one].pose.position for one in (name, *robot.ancestors(name))]
+    return float(sum(np.linalg.norm(np.diff(chain, axis=0), axis=1)))
 
 
 @rule
