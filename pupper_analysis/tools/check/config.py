@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -331,25 +332,25 @@ def _table(entry: dict[str, str]) -> str:
 def entries_of(folder: Path) -> list[dict[str, str]]:
     """Returns the models of a folder and those below it: a URDF, an MJCF, or both of one stem.
 
-    Those of one folder are one robot's, whatever else bears the name elsewhere.
+    Those of one folder are one robot's, and the only two of a stem in different ones.
     """
-    found: dict[str, list[Path]] = {"urdf": [], "mjcf": []}
+    found: dict[Path, dict[str, str]] = {}
     for path in _files(folder):
-        if kind := kind_of(path):
-            found[kind].append(path.relative_to(folder))
-    entries = [{"name": one.as_posix().removesuffix(".urdf"), "urdf": one.as_posix()}
-               for one in found["urdf"]]  # fmt: skip
-    for mjcf in found["mjcf"]:
-        alike = [one for one in entries if "urdf" in one and "mjcf" not in one
-                 and Path(one["urdf"]).stem.lower() == mjcf.stem.lower()]  # fmt: skip
-        beside = [one for one in alike if Path(one["urdf"]).parent == mjcf.parent]
-        twins = [one for one in found["mjcf"] if one.stem.lower() == mjcf.stem.lower()]
-        (pair,) = beside if len(beside) == 1 else alike if len(alike) == len(twins) == 1 else [{}]
-        if not pair:
-            pair["name"] = mjcf.as_posix()
-            entries.append(pair)
-        pair["mjcf"] = mjcf.as_posix()
-    return entries
+        kind, local = kind_of(path), path.relative_to(folder)
+        stem = local.with_suffix("")
+        if kind:
+            key = local if kind in found.get(stem, {}) else stem
+            found.setdefault(key, {})[kind] = local.as_posix()
+    alone: dict[str, list[Path]] = {}
+    for key, files in found.items():
+        alone.setdefault(key.name, []).extend([key] * (len(files) == 1))
+    for keys in alone.values():
+        if len(keys) == 2 and found[keys[0]].keys() != found[keys[1]].keys():
+            found[keys[0]] |= found.pop(keys[1])
+    count = Counter(key.name for key in found)
+    return [{"name": key.name if count[key.name] == 1 else key.as_posix(),
+             **dict(sorted(files.items(), reverse=True))}
+            for key, files in found.items()]  # fmt: skip
 
 
 def _files(folder: Path) -> Iterator[Path]:

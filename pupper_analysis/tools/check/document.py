@@ -101,35 +101,24 @@ def _group(group: list[Remark]) -> doc.Sides:
 
 
 def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
-    listed = list(pairs)
-    agree: dict[bool | None, doc.Cell] = {
-        True: text("they-agree"),
-        False: text("they-differ"),
-        None: doc.Name(""),
-    }
+    columns = (
+        doc.Column(text("pair"), left=True),
+        doc.Column(text("verdict"), left=True),
+        doc.Column(text("to-fix"), "1"),
+        doc.Column(text("known"), "1"),
+        doc.Column(text("files"), left=True),
+    )
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(pair.name),
             text("FAILED").marked("bad") if pair.failures else text("all-ok").marked("good"),
             doc.number_cell(pair.failures, "g"),
             doc.number_cell(pair.known, "g"),
-            agree[pair.agree],
             doc.Name(", ".join(pair.files)),
         )
-        for pair in listed
+        for pair in pairs
     ]
-    return doc.Table(
-        text("what-was-checked"),
-        (
-            doc.Column(text("pair"), left=True),
-            doc.Column(text("verdict"), left=True),
-            doc.Column(text("to-fix"), "1"),
-            doc.Column(text("known"), "1"),
-            doc.Column(text("the-files"), left=True),
-            doc.Column(text("files"), left=True),
-        ),
-        tuple(rows),
-    )
+    return doc.Table(text("what-was-checked"), columns, tuple(rows))
 
 
 # The check of a repository's models, in a line and for machines.

@@ -227,7 +227,7 @@ def test_init_names_all_models_and_does_not_write_over_one(folder: Path) -> None
     (folder / "mj" / "hopper.xml").write_text((folder / "hopper.xml").read_text())
     assert entries_of(folder) == [  # another copy elsewhere parts no pair of one folder
         {"name": "hopper", "urdf": "hopper.urdf", "mjcf": "hopper.xml"},
-        {"name": "mj/hopper.xml", "mjcf": "mj/hopper.xml"},
+        {"name": "mj/hopper", "mjcf": "mj/hopper.xml"},
     ]
     empty = folder / "empty"
     empty.mkdir()
