@@ -269,8 +269,8 @@ class _Reader:
                 raise self.invalid(key, value, valid[key].valid)
             for name, one in value.items() if key in _IN_TABLES else ():
                 if name not in _KEYS.get(key, value):
-                    table = f"{within}.{key}".strip(".")
-                    raise self.unknown(name, table, _KEYS[key], rule=key == "disable")
+                    inside = f"{within}.{key}".strip(".")
+                    raise self.unknown(name, inside, _KEYS[key], rule=key == "disable")
                 if not _IN_TABLES[key].check(one):
                     raise self.invalid(name, one, _IN_TABLES[key].valid)
 

@@ -13,10 +13,10 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations, islice, product
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -185,13 +185,6 @@ class PatternCase:
             return set(self.keys)
         return found
 
-    def masses_apart(self, exchange: Mapping[str, str]) -> int:
-        """Returns how many masses differ where bodies are exchanged; no frame's place matters."""
-        pairs = [*exchange.items(), *((two, one) for one, two in exchange.items())]
-        masses = [(self.first.bodies[a].mass, self.raw.bodies[b].mass) for a, b in pairs]
-        greatest = self.tolerances.mass
-        return sum(abs(two - one) > greatest * max(abs(one), abs(two)) for one, two in masses)
-
     def gone(self, second: MultibodyTree) -> set[Key]:
         """Returns the differences that another tree in place of the MJCF's does not have.
 
@@ -233,19 +226,19 @@ def other_angles(case: PatternCase) -> Found:
     said = "".join(
         chr(letter) if isinstance(letter, int) else letter for letter in (spec.compiler.eulerseq)
     )
-    tries: list[tuple[tuple[str, str, str], Callable[[mujoco.MjSpec], None]]] = []
-    if _has_euler(spec):
-        for order in (*_SEQUENCES, *(sequence.upper() for sequence in _SEQUENCES)):
-            if order != said:
-                tries.append((("eulerseq", order, said), partial(_set_sequence, order=order)))
     degree = bool(spec.compiler.degree)
     unit, other_unit = ("degree", "radian") if degree else ("radian", "degree")
+    tries: list[tuple[tuple[str, str, str], str, Any]] = [
+        (("eulerseq", order, said), "eulerseq", list(order))
+        for order in (*_SEQUENCES, *(sequence.upper() for sequence in _SEQUENCES))
+        if _has_euler(spec) and order != said
+    ]
     if _has_euler(spec) or {"lower limit", "upper limit"} & {kind for kind, _ in case.keys}:
-        tries.append((("angle", other_unit, unit), partial(_set_degree, degree=not degree)))
+        tries.append((("angle", other_unit, unit), "degree", not degree))
     best: tuple[tuple[str, str, str], set[Key]] = (("", "", ""), set())
-    for setting, change in tries:
+    for setting, name, new in tries:
         other = spec.copy()
-        change(other)
+        setattr(other.compiler, name, new)
         try:
             model = other.compile()
         except (ValueError, RuntimeError):
@@ -278,14 +271,6 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
     return any(body.alt.type == kind or body.ialt.type == kind for body in spec.bodies)
 
 
-def _set_sequence(spec: mujoco.MjSpec, order: str) -> None:
-    spec.compiler.eulerseq = list(order)
-
-
-def _set_degree(spec: mujoco.MjSpec, degree: bool) -> None:
-    spec.compiler.degree = degree
-
-
 def find_exchanged(case: PatternCase) -> Found:
     """Finds limbs whose names are exchanged."""
     tops = case.first.children(case.first.base)
@@ -300,16 +285,12 @@ def find_exchanged(case: PatternCase) -> Found:
     for one, two in islice(tries, _EXCHANGES):
         if any({one, two} & set(pair) for pair in pairs):
             continue
-        own = {*limbs[one], *limbs[two]}
+        own = [*limbs[one], *limbs[two]]
         exchange = dict(zip(limbs[one], limbs[two], strict=True))
-        carried = own | {frame for name in own for frame in case.first.carried_by(name)}
+        carried = {*own, *(frame for name in own for frame in case.first.carried_by(name))}
         before = {key for key in case.keys if key[1] in carried}
-        if case.masses_apart(exchange) > _STAY * len(before):
-            continue  # these alone are too many of those that would stay
         both = replace(second.part(own), frames=second.frames)
-        left = case.left(_renamed(both, exchange), [*limbs[one], *limbs[two]])
-        own = carried
-        after = {key for key in left if key[1] in own}
+        after = {key for key in case.left(_renamed(both, exchange), own) if key[1] in carried}
         if len(before) > 1 and len(after) <= _STAY * len(before):
             pairs.append((one, two))
             second, gone = _renamed(second, exchange), gone | (before - after)
@@ -325,8 +306,8 @@ def find_exchanged(case: PatternCase) -> Found:
 _STAY = 0.2
 """Share of the differences of two limbs that may stay where they are exchanged."""
 
-_EXCHANGES = 300
-"""Pairs of limbs that are tried: all of 24 limbs and more than any robot of limbs has."""
+_EXCHANGES = 60
+"""Pairs of limbs that are tried: all of eleven limbs."""
 
 
 def _renamed(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
