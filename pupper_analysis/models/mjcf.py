@@ -25,7 +25,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.inputs import MOST_FILE, read_content, read_input
 from pupper_analysis.models.places import one_line
-from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER
+from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER, free_name
 
 Array = NDArray[np.float64]
 
@@ -292,21 +292,14 @@ def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
     Returns:
         The names that joints were given.
     """
-
-    def new(name: str, known: set[str]) -> str:
-        while name in known:
-            name += "_"
-        known.add(name)
-        return name
-
     bodies = {body.name for body in spec.bodies}
     for number, body in enumerate(spec.bodies):
         if not body.name:
-            body.name = new(f"body_{number}", bodies)
+            body.name = free_name(f"body_{number}", bodies)
     joints, notes = {joint.name for joint in spec.joints} | taken, []
     for joint in spec.joints:
         if not joint.name and joint.type != JointKind.FREE:
-            joint.name = new(f"{joint.parent.name}_joint", joints)
+            joint.name = free_name(f"{joint.parent.name}_joint", joints)
             notes.append(diagnose("joint-named", subject=("joint", joint.name)))
     return notes
 

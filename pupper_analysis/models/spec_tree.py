@@ -30,6 +30,7 @@ from pupper_analysis.models.attributes import (
     Number,
 )
 from pupper_analysis.models.mjcf import CONTACT_OF_GEOM, JointKind, add_plane, compile_spec
+from pupper_analysis.models.xml import free_name
 
 Array = NDArray[np.float64]
 
@@ -218,11 +219,9 @@ class SpecTree:
             beneath: A body of its own at that height (m) has it, the last one: what was there
                 before keeps its number.
         """
-        bits, name, taken = 1, FLOOR, {geom.name for geom in self.spec.geoms}
+        bits, name = 1, free_name(FLOOR, {geom.name for geom in self.spec.geoms})
         for geom in self.spec.geoms:
             bits |= int(geom.contype)
-        while name in taken:
-            name += "_"
         body = self.spec.worldbody
         return add_plane(
             body if beneath is None else body.add_body(pos=(0, 0, beneath)), name, bits

@@ -17,7 +17,7 @@ from pupper_analysis.models.additions import Addition, Ball, Untouching
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import to_text
+from pupper_analysis.models.xml import free_name, to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest_point
 from pupper_analysis.robot.alike import limbs_of
 from pupper_analysis.robot.configuration import Configuration
@@ -277,14 +277,11 @@ def with_feet(
         points = []
         for number, point in enumerate(foot.points, start=1):
             name = foot.name if len(foot.points) == 1 else f"{foot.name}/{number}"
-            frame = f"{name} (contact)"
-            while frame in taken:
-                frame += "_"
+            frame = free_name(f"{name} (contact)", taken)
             own = int(model.geom_bodyid[point.geom])  # its weight is what MuJoCo's contact knows
             bodies[model.body(own).name].add_site(name=frame, pos=point.center)
             world = data.xpos[own] + data.xmat[own].reshape(3, 3) @ point.center
             world = _in_urdf(robot, still, data, foot.body, world)
-            taken.add(frame)
             made.add(frame)
             tree.add_link(frame, link, f"to {frame}", placed[1].T @ (world - placed[0]))
             names[name] = (frame, frame)
@@ -354,12 +351,7 @@ def _name_geoms(spec: mujoco.MjSpec) -> None:
     """Names the geoms that have no name, so that they are found again."""
     known = {geom.name for geom in spec.geoms}
     for number, geom in enumerate(spec.geoms):
-        if not geom.name:
-            name = f"geom_{number}"
-            while name in known:
-                name += "_"
-            known.add(name)
-            geom.name = name
+        geom.name = geom.name or free_name(f"geom_{number}", known)
 
 
 def _link_of(robot: Robot, body: int) -> str:

@@ -151,12 +151,12 @@ def remarks_of_files(robot: Robot) -> tuple[Diagnostic, ...]:
     messages = [note for note in loaded.notes if note.code in _BEARING]
     own, model = np.array(loaded.joint_names), loaded.mj_model
     dofs = model.jnt_dofadr[[model.joint(name).id for name in own]]
-    if (model.dof_frictionloss[dofs] < 0).any():
-        driven = own[model.dof_frictionloss[dofs] < 0].tolist()
-        messages.insert(0, diagnose("joints-rub-negatively", joints=driven))
-    if (model.dof_damping[dofs] < 0).any():
-        driven = own[model.dof_damping[dofs] < 0].tolist()
-        messages.insert(0, diagnose("joints-damped-negatively", joints=driven))
+    for code, values in (
+        ("joints-rub-negatively", model.dof_frictionloss),
+        ("joints-damped-negatively", model.dof_damping),
+    ):
+        if (values[dofs] < 0).any():
+            messages.insert(0, diagnose(code, joints=own[values[dofs] < 0].tolist()))
     made_up = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
     elsewhere = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
     return (*made_up, *elsewhere, *efforts_nobody_meant(robot), *import_refused(robot))

@@ -75,7 +75,7 @@ def test_a_site_of_the_name_that_a_foot_would_be_given_stays_what_it_is(tmp_path
     site = f'<site name="{frame}" pos="0.3 0.2 0.1"/>'
     rewritten(pair.mjcf, ("<freejoint", f"{site}<freejoint"))
     other = pa.load_robot(pair.urdf, pair.mjcf)
-    assert other.description.contact_points[point] == (f"{frame}_", f"{frame}_")
+    assert other.description.contact_points[point] == (f"{frame}_2", f"{frame}_2")
     np.testing.assert_allclose(other.mj_model.site(frame).pos, (0.3, 0.2, 0.1))
     one, two = pa.solve_stand(plain), pa.solve_stand(other)
     np.testing.assert_allclose(one.qpos, two.qpos, atol=1e-9)

@@ -133,8 +133,7 @@ def mend_inertials(
     """Makes inertials such that MuJoCo takes them.
 
     One that no body can have is moved to a body that it is fixed to, however many links are between
-    them, or those of all bodies that are fixed to each other become one: what moves with them is
-    the same then. Where that does not help, it is repaired.
+    them: what moves with them is the same then. Where that does not help, it is repaired.
 
     Args:
         urdf: What was read.
@@ -223,19 +222,7 @@ def _moved(bodies: Bodies, body: str, inertia: pin.Inertia) -> Diagnostic | None
             links[other].set_inertia(there + total, DIGITS)
             links[body].remove("inertial")
             return diagnose("inertia-moved", subject=moved, mass=mass, moments=moments, to=other)
-    heavy = [
-        (other, own, place) for other, place in group if (own := bodies.inertia(other)) is not None
-    ]
-    total = pin.Inertia.Zero()
-    for _, own, placement in heavy:
-        total += placement.inverse().act(own)
-    if len(heavy) < 2 or not is_possible(total):
-        return None
-    for other, _, _ in heavy:
-        links[other].remove("inertial")
-    links[body].set_inertia(total, DIGITS)
-    names = [other for other, _, _ in heavy[1:]]
-    return diagnose("inertias-joined", subject=moved, mass=mass, moments=moments, links=names)
+    return None
 
 
 def _weighs(bodies: Bodies, body: str) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -53,24 +52,6 @@ def test_what_is_fixed_together_is_looked_through(tmp_path: Path) -> None:
     assert found.repairs == ()
     model = compiled(mjcf)
     assert model.body("heavy").mass[0] == pytest.approx(6.16)
-    assert same_dynamics(urdf, mjcf) < 1e-9
-
-
-def test_inertials_that_are_possible_together_alone_become_one(tmp_path: Path) -> None:
-    """Neither alone nor two by two; their sum is a body."""
-    parts = arm()
-    far = {"position": (0.0, 0.0, 0.0), "com": (0.0, 0.0, 0.0)}
-    for link, inertia in (
-        ("one", (1e-4, 1e-4, 4e-3)), ("two", (1e-4, 1e-4, 4e-3)), ("three", (8e-3, 1e-4, 1e-4))
-    ):  # fmt: skip
-        part = fixed(link, "rod", (*inertia, 0.0, 0.0, 0.0))
-        parts[link] = replace(part, quaternion=(1.0, 0.0, 0.0, 0.0), **far)
-    urdf = written(tmp_path, parts)
-    without_mass(urdf, "rod")
-    mjcf, found = converted(urdf, "arm.xml")
-    assert found.passed, found.failures
-    assert found.repairs == ()
-    assert any("has the inertias of all that is fixed to it" in str(note) for note in found.notes)
     assert same_dynamics(urdf, mjcf) < 1e-9
 
 
