@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -16,15 +17,13 @@ from pupper_analysis.base.arrays import (
     rotation_from_quaternion,
 )
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint, silence_mujoco
-from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.spec_tree import join_free_base, set_inertia
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.robot.contact import limb_ends
-from pupper_analysis.robot.matching.match import limbs_on_the_world, mjcf_tree
-from pupper_analysis.robot.matching.pairs import without_affixes
-from pupper_analysis.robot.matching.trees import at_zero, urdf_tree
+from pupper_analysis.robot.matching.match import limbs_on_the_world
 
 Array = NDArray[np.float64]
 
@@ -44,12 +43,19 @@ _TILTED = 0.7
 """Cosine of how far from level a base's frame has to be where a file has it, to be told: 45 deg."""
 
 
-def free_base(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
+def free_base(
+    urdf: UrdfFile, spec: mujoco.MjSpec, source: Path
+) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Returns a spec in which the base of a robot with two limbs or more is free; what was done.
 
     Args:
-        urdf: The URDF, which has the mass of a base that was fused with the world.
+        urdf: The URDF.
         spec: The MJCF's; it is changed.
+        source: Its file.
+
+    Raises:
+        ModelError: If it has limbs and no base: MuJoCo fuses the root link of a URDF with the
+            world, where its mass is lost.
     """
     stated = set(urdf.tree.joints)
     if has_free_joint(spec):
@@ -58,7 +64,7 @@ def free_base(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[
     if joined is not None:
         return spec, [joined]
     if len(limbs_on_the_world(spec, urdf.root)) >= 2:
-        return _unfused(urdf, spec)
+        raise ModelError(source, diagnose("limbs-on-the-world"))
     bodies = list(spec.worldbody.bodies)
     size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in bodies}
     base = max(bodies, key=lambda body: size[body.name], default=None)
@@ -77,51 +83,6 @@ def _limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
             yield body
         else:
             yield from _limbs(body)
-
-
-def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-    """Gives limbs that stand in the world a base: a body with the URDF's mass, and a free joint.
-
-    MuJoCo fuses the root link of a URDF with the world, where its mass is lost.
-    """
-    tree = urdf_tree(urdf.root, urdf.path)
-    inertial = tree.bodies[tree.base]
-    if not inertial.mass > 0:
-        return spec, []
-    for geom in list(spec.worldbody.geoms):
-        if geom.type in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
-            spec.delete(geom)  # ground, which does not move with the base
-    for key in list(spec.keys):
-        spec.delete(key)  # its size no longer fits
-    name = urdf.tree.base.name
-    while name in {body.name for body in spec.bodies}:
-        name += "_"
-    freed = mujoco.MjSpec()
-    freed.modelname, freed.modelfiledir = spec.modelname, spec.modelfiledir
-    for word in dir(spec.option):
-        if not word.startswith("_"):
-            setattr(freed.option, word, getattr(spec.option, word))
-    base = freed.worldbody.add_body(name=name)
-    base.add_freejoint()
-    shift = pin.SE3(np.eye(3), _apart(tree, spec, urdf))
-    set_inertia(base, shift.act(inertial.rigid))
-    with silence_mujoco():
-        freed.attach(spec, frame=base.add_frame(), prefix="")
-    mass = Quantity(inertial.mass, "kg")
-    return freed, [diagnose("base-added", subject=("link", name), mass=mass)]
-
-
-def _apart(tree: MultibodyTree, spec: mujoco.MjSpec, urdf: UrdfFile) -> Array:
-    """Returns how far the limbs are from where the URDF has them (3,): its base is off by as much.
-
-    The frame of the world may be that of any of the links that were fused with it.
-    """
-    here, there = at_zero(tree), at_zero(mjcf_tree(spec, urdf.path))
-    names = {name: name for name in here if name in there}
-    names |= without_affixes(list(here), list(there), names)
-    first = [name for name in tree.children(tree.base) if name in names]
-    apart = [there[names[name]][0] - here[name][0] for name in first]
-    return np.asarray(np.median(apart, axis=0))
 
 
 def free_of_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:

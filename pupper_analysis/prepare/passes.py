@@ -269,7 +269,7 @@ def _name_elements(draft: Draft) -> Made:
 
 @_pass(Term("frees the base of a robot with limbs"), _free)
 def _free_base(draft: Draft) -> Made:
-    spec, messages = free_base(draft.urdf, draft.spec)
+    spec, messages = free_base(draft.urdf, draft.spec, draft.mjcf.path)
     return replace(draft, spec=spec), messages
 
 

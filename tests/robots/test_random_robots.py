@@ -10,7 +10,7 @@ import pupper_analysis as pa
 from tests.support import random_legged
 
 QUICK = (3, 7, 8, 12, 14, 21, 36, 39, 104)
-"""Seeds of one robot of each kind: springs, tails, hexapods, bipeds; free, held and fused bases; a
+"""Seeds of one robot of each kind: springs, tails, hexapods, bipeds; free and held bases; a
 foot that leans in the start pose."""
 
 

@@ -75,7 +75,7 @@ def drawn(seed: int) -> Robot:
         gear=float(random.choice([1.0, 6.0, -9.0])),
         degrees=bool(random.integers(2)),
         floor=bool(random.integers(2)),
-        base=str(random.choice(["free", "free", "held", "fused"])),
+        base=str(random.choice(["free", "free", "held", "held"])),
         keyframe=bool(random.integers(2)),
     )
     if other.integers(3) == 0:
@@ -264,15 +264,12 @@ def _mjcf(robot: Robot) -> str:
     inside = '<geom type="box" size="0.05 0.05 0.03" contype="0" conaffinity="0" mass="0"/>'
     inside += body("base")
     floor = '<geom name="ground" type="plane" size="0 0 1"/>' if robot.floor else ""
-    if robot.base == "fused":
-        world = floor + inside
-    else:
-        free = "<freejoint/>" if robot.base == "free" else ""
-        world = (
-            f'{floor}<body name="{p}base" pos="0 0 {robot.height}">{free}<inertial pos="0 0 0" '
-            f'mass="{robot.base_mass!r}" diaginertia="{_said(_moments(robot.base_mass))}"/>'
-            f"{inside}</body>"
-        )
+    free = "<freejoint/>" if robot.base == "free" else ""
+    world = (
+        f'{floor}<body name="{p}base" pos="0 0 {robot.height}">{free}<inertial pos="0 0 0" '
+        f'mass="{robot.base_mass!r}" diaginertia="{_said(_moments(robot.base_mass))}"/>'
+        f"{inside}</body>"
+    )
     lines.append(f"<worldbody>{world}</worldbody><actuator>")
     joints = [link for link in robot.links if link.where != "urdf"]
     for link in joints:
