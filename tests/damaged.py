@@ -32,7 +32,7 @@ from pupper_analysis.base.tools import own_tools
 from pupper_analysis.cli.stance_fields import read_stance_file
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.convert.meshes import UnreadableError, check_detail, obj_of, read_mesh
+from pupper_analysis.prepare.convert.meshes import UnreadableError, obj_of, read_mesh
 from pupper_analysis.robot.matching.match import read_mapping
 from pupper_analysis.tools.check.config import read_config
 from pupper_analysis.tools.check.remarks import read_baseline
@@ -124,8 +124,7 @@ def _read_mesh(path: Path) -> Any:
     """Reads a mesh as a conversion does, and an MJCF that has it."""
     readable = path.suffix in (".stl", ".obj")
     try:
-        content = read_mesh(path) if readable else obj_of(path)
-        check_detail(content, path.suffix, touches=True)
+        _ = read_mesh(path) if readable else obj_of(path)
     except UnreadableError:
         return
     if readable:

@@ -99,7 +99,7 @@ class Meshes:
             if hulled is not None:
                 return hulled
         try:
-            self._take(path, touches=touches)
+            self._take(path)
         except UnreadableError as error:
             self._leave(error.reason, file, touches=touches)
             return None
@@ -185,7 +185,7 @@ class Meshes:
             self._places[path] = folder / name
         return self._places[path]
 
-    def _take(self, path: Path, *, touches: bool) -> None:
+    def _take(self, path: Path) -> None:
         """Writes a mesh anew if it is in a format that MuJoCo does not read.
 
         Raises:
@@ -195,7 +195,6 @@ class Meshes:
         content = self.made.get(place)
         if content is None:
             content = read_mesh(path) if readable else obj_of(path)
-        check_detail(content, place.suffix.lower(), touches=touches)
         if place != path:
             self.made[place] = content
 
@@ -244,18 +243,13 @@ READABLE: Final = (".stl", ".obj")
 _CONVERTIBLE: Final = (".dae", ".glb", ".gltf", ".off", ".ply")
 """Endings of those that are read here: no archives, whose content may be of any size and kind."""
 
-MOST_BYTES: Final = 200_000_000
-"""Largest mesh file that is read: ten times the largest of a published robot that was seen."""
+MOST_BYTES: Final = 50_000_000
+"""Largest mesh file that is read: twice the largest of a published robot that was seen, and of
+as much text MuJoCo works out the hull within a minute."""
 
 MOST_VERTICES: Final = 1_000_000
 """Most vertices of a mesh: MuJoCo takes 5 s and 2 GB to compile so many, each time it does. The
 most of a published robot that was seen are 830,000, three for each triangle (Go1's trunk)."""
-
-MOST_TOUCHING: Final = 300_000
-"""Most vertices of a mesh that touches: each time it is compiled, its hull takes MuJoCo as long."""
-
-MOST_TRIANGLES: Final = 500_000
-"""Most triangles of a mesh. MuJoCo takes 200,000 of an STL file, and names no limit of an OBJ."""
 
 
 class UnreadableError(Exception):
@@ -316,31 +310,6 @@ def read_mesh(path: Path) -> bytes:
         if error.cause.code == "file-too-large":
             raise UnreadableError(diagnose("mesh-too-large", most=MOST_BYTES // 10**6)) from error
         raise UnreadableError(diagnose("mesh-broken")) from error
-
-
-def check_detail(data: bytes, ending: str, *, touches: bool) -> None:
-    """Refuses an OBJ file of more detail than MuJoCo compiles in seconds.
-
-    Of an STL file MuJoCo itself refuses more than 200,000 triangles.
-
-    Args:
-        data: The file's content.
-        ending: Its name's, in small letters.
-        touches: Whether it is for collisions, whose hull MuJoCo works out.
-
-    Raises:
-        UnreadableError: If so.
-    """
-    most = MOST_TOUCHING if touches else MOST_VERTICES
-    vertices, triangles = 0, 0
-    if ending == ".obj":
-        for line in io.BytesIO(data):
-            words = line.split(None, MOST_TRIANGLES + 3)  # a polygon of many corners is many
-            vertices += words[:1] == [b"v"]
-            triangles += max(len(words) - 3, 0) if words[:1] == [b"f"] else 0
-    _check_count(vertices, most)
-    if triangles > MOST_TRIANGLES:
-        raise UnreadableError(diagnose("mesh-has-too-many-triangles", most=MOST_TRIANGLES))
 
 
 def _check_count(vertices: int, most: int) -> None:

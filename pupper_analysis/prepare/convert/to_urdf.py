@@ -329,15 +329,15 @@ class UrdfShapes:
         self._materials: dict[tuple[float, ...], str] = {}
         self._names: set[str] = set()
         self._files: dict[str, str] = {}
-        self._moved: dict[str, pin.SE3] = {}
+        self._moved: set[str] = set()
         self._lost: dict[str, str] = {}
         for mesh in file.spec.meshes:
             found, name = _path_of(file, mesh), mesh.name or Path(mesh.file).stem
             if found is None and mesh.file:
                 self._lost[name] = mesh.file
             if found is not None:
-                turn = np.array(mesh.refquat) / np.linalg.norm(mesh.refquat)
-                self._moved[name] = placement_of(turn, mesh.refpos)
+                if np.any(mesh.refpos) or np.any(mesh.refquat[1:]):
+                    self._moved.add(name)
                 self._files[name] = Path(os.path.relpath(found, folder)).as_posix()
 
     def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
@@ -391,20 +391,16 @@ class UrdfShapes:
             lost = self._lost.get(name)  # MuJoCo does not tell the folder of an <attach>ed model
             self.left.append(diagnose("mesh-without-file", subject=("mesh", name), file=lost))
             return []
+        if name in self._moved:
+            self.left.append(diagnose("mesh-moved", subject=("mesh", name)))
+            return []
         # MuJoCo moves a mesh to its com and principal axes, and the geom along.
         own = placement_of(model.mesh_quat[mesh], model.mesh_pos[mesh])
         scale = np.array(model.mesh_scale[mesh])
         attributes = {"filename": self._files[name]}
         if not np.array_equal(scale, np.ones(3)):
             attributes["scale"] = write_numbers(scale)
-        # Before it scaled them, MuJoCo moved the file's numbers: v' = S R^T (v - p).
-        moved = self._moved[name]
-        turned = not np.allclose(moved.rotation, np.eye(3))
-        if turned and not np.allclose(scale, scale[0]):
-            self.left.append(diagnose("mesh-turned-and-scaled", subject=("mesh", name)))
-            return []
-        moved = pin.SE3(moved.rotation, scale * moved.translation)
-        where = placed * own.inverse() * moved.inverse()
+        where = placed * own.inverse()
         return [("mesh", attributes, where)]
 
     def _paint(self, shape: etree._Element, geom: int) -> None:

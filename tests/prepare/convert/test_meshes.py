@@ -78,33 +78,6 @@ def test_instances_of_a_mesh_count_each(tmp_path: Path, monkeypatch: pytest.Monk
         obj_of(tmp_path / "many.glb")
 
 
-def test_what_takes_minutes_to_compile_is_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """An OBJ of two million vertices took 100 s and 2 GB; what is touched with is less detailed."""
-    BOX.export(tmp_path / "box.obj")
-    (tmp_path / "fan.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + " 1 2 3" * 10 + "\n")
-    monkeypatch.setattr(meshes, "MOST_TRIANGLES", 20)
-    monkeypatch.setattr(meshes, "MOST_TOUCHING", 7)
-    kinds = {"visual": "box.obj", "collision": "box.obj"}
-    shapes = [shape_of(kind, f'<mesh filename="{name}"/>', "0 0 0") for kind, name in kinds.items()]
-    shapes.append(shape_of("visual", '<mesh filename="fan.obj"/>', "0 0 0"))
-    found = with_shapes(tmp_path, "".join(shapes))
-    reasons = {
-        (file, message.values["why"].code)
-        for message in found.not_converted
-        if message.code == "meshes-left"
-        for file in message.values["files"]
-    }
-    assert reasons == {
-        ("box.obj", "mesh-has-too-many-vertices"),
-        ("fan.obj", "mesh-has-too-many-triangles"),
-    }
-    assert compiled(tmp_path / "arm.xml").nmesh == 1  # the box that is looked at
-    (lost,) = found.failures
-    assert (lost.code, lost.values["files"]) == ("collision-meshes-lost", ("box.obj",))
-
-
 def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
     """An STL that claims more triangles than it has was left out, and the conversion agreed."""
     whole = BOX.export(file_type="stl")
