@@ -110,7 +110,6 @@ def command(
       pupper-analysis live
       pupper-analysis live long-leg --port 8080 --no-browser
       pupper-analysis live v3 --language zh
-      pupper-analysis live v3 --stance stance.toml
       pupper-analysis live go1.urdf
       pupper-analysis live v3 --policy policy_latest.json --command 0.5,0,0
       pupper-analysis live long-leg --mujoco --fixed-base
