@@ -27,7 +27,7 @@ from pupper_analysis.stance.sag.equilibrium import ground_points
 from pupper_analysis.tools.stand.stance import largest_presses
 from pupper_analysis.tools.study.design import task_of
 from pupper_analysis.tools.study.study import Study
-from tests.stance.test_slopes import edges_of, search_region, sideways
+from tests.stance.test_slopes import edges_of, search_region
 from tests.support.legged import biped, quadruped, with_arm
 from tests.support.variants import load
 
@@ -233,22 +233,6 @@ def test_how_hard_a_hand_can_press_is_what_another_programme_says(
     else:
         with pytest.raises(pa.StaticsInfeasibleError):
             peak(1.01 * press.force)
-
-
-def test_a_plane_through_each_foots_place_is_a_slope() -> None:
-    """The same stand, torques and sag, said in another way."""
-    robot, slopes = load("v3"), sideways(30, roof=True)
-    one = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=slopes))
-    assert one.task.contacts == slopes
-    planes = {
-        foot: pa.Contact(pa.Plane(tuple(one.contact_points[foot]), tuple(one.normals[foot])))
-        for foot in robot.feet
-    }
-    two = pa.solve_stand_as_simulated(robot, pa.StandTask(contacts=planes))
-    np.testing.assert_allclose(two.qpos, one.qpos, atol=1e-9)
-    assert two.com_margin == pytest.approx(one.com_margin, abs=1e-9)
-    sags = [pa.steady_state(robot, stand) for stand in (one, two)]
-    np.testing.assert_allclose(sags[1].qpos, sags[0].qpos, atol=1e-9)
 
 
 def test_friction_is_the_planes_in_mujoco_and_in_statics() -> None:

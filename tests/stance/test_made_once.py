@@ -12,17 +12,6 @@ from pupper_analysis.statics.equilibrium import balance_load
 from tests.support.variants import load
 
 
-def tasks(robot: pa.Robot) -> list[pa.StandTask]:
-    """Goals that differ in all that PlaCo's tasks are aimed at."""
-    return [
-        pa.StandTask(),
-        pa.StandTask(height=0.93 * robot.stand_height, roll=0.05, pitch=-0.04, yaw=0.1),
-        pa.StandTask(offset=(0.01, -0.005), joint_margin=0.05),
-        pa.StandTask(ground=pa.Ground(slope=0.1, uphill=0.7), com=(0.005, 0.004)),
-        pa.StandTask(foot_offsets={robot.contact_points[0]: (0.01, 0.0)}),
-    ]
-
-
 def test_what_the_motors_hold_is_found_once_for_a_stand(monkeypatch: pytest.MonkeyPatch) -> None:
     robot, found = load("v3"), []
 

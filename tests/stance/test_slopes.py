@@ -11,7 +11,6 @@ import pytest
 from scipy import optimize
 
 import pupper_analysis as pa
-from pupper_analysis.cli.stance_fields import parse_contact
 from pupper_analysis.robot.robot import lend
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.solver import Context
@@ -210,25 +209,6 @@ def test_a_tilt_is_an_angle_between_floor_and_ceiling(tilt: float) -> None:
 def test_a_foot_that_there_is_not_is_refused() -> None:
     with pytest.raises(pa.UnknownNameError, match="leg_front_r_3"):
         pa.solve_stand(load("v3"), pa.StandTask(contacts=slopes(0.1, {"X": 0.0})))
-
-
-@pytest.mark.longest
-def test_a_limit_typed_back_holds() -> None:
-    """A foot on a slope that hangs over it, which its calf would be in."""
-    robot, step = load("original"), pa.Ground(heights={"FR": 0.05})
-
-    def ask(contact: pa.Contact, *, explain: bool = True) -> pa.Stand:
-        task = pa.StandTask(contacts={"FR": contact}, ground=step)
-        return pa.solve_stand(robot, task, explain=explain)
-
-    with pytest.raises(pa.StanceUnreachableError) as caught:
-        ask(pa.Contact(pa.Slope(math.radians(150))))
-    limit = caught.value.limits["contacts"]["contacts"]["FR"]
-    assert f"contacts FR={limit:.7g}" in str(caught.value)
-    typed = parse_contact("contact", f"{limit:.7g}", "")
-    assert ask(typed).solved
-    with pytest.raises(pa.StanceUnreachableError, match="FR_calf"):
-        ask(typed.at(typed.plane.number + math.radians(0.2)), explain=False)
 
 
 def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:

@@ -94,7 +94,7 @@ def write_plots(
     legends = [[_handle(*one) for one in _legend(drawing).items()] for drawing in drawings]
     across, several = WIDTH / columns, bool(names or len(plots) > 1)
     # A legend has a line for every two of its entries, which may be long.
-    room = 0.45 + len(rows) * (0.45 * several + 0.09 * max(map(len, legends)))
+    room = 0.35 + len(rows) * (0.15 * several + 0.06 * max(map(len, legends)))
     figure = page_figure(
         in_english(title or plots[0].title), across * sum(heights) + room, layout="constrained"
     )

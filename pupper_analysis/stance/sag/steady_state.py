@@ -201,11 +201,10 @@ class HomotopyPath:
                 # A long step may end on another branch, beyond where this one is stable.
                 found = None
             if found is not None:
-                wrong = self.system.against(found)
-                if not wrong:
+                if not self.system.against(found):
                     self.share, self.solution, step = wanted, found, 2 * step
                     continue
-                if self._event(list(wrong), wanted, found):
+                if self._event(wanted, found):
                     continue
             step /= 2
             if step < _LEAST_STEP:
@@ -284,51 +283,29 @@ class HomotopyPath:
         self._command(share)
         return self.system.solve(self.solution)
 
-    def _event(self, feet: list[str], wanted: float, there: Solution) -> bool:
-        """Goes on to where, before ``wanted``, the first of some feet touches or lets go.
+    def _event(self, wanted: float, there: Solution) -> bool:
+        """Goes on to where, before ``wanted``, the first foot touches or lets go.
 
         Args:
-            feet: What is wrong at ``wanted``.
-            wanted: The share there.
+            wanted: A share at which feet are wrong.
             there: The equilibrium there.
 
         Returns:
             Whether that place was found.
         """
-        from scipy import optimize  # slow to import
-
-        known: dict[float, Solution | None] = {wanted: there}  # feet ask for the same places
-
-        def at(share: float) -> Solution | None:
-            if share not in known:
-                known[share] = self._at(share)
-            return known[share]
-
-        def amount(share: float, foot: str) -> float:
-            found = at(share)
+        right = self.share
+        while wanted - right > _SHARE_TOLERANCE:
+            middle = (right + wanted) / 2
+            found = self._at(middle)
             if found is None:
-                raise ArithmeticError
-            return self.system.wrong(foot, found)
-
-        first, place = "", math.inf
-        for foot in feet:
-            try:
-                if amount(self.share, foot) >= 0:  # it just touched, and would let go at once
-                    share = self.share
-                else:
-                    share = optimize.brentq(
-                        amount, self.share, wanted, (foot,), xtol=_SHARE_TOLERANCE
-                    )
-            except ArithmeticError:
                 return False
-            if share < place:
-                first, place = foot, share
-        found = at(place)
-        if found is None:
-            return False
-        self._command(place)
-        self.share = place
-        self._switch(first, found)
+            if self.system.against(found):
+                wanted, there = middle, found
+            else:
+                right = middle
+        self._command(wanted)
+        self.share = wanted
+        self._switch(next(iter(self.system.against(there))), there)
         return True
 
     def _switch(self, foot: str, found: Solution) -> None:
