@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.models.efforts import EffortStatement, effort_of
 from pupper_analysis.models.transmission import Drive, drive_of
 from pupper_analysis.models.urdf_file import read_urdf
@@ -240,6 +241,18 @@ def test_a_converted_hinge_without_limits_has_none(tmp_path: Path) -> None:
 def _without_effort(pair: Pair) -> Pair:
     rewritten(pair.urdf, ('effort="80" velocity="20"', 'effort="0" velocity="0"'))
     return pair
+
+
+def test_of_two_limits_the_lesser_counts_and_it_is_said_whose_it_is(tmp_path: Path) -> None:
+    """80 N m in the URDF, motors of 30 N m in the MJCF."""
+    notes = pa.load_robot(*quadruped(tmp_path)).notes
+    (told,) = (note for note in notes if note.code == "effort-limits-differ")
+    (first, *_) = told.values["joints"]
+    assert [first.values[word] for word in ("file", "least", "unused")] == [
+        "MJCF",
+        Quantity(30.0, "N m"),
+        Quantity(80.0, "N m"),
+    ]
 
 
 def test_an_effort_of_zero_is_the_mjcfs_or_none(tmp_path: Path) -> None:

@@ -477,3 +477,10 @@ def test_flags_switch_off_what_is_written(tmp_path: Path) -> None:
     undamped = urdf_text(all_changed(quadruped(), damping=0.0))
     option = '<option><flag damper="disable"/></option><worldbody>'
     assert pair(tmp_path, with_(MJCF, **{"<worldbody>": option}), undamped).agree
+    cord = with_(MJCF, **{BEFORE: belt('stiffness="2" damping="3"', hip0=1) + BEFORE})
+    for word, left, gone in (
+        ("spring", "damping", "stiffness"),
+        ("damper", "stiffness", "damping"),
+    ):
+        (tendon,) = (one for one in flagged(word, cord).differences if one.kind == "tendon")
+        assert (left in tendon.message, gone in tendon.message) == (True, False)
