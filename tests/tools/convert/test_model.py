@@ -319,17 +319,6 @@ def test_nothing_goes_into_a_pipe(tmp_path: Path) -> None:
     assert pipe.is_fifo()
 
 
-def test_servos_of_joints_that_hold_no_gravity_are_for_their_inertia() -> None:
-    """About a vertical axis a rod of 0.25 kg m^2 is held with 2 Hz, critically damped."""
-    from pupper_analysis.prepare.servo_tuning import held_gains
-
-    rod = """<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/>
-      <inertial pos=".5 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody></mujoco>"""
-    kp, kd = held_gains(mujoco.MjModel.from_xml_string(rod))
-    assert kp == pytest.approx([0.25 * (4 * np.pi) ** 2], rel=5e-3)
-    assert kd == pytest.approx([2 * 0.25 * 4 * np.pi], rel=5e-3)
-
-
 # ------------------ What a converted robot's base does: free or fixed, from `qpos0`, and on a slope
 
 

@@ -350,12 +350,6 @@ def test_links_that_lead_out_of_a_revision_are_not_followed(repository: Path, li
     assert run(repository, "@:./robot.urdf", "robot.urdf").returncode == 0
 
 
-def test_a_file_that_archives_do_not_have(repository: Path) -> None:
-    (repository / ".gitattributes").write_text("*.urdf export-ignore\n")
-    _commit(repository)
-    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
-
-
 def _commit(repository: Path) -> None:
     git(repository, "add", ".")
     git(repository, "-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-qm", "odd")

@@ -90,10 +90,6 @@ def shifted(choose: random.Random, values: list[float]) -> list[float]:
 
 
 def turned(choose: random.Random, values: list[float]) -> list[float]:
-    if len(values) == 3:
-        index = choose.randrange(3)
-        step = choose.uniform(0.03, 0.2)
-        return [value + step * (place == index) for place, value in enumerate(values)]
     w, x, y, z = values
     axis = [choose.gauss(0, 1) for _ in range(3)]
     length = math.hypot(*axis)

@@ -267,6 +267,10 @@ def test_of_what_was_chosen_all_is_written_or_nothing(tmp_path: Path) -> None:
         assert result.written == ()
         assert [edit[0] for edit in edits(result)] == ["link thigh1 > inertial > mass"]
         assert {left.cause for left in result.not_mended} == {UnwrittenCause.NOT_MENDED}
+        assert {left.difference for left in result.not_mended} == {
+            f"link shank0: {kind}" for kind in ("mass", "com", "inertia")
+        }
+        assert {left.reason.code for left in result.not_mended} == {"no-link-to-change"}
         assert (files.urdf.read_bytes(), files.mjcf.read_bytes()) == before
     for choice, options in (("mjcf", {"partial": True}), ("mjcf:link thigh1", {})):
         files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
@@ -293,23 +297,6 @@ def test_of_merged_links_the_one_that_needs_the_fewest_changes_is_changed(tmp_pa
     assert not result.agree
     assert {left.reason.code for left in result.not_mended} == {"nothing-chosen"}
     assert len(result.edits) >= 1
-
-
-def test_a_sum_that_no_body_can_have_is_left(tmp_path: Path) -> None:
-    """Pad and shank weigh 1 kg each in the URDF; in the MJCF, together less than either."""
-    parts = {**ROBOT, "pad": type(ROBOT["base"])("pad", "shank0", "to_pad", "fixed")}
-    parts = changed(parts, "shank0", mass=1.0)
-    files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
-    before = files.urdf.read_bytes()
-    result = sync(files, "mjcf")
-    assert {left.difference for left in result.not_mended} == {
-        f"link shank0: {kind}" for kind in ("mass", "com", "inertia")
-    }
-    (reason,) = {str(left.reason) for left in result.not_mended}
-    assert "none of them can be changed so that the sum is right" in reason
-    assert not result.agree
-    assert result.edits == ()
-    assert files.urdf.read_bytes() == before
 
 
 def test_a_body_that_gets_its_mass_from_shapes_is_given_an_inertial(tmp_path: Path) -> None:
