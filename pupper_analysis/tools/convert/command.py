@@ -9,7 +9,7 @@ import click
 
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError, OutputError
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 
@@ -95,8 +95,6 @@ def command(
     from pupper_analysis.models.urdf_file import read_urdf
     from pupper_analysis.tools.convert.model import convert_model
 
-    if str(output) == "-":
-        raise OutputError(output, diagnose("converted-needs-a-name"))
     if output.suffix.lower() in _USES:
         refuse_unused(output.suffix.lower(), _USES)
     folders = shared.package_folders(packages)

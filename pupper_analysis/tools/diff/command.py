@@ -13,13 +13,6 @@ from pupper_analysis.cli.shared import fine_tolerance_option, with_changes
 @shared.command("diff")
 @click.argument("old", type=click.Path())
 @click.argument("new", type=click.Path())
-@click.option(
-    "--map",
-    "pairs",
-    multiple=True,
-    metavar="OLD=NEW",
-    help="A joint's old and new name, where it is not detected; e.g. knee=knee_joint. Repeatable.",
-)
 @shared.package_option
 @fine_tolerance_option
 @shared.json_option
@@ -28,7 +21,6 @@ from pupper_analysis.cli.shared import fine_tolerance_option, with_changes
 def command(
     old: str,
     new: str,
-    pairs: tuple[str, ...],
     packages: tuple[str, ...],
     changes: tuple[str, ...],
     json_path: Path | None,
@@ -46,18 +38,14 @@ def command(
     Examples:
       pupper-analysis diff HEAD:robots/go1.urdf robots/go1.urdf
       pupper-analysis diff v1.0:./robot.xml main:./robot.xml
-      pupper-analysis diff robot.urdf longer.urdf --map knee=knee_joint \\
-        --tolerance mass=1e-3
+      pupper-analysis diff robot.urdf longer.urdf --tolerance mass=1e-3
 
     Exit status: 0 they are the same, 1 they are different, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.robot.matching.tolerances import Tolerances
     from pupper_analysis.tools.diff.compare import diff_models
 
-    names = dict(shared.parse_assignment("map", text) for text in pairs)
     tolerances = with_changes(Tolerances.strict(), changes)
-    result = diff_models(
-        old, new, names=names, packages=shared.package_folders(packages), tolerances=tolerances
-    )
+    result = diff_models(old, new, packages=shared.package_folders(packages), tolerances=tolerances)
     shared.show_results([("", result)], style, everything=everything)
     shared.finish_command(json_path, result, passed=result.same)

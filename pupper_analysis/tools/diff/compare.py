@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.base.errors import ModelError, UnknownNameError
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.loading import read_model
@@ -124,7 +124,6 @@ def diff_models(
     old: str | Path,
     new: str | Path,
     *,
-    names: Mapping[str, str] | None = None,
     packages: Mapping[str, Path] | None = None,
     tolerances: Tolerances | None = None,
 ) -> ModelDiff:
@@ -137,14 +136,11 @@ def diff_models(
     Args:
         old: The old file, or ``REVISION:PATH`` for one that git has.
         new: The new one, likewise.
-        names: {old name: new name} of joints that were renamed; others are matched by name, and the
-            rest by structure.
         packages: {ROS package: its folder}, for ``package://`` paths.
         tolerances: What counts as a change; by default rounding errors alone do not.
 
     Raises:
         ModelError: If a file cannot be read, git does not have it, or only one is a URDF.
-        UnknownNameError: If a name is not in its file.
     """
     tolerances = tolerances or Tolerances.strict()
     with open_version(old) as before, open_version(new) as after:
@@ -154,7 +150,7 @@ def diff_models(
         )
         if type(one.file) is not type(two.file):
             raise ModelError(after.name, diagnose("formats-differ", other=before.name))
-        return _Comparison(one, two, (before, after), dict(names or {}), tolerances).result()
+        return _Comparison(one, two, (before, after), tolerances).result()
 
 
 class _Comparison:
@@ -165,7 +161,6 @@ class _Comparison:
         one: Version,
         two: Version,
         sources: tuple[VersionedFile, VersionedFile],
-        names: Mapping[str, str],
         tolerances: Tolerances,
     ) -> None:
         self.one, self.two, self.sources, self.tolerances = one, two, sources, tolerances
@@ -173,24 +168,12 @@ class _Comparison:
         # The new version by the old names.
         second = rename_joints(two.tree, {two.tree.base: one.tree.base})
         second = replace(second, base=one.tree.base)
-        self.pairs = self._pairs(one.tree, second, names)
+        # By name, and by structure; {old name: new name} of the joints that both have.
+        alike = {name: name for name in one.tree.joints if name in second.joints}
+        self.pairs = alike | dict(guess_of_trees(one.tree, second, alike).pairs)
         self.new_name = {**self.pairs, one.tree.base: two.tree.base}
         self.old_name = {new: old for old, new in self.new_name.items()}
         self.first, self.second = self._alike(one.tree, second)
-
-    def _pairs(
-        self, one: MultibodyTree, two: MultibodyTree, names: Mapping[str, str]
-    ) -> dict[str, str]:
-        """Returns {old name: new name} of the joints that both have."""
-        for old, new in names.items():
-            for name, tree, source in ((old, one, 0), (new, two, 1)):
-                if name not in tree.joints:
-                    file = self.sources[source].name
-                    raise UnknownNameError(file, "joint (of a mapping)", name, tree.joints)
-        pairs = dict(names)
-        free = [n for n in one.joints if n in two.joints and n not in (*names, *names.values())]
-        pairs |= {name: name for name in free}
-        return pairs | dict(guess_of_trees(one, two, pairs).pairs)
 
     def _alike(self, one: MultibodyTree, two: MultibodyTree) -> tuple[MultibodyTree, MultibodyTree]:
         """Fixes the joints that one version lacks, and gives the new one the old names."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import posixpath
 import shutil
 import subprocess
 import tempfile
@@ -261,8 +262,7 @@ def open_version(given: str | Path) -> Iterator[VersionedFile]:
     relative = path_in(text, revision, inside)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder).resolve()
-        asked = (relative.lower(),) if relative else ()
-        write_revision(text, revision, root, (*_NEEDED, *asked))
+        write_revision(text, revision, root, (*_NEEDED, relative.lower()))
         yield VersionedFile(root / relative, text, revision, root)
 
 
@@ -315,7 +315,8 @@ def path_in(given: str, revision: str, inside: str) -> str:
         ModelError: If git does not have it; the message is git's.
     """
     prefix = _git_text(given, "rev-parse", "--show-prefix").strip()
-    relative = _normal(prefix + inside if inside.startswith(("./", "../")) else inside)
+    given_path = prefix + inside if inside.startswith(("./", "../")) else inside
+    relative = posixpath.normpath(given_path).lstrip("/")
     _git_text(given, "cat-file", "-e", f"{revision}:{relative}")
     return relative
 
@@ -424,14 +425,3 @@ def _contents(
             process.stdout.read(1)
             if kind == b"blob":  # no other repository's commit
                 yield entry, content
-
-
-def _normal(path: str) -> str:
-    """Returns a path without ``.`` and ``..``."""
-    parts: list[str] = []
-    for part in path.split("/"):
-        if part == ".." and parts:
-            parts.pop()
-        elif part not in ("", "."):
-            parts.append(part)
-    return "/".join(parts)

@@ -269,7 +269,7 @@ def write_fit(
     vector = _rounded(np.maximum(posterior.mean, least), posterior)
     numbers, left = _numbers(robot, posterior, vector)
     models = write_numbers(robot, numbers, files=files)
-    finding = (*left, *models.notes)
+    finding = tuple(left)
     contents = {"fit.json": _json(posterior, vector, models, finding, fit)}
     offsets = [
         (one.subject, f"{value:.9g}", f"{math.degrees(value):.7g}")

@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.sources import quote_line
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.sync.models import Sync, difference_label, line_at
+from pupper_analysis.tools.sync.models import Sync, difference_label
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 
 
@@ -66,7 +67,7 @@ def _choices(sync: Sync) -> Iterable[doc.Block]:
     for difference in sync.differences:
         places = (difference.urdf_place, difference.mjcf_place)
         columns = tuple(
-            doc.FilePlace(doc.Name(place), doc.Name(line_at(place)), place)
+            doc.FilePlace(doc.Name(place), doc.Name(quote_line(place)), place)
             for place in places
             if place
         )

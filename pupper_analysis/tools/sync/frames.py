@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Collection, Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -31,13 +31,6 @@ _TRIANGLE = 1e-6
 """By how much of itself a principal moment may exceed the sum of the others, for rounding."""
 
 
-def without_parts(whole: pin.Inertia, parts: Sequence[pin.Inertia]) -> pin.Inertia | None:
-    """Returns what is left of a body without some parts of it; None if no mass is left."""
-    if not whole.mass > sum(part.mass for part in parts):
-        return None if parts else whole
-    return functools.reduce(operator.sub, parts, whole)
-
-
 def ways_to_weigh(
     parts: Mapping[Part, pin.Inertia], wanted: pin.Inertia, empty: Part
 ) -> list[tuple[Part, pin.Inertia]]:
@@ -54,9 +47,11 @@ def ways_to_weigh(
     alone = []
     for part in sorted(parts, key=lambda one: -parts[one].mass) or [empty]:
         others = [body for other, body in parts.items() if other != part]
-        left = without_parts(wanted, others)
-        if left is not None and (not others or is_physical(left)):
-            alone.append((part, left))
+        if not others:
+            alone.append((part, wanted))
+        elif wanted.mass > sum(other.mass for other in others):
+            left = functools.reduce(operator.sub, others, wanted)
+            alone += [(part, left)] if is_physical(left) else []
     return alone
 
 

@@ -62,8 +62,8 @@ class MjcfInPlace:
 
     def write(
         self, element: Element, attribute: str, value: str | ArrayLike, floor: float = 0.0
-    ) -> bool:
-        """Writes an attribute of an element itself; tells whether it did not state that already.
+    ) -> None:
+        """Writes an attribute of an element itself, unless it states that already.
 
         Args:
             element: The element.
@@ -78,7 +78,6 @@ class MjcfInPlace:
             text = written_words(stated, value, floor)
         if text is not None:
             element.set(attribute, text)
-        return text is not None
 
     def is_framed(self, element: Element) -> bool:
         """Says whether an element is in a <frame>, in which it states its place."""

@@ -14,7 +14,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, OutputError
 from pupper_analysis.base.files import Writing, write_all
-from pupper_analysis.base.inputs import MOST_FILE, MOST_TEXT, read_input, read_text
+from pupper_analysis.base.inputs import MOST_FILE, MOST_TEXT, read_input
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
@@ -400,12 +400,3 @@ def _numbers(text: str, most: int) -> Iterator[int]:
             message = diagnose("no-such-number", given=part.strip(), most=most)
             raise ConfigurationError("take", message)
         yield from range(first, last + 1)
-
-
-def line_at(place: str) -> str:
-    """Returns the text of a file's line, of a place such as ``robot.urdf:12``."""
-    name, _, line = place.rpartition(":")
-    if not (name and line.isdigit()):
-        return ""
-    lines = read_text(Path(name)).split("\n")
-    return lines[int(line) - 1].strip() if int(line) <= len(lines) else ""

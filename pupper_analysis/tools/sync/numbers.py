@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.base.files import Writing, write_all
+from pupper_analysis.base.files import Writing
 from pupper_analysis.base.inputs import MOST_FILE, read_input
 from pupper_analysis.base.kinds import hash_of, made_model
 from pupper_analysis.base.runs import note_input, running
@@ -37,7 +37,7 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.tools.sync.frames import Key, MatchedRobots, Side, is_same_body, pair_robots
+from pupper_analysis.tools.sync.frames import Key, MatchedRobots, is_same_body, pair_robots
 from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.plan import (
@@ -63,7 +63,6 @@ class WrittenNumbers:
         urdf: Where the URDF goes in the folder; None if the robot has none.
         mjcf: Likewise of the MJCF.
         edits: Which attributes change; their files are those that the robot was loaded from.
-        notes: How numbers were written, where that is not plain.
         contents: {place in the folder: content}: the models, and what they need to be loaded.
         sources: The files that were read.
     """
@@ -71,7 +70,6 @@ class WrittenNumbers:
     urdf: Path | None
     mjcf: Path | None
     edits: tuple[Edit, ...]
-    notes: tuple[Diagnostic, ...]
     contents: Mapping[Path, bytes]
     sources: tuple[Path, ...]
 
@@ -103,19 +101,6 @@ class WrittenNumbers:
         """Returns {place: hash} of what is written, by which it is known again."""
         return {str(place): hash_of(content) for place, content in self.contents.items()}
 
-    def write(self, folder: str | Path, *, force: bool = False) -> None:
-        """Writes all files, or none.
-
-        Args:
-            folder: The folder.
-            force: Replace whatever is there, but for the robot's own files.
-
-        Raises:
-            OutputError: If one cannot be written, is there, or is one that the robot was loaded
-                from.
-        """
-        write_all(self.writings(Path(folder), force=force))
-
 
 def _holds(path: Path, content: bytes) -> bool:
     try:
@@ -130,14 +115,13 @@ def write_numbers(
     numbers: Mapping[Key, ArrayLike],
     *,
     files: tuple[Path | None, Path | None] | None = None,
-    packages: Mapping[str, Path] | None = None,
 ) -> WrittenNumbers:
     """Puts given numbers into a robot's URDF and MJCF, in memory, and tries the result.
 
     Only attributes whose numbers change are written; no other byte of a file is. Both files get
     the numbers, each in its own frames and words, whatever they were; so they agree with each other
-    wherever they did. A body's mass is that of all links that move as one: it goes to one of them,
-    or to all alike if none can have it alone. Where a mass is given and no inertia, the inertia
+    wherever they did. A body's mass is that of all links that move as one: it goes to one of them.
+    Where a mass is given and no inertia, the inertia
     about the com changes in proportion: the density pattern stays.
 
     Args:
@@ -148,10 +132,9 @@ def write_numbers(
             and ``kd`` of its position servo, at the joint (N m/rad, N m s/rad), which the MJCF
             alone states.
         files: The URDF and the MJCF, if they are not those that the robot was loaded from.
-        packages: {ROS package: its folder}, for ``package://`` paths.
 
     Returns:
-        The files; ``write`` writes them.
+        The files; ``write_all`` of their ``writings`` writes them.
 
     Raises:
         ModelError: If a number cannot be written: it names all that cannot, and why. Or if the
@@ -163,7 +146,7 @@ def write_numbers(
         None if description.converted == "urdf" else description.urdf_source,
         None if description.converted == "mjcf" else description.mjcf_source,
     )
-    urdf = _urdf_in_memory(robot) if urdf_path is None else read_urdf(urdf_path, packages)
+    urdf = _urdf_in_memory(robot) if urdf_path is None else read_urdf(urdf_path)
     mjcf = _mjcf_in_memory(robot) if mjcf_path is None else read_mjcf(mjcf_path)
     tolerances = Tolerances()
     names = _names(robot, urdf)
@@ -171,31 +154,40 @@ def write_numbers(
     both = pair_robots(matched, align_robot(matched.robot, tolerances))
     changes = NumberChanges(both, resolve_numbers(matched, numbers))
     check_own(robot, changes)
-    edited, layout = _Edited(), list[Copies]()
+    documents, left, layout = dict[Path, XmlDocument](), dict[Key, Diagnostic](), list[Copies]()
     if urdf_path is not None:
-        _edit_urdf(edited, changes, urdf)
+        documents[urdf.path] = read_document(urdf.path)
+        into_urdf = UrdfSide(
+            tree=UrdfTree(documents[urdf.path].root), sides=both, wanted=changes.tree("urdf")
+        )
+        kinds = (*OF_BODIES, "damping", "friction")
+        into_urdf.plan([key for key in changes.wanted if key[0] in kinds])
+        left |= into_urdf.left
         layout.append(copies_of_urdf(urdf))
     if mjcf_path is not None:
-        _edit_mjcf(edited, changes, mjcf)
+        elements = MjcfInPlace(mjcf)
+        documents |= elements.documents
+        gains = {key: float(value) for key, value in changes.wanted.items() if key[0] in OF_SERVOS}
+        into_mjcf = MjcfSide(
+            file=mjcf, elements=elements, sides=both, wanted=changes.tree("mjcf"), gains=gains
+        )
+        into_mjcf.plan([key for key in changes.wanted if key not in gains])
+        left |= into_mjcf.left
         layout.append(copies_of_mjcf(mjcf))
     else:
         lost = [key for key in changes.wanted if key[0] in (*OF_SERVOS, "armature")]
-        edited.left.update(dict.fromkeys(lost, diagnose("mjcf-alone-states-it")))
-    if edited.left:
-        raise refuse_numbers(robot, edited.left)
+        left |= dict.fromkeys(lost, diagnose("mjcf-alone-states-it"))
+    if left:
+        raise refuse_numbers(robot, left)
     if len(layout) == 2:
         layout = list(laid_out(*layout))
     places = {copies.main: copies.places[copies.main] for copies in layout}
     written = WrittenNumbers(
         urdf=None if urdf_path is None else places[urdf_path],
         mjcf=None if mjcf_path is None else places[mjcf_path],
-        edits=edits_of(edited.documents.values()),
-        notes=tuple(
-            diagnose("written-so", what=" ".join(key), how=note)
-            for key, note in edited.notes.items()
-        ),
+        edits=edits_of(documents.values()),
         contents={
-            place: edited.content(file)
+            place: documents[file].rendered() if file in documents else read_input(file, MOST_FILE)
             for copies in layout
             for file, place in copies.places.items()
         },
@@ -203,58 +195,6 @@ def write_numbers(
     )
     try_files(written.contents, changes, (urdf, written.urdf), (mjcf, written.mjcf), names)
     return written
-
-
-@dataclass(eq=False)
-class _Edited:
-    """Documents with what is to be changed.
-
-    Attributes:
-        documents: {file: its document}.
-        left: {number: why it cannot be written}.
-        notes: {number: what is to be said}.
-    """
-
-    documents: dict[Path, XmlDocument] = field(default_factory=dict)
-    left: dict[Key, Diagnostic] = field(default_factory=dict)
-    notes: dict[Key, Diagnostic] = field(default_factory=dict)
-
-    def content(self, file: Path) -> bytes:
-        """Returns what a file shall hold."""
-        document = self.documents.get(file)
-        return read_input(file, MOST_FILE) if document is None else document.rendered()
-
-    def take(self, side: Side) -> None:
-        """Takes what a side tells."""
-        self.left.update(side.left)
-        self.notes.update(side.notes)
-
-
-def _edit_urdf(edited: _Edited, changes: NumberChanges, urdf: UrdfFile) -> None:
-    document = read_document(urdf.path)
-    edited.documents[urdf.path] = document
-    side = UrdfSide(
-        tree=UrdfTree(document.root),
-        sides=changes.both,
-        wanted=changes.tree("urdf"),
-    )
-    side.plan([key for key in changes.wanted if key[0] in (*OF_BODIES, "damping", "friction")])
-    edited.take(side)
-
-
-def _edit_mjcf(edited: _Edited, changes: NumberChanges, mjcf: MjcfFile) -> None:
-    elements = MjcfInPlace(mjcf)
-    edited.documents.update(elements.documents)
-    gains = {key: float(value) for key, value in changes.wanted.items() if key[0] in OF_SERVOS}
-    side = MjcfSide(
-        file=mjcf,
-        elements=elements,
-        sides=changes.both,
-        wanted=changes.tree("mjcf"),
-        gains=gains,
-    )
-    side.plan([key for key in changes.wanted if key not in gains])
-    edited.take(side)
 
 
 def _urdf_in_memory(robot: Robot) -> UrdfFile:

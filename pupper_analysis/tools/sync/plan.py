@@ -266,7 +266,7 @@ def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: M
 
 
 _ASIDE = "mjcf"
-"""Folder of the MJCF and its files, where one of them has the place of another file."""
+"""Folder of the MJCF and its files, where they stand apart from the URDF's."""
 
 
 @dataclass(frozen=True)
@@ -314,25 +314,18 @@ class Copies:
 def laid_out(urdf: Copies, mjcf: Copies) -> tuple[Copies, Copies]:
     """Returns the files of both models in one folder.
 
-    Where those of one stand in the folders of the other's, they stay there; else each begins with
-    its own folder, and the MJCF's go to one of their own if they met the URDF's.
+    Where those of one stand in the folders of the other's, they stay there; else the MJCF's go to a
+    folder of their own.
     """
     for outer in (urdf.top, mjcf.top):
         if all(one.top.is_relative_to(outer) for one in (urdf, mjcf)):
             return replace(urdf, top=outer), replace(mjcf, top=outer)
-    taken = {place: file for file, place in urdf.places.items()}
-    if all(_is_same(file, taken.get(place)) for file, place in mjcf.places.items()):
-        return urdf, mjcf
     return urdf, replace(mjcf, aside=Path(_ASIDE))
 
 
 def _plain(path: Path) -> Path:
     """Returns a path without ``..``, its links as they are: relative paths go by names."""
     return Path(os.path.normpath(path.absolute()))
-
-
-def _is_same(file: Path, other: Path | None) -> bool:
-    return other is None or file.samefile(other)
 
 
 def copies_of_urdf(urdf: UrdfFile) -> Copies:

@@ -325,33 +325,23 @@ def _is_taken(inertial: Inertial) -> bool:
 
 
 def _close(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> None:
-    """Adds what a joint holds together that closes a loop: MuJoCo has points and frames for it."""
+    """Adds what a joint holds together that closes a loop: a frame, or, if it moves, a point.
+
+    No URDF has it, so that it is a difference in any case.
+    """
     one, two = edge.bodies
-    if not one or not two:
-        raise refuse_file(
-            model.file.place("joint", edge.name), diagnose("usd-second-hold-of-world")
-        )
-    weld = edge.kind == FIXED
-    ends = [np.zeros(3)]
-    if edge.kind == HINGE:
-        ends.append(_HINGE * np.eye(3)[edge.axis])
-    if edge.kind in (SLIDE, FREE):
+    if not (one and two) or edge.kind in (SLIDE, FREE):
         raise refuse_file(model.file.place("joint", edge.name), diagnose("usd-loop-of-slide"))
-    for number, end in enumerate(ends):
-        name = edge.name if number == 0 else f"{edge.name}_{number}"
-        equality = spec.add_equality(name=name, name1=one, name2=two)
-        equality.objtype = mujoco.mjtObj.mjOBJ_BODY
-        equality.type = mujoco.mjtEq.mjEQ_WELD if weld else mujoco.mjtEq.mjEQ_CONNECT
-        if weld:
-            between = edge.frames[0] * edge.frames[1].inverse()
-            equality.data[3:6] = between.position
-            equality.data[6:10] = quaternion_from_rotation(between.rotation)
-        else:
-            equality.data[:3] = edge.frames[0].point(end)
-
-
-_HINGE = 0.1
-"""m: a hinge that closes a loop is two points of its axis, so far apart."""
+    weld = edge.kind == FIXED
+    equality = spec.add_equality(name=edge.name, name1=one, name2=two)
+    equality.objtype = mujoco.mjtObj.mjOBJ_BODY
+    equality.type = mujoco.mjtEq.mjEQ_WELD if weld else mujoco.mjtEq.mjEQ_CONNECT
+    if weld:
+        between = edge.frames[0] * edge.frames[1].inverse()
+        equality.data[3:6] = between.position
+        equality.data[6:10] = quaternion_from_rotation(between.rotation)
+    else:
+        equality.data[:3] = edge.frames[0].position
 
 
 def notes_of(model: UsdModel) -> Iterator[Diagnostic]:

@@ -151,7 +151,7 @@ def test_what_is_around_the_robot_is_said(tmp_path: Path) -> None:
         "bodies that the robot does not carry: 'table', 'goal'",
         "geoms of the world and of such bodies: 2",
         "cameras: 1",
-        "actuators that are not at a joint: 1",
+        "actuators: 1",
         "gravity (0, 0, -3) m/s^2",
     } <= {*map(str, found.not_converted)}
 

@@ -286,7 +286,7 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (("-o", "-"), "-: the new file names meshes beside it; give it a name"),
+        (("-o", "-"), "cannot write -: quad.urdf becomes an MJCF: end its name in .xml"),
         (("-o", "a.urdf"), "cannot write a.urdf: quad.urdf becomes an MJCF: end its name in .xml"),
         (("-o", "a.xml", "--armature", "x*=1"), "no joint is like 'x*'; there are: FL_roll"),
         (("-o", "a.xml", "--armature", "-1"), "is negative, or no number"),

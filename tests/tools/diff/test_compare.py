@@ -135,19 +135,6 @@ def test_a_moved_base_frame_is_one_change(tmp_path: Path) -> None:
     assert diff.complete
 
 
-def test_names_can_be_given(tmp_path: Path) -> None:
-    """Where neither name nor place tells."""
-    new = changed(ROBOT, "shank2", joint="shin2", position=(0.0, 0.9, 0.9))
-    files = written(tmp_path, urdf_text(ROBOT), urdf_text(new), "urdf")
-    assert ("joint", "shin2") in kinds(pa.diff_models(*files))
-    diff = pa.diff_models(*files, names={"knee2": "shin2"})
-    assert kinds(diff) == [("name", "knee2"), ("position", "knee2")]
-    with pytest.raises(pa.UnknownNameError, match=r"old.urdf: no joint .* 'elbow'"):
-        pa.diff_models(*files, names={"elbow": "shin2"})
-    with pytest.raises(pa.UnknownNameError, match=r"new.urdf: no joint .* 'knee2'"):
-        pa.diff_models(*files, names={"knee2": "knee2"})
-
-
 @pytest.mark.parametrize("kind", ["urdf", "xml"])
 def test_a_joint_that_has_gone_is_told_and_the_rest_compared_at_zero(
     tmp_path: Path, kind: str

@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.files import write_all
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot.matching.match import match_models
@@ -36,7 +37,7 @@ def robot_of(files: Files) -> pa.Robot:
 
 
 def in_folder(written: WrittenNumbers, folder: Path) -> Files:
-    written.write(folder)
+    write_all(written.writings(folder))
     assert written.urdf is not None
     assert written.mjcf is not None
     return Files(folder / written.urdf, folder / written.mjcf)
@@ -148,7 +149,7 @@ def test_what_cannot_be_written_is_named_and_nothing_is(plain: Files, tmp_path: 
     with pytest.raises(pa.UnknownNameError, match="shank9"):
         write_numbers(robot_of(plain), {("mass", "shank9"): 5.0})
     with pytest.raises(pa.OutputError):
-        write_numbers(robot_of(plain), {("mass", "base"): 5.0}).write(tmp_path)
+        in_folder(write_numbers(robot_of(plain), {("mass", "base"): 5.0}), tmp_path)
     heavier = robot_of(plain)
     plain.urdf.write_text(plain.urdf.read_text().replace('mass value="6.0"', 'mass value="6.5"'))
     with pytest.raises(pa.ModelError) as refused:
@@ -180,7 +181,7 @@ def test_a_robot_of_one_file_gets_that_file(plain: Files, tmp_path: Path) -> Non
         robot = robot_of(plain)
         alone = replace(robot, description=replace(robot.description, converted=converted))
         written = write_numbers(alone, {("mass", "thigh1"): 1.75})
-        written.write(tmp_path / converted)
+        write_all(written.writings(tmp_path / converted))
         assert list(written.contents) == [Path(path.name)]
     assert in_urdf(tmp_path / "mjcf" / "robot.urdf", "thigh1").mass == 1.75
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "urdf" / "robot.xml"))
