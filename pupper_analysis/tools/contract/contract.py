@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -159,10 +158,16 @@ def _check(one: Placed, model: Source) -> list[Diagnostic]:
 
 
 def _named_apart(read: Sequence[Source]) -> list[Source]:
-    """Returns sources with names that differ: of several of one name each with its folder."""
-    count = Counter(one.name for one in read)
-    return [replace(one, name=f"{one.path.parent.as_posix()}/{one.name}")
-            if count[one.name] > 1 else one for one in read]  # fmt: skip
+    """Returns sources with names that differ: by as many folders as that takes."""
+    done = []
+    for one in read:
+        mine = one.path.absolute().parts
+        same = [each.path.absolute().parts for each in read if each.name == one.name]
+        others = [parts for parts in same if parts != mine]
+        least = next(least for least in range(1, len(mine) + 1)
+                     if mine[-least:] not in [parts[-least:] for parts in others])  # fmt: skip
+        done.append(replace(one, name="/".join((*mine[-least:-1], one.name))))
+    return done
 
 
 def _asked(sources: Sequence[str | Path]) -> tuple[list[Request], list[Path]]:

@@ -365,6 +365,16 @@ def test_patterns_that_could_take_ages_are_named_and_left_out(
     assert note.values["names"] == (pattern,)
 
 
+def test_an_mjcf_that_mujoco_refuses_is_refused_with_its_words(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/></body></worldbody>\n'
+        '<contact><exclude body1="a" body2="b"/></contact></mujoco>'
+    )
+    with pytest.raises(ModelError, match=r"robot\.xml:2: MuJoCo cannot compile it.*'a'"):
+        contract(path)
+
+
 PLAYGROUND = """
 from ml_collections import config_dict
 

@@ -11,7 +11,7 @@ from pupper_analysis.models.attributes import IN_A_TREE
 from pupper_analysis.models.loading import kind_of, read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.models.places import Place
+from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import Joint, MjcfModel, RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
@@ -27,6 +27,9 @@ SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", ".usdz
 def read(request: Request) -> Iterator[Source]:
     """Yields what a model file states of its joints, which are in the file's order."""
     model = read_stated(request.path)
+    if isinstance(model, MjcfModel) and model.refusal is not None:
+        problem, place = model.refusal
+        raise refuse_file(place or Place(request.path), problem)
     compiled = model.mj_model if isinstance(model, MjcfModel) else None
     ids = {} if compiled is None else drives_by_joint(compiled)
     drives = {compiled.joint(one).name: two for one, two in ids.items()} if compiled else {}
