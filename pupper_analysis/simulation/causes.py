@@ -13,11 +13,18 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import Mode, Stability, servo_stability
+from pupper_analysis.simulation.monitor import Watcher
 from pupper_analysis.simulation.stability import LEFT, Nudge
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 Array = NDArray[np.float64]
+
+_JOLTS = 50
+"""States at the end of a rollout at whose contact forces are looked, one by one."""
+
+_EVEN = 0.05
+"""The ground's force on a robot that stands varies by less of its weight from step to step."""
 
 CREEPING = 1e-3
 """Feet that creep faster are said to (m/s): 5 mm in the 5 s of a simulation."""
@@ -92,6 +99,32 @@ def describe_growth(mode: Mode) -> Diagnostic:
         joints=mode.joints,
         doubling_time=Quantity(mode.doubling_time or math.inf, "s"),
     )
+
+
+def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[Diagnostic]:
+    """Says so if the ground pushes by jolts, from step to step, where it should push evenly.
+
+    MuJoCo's solver meets the edges of pyramidal cones with an ``impratio`` above 1 only so far, and
+    hard ground answers each step's error.
+
+    Args:
+        robot: The robot.
+        drive: Its servos, and what was simulated.
+        states: (n, ...) of a rollout, to its end.
+        ctrl: What was commanded.
+    """
+    watcher = Watcher(robot, drive.model)
+    pushed = []
+    for state in states[-_JOLTS:]:
+        seen = watcher.look(state, ctrl)
+        pushed.append(sum(float(force[2]) for force in seen.forces.values()))
+    share = float(np.std(pushed)) / robot.usual_weight
+    if not share > _EVEN:
+        return []
+    option = drive.model.opt
+    pyramidal = option.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value
+    impratio = option.impratio if pyramidal and option.impratio > 1 else None
+    return [diagnose("contacts-rattle", share=share, impratio=impratio)]
 
 
 def creep_speeds(robot: Robot, stand: Stand, prediction: GravityCompensation) -> dict[str, float]:

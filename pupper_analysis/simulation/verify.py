@@ -23,6 +23,7 @@ from pupper_analysis.robot.servos import Servos, command_lead, command_ranges
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import (
+    find_chatter,
     find_creep,
     find_instability,
     too_stiff,
@@ -259,6 +260,7 @@ def verify_stand(
         failures += _deviations(robot, stand, watch, found, alone=stays)
     elif settled is not None and not settled.failures and robot.bolted and not stand.stance_feet:
         failures += _off_rest(robot, found, settled)
+    failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
     return replace(found, passed=not failures, failures=tuple(failures), stays=stays)
 
 

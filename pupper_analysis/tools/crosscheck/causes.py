@@ -725,7 +725,7 @@ def other_inertials(case: PatternCase) -> Found:
         links = [case.first.bodies[name].link or name for name in others]
         yield PatternFinding(
             "inertial",
-            diagnose("inertials-of-another-robot", bodies=links, several=len(links) > 1),
+            diagnose("inertials-of-another-robot", bodies=links),
             {(kind, name) for kind in kinds for name in others},
         )
 

@@ -148,7 +148,7 @@ def test_the_base_of_another_robot(tmp_path: Path) -> None:
     (cause,) = comparison.causes
     assert cause.differences == (0, 1, 2)
     assert headline(comparison).startswith(
-        "DISAGREE: the inertial of base differs in mass, com and inertia, and no single link"
+        "DISAGREE: mass, com and inertia of base all differ, and no single link"
     )
 
 

@@ -357,7 +357,7 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[Found]:
         its, own = (_contacts(robot, model, link, ground) for link in (one, other))
         if bool(its) != bool(own):
             bare, whole = (one, other) if own else (other, one)
-            message = diagnose("mirror-contacts", other=whole.name, word=None)
+            message = diagnose("mirror-contacts", other=whole.name, word=None, own=None, its=None)
             yield Found(robot.link_tag, bare.name, message)
         for word in _OF_CONTACTS if own and len(its) == len(own) else ():
             values = [np.array([np.ravel(getattr(contact, word)) for contact in side])
