@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
+from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.bare import (
     Bare,
     hold_of,
@@ -52,8 +53,9 @@ from pupper_analysis.robot.as_published import (
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import body_moved, nudge_velocity
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servo_gains
+from pupper_analysis.robot.servos import own_servos, servo_gains
 from pupper_analysis.simulation.verify import JOINT_TOLERANCE, dry_friction, torque_scale
+from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.statics.equilibrium import gravity_compensation
@@ -119,11 +121,11 @@ def _published_in(robot: Robot, stand: Stand) -> Published | None:
     if model is None and (robot.published.file is None or not robot.floating):
         return None  # MuJoCo does not import it
     bare = None if model is None else Bare.of(model, robot)
-    wanted = None if bare is None else predict_stand(robot, stand)
-    if bare is not None and (wanted is None or (bare.floating and not robot.floating)):
+    wanted = predict_stand(robot, stand) if bare is not None else []
+    if bare is not None and (not wanted or (bare.floating and not robot.floating)):
         return None
-    if bare is None or wanted is None or bare.floating != robot.floating:
-        return Published(None, (Cause("base-held", (robot.mj_base,)),), differs=True)
+    if bare is None or bare.floating != robot.floating:
+        return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
     found = compared_with_file(bare, robot, wanted)
     return replace(found, causes=with_lines(found.causes, robot))
 
@@ -134,17 +136,19 @@ def with_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
     return tuple(cause if file is None else with_line(cause, file) for cause in causes)
 
 
-def compared_with_file(bare: Bare, robot: Robot, wanted: Predicted) -> Published:
+def compared_with_file(bare: Bare, robot: Robot, wanted: Sequence[Predicted]) -> Published:
     """Simulates the MJCF as it was published from where it is predicted to rest."""
     if controlled := self_controlled(bare, robot):
-        return Published(None, (Cause("other-drive", controlled),), differs=True)
+        return Published((), (Cause("other-drive", controlled),), differs=True)
     if bare.floating and bare.ground is None:
-        return Published(None, (Cause("ground", ()),), differs=True)
-    run = run_as_published(bare, robot, wanted)
-    if run is None or not run.differs:
-        return Published(run, (), differs=False)
-    causes = causes_of(bare, robot, wanted, run) or _of_loading(bare, robot, wanted, run)
-    return Published(run, causes, differs=True)
+        return Published((), (Cause("ground", ()),), differs=True)
+    found = [(one, run_as_published(bare, robot, one)) for one in wanted]
+    runs = tuple(run for _, run in found if run is not None)
+    off = [(one, run) for one, run in found if run is not None and run.differs]
+    causes: tuple[Cause, ...] = ()
+    if off:
+        causes = causes_of(bare, robot, *off[0]) or _of_loading(bare, robot, *off[0])
+    return Published(runs, causes, differs=bool(off))
 
 
 def _of_loading(
@@ -186,28 +190,47 @@ def _of_loading(
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """What a stand is predicted to be at rest, with feed-forward.
+    """What a stand is predicted to be at rest.
 
     Attributes:
+        feedforward: Whether its servos are given its torques, too.
         qpos: (nq,) where it rests, sunk into the ground.
         torques: (nu,) N m.
+        targets: (nu,) the positions that are commanded (rad).
     """
 
+    feedforward: bool
     qpos: Array
     torques: Array
+    targets: Array
 
 
-def predict_stand(robot: Robot, stand: Stand) -> Predicted | None:
-    """Returns what is predicted of a stand, or of a posture; None if that is nothing."""
+def predict_stand(robot: Robot, stand: Stand) -> list[Predicted]:
+    """Returns what is predicted of a stand, with feed-forward and on position commands alone.
+
+    Of a posture with feed-forward.
+    """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
         torques = gravity_compensation(Configuration(robot, joints), contacts=()).joint_torques
-        return Predicted(joints, torques)
+        return [Predicted(True, joints, torques, joints)]
     try:
         held = solve_stand_on_soft_ground(robot, stand, explain=False)
     except PupperAnalysisError:
-        return None  # where it comes to rest is not predicted
-    return Predicted(held.qpos, stand_statics(robot, held).joint_torques)
+        return []  # where it comes to rest is not predicted
+    torques = stand_statics(robot, held).joint_torques
+    found = [Predicted(True, held.qpos, torques, held.joint_positions(robot))]
+    made = robot.description.made_servos
+    replaced = any(servo.instead_of is Drive.SERVO for servo in made)
+    if len(own_servos(robot)) < robot.nu or replaced:
+        return found  # it sags otherwise on its own than on those that were added
+    with contextlib.suppress(PupperAnalysisError):
+        # Feet that are predicted pinned creep, by fractions of a millimetre, to where these are.
+        rest = steady_state(robot, held, feet="sliding")
+        if not rest.failures:
+            targets = held.joint_positions(robot)
+            found.append(Predicted(False, rest.qpos, rest.joint_torques, targets))
+    return found
 
 
 def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRun | None:
@@ -225,7 +248,8 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     start = copy.copy(data)
-    hold = hold_of(bare, robot, data, wanted.torques, qpos[-robot.nu :])
+    ahead = wanted.torques if wanted.feedforward else None
+    hold = hold_of(bare, robot, data, ahead, wanted.targets)
     try:
         simulate_published(bare, data, hold, SETTLING)
         data.qvel[:] += nudge_velocity(model)
@@ -250,8 +274,9 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
         off = np.maximum(off - rubbing[driven], 0.0)
     torque = float(off.max(initial=0.0)) / torque_scale(robot, wanted.torques)
     joint = float(moved.max())
-    alike = alike and joint <= JOINT_TOLERANCE + float(sticks.max())
+    alike = alike and (not wanted.feedforward or joint <= JOINT_TOLERANCE + float(sticks.max()))
     return PublishedRun(
+        feedforward=wanted.feedforward,
         duration=SETTLING + NUDGED,
         torque_error=torque,
         height_error=error,

@@ -284,7 +284,7 @@ def published_clauses(published: Published | None) -> Iterator[Clause]:
     """Says how far the robot as published is from the computed one."""
     if published is None:
         return
-    run = published.run if published.differs else None
+    run = published.worst
     if run is not None and run.collapses:
         yield Clause(False, diagnose("collapses-as-published"))
     elif run is not None:

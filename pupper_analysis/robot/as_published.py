@@ -182,6 +182,7 @@ class PublishedRun:
     """What the MJCF does from a predicted state, with nothing in it edited, against the prediction.
 
     Attributes:
+        feedforward: Whether its servos were told to hold the prediction; else the pose alone.
         duration: s; it is nudged after the first.
         torque_error: Largest deviation of a joint's torque / largest predicted torque, at any time
             of the last second.
@@ -194,6 +195,7 @@ class PublishedRun:
         imported: Whether it is MuJoCo's own import of a URDF.
     """
 
+    feedforward: bool
     duration: float
     torque_error: float
     height_error: float | None
@@ -205,7 +207,7 @@ class PublishedRun:
     @property
     def close(self) -> bool:
         """Whether it is as computed, but for what was altered on loading."""
-        near = self.joint_error <= CLOSE_JOINT
+        near = not self.feedforward or self.joint_error <= CLOSE_JOINT
         most = CLOSE_IMPORTED if self.imported else CLOSE
         return not self.collapses and self.torque_error <= most and near
 
@@ -215,11 +217,17 @@ class Published:
     """How the MJCF as it was published differs from what is computed.
 
     Attributes:
-        run: What was simulated of it; None where it cannot be.
+        runs: What was simulated of it.
         causes: What makes it differ; empty if it does not, or nothing is found that does.
         differs: Whether it is not as predicted, or cannot be simulated as it is.
     """
 
-    run: PublishedRun | None
+    runs: tuple[PublishedRun, ...]
     causes: tuple[Cause, ...]
     differs: bool
+
+    @property
+    def worst(self) -> PublishedRun | None:
+        """The run that differs: one that collapses, else with feed-forward first."""
+        off = (run for run in self.runs if run.differs)
+        return max(off, key=lambda run: (run.collapses, run.feedforward), default=None)

@@ -238,7 +238,7 @@ def _code(
     if (own is not None and own.fails and not given) or servos.replaced:
         return VerdictCode.OWN_DRIVES_FAIL
     differs = published is not None and published.differs
-    off = published.run if published is not None and differs else None
+    off = published.worst if published is not None and differs else None
     if off is not None and not off.close:
         return VerdictCode.DIFFERS_AS_PUBLISHED
     if any(remark.severity is Severity.ERROR for remark in remarks):

@@ -51,8 +51,8 @@ def made(instead_of: Drive) -> ServosUsed:
 
 
 def published(torque: float, *, collapses: bool = False) -> Published:
-    found = PublishedRun(5.0, torque, -0.018, 0.01, collapses, True)
-    return Published(found, (Cause("exclude", ("foot and floor",), 17, 0.0),), True)
+    found = PublishedRun(True, 5.0, torque, -0.018, 0.01, collapses, True)
+    return Published((found,), (Cause("exclude", ("foot and floor",), 17, 0.0),), True)
 
 
 def own(*, collapses: bool) -> OwnRun:
