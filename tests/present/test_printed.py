@@ -43,7 +43,6 @@ def test_a_stance_that_fails() -> None:
         unsettled=problem("why"),
         verdict=judge_stance(run(0.0, passed=False), None, SERVOS),
         minimum_stiffness=None,
-        loops_open=None,
         presses=(),
     )
     text = " ".join(printed(stance_document(failing)))

@@ -260,7 +260,6 @@ def stance(**changes: Any) -> Any:
     fields: dict[str, Any] = {
         "name": "stub",
         "stand": Stub(**{**vars(STAND), **SUNK}),
-        "rigid": STAND,
         "verification": run(0.0, passed=True),
         "joint_positions": np.array([0.6543, -0.7654]),
         "statics": loads(0.0),
@@ -278,7 +277,6 @@ def stance(**changes: Any) -> Any:
         "unsettled": None,
         "minimum_stiffness": 4.567,
         "passed": False,
-        "loops_open": 2.34e-5,
         "presses": (),
     }
     return Stub(**{**fields, **changes})

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
 
 from pupper_analysis.base.diagnostics import merge_diagnostics
-from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.loads import load_blocks, view_block
@@ -159,10 +157,4 @@ def _details(stance: Stance) -> Iterable[doc.Words]:
     settled = stance.settled
     if settled is not None and not settled.failures and settled.release_margin >= RELEASE_MARGIN:
         yield _settles(stance, settled)
-    if stance.loops_open is not None:
-        yield text(
-            "the-mjcfs-loops-and-couplings",
-            most=format_number(1e3 * stance.loops_open, ".2g"),
-            turned=format_number(math.degrees(stance.loops_open), ".2g"),
-        )
     yield ground_text(stance.stand.depths.values())

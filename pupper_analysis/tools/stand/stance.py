@@ -45,7 +45,6 @@ class Stance(Tabular):
         limit_origins: (nu,) which statement of which file each is; None without a limit.
         stand: How it stands, its feet sunk into MuJoCo's ground, which all that is shown is of; on
             rigid ground, without ``depths``, where that is out of reach.
-        rigid: How it would stand on rigid ground.
         statics: Torques and contact forces: those that last.
         min_max_torque: The same of least peak motor utilisation.
         verification: The simulation, with feed-forward.
@@ -53,8 +52,6 @@ class Stance(Tabular):
         verdict: Whether it holds, and what that rests on.
         settled: Where it settles without feed-forward; None where that is not predicted.
         unsettled: Why ``settled`` is None; None where it is not.
-        loops_open: By how much MuJoCo's loops and couplings of joints are open in it (m, rad); None
-            for a robot without any.
         presses: How hard each hand can press in it; none if it has no hands.
         minimum_stiffness: Below which no equilibrium is left without feed-forward (N m/rad), if it
             is asked for; None also where there is none at all.
@@ -65,7 +62,6 @@ class Stance(Tabular):
     limits: Array
     limit_origins: tuple[EffortStatement | None, ...]
     stand: Stand
-    rigid: Stand
     statics: GravityCompensation
     min_max_torque: GravityCompensation
     verification: StandVerification
@@ -73,7 +69,6 @@ class Stance(Tabular):
     verdict: Verdict
     settled: SteadyState | None
     unsettled: Diagnostic | None
-    loops_open: float | None
     presses: tuple[LargestPress, ...]
     minimum_stiffness: float | None
 
@@ -160,7 +155,6 @@ def study_stance(
         limits=robot.effort_limits,
         limit_origins=tuple(limit.origin for limit in robot.efforts),
         stand=held,
-        rigid=stand,
         statics=statics,
         min_max_torque=stand_statics(robot, held, distribution=ForceDistribution.MIN_MAX_TORQUE),
         verification=fed,
@@ -168,7 +162,6 @@ def study_stance(
         verdict=judge(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd),
         settled=settled,
         unsettled=unsettled,
-        loops_open=None if robot.closure is None else robot.closure.open(held.qpos),
         presses=largest_presses(robot, held),
         minimum_stiffness=least,
     )
