@@ -84,13 +84,11 @@ class Axis:
         name: The quantity.
         unit: Its unit.
         form: How its values are written.
-        log: Whether it is logarithmic.
     """
 
     name: Words
     unit: str
     form: str
-    log: bool = False
 
 
 @dataclass(frozen=True, eq=False)

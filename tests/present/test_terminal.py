@@ -33,6 +33,20 @@ def shown(*blocks: Table | Lines, width: int = 80, everything: bool = True) -> l
     return printed(document, width=width, everything=everything).splitlines()
 
 
+def test_a_table_too_wide_is_in_parts_and_no_number_is_cut() -> None:
+    lines = shown(table(9, letters=9))
+    assert max(map(len, lines)) <= 80
+    assert sum(line.startswith("joint") for line in lines) == 2 * (1 + 12)  # header and rows
+    words = " ".join(lines).split()
+    for cell in (
+        f"{row:02d}.{column:02d}".rjust(9, "0") for row in range(12) for column in range(1, 9)
+    ):
+        assert words.count(cell) == 1
+    row = next(index for index, line in enumerate(lines) if line.startswith("joint_0"))
+    assert lines[row].endswith("0000" + lines[row][-5:])  # numbers stand on the right
+    assert lines[row].index("000000.01") + 9 == lines[row - 2].index("(N m)") + 5
+
+
 def test_lines_are_wrapped_on_a_terminal_alone() -> None:
     wrapped = tell(problem("a word " * 40))
     document = Document(Name(""), Name("robot"), (), findings=(Name("x"), wrapped))

@@ -7,7 +7,7 @@ text that it shows, ``points`` are places (n, 2) with one of ``labels`` each.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import singledispatch
 from typing import Any, ClassVar
@@ -85,11 +85,6 @@ _FLAT = 1e-3
 same six digits at all of its lines."""
 
 
-def scale_values(axis: Axis, values: Array) -> Array:
-    """Returns values as they are drawn along an axis."""
-    return np.log10(values) if axis.log else values
-
-
 def draw_label(axis: Axis, value: float) -> str:
     """Writes a value with its unit."""
     return f"{number_cell(value, axis.form).text} {axis.unit}"
@@ -113,23 +108,22 @@ def _lines(plot: LinePlot) -> Drawing:
         good = np.isfinite(across) & np.isfinite(up)
         lines.append(_thinned(np.column_stack([across[good], up[good]])))
     points = np.concatenate(lines) if any(map(len, lines)) else np.ones((1, 2))
-    along, upward = scale_values(x, points[:, 0]), scale_values(y, points[:, 1])
-    left, right = _range(along, 0.0 if not x.log else 0.03)
-    low, high = _range(upward, 0.06)
-    flat = 0.0 if y.log else _FLAT * max(abs(low), abs(high)) - (high - low)
+    left, right = _range(points[:, 0], 0.0)
+    low, high = _range(points[:, 1], 0.06)
+    flat = _FLAT * max(abs(low), abs(high)) - (high - low)
     if flat > 0:
         low, high = low - flat / 2, high + flat / 2
     wide, tall = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
 
     def place(values: Array) -> Array:
-        across = LEFT + wide * (scale_values(x, values[:, 0]) - left) / (right - left)
-        up = TOP + tall * (high - scale_values(y, values[:, 1])) / (high - low)
+        across = LEFT + wide * (values[:, 0] - left) / (right - left)
+        up = TOP + tall * (high - values[:, 1]) / (high - low)
         return np.column_stack([across, up])
 
     columns = {v: place(np.array([[v, points[0, 1]]]))[0, 0]
-              for v in _values(x, left, right, points[:, 0])}  # fmt: skip
+              for v in round_ticks(left, right, 6)}  # fmt: skip
     rows = {v: place(np.array([[points[0, 0], v]]))[0, 1]
-          for v in _values(y, low, high, points[:, 1])}  # fmt: skip
+          for v in round_ticks(low, high, 6)}  # fmt: skip
     marks = [
         *draw_grid(columns, rows, wide, tall),
         *draw_axes(x.name, y.name, wide, tall, (x.unit, y.unit)),
@@ -219,19 +213,6 @@ def _range(values: Array, room: float) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
     span = high - low or abs(high) or 1.0
     return low - room * span, high + room * span if high > low or room else high + span
-
-
-def _values(axis: Axis, low: float, high: float, given: Iterable[float]) -> list[float]:
-    """Returns the values to be written at an axis: of a logarithmic one those that were tried."""
-    return sorted(set(given)) if axis.log and axis.form == "g" else _round(axis, low, high)
-
-
-def _round(axis: Axis, low: float, high: float) -> list[float]:
-    if not axis.log:
-        return round_ticks(low, high, 6)
-    decades = range(math.floor(low), math.ceil(high) + 1)
-    every = [size * 10.0**decade for decade in decades for size in (1, 2, 3, 5)]
-    return [value for value in every if low <= math.log10(value) <= high]
 
 
 def draw_grid(

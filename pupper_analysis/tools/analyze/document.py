@@ -366,8 +366,8 @@ def deviation_plot(sweep: GainSweep) -> doc.LinePlot:
     values = 1e3 * np.where(drawn, sweep.height_deviation, np.nan)
     return doc.LinePlot(
         text("height-deviation-by-servo-gains"),
-        doc.Axis(text("kd"), "N m s/rad", "g", log=bool(sweep.kd.min() > 0)),
-        doc.Axis(text("height-deviation"), "mm", ".4f", log=True),
+        doc.Axis(text("kd"), "N m s/rad", "g"),
+        doc.Axis(text("height-deviation"), "mm", ".4f"),
         [
             doc.Series(doc.Name(f"kp {kp:g} N m/rad"), sweep.kd, row, points=True)
             for kp, row in zip(sweep.kp, values, strict=True)
