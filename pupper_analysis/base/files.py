@@ -82,9 +82,7 @@ def _runs(process: int) -> bool:
     return True
 
 
-def write_new(
-    path: Path, data: bytes, *, like: os.stat_result | None = None, lasting: bool = True
-) -> None:
+def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) -> None:
     """Makes a file that is on the disk, and not on its way to it, when the call returns.
 
     A rename may reach the disk before what was renamed does: after a power failure the file of
@@ -94,7 +92,6 @@ def write_new(
         path: Where nothing is yet.
         data: Its content.
         like: The file whose owner and mode it takes; by default those of any new file.
-        lasting: Wait for the disk; what is only tried needs none.
 
     Raises:
         OSError: If it cannot be made, or something is there.
@@ -103,9 +100,8 @@ def write_new(
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     with os.fdopen(handle, "wb") as file:
         file.write(data)
-        if lasting:
-            file.flush()
-            os.fsync(file.fileno())
+        file.flush()
+        os.fsync(file.fileno())
     if like is not None:
         with suppress(OSError):  # another's file; nor can all file systems do it
             os.chown(path, like.st_uid, like.st_gid)
