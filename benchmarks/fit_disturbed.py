@@ -478,7 +478,7 @@ def rows(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -
             planted = plant(robot, rng)
             if kp is not None:  # and not that of servos which were added
                 planted = replace(planted, kp=planted.kp * kp / servo_gains(robot).kp)
-            rig = Rig(planted, other)
+            rig = Rig(planted, replace(other, seconds=max(other.seconds, given.seconds)))
             stands = kept_stands(name, title, seed, rig, partial(plan, other.added), given.keep)
             if stands is None:
                 yield Row(name, title, seed, 0, "does not stand", "")
@@ -537,6 +537,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="seed")
     parser.add_argument("--stands", type=int, default=16)
+    parser.add_argument(
+        "--seconds", type=float, default=0.0, help="read no sooner than after these"
+    )
     parser.add_argument("--keep", type=Path, help="a folder of measurements: what it has is used")
     parser.add_argument("--csv", type=Path, help="a file to add rows to, but for those that it has")
     given = parser.parse_args()

@@ -24,6 +24,7 @@ import numpy as np
 from fit_disturbed import PLAIN, Planted, Rig, kept_stands, plant
 
 import pupper_analysis as pa
+from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servo_gains
 from pupper_analysis.tools.fit.stands.fit import StandFit, fit_stands
@@ -51,9 +52,10 @@ class Row:
     feet_after: int
 
 
-def written(robot: Robot, fit: StandFit, folder: Path) -> Robot:
+def written(name: str, robot: Robot, fit: StandFit, folder: Path) -> Robot:
     """Returns the robot of the files that a fit writes."""
-    models = write_fit(robot, fit.posterior, folder, fit=fit).models
+    files = write_variant(pa.VARIANTS[name], folder / "own") if name in pa.VARIANTS else None
+    models = write_fit(robot, fit.posterior, folder, fit=fit, files=files).models
     files = [str(folder / one) for one in (models.urdf, models.mjcf) if one is not None]
     return pa.load_robot(*files)
 
@@ -111,7 +113,7 @@ def row(
     mean = {one.name: one.mean for one in fit.estimates}
     numbers = partial(Planted, robot, truth={}, scale=1.0, added=np.zeros(4))
     with TemporaryDirectory() as folder:
-        fitted = replace(written(robot, fit, Path(folder)), fingerprint=robot.fingerprint)
+        fitted = replace(written(name, robot, fit, Path(folder)), fingerprint=robot.fingerprint)
     before = numbers(robot=robot, kp=stated, offsets=np.zeros(robot.nu))
     names = robot.joint_names
     after = numbers(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -47,6 +49,19 @@ _USES = {
     "--plan": {*_ALWAYS, "count", "added", "added_at"},
 }
 """{mode: what it uses}."""
+
+_OPTIONS = {"count": "--plan", "hold_out": "--hold-out", "output": "--output"}
+"""{argument: the option that says it, by another name}."""
+
+
+@contextmanager
+def _as_typed() -> Iterator[None]:
+    """Names what is wrong as it was typed."""
+    try:
+        yield
+    except ConfigurationError as error:
+        option = _OPTIONS.get(error.field, error.field)
+        raise ConfigurationError(option, error.problem) from error
 
 
 @shared.command("fit")
@@ -139,6 +154,7 @@ _USES = {
 @shared.json_option
 @shared.report_option
 @with_robot
+@_as_typed()
 def command(
     which: RobotOptions,
     words: tuple[str, ...],

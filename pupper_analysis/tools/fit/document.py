@@ -242,6 +242,7 @@ def recording_document(one: Recording, _: Robot | None = None) -> doc.Document:
     """Returns which stands were taken; see ``build_document``."""
     counts = {"taken": len(one.taken), "had": len(one.had), "left": len(one.left)}
     values = {name: str(count) for name, count in counts.items()}
+    said = "stands-taken" if one.left else "all-stands-taken"
     return doc.Document(
         text("recording-of-stands"),
         doc.Name(one.name),
@@ -249,5 +250,5 @@ def recording_document(one: Recording, _: Robot | None = None) -> doc.Document:
         passed=one.complete,
         verdict=text("recording-complete") if one.complete else text("recording-incomplete"),
         failures=tuple(doc.tell(finding) for finding in one.findings),
-        findings=(text("stands-taken", file=doc.Name(one.file), **values),),
+        findings=(text(said, file=doc.Name(one.file), **values),),
     )

@@ -87,6 +87,7 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     here.mkdir()
     monkeypatch.chdir(here)
     check_refusal(capfd, here, (*given, "--topic", "state=/joint_states"), "bag")
+    check_refusal(capfd, here, (*given, "--hold-out", "1.5"), "--hold-out: 1.5 is not")
     path.write_text(path.read_text().replace("command.turn [deg]", "torque.turn"))
     check_refusal(capfd, here, given, "fitted by the positions that its servos were asked for")
 
@@ -107,4 +108,6 @@ def test_bad_input_is_one_line(
     stands.write_text("position.elbow\n0.2\n")
     check_refusal(capfd, elsewhere, given, "command.<joint>")
     check_refusal(capfd, elsewhere, ("fit", "v3", "--log", str(stands)), "time")
-    check_refusal(capfd, elsewhere, ("fit", "v3", "--plan", "0", "-o", "plan.csv"), "0 is no")
+    check_refusal(
+        capfd, elsewhere, ("fit", "v3", "--plan", "2", "-o", "plan.csv"), "--plan: 2 is no"
+    )

@@ -41,6 +41,7 @@ from pupper_analysis.tools.fit.stands.fit import (
     fit_stands,
     parameters_of,
     suspect_scale,
+    suspect_stands,
     suspect_surroundings,
     whole_com,
 )
@@ -786,6 +787,29 @@ def test_legs_that_are_all_a_little_longer_are_longer() -> None:
     assert said.code == "known-mass-contradicts-the-scale"
     assert said.values["load"] == pytest.approx(40)
     assert not list(suspect_surroundings(measured((load,), np.array([0.4]), 0.5)))
+
+
+@pytest.mark.parametrize(
+    ("typed", "random", "band", "named"),
+    [
+        *((1.0, *one) for one in ((3.9, 0.0, False), (2.0, 2.1, True), (2.0, -2.1, False))),
+        *((20.0, *one) for one in ((30.0, 0.0, False), (10.0, 1.6, True), (10.0, 1.4, False))),
+    ],
+)
+def test_torques_are_off_by_friction_that_is_expected_not_by_what_somebody_typed(
+    typed: float, random: float, band: float, named: bool
+) -> None:
+    """Random friction in parts of a file's, and a dead band below zero in what that takes up.
+
+    A file of a twentieth of what joints have is not believed: HyQReal's, undisturbed, are not off.
+    """
+    stuck = 1e-3
+    servos = Parameter("deadband", "servos", "", 0.0, math.radians(1.0))
+    known = measured((servos,), np.array([-band * stuck * 1.01]), 0.01 / servos.width * 1e-3)
+    known = replace(known, rows=100, chi2=100.0)
+    found = StandNoise(1e-4, friction=random)
+    said = suspect_stands(known, found, StandNoise(1e-4, friction=typed), stuck)
+    assert ("torques-off" in [one.code for one in said]) == named
 
 
 def test_a_load_that_no_known_mass_tells_of_is_asked_about_with_the_scale(robot: Robot) -> None:

@@ -237,7 +237,8 @@ _NOISY = 5.0
 """Times what was expected: noise of which there is so much hides a cause."""
 
 _RUBS = 4.0
-"""Likewise, of dry friction: of what is random in it, and what is of one sign."""
+"""Likewise, of dry friction: of what is random in it, and what is of one sign. Half as many where
+that of a file is not believed: what is allowed for then, nobody has stated."""
 
 _FAR = 4.5
 """Standard deviations: of a hundred numbers that are as was said, none is so far off."""
@@ -273,7 +274,8 @@ def suspect_stands(
     kinds, stated = posterior.kinds, ParameterTable(posterior.parameters).stated
     bands = posterior.mean[kinds == "deadband"]
     one_sign = -float(np.minimum(bands, 0.0).sum()) / max(stuck, _NOTHING**2)
-    if (times := found.friction / expected.friction + one_sign) > _RUBS:
+    most = _RUBS if expected.friction == 1 else _RUBS / 2
+    if (times := found.friction / expected.friction + one_sign) > most:
         yield diagnose("torques-off", times=times)
     # What is known before and after differ in variance by what an estimate is surprised by, if the
     # parameter is as it was said to be: one by poor measurements stays near the stated value, and
@@ -344,7 +346,7 @@ WEIGHED = 0.002
 KNOWN_MASS = 0.15
 """Of the robot's: 500 g on Pupper v3. With 200 g kp is known to 12 to 14 % by it alone."""
 
-_LEAST_STANDS = 3
+LEAST_STANDS = 3
 
 _FINE_ENCODER = 2e-4
 """rad: where no step shows, a position is taken to be as sure as one of 14 bits that shakes."""
@@ -504,8 +506,8 @@ class _Problem:
             MeasurementError: If they are none of this robot's.
         """
         given = stands.checked(robot).repeated()
-        if len(given) < _LEAST_STANDS:
-            found = diagnose("too-few-stands", stands=len(given), least=_LEAST_STANDS)
+        if len(given) < LEAST_STANDS:
+            found = diagnose("too-few-stands", stands=len(given), least=LEAST_STANDS)
             raise MeasurementError(given.source, found)
         asked = np.isfinite(given.command).sum(axis=0) > 0
         stiffness = stated_stiffness(robot, given.source, asked, kp)
@@ -517,13 +519,19 @@ class _Problem:
     def stuck(self) -> float:
         """A servo's error that dry friction of one sign takes up (rad), on average."""
         held = self.stiffness > 0
-        return float(self.friction[held].sum() / max(self.stiffness[held].sum(), _NOTHING))
+        taken = self.friction[held].sum() / max(self.stiffness[held].sum(), _NOTHING)
+        return self.rubs * float(taken)
 
     @property
     def rubs(self) -> float:
         """Dry friction that is expected, in parts of what is stated."""
         stated = float(self.friction.mean()) / (self.robot.weight * self.robot.stand_height)
         return 1.0 if stated > _TYPED else _UNMODELLED / stated
+
+    @property
+    def expected(self) -> StandNoise:
+        """Noise with the friction that is expected."""
+        return replace(self.noise, friction=self.rubs)
 
     def evidence(self) -> float:
         """Returns the logarithm of how likely the stands are, linear about the file's numbers."""
@@ -565,7 +573,7 @@ class _Problem:
         _check_feet(robot, stands, equations, known)
         equations.table = ParameterTable(known.parameters)
         x, weight = known.mean, self.weight
-        doubts = tuple(suspect_stands(known, noise, self.noise, self.stuck))
+        doubts = tuple(suspect_stands(known, noise, self.expected, self.stuck))
         level = all(one.code != "ground-slopes" for one in doubts)
         scale = suspect_scale(robot, known, weight, level=level)
         return StandFit(
@@ -598,7 +606,7 @@ class _Problem:
         One that is far off makes noise large, and hides in it. So what is asked is whether noise
         that is as large as expected, and one reading off by anything, are more likely together.
         """
-        expected = vars(replace(self.noise, friction=self.rubs))
+        expected = vars(self.expected)
         less = {name: min(own, expected[name]) for name, own in vars(noise).items()}
         try:
             known, with_less = by(StandNoise(**less))

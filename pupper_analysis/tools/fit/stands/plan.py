@@ -33,6 +33,7 @@ from pupper_analysis.tools.fit.result import Estimate, describe_parameter, deter
 from pupper_analysis.tools.fit.stands.equations import StandEquations
 from pupper_analysis.tools.fit.stands.fit import (
     KNOWN_MASS,
+    LEAST_STANDS,
     SURE,
     expected_noise,
     inertials_of,
@@ -127,8 +128,9 @@ def plan_stands(
     """
     robot.check_floating()
     robot.check_tree("fit")
-    if not 1 <= count <= _MOST_STANDS:
-        raise ConfigurationError("count", diagnose("no-count", count=count))
+    if not LEAST_STANDS <= count <= _MOST_STANDS:
+        finding = diagnose("no-count", count=count, least=LEAST_STANDS)
+        raise ConfigurationError("count", finding)
     if seed < 0:
         raise ConfigurationError("seed", diagnose("no-seed", seed=seed))
     stiffness = stated_stiffness(robot, robot.name, np.ones(robot.nu, dtype=bool), kp)
