@@ -21,6 +21,7 @@ from pupper_analysis.tools.fit.motions.rollouts import (
     MovingBodies,
     Run,
     Simulator,
+    _smoothed,
     split_runs,
 )
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, link_of
@@ -146,6 +147,21 @@ def test_a_lag_is_what_motors_do_whose_torque_follows_slowly_step_by_step() -> N
     off = [np.abs(one[50 : len(seen)] - late).max() for one in simulator.predict(run, vectors)]
     assert off[0] < 1e-4
     assert min(off[1:]) > 1e-3
+
+
+def test_commands_are_smoothed_as_a_lag_of_first_order_smooths_them() -> None:
+    """Means over each step, of a thousand parts of it; also of a lag longer than a step."""
+    command = np.random.default_rng(2).normal(size=(6, 2))
+    for lag in (0.3, 1.7):
+        followed, means = command[0].copy(), []
+        for asked in command:
+            parts = asked + (followed - asked) * np.exp(
+                -(np.arange(1000)[:, None] + 0.5) / 1e3 / lag
+            )
+            means.append(parts.mean(axis=0))
+            followed = asked + (followed - asked) * np.exp(-1 / lag)
+        np.testing.assert_allclose(_smoothed(command, lag), means, atol=1e-6)
+    np.testing.assert_array_equal(_smoothed(command, 0.0), command)
 
 
 def test_derivatives_are_differences_though_joints_of_other_limbs_change_with_them() -> None:

@@ -14,6 +14,7 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
     FitError,
@@ -562,6 +563,25 @@ def test_a_reading_that_all_others_contradict_is_named_with_its_stand_and_joint(
     worst = fit.joint_residuals[0]
     assert (worst.stand, worst.joint) == (str(stand), robot.joint_names[joint])
     assert worst.off == pytest.approx(abs(off), abs=2 * worst.off / worst.deviations)
+
+
+def test_a_reading_is_asked_about_with_noise_no_larger_than_expected_and_as_small_as_found(
+    robot: Robot, stands: MeasuredStands
+) -> None:
+    """Of a file whose friction is not believed, that which is expected is twenty times as large."""
+    known = _Problem.of(robot, stands, [], None, None, None)
+    for own, friction in ((known, 1.0), (replace(known, friction=known.friction / 10), 20.0)):
+        asked, usual = [], own.noise
+
+        def by(noise: StandNoise, asked: list[StandNoise] = asked) -> tuple[Posterior, float]:
+            asked.append(noise)
+            raise FitError(diagnose("fit-does-not-converge", steps=1))
+
+        found = StandNoise(usual.encoder, 40 * usual.moment, usual.flatness / 3, 2 * friction)
+        assert not list(own._contradicted(own.equations()[0], found, 0.0, by))
+        (one,) = asked
+        assert one.friction == pytest.approx(friction, rel=0.05)
+        assert (one.moment, one.flatness) == (usual.moment, usual.flatness / 3)
 
 
 @pytest.mark.longest
