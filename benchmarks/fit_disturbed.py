@@ -189,6 +189,37 @@ DISTURBANCES: Mapping[str, Disturbance] = {
 }
 
 
+DRAWN = "drawn"
+"""In place of a disturbance's name."""
+
+
+def drawn(planted: Planted, kp: np.ndarray, seed: int) -> tuple[Planted, Disturbance]:
+    """Draws what nobody states from what a fit says of it before.
+
+    A load (8 % of the weight), a slope (0.2 deg), a dead band (1 deg; below zero friction that
+    gives as much), and by what last links of legs differ (0.5 %).
+    """
+    load, slope, band, *legs = np.random.default_rng([seed, 77]).normal(size=8)[:7]
+    robot, width = planted.stated, {one: KINDS[one].width for one in ("load", "slope", "deadband")}
+    lasts = [robot.joint_names[joint] for joint in last_joints(robot)]
+    longer = {f"length:{n}": 1 + 0.005 * one for n, one in zip(lasts, legs, strict=False)}
+    true = replace(scale_robot(planted.robot, longer), fingerprint=robot.fingerprint)
+    truth = dict(planted.truth)
+    for link, number in bodies_of(true):
+        lever = true.structure.model.inertias[number].lever
+        truth |= {f"com.{axis} {link}": float(at) for axis, at in zip("xyz", lever, strict=True)}
+    band *= width["deadband"]
+    sticks = -band * float(kp.mean()) / (robot.weight * robot.stand_height / V3_TORQUE)
+    other = replace(
+        PLAIN,
+        cable=(0.0, -width["load"] * load),
+        slope=width["slope"] * slope,
+        deadband=max(0.0, band),
+        stiction=PLAIN.stiction if band > 0 else max(0.005, sticks),
+    )
+    return replace(planted, robot=true, truth=truth), other
+
+
 class Rig:
     """A robot in bare MuJoCo, with servos and friction of its own.
 
@@ -408,8 +439,10 @@ def kept_stands(
 
     A scale changes nothing of how robots stand: such disturbances share their stands.
     """
-    other = replace(DISTURBANCES[title], weight=1.0)
-    first = next(own for own, one in DISTURBANCES.items() if one == other)
+    first = title
+    if title != DRAWN:
+        other = replace(DISTURBANCES[title], weight=1.0)
+        first = next(own for own, one in DISTURBANCES.items() if one == other)
     with TemporaryDirectory() as folder:
         file = (keep or Path(folder)) / f"{name}-{first.replace(' ', '_')}-{seed}.csv"
         if not file.exists():
@@ -471,13 +504,15 @@ def rows(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -
         with given.csv.open(newline="") as file:
             had = {(r["robot"], r["disturbance"], r["seed"]) for r in csv.DictReader(file)}
     for seed in range(given.first, given.first + given.seeds):
-        for title, other in DISTURBANCES.items():
+        for title, other in ({DRAWN: PLAIN} if given.drawn else DISTURBANCES).items():
             if (given.only and title not in given.only) or (name, title, str(seed)) in had:
                 continue
             rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
             planted = plant(robot, rng)
             if kp is not None:  # and not that of servos which were added
                 planted = replace(planted, kp=planted.kp * kp / servo_gains(robot).kp)
+            if given.drawn:
+                planted, other = drawn(planted, servo_gains(robot, kp).kp, seed)
             rig = Rig(planted, replace(other, seconds=max(other.seconds, given.seconds)))
             stands = kept_stands(name, title, seed, rig, partial(plan, other.added), given.keep)
             if stands is None:
@@ -537,6 +572,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="seed")
     parser.add_argument("--stands", type=int, default=16)
+    parser.add_argument("--drawn", action="store_true", help="draw what else there is, by the seed")
     parser.add_argument(
         "--seconds", type=float, default=0.0, help="read no sooner than after these"
     )

@@ -221,13 +221,6 @@ def test_messages_are_read_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.Mon
     assert refused.value.cause.code == "bag-too-large"
 
 
-def test_topics_are_said_of_bags_alone(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError):
-        read_log(tmp_path / "log.csv", topics={"state": "/joint_states"})
-    with pytest.raises(ConfigurationError):
-        read_log(tmp_path / "log.csv", joints=JOINTS)
-
-
 def test_without_the_package_the_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
@@ -11,33 +10,6 @@ import pytest
 
 from tests.support.bar import MJCF, TRUE, URDF, log
 from tests.support.commands import check_refusal, run_command
-
-
-@pytest.mark.longest
-def test_a_plan_is_measured_and_fitted(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """With the commands as positions no servo gives anything: no model explains that it stands."""
-    plan, page = tmp_path / "plan.csv", tmp_path / "fit.html"
-    assert run_command(capfd, "fit", "v3", "--plan", "4", "-o", str(plan))[0] == 0
-    with plan.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 4
-    for row in rows:
-        for name, value in list(row.items()):
-            if name.startswith("command."):
-                row[name.replace("command", "position")] = value
-    with plan.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
-    found = tmp_path / "fit.json"
-    messages = ("--json", str(found), "--report", str(page), "-o", str(tmp_path / "fitted"))
-    status, _, err = run_command(
-        capfd, "fit", "v3", "--stands", str(plan), "--prior", "kp=0", *messages
-    )
-    assert status in (1, 2), err
-    assert not (tmp_path / "fitted").exists()
-    if status == 1:
-        assert json.loads(found.read_text())["explained"] is False
 
 
 def write(path: Path, time: np.ndarray, position: np.ndarray, command: np.ndarray) -> None:

@@ -49,13 +49,6 @@ def _results(folder: Path, without: str) -> list[bytes]:
     return made
 
 
-def test_a_picture_of_others_is_no_figure(tmp_path: Path) -> None:
-    path = tmp_path / "x.png"
-    Figure().savefig(path)
-    with pytest.raises(OutputError, match="no figure of this package"):
-        save_figure(Figure(), path)
-
-
 @pytest.mark.parametrize(
     ("typed", "where"),
     [("0.51", 5), ("0", 6), ("nan", 6), ("2.5", 7)],

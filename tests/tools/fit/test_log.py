@@ -57,7 +57,6 @@ def test_units_and_missing_cells_are_read(tmp_path: Path) -> None:
         (HEADER.replace("command.elbow", "command.wrist"), None, "column-without-position"),
         (HEADER.replace("command", "velocity"), None, "joint-without-command"),
         (HEADER.replace("command.elbow", "position.elbow"), None, "column-twice"),
-        (HEADER, (5, 0, "15"), "time-not-rising"),
         (HEADER, (5, 0, ""), "time-missing"),
         (HEADER, (5, 1, "fast"), "cell-no-number"),
         (HEADER, (5, 1, "inf"), "cell-no-number"),

@@ -145,6 +145,3 @@ def test_what_leaves_no_stand_is_named() -> None:
     unsure = RandomStands(robot, rng, None, [parse_prior("offset=20deg")])
     assert unsure.draw(3) == []
     assert unsure.explain(3).code == "too-few-in-reach"
-    soft = RandomStands(load_variant("v3"), rng, 0.3)
-    assert soft.draw(3) == []
-    assert soft.explain(3).code == "too-few-are-held"

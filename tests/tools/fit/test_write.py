@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import csv
-import errno
 import json
 import math
 import shutil
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,7 +14,6 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base import files
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import Parameter
 from pupper_analysis.tools.fit.write import FitFiles, draw_samples, write_fit
@@ -130,24 +127,6 @@ def test_nothing_is_there_if_one_file_cannot_be(v3: pa.Robot, tmp_path: Path) ->
     with pytest.raises(pa.OutputError):
         write_fit(v3, estimated(), tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == []
-
-
-def test_a_full_disk_leaves_nothing(
-    v3: pa.Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real, written = files.write_new, list[Path]()
-
-    def full(path: Path, data: bytes, **how: Any) -> None:
-        written.append(path)
-        real(path, data[:100], **how)
-        if len(written) > 3:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(files, "write_new", full)
-    with pytest.raises(pa.OutputError, match="No space left"):
-        write_fit(v3, estimated(), tmp_path)
-    assert len(written) == 4
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def test_a_fit_goes_over_its_own_models_until_they_are_edited(v3: pa.Robot, tmp_path: Path) -> None:
