@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from pupper_analysis.present.document import BarPlot
 from pupper_analysis.present.documents.registry import build_report, document
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.fit.estimate import Posterior
-from pupper_analysis.tools.fit.parameters import Parameter
+from pupper_analysis.tools.fit.parameters import KINDS, OF_SURROUNDINGS, Parameter
 from pupper_analysis.tools.fit.result import (
     Determined,
     Estimate,
@@ -129,6 +130,14 @@ def test_documents_are_the_golden_ones(name: str) -> None:
 
 def shown(name: str) -> str:
     return write_markdown(build_report([("", RESULTS[name]())]))
+
+
+@pytest.mark.parametrize("kind", [one for one in KINDS if one not in OF_SURROUNDINGS])
+def test_each_kind_of_number_that_may_be_determined_has_a_table(kind: str) -> None:
+    one = Parameter(kind, "servos", "", 1.0, 0.1)
+    known = describe_parameter(one, 1.5, 0.01, Determined.DATA)
+    fit = replace(motion_fit(), estimates=(known,))
+    assert f"{kind} servos" in write_markdown(build_report([("", fit)]))
 
 
 def test_bars_are_what_is_left() -> None:
