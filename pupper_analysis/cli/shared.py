@@ -82,6 +82,18 @@ class Command(click.Command):
         """The options that say where a result goes."""
         return [option for option in self.params if isinstance(option.type, OutputPath)]
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Reads the options; of an unknown one those are suggested that have its words, first."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            words = set(error.option_name.strip("-").split("-"))
+            known = (name for option in self.params for name in option.opts)
+            longer = [name for name in known if words < set(name.strip("-").split("-"))]
+            if longer and error.possibilities is not None:
+                error.possibilities[:] = longer
+            raise
+
     def invoke(self, context: click.Context) -> Any:
         """Runs it, if its results can be written."""
         run = context.with_resource(running())

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_finite, check_length, check_type, check_vector
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.base.units import READ_IN
+from pupper_analysis.base.units import READ_IN, UNITS
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -334,10 +334,19 @@ def _writer(spec: str) -> Callable[..., str]:
 
     def say(values: Sequence[float], unit: str, by: str = "/") -> str:
         factor, read = READ_IN.get(unit, (1.0, unit)) if spec else (1.0, unit)
+        if unit == "rad" and not spec:
+            return by.join(map(_angle_exactly, values))
         numbers = (format(factor * one, spec) if spec else repr(one) for one in values)
         return by.join(number + read for number in numbers)
 
     return say
+
+
+def _angle_exactly(angle: float) -> str:
+    """Returns an angle in the fewest digits that are read back as it is: degrees, if any are."""
+    written = (f"{math.degrees(angle):.{digits}g}" for digits in range(3, 18))
+    size = UNITS["angle"]["deg"]
+    return next((f"{one}deg" for one in written if float(one) * size == angle), f"{angle!r}rad")
 
 
 def _placed(one: Contact | Weld, say: Callable[..., str]) -> Iterator[str]:
