@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -49,19 +47,6 @@ _USES = {
     "--plan": {*_ALWAYS, "count", "added", "added_at"},
 }
 """{mode: what it uses}."""
-
-_OPTIONS = {"count": "--plan", "hold_out": "--hold-out", "output": "--output"}
-"""{argument: the option that says it, by another name}."""
-
-
-@contextmanager
-def _as_typed() -> Iterator[None]:
-    """Names what is wrong as it was typed."""
-    try:
-        yield
-    except ConfigurationError as error:
-        option = _OPTIONS.get(error.field, error.field)
-        raise ConfigurationError(option, error.problem) from error
 
 
 @shared.command("fit")
@@ -154,7 +139,6 @@ def _as_typed() -> Iterator[None]:
 @shared.json_option
 @shared.report_option
 @with_robot
-@_as_typed()
 def command(
     which: RobotOptions,
     words: tuple[str, ...],
@@ -242,6 +226,9 @@ def command(
         read = partial(read_log, topics=said, joints=joints.split(",") if joints else ())
         measured = list(map(read, logs)) if stands is None else read_stands(stands)
         share = "".join(hold_out[-1:]).replace(".", "", 1).isdecimal()
+        if share and not float(hold_out[-1]) < 1:
+            finding = diagnose("not-between", given=float(hold_out[-1]), low=0, high=1)
+            raise ConfigurationError("--hold-out", finding)
         apart = float(hold_out[-1]) if share else list(map(read, hold_out)) or None
         with shared.show_progress("fitting the robot's numbers to the measurements"):
             result = fit_numbers(

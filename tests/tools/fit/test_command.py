@@ -80,6 +80,4 @@ def test_bad_input_is_one_line(
     stands.write_text("position.elbow\n0.2\n")
     check_refusal(capfd, elsewhere, given, "command.<joint>")
     check_refusal(capfd, elsewhere, ("fit", "v3", "--log", str(stands)), "time")
-    check_refusal(
-        capfd, elsewhere, ("fit", "v3", "--plan", "2", "-o", "plan.csv"), "--plan: 2 is no"
-    )
+    check_refusal(capfd, elsewhere, ("fit", "v3", "--plan", "2", "-o", "plan.csv"), "2 is no")

@@ -153,17 +153,6 @@ def test_a_soft_servo_that_lifts_once_and_holds_is_not_said_to_be_swapped(offset
         inspect_log(arm(), replace(good, position=good.command, command=good.position))
 
 
-def test_samples_of_two_sources_are_seen() -> None:
-    """Every other one comes 4 ms late, as of a second clock; a scheduler's 3 % is not said."""
-    good, random = log(), np.random.default_rng(2)
-    late = good.time + 0.004 * (np.arange(len(good.time)) % 2)
-    found = inspect_log(arm(), replace(good, time=late))
-    assert "log-intervals-uneven" in {one.code for one in found}
-    shaken = good.time + 0.005 * 0.02 * random.normal(size=len(good.time))
-    found = inspect_log(arm(), replace(good, time=shaken))
-    assert "log-intervals-uneven" not in {one.code for one in found}
-
-
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
 def test_an_encoders_quantum_is_found_to_its_digits_in_a_file(bits: int) -> None:
     random, quantum = np.random.default_rng(bits), 2 * np.pi / 2**bits

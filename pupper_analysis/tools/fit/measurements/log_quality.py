@@ -50,9 +50,6 @@ alike both are high."""
 _SLOWEST = 0.1
 """s between samples: servos answer in less, and of a walk of 2 Hz five samples a step are left."""
 
-_UNEVEN = 0.3
-"""Of the median interval: of a scheduler that is late it is 0.01 to 0.1."""
-
 
 @check_arguments
 def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
@@ -108,9 +105,6 @@ def _clock(log: Log) -> Iterator[Diagnostic]:
     gaps = steps > _GAP * log.interval
     if (count := int(gaps.sum()) - len(jumps)) > 0:
         yield diagnose("log-samples-missing", count=count, interval=interval, longest=longest)
-    jitter = float(steps[~gaps].std() / log.interval)
-    if jitter > _UNEVEN:
-        yield diagnose("log-intervals-uneven", jitter=Quantity(jitter, "1"))
 
 
 def _of_other_commands(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
@@ -157,8 +151,6 @@ def _swapped(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
             backwards.append(robot.joint_names[index])
     if len(backwards) > len(moving) / 2:
         yield diagnose("command-and-position-swapped", joints=backwards)
-    elif backwards:
-        yield diagnose("position-leads-command", joints=backwards)
 
 
 def find_degrees(

@@ -528,11 +528,6 @@ class _Problem:
         stated = float(self.friction.mean()) / (self.robot.weight * self.robot.stand_height)
         return 1.0 if stated > _TYPED else _UNMODELLED / stated
 
-    @property
-    def expected(self) -> StandNoise:
-        """Noise with the friction that is expected."""
-        return replace(self.noise, friction=self.rubs)
-
     def evidence(self) -> float:
         """Returns the logarithm of how likely the stands are, linear about the file's numbers."""
         message = self.equations()[0].linearise(self.table.stated, self.table.stated)
@@ -573,7 +568,8 @@ class _Problem:
         _check_feet(robot, stands, equations, known)
         equations.table = ParameterTable(known.parameters)
         x, weight = known.mean, self.weight
-        doubts = tuple(suspect_stands(known, noise, self.expected, self.stuck))
+        usual = replace(self.noise, friction=self.rubs)
+        doubts = tuple(suspect_stands(known, noise, usual, self.stuck))
         level = all(one.code != "ground-slopes" for one in doubts)
         scale = suspect_scale(robot, known, weight, level=level)
         return StandFit(
@@ -606,7 +602,7 @@ class _Problem:
         One that is far off makes noise large, and hides in it. So what is asked is whether noise
         that is as large as expected, and one reading off by anything, are more likely together.
         """
-        expected = vars(self.expected)
+        expected = vars(replace(self.noise, friction=self.rubs))
         less = {name: min(own, expected[name]) for name, own in vars(noise).items()}
         try:
             known, with_less = by(StandNoise(**less))

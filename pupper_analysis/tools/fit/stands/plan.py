@@ -129,8 +129,7 @@ def plan_stands(
     robot.check_floating()
     robot.check_tree("fit")
     if not LEAST_STANDS <= count <= _MOST_STANDS:
-        finding = diagnose("no-count", count=count, least=LEAST_STANDS)
-        raise ConfigurationError("count", finding)
+        raise ConfigurationError("count", diagnose("no-count", count=count, least=LEAST_STANDS))
     if seed < 0:
         raise ConfigurationError("seed", diagnose("no-seed", seed=seed))
     stiffness = stated_stiffness(robot, robot.name, np.ones(robot.nu, dtype=bool), kp)
