@@ -151,12 +151,11 @@ def remarks_of_files(robot: Robot) -> tuple[Diagnostic, ...]:
     messages = [note for note in loaded.notes if note.code in _BEARING]
     own, model = np.array(loaded.joint_names), loaded.mj_model
     dofs = model.jnt_dofadr[[model.joint(name).id for name in own]]
-    for code, values in (
-        ("joints-rub-negatively", model.dof_frictionloss),
-        ("joints-damped-negatively", model.dof_damping),
-    ):
-        if (values[dofs] < 0).any():
-            messages.insert(0, diagnose(code, joints=own[values[dofs] < 0].tolist()))
+    rubbing, damped = own[model.dof_frictionloss[dofs] < 0], own[model.dof_damping[dofs] < 0]
+    if rubbing.size:
+        messages.insert(0, diagnose("joints-rub-negatively", joints=rubbing.tolist()))
+    if damped.size:
+        messages.insert(0, diagnose("joints-damped-negatively", joints=damped.tolist()))
     made_up = (diagnose("rests-on-made-up", findings=messages),) if messages else ()
     elsewhere = (note for note in loaded.notes if note.code == "gravity-not-the-earths")
     return (*made_up, *elsewhere, *efforts_nobody_meant(robot), *import_refused(robot))

@@ -107,6 +107,7 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
     felt = np.diag(Configuration(robot, robot.home).mass_matrix())[robot.nv - robot.nu :]
     for name, inertia in zip(robot.joint_names, felt.tolist(), strict=True):
         if inertia <= 0:
+            robot.check_bodies()  # a mass below zero is called so
             problem = diagnose("joint-moves-no-mass", subject=("joint", name))
             raise refuse_file(urdf.place("joint", name), problem)
 

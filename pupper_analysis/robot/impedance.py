@@ -19,6 +19,9 @@ _DISTANCES = {
 _DEFAULT_REFERENCE = (0.02, 1.0)
 """Time constant (s) and damping ratio: MuJoCo's mj_defaultSolRefImp."""
 
+_HALVINGS = 60
+"""Of the bounds of an opening: to rounding."""
+
 _MAX_ITERATIONS = 1000
 """Of repeated substitution, which rises to the least opening."""
 
@@ -113,8 +116,6 @@ class Softness:
 
 def _length(solimp: tuple[float, ...], force: float) -> float:
     """Returns by how much a constraint is open under a force: x = force law(x)."""
-    from scipy import optimize  # slow to import
-
     low, high = (force * _law(solimp, at) for at in (0.0, solimp[2]))
     if low < high:  # the softer the more it is open: as far as it goes when it begins closed
         for _ in range(_MAX_ITERATIONS):
@@ -122,10 +123,14 @@ def _length(solimp: tuple[float, ...], force: float) -> float:
             if low - last <= _EXACT * low:
                 break
         return low
-    if high >= solimp[2] or low == high:
+    if high >= solimp[2]:
         return high
-    opened = optimize.brentq(lambda x: x - force * _law(solimp, x), high, low, xtol=_EXACT * low)
-    return float(opened)
+    low, high = high, low
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        beyond = middle > force * _law(solimp, middle)
+        low, high = (low, middle) if beyond else (middle, high)
+    return (low + high) / 2
 
 
 def _law(solimp: tuple[float, ...], opened: float) -> float:

@@ -73,22 +73,19 @@ def efforts_of(
 
 def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
     """Tells of efforts: which file's count where they differ, and what was made of them."""
-    told: dict[str, list[Any]] = {
-        "effort-unstated": [
-            limit.joint
-            for limit in limits
-            if all(statement.file != "URDF" for statement in limit.stated)
-        ],
-        "efforts-multiplied-by-gear": [],
-        "effort-limits-differ": [],
-        "motors-uneven": [one.joint for one in limits if not _alike(-one.lower, one.upper)],
-    }
+    unstated = [
+        limit.joint
+        for limit in limits
+        if all(statement.file != "URDF" for statement in limit.stated)
+    ]
+    uneven = [one.joint for one in limits if not _alike(-one.lower, one.upper)]
+    geared, differing = [], []
     for limit in limits:
         joint, by_file = ("joint", limit.joint), sorted(limit.stated, key=lambda one: one.least)
         if limit.gear != 1.0:
             effort = Quantity(next(one.stated[1] for one in by_file if one.file == "URDF"), "N m")
             message = diagnose("effort-geared", subject=joint, effort=effort, gear=limit.gear)
-            told["efforts-multiplied-by-gear"].append(message)
+            geared.append(message)
         unused = next((one for one in by_file[1:] if one.file != by_file[0].file), None)
         if unused and limit.origin is not None and not _alike(by_file[0].least, unused.least):
             most = Quantity(unused.least, "N m")
@@ -96,8 +93,14 @@ def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
             message = diagnose(
                 "lesser-effort", subject=joint, file=by_file[0].file, least=least, unused=most
             )
-            told["effort-limits-differ"].append(message)
-    return [diagnose(code, joints=joints) for code, joints in told.items() if joints]
+            differing.append(message)
+    found = (
+        (unstated, diagnose("effort-unstated", joints=unstated)),
+        (geared, diagnose("efforts-multiplied-by-gear", joints=geared)),
+        (differing, diagnose("effort-limits-differ", joints=differing)),
+        (uneven, diagnose("motors-uneven", joints=uneven)),
+    )
+    return [message for joints, message in found if joints]
 
 
 def _alike(one: float, other: float) -> bool:

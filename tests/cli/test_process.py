@@ -7,6 +7,7 @@ import errno
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -107,10 +108,11 @@ def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
 @pytest.mark.parametrize("encoding", some(["ascii", "latin-1", "cp1252"], 3))
 def test_any_encoding_will_do(encoding: str, tmp_path: Path) -> None:
     environment = {**ENVIRONMENT, "PYTHONIOENCODING": encoding}
-    process = start(*COMMAND, "stand", "v3", "-v", env=environment, encoding=encoding)
+    file = shutil.copy(ROOT / "urdf/pupper_skeleton.urdf", tmp_path / "狗.urdf")
+    process = start(*COMMAND, "audit", file, env=environment, encoding=encoding)
     out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
-    assert "\\u" in out or "≤" in out or "±" in out
+    assert "\\u72d7.urdf" in out or "狗.urdf" in out
 
 
 def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> None:

@@ -65,9 +65,8 @@ def test_negative_masses_and_inertias_are_refused_where_it_would_stand(
     old: str, new: str, message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     urdf, mjcf = tiny_with(tmp_path, old, new)
-    robot = pa.load_robot(urdf=urdf, mjcf=mjcf, feet=["foot"])
     with pytest.raises(pa.ModelError) as caught:
-        pa.solve_stand(robot)
+        pa.solve_stand(pa.load_robot(urdf=urdf, mjcf=mjcf, feet=["foot"]))
     assert message in str(caught.value)
     # The comparison is there to find it.
     status, _, err = run_command(capfd, "crosscheck", str(urdf), str(mjcf))

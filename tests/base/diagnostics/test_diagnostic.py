@@ -85,9 +85,14 @@ def calls() -> Iterator[tuple[str, str, set[str] | None]]:
     """(where, code, the names that are given, None if not known) of each call of ``diagnose``.
 
     Codes stand in the call as literals, so that they can be found; a choice of literals will do.
+    ``change_of`` hands its code on.
     """
     for module, node in made_calls():
-        if getattr(node.func, "id", None) != "diagnose":
+        made = getattr(node.func, "id", None)
+        if made == "change_of":
+            for code in literals(node.args[0], f"{module}:{node.lineno}", trees()[module]):
+                yield f"{module}:{node.lineno}", code, None
+        if made != "diagnose" or ast.unparse(node).startswith("diagnose(code, subject=subject"):
             continue
         named = {word.arg for word in node.keywords if word.arg}
         if "subject" in named:
@@ -97,10 +102,24 @@ def calls() -> Iterator[tuple[str, str, set[str] | None]]:
             yield f"{module}:{node.lineno}", code, given
 
 
+def assigned(node: ast.Assign) -> Iterator[tuple[ast.expr, ast.expr]]:
+    """What is assigned to what, also where several are in one line."""
+    (target,) = node.targets
+    if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
+        yield from zip(target.elts, node.value.elts, strict=True)
+    else:
+        yield target, node.value
+
+
 def literals(node: ast.expr, where: str, tree: ast.Module) -> Iterator[str]:
     if isinstance(node, ast.IfExp):
         yield from literals(node.body, where, tree)
         yield from literals(node.orelse, where, tree)
+    elif isinstance(node, ast.Name):  # of a line before
+        for one in ast.walk(tree):
+            for target, value in assigned(one) if isinstance(one, ast.Assign) else ():
+                if ast.unparse(target) == node.id:
+                    yield from literals(value, where, tree)
     elif isinstance(node, ast.Subscript):  # of a table in the same module
         (table,) = (
             one.value

@@ -273,7 +273,7 @@ def test_refusals_name_the_moment() -> None:
         stance_path(robot, [over[1], Task(), over[2]], 2.0, rolling=False)
     assert caught.value.reason is pa.errors.Infeasibility.COM_OUTSIDE
     assert "\n" not in str(caught.value)
-    with pytest.raises(pa.StaticsInfeasibleError, match="between stances 1 and 2"):
+    with pytest.raises(pa.ConfigurationError, match="outside the support polygon"):
         stance_path(robot, [Task(), Task(com=(0.14, 0.0), height=0.1)], 1.0)
     with pytest.raises(pa.StanceUnreachableError, match="stance 2: ") as missed:
         stance_path(robot, [Task(), Task(height=0.4)], 1.0)
