@@ -18,9 +18,6 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.transmission import actuator_gear, drives_of
 
-_EFFORT_TOLERANCE = 1e-6
-"""Relative: numbers that a file rounds to seven digits are one."""
-
 _HOLDING = (
     mujoco.mjtDyn.mjDYN_NONE.value,
     mujoco.mjtDyn.mjDYN_FILTER.value,
@@ -89,7 +86,6 @@ class EffortLimit(Result):
         upper: The other way; inf without a limit.
         origin: The statement that is the least; None without a limit.
         stated: All statements of both files. One of 0 in a URDF is none.
-        gear: By what the URDF's effort was multiplied, where it is the motor's before the gear.
     """
 
     joint: str
@@ -97,7 +93,6 @@ class EffortLimit(Result):
     upper: float
     origin: EffortStatement | None
     stated: tuple[EffortStatement, ...]
-    gear: float = 1.0
 
     @property
     def least(self) -> float:
@@ -122,21 +117,19 @@ def effort_of(
         name: The joint's in the URDF; by default as in the MJCF.
         drives: Its actuators, where they are known.
     """
-    own, gear = str(model.joint(joint).name), 1.0
+    own = str(model.joint(joint).name)
     drives = drives_of(model, joint) if drives is None else drives
     stated = _stated(model, joint, drives)
     if effort is not None and 0 < effort < math.inf:
-        gear = _gear_left_out(model, drives, stated, effort) or 1.0
         # First: of two that say the same, the one that says it of the joint.
         range_ = (-effort, effort)
-        stated.insert(0, EffortStatement.of("URDF", "joint", name or own, "effort", range_, gear))
+        stated.insert(0, EffortStatement.of("URDF", "joint", name or own, "effort", range_))
     return EffortLimit(
         joint=name or own,
         lower=max((one.lower for one in stated), default=-math.inf),
         upper=min((one.upper for one in stated), default=math.inf),
         origin=min(stated, key=lambda one: one.least, default=None),
         stated=tuple(stated),
-        gear=gear,
     )
 
 
@@ -170,26 +163,6 @@ def effort_limit(model: mujoco.MjModel, joint: int) -> float:
     """Returns the greatest force or torque that a joint's actuators can give; inf if unlimited."""
     limit = effort_of(model, joint)
     return max(abs(limit.lower), abs(limit.upper))
-
-
-def _gear_left_out(
-    model: mujoco.MjModel, drives: Sequence[int], stated: Sequence[EffortStatement], effort: float
-) -> float | None:
-    """Returns the gear by which a URDF's effort falls short of its joint's; None if it does not.
-
-    A URDF's effort is the joint's; some have the motor's, before its gear. So it is where one of
-    the MJCF's limits is that of the URDF times the gear exactly: Cassie's hip has an effort of
-    4.5 N m, a ``ctrlrange`` of 4.5 and a gear of 25.
-    """
-    if len(drives) != 1 or not effort > 0:
-        return None
-    gear = abs(float(actuator_gear(model, drives[0])[0]))
-    if abs(gear - 1.0) <= _EFFORT_TOLERANCE:
-        return None
-    same = any(
-        math.isclose(gear * effort, one.greatest, rel_tol=_EFFORT_TOLERANCE) for one in stated
-    )
-    return gear if same else None
 
 
 def stated_by_actuator(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
@@ -227,10 +200,6 @@ MOST_OF_ROBOT = 90.0
 """N m that all motors of a robot give together for each kg of it: 150 each, and motors are not more
 than six tenths of it. Robots in use have 2 to 55."""
 
-QUICKEST = 1e5
-"""rad/s^2 that no motor gives its own rotor, effort / armature: 100 rad/s within 1 ms. Robots in
-use have 350 to 25,000."""
-
 
 @dataclass(frozen=True)
 class Motor:
@@ -241,13 +210,11 @@ class Motor:
         effort: What a file says that it can give (N m).
         mass: Of the two links that it joins, one of which has the motor, and what is fixed to them
             (kg).
-        armature: kg m^2; 0 where none is stated.
     """
 
     joint: str
     effort: float
     mass: float
-    armature: float = 0.0
 
 
 def placeholder_efforts(
@@ -255,9 +222,8 @@ def placeholder_efforts(
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
     """Yields which efforts nobody can have meant: they are written where a number has to be.
 
-    A round one (1, 2 or 5 times 10^n, from 100) that is beyond any motor of its links' mass; one
-    beyond any motor of its armature; and all the others where they are, together, beyond what
-    motors of a robot of that mass give.
+    A round one (1, 2 or 5 times 10^n, from 100) that is beyond any motor of its links' mass; and
+    all the others where they are, together, beyond what motors of a robot of that mass give.
 
     Args:
         motors: All hinges with a limit.
@@ -267,28 +233,15 @@ def placeholder_efforts(
         Joints, the one to look at first, and what is wrong with their efforts.
     """
     stated = [one for one in motors if 0 < one.effort < math.inf]
-    found: dict[tuple[str, float], list[Motor]] = {}
+    found: dict[float, list[Motor]] = {}
     for one in stated:
         weighed = one.mass > 1e-3 * total and one.effort > MOST_OF_MOTOR * one.mass
         if weighed and _is_round(one.effort):
-            found.setdefault(("effort-beyond-links", one.effort), []).append(one)
-        elif one.armature > 0 and one.effort > QUICKEST * one.armature:
-            found.setdefault(("effort-beyond-armature", one.effort), []).append(one)
-    for (code, effort), several in found.items():
+            found.setdefault(one.effort, []).append(one)
+    for effort, several in found.items():
         names, limit = tuple(one.joint for one in several), Quantity(effort, "N m")
-        if code == "effort-beyond-links":
-            mass = Quantity(min(one.mass for one in several), "kg")
-            message = diagnose("effort-beyond-links", more=names[1:], effort=limit, mass=mass)
-        else:
-            armature = min(one.armature for one in several)
-            message = diagnose(
-                "effort-beyond-armature",
-                more=names[1:],
-                effort=limit,
-                armature=Quantity(armature, "kg m^2"),
-                quick=effort / armature,
-            )
-        yield names, message
+        mass = Quantity(min(one.mass for one in several), "kg")
+        yield names, diagnose("effort-beyond-links", more=names[1:], effort=limit, mass=mass)
     named = {one.joint for several in found.values() for one in several}
     rest = [one for one in stated if one.joint not in named]
     share = sum(one.effort for one in rest) / total if total > 0 else 0.0

@@ -35,7 +35,7 @@ from pupper_analysis.models.places import (
     refusal_at,
     refuse_file,
 )
-from pupper_analysis.models.published import existing_file, is_pointer
+from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.xml import (
     MAX_DEPTH,
     MAX_ELEMENTS,
@@ -97,7 +97,6 @@ def leave_out_missing(
         for kind, named in files.items()
         if named
     ]
-    notes += _pointers(spec, folders, {*meshes.values(), *hfields.values(), *skins.values()})
     for element in geoms:
         spec.delete(element)
     for name in textures:
@@ -114,21 +113,6 @@ def leave_out_missing(
             if element.name in gone:
                 spec.delete(element)
     return notes
-
-
-def _pointers(spec: mujoco.MjSpec, folders: tuple[Path, ...], files: set[str]) -> list[Diagnostic]:
-    """Tells which files are there, but are pointers of Git LFS."""
-    names = {Path(file).name if spec.strippath else file for file in files}
-    found = [
-        name
-        for name in sorted(names)
-        if any(is_pointer(top / folder / name) for top in folders for folder in _folders(spec))
-    ]
-    return [diagnose("files-are-lfs-pointers", files=found)] if found else []
-
-
-def _folders(spec: mujoco.MjSpec) -> set[str]:
-    return {element.compiler.meshdir for element in (*spec.meshes, *spec.hfields, *spec.skins)}
 
 
 def gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
@@ -542,16 +526,6 @@ class MjcfFile:
         found = stating_element(self._roots[0], node, attributes)
         return None if found is None else found.place
 
-    def weighing(self, body: str) -> Place:
-        """Finds where a body's mass is stated: its <inertial>, or the first geom that has one."""
-        node = self._index.get(("body", body))
-        if node is None:
-            return Place(self.path)
-        inertial = [child for child in node.children if child.tag == "inertial"]
-        geoms = [child for child in node.children if child.tag == "geom"]
-        stated = [geom for geom in geoms if {"mass", "density"} & set(geom.attributes)]
-        return (*inertial, *stated, *geoms, node)[0].place
-
     def nth(self, body: str, tag: str, number: int, attributes: Collection[str] = ()) -> Place:
         """Finds an element without a name: the n-th of its tag, from 0, directly in a body.
 
@@ -745,7 +719,8 @@ def _mujoco_message(
     """
     message = one_line(error)
     found = re.search(r"(?:, line |Line number=)([1-9][0-9]*)", message)
-    line = int(found[1]) if found else None
+    if found and len(tree.files) == 1:
+        return message, Place(tree.path, int(found[1]))
     said = set(re.findall(r"'([^']+)'", message))
     name = re.search(r"Element name '([^']+)'", message)
     named = [node.place for (_, known), node in index.items() if name and known == name[1]]
@@ -753,19 +728,10 @@ def _mujoco_message(
     meant = [
         node.place
         for node in nodes
-        if said & {v for k, v in node.attributes.items() if k != "name" or line is not None}
-        and line in (None, node.place.line)
+        if said & {v for k, v in node.attributes.items() if k != "name" or found}
+        and (not found or node.place.line == int(found[1]))
     ]
-    place = Place(tree.path)
-    if line is not None and len(tree.files) == 1:
-        place = Place(tree.path, line)
-    elif line is not None and len({where.file for where in meant}) == 1:
-        place = meant[0]
-    elif named or meant:
-        place = (named or meant)[0]
-    elif line is not None and len({n.place.file for n in nodes if n.place.line == line}) == 1:
-        place = next(node.place for node in nodes if node.place.line == line)
-    return message, place
+    return message, (*named, *meant, Place(tree.path))[0]
 
 
 def _child(node: Node, tag: str) -> Node | None:

@@ -115,21 +115,6 @@ class Terms(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
-    """What a shape would be of a density of 1.
-
-    Attributes:
-        volume: m^3.
-        com: (3,) in the shape's frame (m).
-        inertia: (3, 3) about the com, of 1 kg/m^3 (m^5).
-    """
-
-    volume: float
-    com: Array
-    inertia: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Shape:
     """A shape that is drawn or touches things.
 
@@ -305,7 +290,7 @@ class Shape:
 
     @cached_property
     def collision(self) -> coal.CollisionGeometry:
-        """The shape in coal; it is a cone or one of ``CONVEX``, its mesh known."""
+        """The shape in coal; it is one of ``CONVEX``, its mesh known."""
         match self.kind, self.size:
             case "sphere", (r,):
                 return coal.Sphere(r)
@@ -313,8 +298,6 @@ class Shape:
                 return coal.Capsule(r, 2 * half)
             case "cylinder", (r, half):
                 return coal.Cylinder(r, 2 * half)
-            case "cone", (r, half):
-                return coal.Cone(r, 2 * half)
             case "ellipsoid", (x, y, z):
                 return coal.Ellipsoid(x, y, z)
             case "box", (x, y, z):
@@ -324,15 +307,6 @@ class Shape:
         corners.extend(list(self.mesh.vertices))
         triangles.extend([coal.Triangle(*face) for face in self.mesh.faces.tolist()])
         return coal.Convex(corners, triangles)
-
-    @cached_property
-    def solid(self) -> Solid | None:
-        """Its volume and second moments, by coal; None of a mesh, and where there is none."""
-        if self.kind == "mesh" or self.kind not in (*CONVEX, "cone"):
-            return None
-        shape = self.collision
-        inertia = np.array(shape.computeMomentofInertiaRelatedToCOM())
-        return Solid(float(shape.computeVolume()), np.array(shape.computeCOM()), inertia)
 
 
 _GLOBE = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])

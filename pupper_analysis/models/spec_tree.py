@@ -9,7 +9,6 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Final
 
 import mujoco
@@ -25,11 +24,10 @@ from pupper_analysis.models.attributes import (
     FLOOR,
     HOME,
     IMU_SENSORS,
-    PASSIVE,
     JointAttribute,
     Number,
 )
-from pupper_analysis.models.mjcf import CONTACT_OF_GEOM, JointKind, add_plane, compile_spec
+from pupper_analysis.models.mjcf import CONTACT_OF_GEOM, JointKind, add_plane
 from pupper_analysis.models.xml import free_name
 
 Array = NDArray[np.float64]
@@ -350,24 +348,21 @@ class SpecTree:
 # A base that is free in the world by slides and hinges, or slides and a ball: one free joint.
 
 
-_LEAST_VOLUME: Final = 0.1
-"""Least volume that three axes span: those of coordinates span 1, and 0 are none."""
+_SPAN: Final = 0.1
+"""Least singular value of three axes that span space: those of coordinates have 1, 1 and 1."""
 
-_LOSSES: Final = tuple(one.mjcf[0] for one in PASSIVE if one.mujoco)
+_SLIDES: Final = [JointKind.SLIDE] * 3
+_IN_PARTS: Final = ([*_SLIDES, JointKind.BALL], [*_SLIDES, *[JointKind.HINGE] * 3])
 
 
-def join_free_base(
-    spec: mujoco.MjSpec, source: Path, *, stated: Collection[str] = ()
-) -> Diagnostic | None:
-    """Gives a base that is free in parts a free joint instead, in place.
+def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diagnostic | None:
+    """Gives a base that is free in parts a free joint instead, in place; keyframes go.
 
     Models after OpenSim, and some exporters, free a base by three slides and three hinges (or a
-    ball). All programs here know one free base; which joints make it is a convention. Keyframes
-    have the same pose afterwards.
+    ball). All programs here know one free base; which joints make it is a convention.
 
     Args:
         spec: The MJCF.
-        source: Where it came from, for messages.
         stated: Joints that the URDF has, too: if these are among them, they stay.
 
     Returns:
@@ -376,16 +371,12 @@ def join_free_base(
     base = _free_in_parts(spec, stated)
     if base is None:
         return None
-    joints = list(base.joints)
-    ball = joints[-1].type == JointKind.BALL
-    lossy = [word for word in _LOSSES if any(np.any(getattr(j, word)) for j in joints)]
-    poses = _poses(compile_spec(spec.copy(), source), base.name, len(joints))
-    for joint in joints:
+    for key in list(spec.keys):
+        spec.delete(key)
+    for joint in list(base.joints):
         delete_joint(spec, joint)
     base.add_freejoint()
-    for key, qpos in zip(spec.keys, poses, strict=True):
-        key.qpos, key.qvel = qpos, []
-    return diagnose("base-joints-joined", subject=("body", base.name), ball=ball, losses=lossy)
+    return diagnose("base-joints-joined", subject=("body", base.name))
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
@@ -418,9 +409,7 @@ def _free_in_parts(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBo
     if base is None:
         return None
     joints = list(base.joints)
-    kinds = [joint.type for joint in joints]
-    slides = [JointKind.SLIDE] * 3
-    if kinds not in ([*slides, JointKind.BALL], [*slides, *[JointKind.HINGE] * 3]):
+    if [joint.type for joint in joints] not in _IN_PARTS:
         return None
     names = {joint.name for joint in joints}
     driven = {actuator.target for actuator in spec.actuators}
@@ -428,34 +417,9 @@ def _free_in_parts(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBo
         return None
     if len(base.find_all(joint_count)) == len(joints):  # a thing, and no robot
         return None
-    if any(abs(np.linalg.det(axes)) < _LEAST_VOLUME for axes in _axes(joints)):
+    axes = [
+        [j.axis for j in joints if j.type == kind] for kind in (JointKind.SLIDE, JointKind.HINGE)
+    ]
+    if any(np.linalg.matrix_rank(rows, tol=_SPAN) < 3 for rows in axes if rows):
         return None
     return base
-
-
-def _axes(joints: Sequence[mujoco.MjsJoint]) -> list[Array]:
-    """Returns the axes of the slides, and of the hinges, as rows of unit vectors."""
-    found = []
-    for kind in (JointKind.SLIDE, JointKind.HINGE):
-        axes = np.array([joint.axis for joint in joints if joint.type == kind])
-        if len(axes):
-            found.append(axes / np.linalg.norm(axes, axis=1, keepdims=True))
-    return found
-
-
-def _poses(model: mujoco.MjModel, base: str, count: int) -> list[list[float]]:
-    """Returns the keyframes' positions with the base's pose in the place of its joints'."""
-    data = mujoco.MjData(model)
-    body = model.body(base)
-    first = int(body.jntadr[0])
-    start = int(model.jnt_qposadr[first])
-    last = first + count - 1
-    end = int(model.jnt_qposadr[last]) + (4 if model.jnt_type[last] == JointKind.BALL else 1)
-    found = []
-    for number in range(model.nkey):
-        mujoco.mj_resetDataKeyframe(model, data, number)
-        mujoco.mj_kinematics(model, data)
-        pose = [*data.xpos[body.id].tolist(), *data.xquat[body.id].tolist()]
-        qpos = data.qpos.tolist()
-        found.append([*qpos[:start], *pose, *qpos[end:]])
-    return found

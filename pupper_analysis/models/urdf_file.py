@@ -216,13 +216,6 @@ _NUMBERS: Final[Mapping[str, Mapping[str, int]]] = {
         for tag in ("limit", "dynamics")
     },
     "mimic": {"multiplier": 1, "offset": 1},
-    "calibration": {"rising": 1, "falling": 1, "reference_position": 1},
-    "safety_controller": {
-        "k_velocity": 1,
-        "k_position": 1,
-        "soft_lower_limit": 1,
-        "soft_upper_limit": 1,
-    },
     "box": {"size": 3},
     "cylinder": {"radius": 1, "length": 1},
     "capsule": {"radius": 1, "length": 1},
@@ -235,7 +228,6 @@ _REQUIRED: Final[Mapping[str, tuple[str, ...]]] = {
     "mass": ("value",),
     "inertia": _INERTIA,
     "mimic": ("joint",),
-    "safety_controller": ("k_velocity",),
     "box": ("size",),
     "cylinder": ("radius", "length"),
     "capsule": ("radius", "length"),

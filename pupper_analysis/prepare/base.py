@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import (
     placement_of,
-    quaternion_from_rotation,
     rotation_from_quaternion,
 )
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint, silence_mujoco
-from pupper_analysis.models.spec_tree import join_free_base, set_inertia
+from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.match import limbs_on_the_world
 
 Array = NDArray[np.float64]
-
-_QUARTERS = tuple(
-    rotation
-    for rows in itertools.permutations(np.eye(3))
-    for signs in itertools.product((1.0, -1.0), repeat=3)
-    if np.linalg.det(rotation := np.array(rows) * np.array(signs)) > 0
-)
-"""The rotations (3, 3) of a frame's axes onto each other."""
 
 _AT_THE_GROUND = 1e-6
 """By how much a limb's lowest point may be below a base's frame that is on the ground with it (m):
@@ -60,7 +49,7 @@ def free_base(
     stated = set(urdf.tree.joints)
     if has_free_joint(spec):
         return spec, []
-    joined = join_free_base(spec, urdf.path, stated=stated)
+    joined = join_free_base(spec, stated=stated)
     if joined is not None:
         return spec, [joined]
     if len(limbs_on_the_world(spec, urdf.root)) >= 2:
@@ -96,12 +85,11 @@ def free_of_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
 
 
 def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnostic]:
-    """Turns the frame of a free base upright, and puts it to its com where no limb ends below it.
+    """Raises the frame of a free base to the height of its com where no limb ends below it.
 
-    It is turned, by quarters, if the file's first keyframe (``home``) has it more than 45 deg from
-    level, and raised, in height, to the com. Roll, pitch and height are of a base's frame with z
-    up, as everywhere else. The URDF's frame follows, as it does where files have it in other
-    places.
+    Roll, pitch and height are of a base's frame with z up: that the file's first keyframe
+    (``home``) has it more than 45 deg from level is told. The URDF's frame follows, as it does
+    where files have it in other places.
 
     Args:
         spec: The MJCF's, in which all bodies have names; it is changed.
@@ -132,12 +120,7 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnost
     )
     if begun[2, 2] < _TILTED:
         tilt, subject = Quantity(float(np.arccos(begun[2, 2])), "rad"), ("body", base.name)
-        if not keys:
-            return [diagnose("base-frame-tilted", subject=subject, tilt=tilt)]
-        upright = max(_QUARTERS, key=lambda quarters: float(np.trace(begun @ quarters)))
-        _move_frame(spec, base, place, pin.SE3(upright, np.zeros(3)), model)
-        named = model.key(keys[0]).name
-        return [diagnose("base-frame-turned", subject=subject, tilt=tilt, keyframe=named)]
+        return [diagnose("base-frame-tilted", subject=subject, tilt=tilt)]
     ends = [end for end in limb_ends(model) if end != body]
     below = np.isin(model.body_weldid[model.geom_bodyid], ends)
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -152,44 +135,36 @@ def place_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnost
     hangs = bottom < com[2] - min(up, reach) / 2
     if not hangs or turn[2, 2] < 1 - 1e-9:
         return []
-    _move_frame(spec, base, place, pin.SE3(np.eye(3), np.array([0.0, 0.0, up])), model)
+    _raise_frame(spec, base, place, up, model)
     return [diagnose("base-frame-lifted", subject=("body", base.name), height=Quantity(up, "m"))]
 
 
-def _move_frame(
-    spec: mujoco.MjSpec, base: mujoco.MjsBody, place: int, there: pin.SE3, model: mujoco.MjModel
+def _raise_frame(
+    spec: mujoco.MjSpec, base: mujoco.MjsBody, place: int, up: float, model: mujoco.MjModel
 ) -> None:
-    """Moves a free base's frame, and nothing else.
+    """Raises a free base's level frame, and nothing else.
 
     Args:
         spec: The base's, with its keyframes; it is changed.
         base: The base.
         place: Of its free joint in ``qpos``.
-        there: Where its frame is to be in what it was.
+        up: By how much, along its z axis (m).
         model: What MuJoCo compiles of it.
     """
-    back = there.inverse()
+    there = np.array([0.0, 0.0, up])
     own = (*base.geoms, *base.sites, *base.cameras, *base.lights, *base.bodies, *base.frames)
-    frame = base.add_frame(pos=back.translation, quat=quaternion_from_rotation(back.rotation))
+    frame = base.add_frame(pos=-there)
     for element in own:
         if element.frame is None:
             element.set_frame(frame)
-    inertial = model.body(base.name)
-    if base.explicitinertial and np.array_equal(there.rotation, np.eye(3)):
-        base.ipos = base.ipos + back.translation
-    elif base.explicitinertial:
-        axes = rotation_from_quaternion(inertial.iquat)
-        spread = axes @ np.diag(inertial.inertia) @ axes.T
-        set_inertia(base, back.act(pin.Inertia(float(inertial.mass[0]), inertial.ipos, spread)))
-    moved = placement_of(inertial.quat, inertial.pos) * there
-    base.pos, base.quat = moved.translation, quaternion_from_rotation(moved.rotation)
-    base.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    if base.explicitinertial:
+        base.ipos = base.ipos - there
+    start = model.body(base.name)
+    base.pos = placement_of(start.quat, start.pos).act(there)
     for key in spec.keys:
         qpos = np.array(key.qpos)
         if len(qpos) >= place + 7:
             quaternion = qpos[place + 3 : place + 7].copy()
             mujoco.mju_normalize4(quaternion)  # of zeros it makes none, as its compiler
-            moved = placement_of(quaternion, qpos[place : place + 3]) * there
-            qpos[place : place + 3] = moved.translation
-            qpos[place + 3 : place + 7] = quaternion_from_rotation(moved.rotation)
+            qpos[place : place + 3] = placement_of(quaternion, qpos[place : place + 3]).act(there)
             key.qpos = qpos

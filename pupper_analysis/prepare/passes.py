@@ -273,7 +273,7 @@ def _free_base(draft: Draft) -> Made:
     return replace(draft, spec=spec), messages
 
 
-@_pass(Term("turns the base's frame upright, and lifts it off the ground"), _free)
+@_pass(Term("lifts the base's frame off the ground"), _free)
 def _place_base_frame(draft: Draft) -> Made:
     return draft, place_base_frame(draft.spec, draft.mjcf.model)
 
@@ -356,13 +356,11 @@ def _put_feet(draft: Draft) -> Made:
         gone = [note for note in gone if note.values.get("kind", "mesh") == "mesh"]
         if not gone:
             raise
-        pointers = [note for note in draft.mjcf.notes if note.code == "files-are-lfs-pointers"]
         named = [note.values["files"] for note in gone]
         problem = diagnose(
             "no-feet-as-files-are-missing",
             files=tuple(name for names in named if isinstance(names, tuple) for name in names),
             package=next((name for note in gone if (name := note.values.get("package"))), None),
-            pointers=pointers,
         )
         raise ModelError(draft.mjcf.path, problem) from error
     if not feet:

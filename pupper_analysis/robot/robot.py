@@ -79,13 +79,9 @@ def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
         if all(statement.file != "URDF" for statement in limit.stated)
     ]
     uneven = [one.joint for one in limits if not _alike(-one.lower, one.upper)]
-    geared, differing = [], []
+    differing = []
     for limit in limits:
         joint, by_file = ("joint", limit.joint), sorted(limit.stated, key=lambda one: one.least)
-        if limit.gear != 1.0:
-            effort = Quantity(next(one.stated[1] for one in by_file if one.file == "URDF"), "N m")
-            message = diagnose("effort-geared", subject=joint, effort=effort, gear=limit.gear)
-            geared.append(message)
         unused = next((one for one in by_file[1:] if one.file != by_file[0].file), None)
         if unused and limit.origin is not None and not _alike(by_file[0].least, unused.least):
             most = Quantity(unused.least, "N m")
@@ -96,7 +92,6 @@ def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
             differing.append(message)
     found = (
         (unstated, diagnose("effort-unstated", joints=unstated)),
-        (geared, diagnose("efforts-multiplied-by-gear", joints=geared)),
         (differing, diagnose("effort-limits-differ", joints=differing)),
         (uneven, diagnose("motors-uneven", joints=uneven)),
     )

@@ -11,7 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity
-from pupper_analysis.models.efforts import EffortStatement, effort_of
+from pupper_analysis.models.efforts import effort_of
 from pupper_analysis.models.transmission import Drive, drive_of
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot.build import rebuild_robot
@@ -121,26 +121,6 @@ def test_the_least_of_all_that_is_stated(
     limit = effort_of(arm(motor, joint), 0, effort)
     assert (limit.lower, limit.upper) == (expected or (-math.inf, math.inf))
     assert (None if limit.origin is None else limit.origin.attribute) == attribute
-
-
-@pytest.mark.parametrize(
-    ("motor", "limit", "gear"),
-    [
-        ('ctrlrange="-4.5 4.5" gear="25"', 112.5, 25.0),  # Cassie's hip
-        ('forcerange="-4.5 4.5" gear="-25"', 112.5, 25.0),
-        ('ctrlrange="-4.5 4.5"', 4.5, 1.0),
-        ('ctrlrange="-4.4 4.4" gear="25"', 4.5, 1.0),  # not exactly: the URDF's is the joint's
-        ('gear="25"', 4.5, 1.0),  # nothing to compare it with
-    ],
-)
-def test_an_effort_before_the_gear_is_multiplied_by_it(
-    motor: str, limit: float, gear: float
-) -> None:
-    model = arm(f'<motor joint="turn" {motor}/>')
-    found = effort_of(model, 0, 4.5)
-    assert (found.upper, found.gear) == (limit, gear)
-    assert found.origin == EffortStatement.of("URDF", "joint", "turn", "effort", (-4.5, 4.5), gear)
-    assert len(effort_notes([found])) == (1 if gear != 1.0 or "4.4" in motor else 0)
 
 
 def test_motors_that_differ_by_direction() -> None:

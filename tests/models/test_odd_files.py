@@ -35,7 +35,7 @@ def test_pointers_of_git_lfs_are_missing_meshes(tmp_path: Path) -> None:
     comparison = compared(write(tmp_path, URDF, text))
     assert comparison.agree
     values = {note.code: note for note in comparison.notes if not isinstance(note, str)}
-    assert values["files-are-lfs-pointers"].values["files"] == ("shell.stl",)
+    assert values["files-missing"].values["files"] == ("shell.stl",)
     findings = audit_model(tmp_path / "robot.xml").findings
     (finding,) = (one for one in findings if one.rule == "mesh-missing")
     assert "is a pointer of Git LFS, not the mesh: git lfs pull brings it" in finding.message

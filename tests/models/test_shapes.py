@@ -90,15 +90,6 @@ def test_coal_has_the_shape_where_its_sum_has_it(kind: str) -> None:
         assert 2.0 - found.min_distance == pytest.approx(far, abs=1e-6)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in SIZES if kind != "mesh"])
-def test_a_solid_weighs_what_mujoco_has_it_weigh(kind: str) -> None:
-    model = model_of(kind)
-    solid = read_shape(model, 1).solid
-    assert solid is not None
-    assert solid.volume == pytest.approx(model.body_mass[1])
-    assert sorted(np.diag(solid.inertia)) == pytest.approx(sorted(model.body_inertia[1]))
-
-
 def test_of_a_mesh_the_hull_counts() -> None:
     """MuJoCo's own where it touches, computed here where it does not: the same four corners."""
     touching = model_of("mesh")
@@ -128,7 +119,7 @@ def test_a_placed_shape_is_moved_with_its_body() -> None:
 def test_what_has_no_extent_is_known_as_such() -> None:
     for kind, size in (("plane", ()), ("mesh", ()), ("none", ())):
         shape = Shape("", kind, Pose(), size, collides=True)
-        assert (shape.support(np.eye(3)), shape.points, shape.solid) == (None, None, None)
+        assert (shape.support(np.eye(3)), shape.points) == (None, None)
     assert read_shape(model_of("box"), 0).kind == "plane"
     assert {*CONVEX} == {*SIZES}
 

@@ -183,47 +183,6 @@ def test_a_base_frame_that_is_not_level_is_said(tmp_path: Path) -> None:
         assert ("base-frame-tilted" in codes) is tilted
 
 
-def _turned(pair: Pair) -> None:
-    """Writes a pair's MJCF with its base's frame turned by 90 deg about x, and nothing else."""
-    spec = mujoco.MjSpec.from_file(str(pair.mjcf))
-    base, half = spec.body("trunk"), math.sqrt(0.5)
-    frame = base.add_frame(quat=(half, -half, 0, 0))
-    for own in (*base.geoms, *base.sites, *base.bodies):
-        own.set_frame(frame)
-    quat = np.zeros(4)
-    mujoco.mju_mulQuat(quat, np.array((half, -half, 0, 0)), np.array(base.iquat))
-    base.iquat, place = quat, np.array((half, half, 0, 0))
-    (x, y, z), zero = base.ipos, np.array(base.fullinertia)
-    base.ipos = (x, z, -y)
-    assert np.isnan(zero).all() or not zero[3:].any()
-    base.quat = place
-    for key in spec.keys:
-        qpos = np.array(key.qpos)
-        qpos[3:7] = place
-        key.qpos = qpos
-    spec.compile()
-    pair.mjcf.write_text(spec.to_xml())
-
-
-def test_a_base_frame_that_is_turned_in_its_keyframe_is_turned_back(tmp_path: Path) -> None:
-    """The stand of the robot whose frame is upright, whatever frame the file gives its base."""
-    upright = pa.load_robot(quadruped(tmp_path).mjcf)
-    (tmp_path / "turned").mkdir()
-    pair = quadruped(tmp_path / "turned")
-    _turned(pair)
-    robot = pa.load_robot(pair.mjcf)
-    assert "base-frame-turned" in {note.code for note in robot.notes}
-    one, other = (pa.solve_stand(one) for one in (upright, robot))
-    np.testing.assert_allclose(other.qpos, one.qpos, atol=1e-6)
-    torques = [
-        pa.stance.stand_statics(*of).joint_torques for of in ((upright, one), (robot, other))
-    ]
-    np.testing.assert_allclose(*torques, atol=1e-6)
-    stands(robot)
-    both = pa.load_robot(pair.urdf, pair.mjcf)  # of a URDF whose frame is upright
-    np.testing.assert_allclose(pa.solve_stand(both).qpos, one.qpos, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("turn", "axis", "back"), [("x", "+y", (-1, 0)), ("y", "-x", (0, -1)), ("xx", "+z", (2, 0))]
 )

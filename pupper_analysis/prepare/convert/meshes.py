@@ -240,7 +240,7 @@ def _said(error: ValueError) -> str:
 READABLE: Final = (".stl", ".obj")
 """Endings of the mesh files that MuJoCo reads."""
 
-_CONVERTIBLE: Final = (".dae", ".glb", ".gltf", ".off", ".ply")
+_CONVERTIBLE: Final = (".dae", ".glb", ".off", ".ply")
 """Endings of those that are read here: no archives, whose content may be of any size and kind."""
 
 MOST_BYTES: Final = 50_000_000
@@ -278,9 +278,7 @@ def obj_of(path: Path) -> bytes:
 
     data = read_mesh(path)
     try:
-        scene = trimesh.load_scene(
-            io.BytesIO(data), file_type=ending[1:], resolver=_Beside(path), skip_materials=True
-        )
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], skip_materials=True)
         count = sum(
             len(scene.geometry[scene.graph[node][1]].vertices)
             for node in scene.graph.nodes_geometry
@@ -315,20 +313,3 @@ def read_mesh(path: Path) -> bytes:
 def _check_count(vertices: int, most: int) -> None:
     if vertices > most:
         raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=most))
-
-
-class _Beside:
-    """Finds the files that a mesh names, for trimesh: regular ones, beside it, not too large."""
-
-    def __init__(self, path: Path) -> None:
-        self.folder = path.parent.resolve()
-
-    def __getitem__(self, name: str) -> bytes:
-        return self.get(name)
-
-    def get(self, name: str) -> bytes:
-        """Returns a file's content."""
-        file = (self.folder / name).resolve()
-        if not file.is_relative_to(self.folder):
-            raise FileNotFoundError(name)
-        return read_mesh(file)

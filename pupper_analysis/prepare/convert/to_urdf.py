@@ -250,7 +250,7 @@ class BareUrdf:
             ModelError: If a URDF cannot have the robot.
         """
         spec = file.spec.copy()
-        joined = join_free_base(spec, file.path)
+        joined = join_free_base(spec)
         notes = [*file.notes, *([joined] if joined else [])]
         model = compile_spec(spec, file.path) if joined else file.model
         tree = UrdfTree(etree.Element("robot", name=str(file.spec.modelname) or file.path.stem))

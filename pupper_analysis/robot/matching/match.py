@@ -283,7 +283,7 @@ def match_models(
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
     taken, spec = set(UrdfTree(root).joints), mjcf.spec.copy()
     named = name_all(spec, taken)
-    joined = join_free_base(spec, mjcf.path, stated=taken)
+    joined = join_free_base(spec, stated=taken)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
     dropped = drop_other_objects(spec, mjcf.path, root)
     at_bodies = ball_joints(spec)

@@ -168,7 +168,7 @@ class MjcfSources:
     def weight(self, kind: str, name: str) -> Place:
         """Returns where a body's mass, com or inertia stands: all three in its <inertial>."""
         del kind
-        return self.file.weighing(name)
+        return self.file.place("body", name, "inertial")
 
 
 Sources = UrdfSources | MjcfSources

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_tensor
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
-from pupper_analysis.models.efforts import effort_of
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
+from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import MAX_NUMBER
 from pupper_analysis.robot.compare.differences import (
@@ -405,8 +405,10 @@ def before_gears(case: PatternCase) -> Found:
     for kind, name in case.open:
         if kind == "effort":
             effort = case.first.joints[name].effort
-            gear = effort_of(model, model.joint(name).id, effort).gear
-            if gear != 1.0:
+            motors = drives_of(model, model.joint(name).id)
+            gear = abs(float(actuator_gear(model, motors[0])[0])) if len(motors) == 1 else 1.0
+            own = case.second.joints[name].effort
+            if gear != 1.0 and math.isclose(effort * gear, own, rel_tol=1e-6):
                 found[effort, gear].append(name)
     if not found:
         return

@@ -107,7 +107,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     if file.spec.compiler.fusestatic:
         file = _kept_apart(file)
     spec = file.spec.copy()
-    named, joined = name_all(spec, set()), join_free_base(spec, file.path)
+    named, joined = name_all(spec, set()), join_free_base(spec)
     whole = compile_spec(spec.copy(), file.path)
     dropped = drop_other_objects(spec, file.path, None)
     _, _, held = list_hinges(spec, file.path)

@@ -104,17 +104,3 @@ def test_a_flat_mesh_to_look_at_is_a_shell(tmp_path: Path) -> None:
     assert found.passed
     assert not [text for text in map(str, found.not_converted) if "mesh" in text]
     assert compiled(tmp_path / "arm.xml").nmesh == 1
-
-
-def test_files_that_a_mesh_names_are_beside_it(tmp_path: Path) -> None:
-    (tmp_path / "in").mkdir()
-    files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(BOX))
-    for name, content in files.items():
-        (tmp_path / "in" / name).write_bytes(content)
-    model = tmp_path / "in" / "model.gltf"
-    assert obj_of(model)
-    buffer = next(name for name in files if name.endswith(".bin"))
-    (tmp_path / "in" / buffer).rename(tmp_path / buffer)
-    model.write_text(model.read_text().replace(buffer, f"../{buffer}"))
-    with pytest.raises(UnreadableError, match="broken"):
-        obj_of(model)
