@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.transmission import MadeServo, is_at_one_joint
-from pupper_analysis.prepare.contact_points import BALL
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.matching.match import Match
@@ -61,22 +60,14 @@ def named_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic
 
 def tell_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
     """Tells of which feet balls take the place, {foot: why}; feet of a kind have one reason."""
-    kinds: dict[str, list[str]] = {}
+    soles, others = list[str](), list[str]()
     for foot in feet:
         if any(is_ball(robot.mj_model, point) for point in foot.points):
-            edgy = len(foot.points) == 1 and foot.points[0].radius == BALL
-            kind = "soles" if len(foot.points) > 1 else "edges" if edgy else "round"
-            kinds.setdefault(kind, []).append(foot.name)
-    values = {}
-    for kind, names in kinds.items():
-        if kind == "round":
-            why = diagnose("balls-for-round-feet", feet=names)
-        elif kind == "soles":
-            why = diagnose("balls-for-soles", feet=names)
-        else:
-            why = diagnose("balls-for-edges", feet=names)
-        values.update(dict.fromkeys(names, why))
-    return values
+            (soles if len(foot.points) > 1 else others).append(foot.name)
+    return {
+        **dict.fromkeys(soles, diagnose("balls-for-soles", feet=soles)),
+        **dict.fromkeys(others, diagnose("balls-for-feet", feet=others)),
+    }
 
 
 def tell_planar(robot: Robot) -> Iterator[Diagnostic]:

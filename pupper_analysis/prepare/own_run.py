@@ -274,15 +274,12 @@ def run_alone(bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold) -> OwnR
         motion, end = held_motion(bare.model, start, advance)
     off = end.qpos[places] - start.qpos[places]
     imported = robot.published is not None and robot.published.imported is not None
-    given = {servo.joint for servo in robot.description.made_servos if imported}
     joints = [
         JointOff(
             name,
             float(off[index]),
             bare.drives[index],
             _servo_lead(bare, name, hold.ctrl, float(start.qpos[places[index]])),
-            added=name in given
-            or bare.model.jnt_dofadr[bare.model.joint(name).id] in hold.outside[0],
         )
         for index, name in enumerate(robot.joint_names)
     ]

@@ -230,7 +230,6 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
             lean=Quantity(run.lean, "rad"),
             away=Quantity(run.away, "m"),
             joint=None if joint is None else joint.joint,
-            added=joint is not None and joint.added,
             commanded=joint is not None and joint.commanded_away,
             **how,
         )

@@ -83,14 +83,12 @@ class JointOff:
         drive: What drives it in the file.
         commanded: Where its servo is commanded to be less where it was (rad, m); None where it has
             none.
-        added: Whether a servo was added there, on which the run rests.
     """
 
     joint: str
     off: float
     drive: Drive
     commanded: float | None = None
-    added: bool = False
 
     @property
     def commanded_away(self) -> bool:

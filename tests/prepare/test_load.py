@@ -217,7 +217,7 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="ball" pos="0 0 -0.2"/>')
     rewritten(pair.mjcf, ("<worldbody>", MESH.format("ball", text)))
     robot = load(pair)
-    said(robot, "fitted spheres replace their meshes")
+    said(robot, "fitted to what is round there")
     for radius in robot.contact_radius.values():
         assert radius == pytest.approx(0.025, abs=3e-4)  # facets are a little inside
     place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL_calf"]
@@ -239,9 +239,9 @@ def test_a_foot_with_a_mesh_that_is_not_round_is_told(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="block" pos="0 0 -0.2"/>')
     rewritten(pair.mjcf, ("<worldbody>", MESH.format("block", vertices)))
     robot = load(pair)
-    said(robot, "meshes that are not round")
+    said(robot, "replaced by spheres where they are lowest")
     stands(robot)
-    assert not any(note.code == "balls-for-edges" for note in load(quadruped(tmp_path)).notes)
+    assert not any(note.code == "balls-for-feet" for note in load(quadruped(tmp_path)).notes)
 
 
 def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) -> None:
