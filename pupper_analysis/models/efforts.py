@@ -200,6 +200,10 @@ MOST_OF_ROBOT = 90.0
 """N m that all motors of a robot give together for each kg of it: 150 each, and motors are not more
 than six tenths of it. Robots in use have 2 to 55."""
 
+QUICKEST = 1e5
+"""rad/s^2 that no motor gives its own rotor, effort / armature: 100 rad/s within 1 ms. Robots in
+use have 350 to 25,000."""
+
 
 @dataclass(frozen=True)
 class Motor:
@@ -210,11 +214,13 @@ class Motor:
         effort: What a file says that it can give (N m).
         mass: Of the two links that it joins, one of which has the motor, and what is fixed to them
             (kg).
+        armature: kg m^2; 0 where none is stated.
     """
 
     joint: str
     effort: float
     mass: float
+    armature: float = 0.0
 
 
 def placeholder_efforts(
@@ -222,8 +228,9 @@ def placeholder_efforts(
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
     """Yields which efforts nobody can have meant: they are written where a number has to be.
 
-    A round one (1, 2 or 5 times 10^n, from 100) that is beyond any motor of its links' mass; and
-    all the others where they are, together, beyond what motors of a robot of that mass give.
+    A round one (1, 2 or 5 times 10^n, from 100) that is beyond any motor of its links' mass; one
+    beyond any motor of its armature; and all the others where they are, together, beyond what
+    motors of a robot of that mass give.
 
     Args:
         motors: All hinges with a limit.
@@ -233,15 +240,28 @@ def placeholder_efforts(
         Joints, the one to look at first, and what is wrong with their efforts.
     """
     stated = [one for one in motors if 0 < one.effort < math.inf]
-    found: dict[float, list[Motor]] = {}
+    found: dict[tuple[str, float], list[Motor]] = {}
     for one in stated:
         weighed = one.mass > 1e-3 * total and one.effort > MOST_OF_MOTOR * one.mass
         if weighed and _is_round(one.effort):
-            found.setdefault(one.effort, []).append(one)
-    for effort, several in found.items():
+            found.setdefault(("effort-beyond-links", one.effort), []).append(one)
+        elif one.armature > 0 and one.effort > QUICKEST * one.armature:
+            found.setdefault(("effort-beyond-armature", one.effort), []).append(one)
+    for (code, effort), several in found.items():
         names, limit = tuple(one.joint for one in several), Quantity(effort, "N m")
-        mass = Quantity(min(one.mass for one in several), "kg")
-        yield names, diagnose("effort-beyond-links", more=names[1:], effort=limit, mass=mass)
+        if code == "effort-beyond-links":
+            mass = Quantity(min(one.mass for one in several), "kg")
+            message = diagnose("effort-beyond-links", more=names[1:], effort=limit, mass=mass)
+        else:
+            armature = min(one.armature for one in several)
+            message = diagnose(
+                "effort-beyond-armature",
+                more=names[1:],
+                effort=limit,
+                armature=Quantity(armature, "kg m^2"),
+                quick=effort / armature,
+            )
+        yield names, message
     named = {one.joint for several in found.values() for one in several}
     rest = [one for one in stated if one.joint not in named]
     share = sum(one.effort for one in rest) / total if total > 0 else 0.0

@@ -64,24 +64,6 @@ def has_free_joint(model: mujoco.MjModel | mujoco.MjSpec) -> bool:
     return bool((model.jnt_type == FREE).any())
 
 
-_GROUND = re.compile("floor|ground|plane|terrain", re.IGNORECASE)
-
-
-def put_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
-    """Adds the ground that pairs of contacts name and the file lacks, as its scene has it.
-
-    Returns:
-        That it was added, if there was one to add.
-    """
-    known = {geom.name for geom in spec.geoms}
-    named = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
-    gone = sorted(name for name in named - known if name)
-    if len(gone) != 1 or not _GROUND.search(gone[0]):
-        return []
-    add_plane(spec.worldbody, gone[0])
-    return [diagnose("ground-of-pairs-added", subject=("geom", gone[0]))]
-
-
 CONTACT_OF_GEOM: Final = (
     *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
     *("margin", "gap", "group"),

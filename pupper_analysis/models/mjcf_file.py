@@ -1,7 +1,7 @@
 """Reads an MJCF: what MuJoCo makes of it, and where its elements stand.
 
-Includes are put in and attached models too. What needs files that are missing (meshes, textures,
-skins) is left out, and flat meshes, which MuJoCo refuses as solids, become shells.
+Includes are put in and attached models too. What needs files that are missing (meshes,
+textures) is left out, and flat meshes, which MuJoCo refuses as solids, become shells.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf import (
     compile_spec,
     no_number,
-    put_ground,
     silence_mujoco,
     spec_of,
 )
@@ -55,18 +54,16 @@ def leave_out_missing(
         return bool(file) and not any(existing_file(top / folder / name) for top in folders)
 
     meshes = {m.name: m.file for m in spec.meshes if missing(m.file, m.compiler.meshdir)}
-    hfields = {h.name: h.file for h in spec.hfields if missing(h.file, h.compiler.meshdir)}
     textures = {
         t.name: next(filter(None, (t.file, *t.cubefiles)))
         for t in spec.textures
         if any(missing(file, t.compiler.texturedir) for file in (t.file, *t.cubefiles))
     }
-    skins = {s.name: s.file for s in spec.skins if missing(s.file, s.compiler.meshdir)}
-    if not (meshes or hfields or textures or skins):
+    if not (meshes or textures):
         return []
-    geoms = [g for g in spec.geoms if g.meshname in meshes or g.hfieldname in hfields]
+    geoms = [geom for geom in spec.geoms if geom.meshname in meshes]
     for geom in geoms:
-        if geom.meshname in meshes and gives_mass(spec, geom):
+        if gives_mass(spec, geom):
             body = geom.parent.name
             place = index[("body", body)].place if ("body", body) in index else Place(tree.path)
             raise refuse_file(
@@ -78,13 +75,11 @@ def leave_out_missing(
                     file=meshes[geom.meshname],
                 ),
             )
-    files = {"mesh": meshes, "height field": hfields, "texture": textures, "skin": skins}
+    files = {"mesh": meshes, "texture": textures}
     touching = dict.fromkeys(
         meshes[geom.meshname]
         for geom in geoms
-        if geom.meshname in meshes
-        and (geom.contype or geom.conaffinity)
-        and geom.parent.name != "world"
+        if (geom.contype or geom.conaffinity) and geom.parent.name != "world"
     )
     notes = [
         diagnose(
@@ -92,7 +87,7 @@ def leave_out_missing(
             kind=Term(kind),
             files=dict.fromkeys(named.values()),
             touching=touching if kind == "mesh" else (),
-            bodies=dict.fromkeys(geom.parent.name for geom in geoms if geom.meshname in meshes),
+            bodies=dict.fromkeys(geom.parent.name for geom in geoms),
         )
         for kind, named in files.items()
         if named
@@ -103,12 +98,7 @@ def leave_out_missing(
         for material in spec.materials:
             if name in list(material.textures):
                 material.textures = ["" if t == name else t for t in material.textures]
-    for elements, gone in (
-        (spec.meshes, meshes),
-        (spec.hfields, hfields),
-        (spec.textures, textures),
-        (spec.skins, skins),
-    ):
+    for elements, gone in ((spec.meshes, meshes), (spec.textures, textures)):
         for element in list(elements):
             if element.name in gone:
                 spec.delete(element)
@@ -699,7 +689,7 @@ def _spec(
     except _MUJOCO_ERRORS as error:
         message, place = _mujoco_message(tree, index, error)
         raise refuse_file(place, diagnose("mjcf-not-valid", message=message)) from error
-    return spec, [*leave_out_missing(spec, tree, index), *put_ground(spec)]
+    return spec, leave_out_missing(spec, tree, index)
 
 
 def _not_compiled(

@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.runs import note_input
 from pupper_analysis.models.places import Place, one_line, refuse_file
-from pupper_analysis.models.xml import LFS_POINTER, parse_xml
+from pupper_analysis.models.xml import LFS_POINTER
 
 
 def existing_file(path: Path) -> Path | None:
@@ -52,22 +52,10 @@ def is_pointer(path: Path) -> bool:
 
 def folders_of_package(folder: Path, package: str) -> Iterator[Path]:
     """Yields the folders of that package that are a folder or stand in it."""
-    if folder.name == package or _package_name(folder) == package:
+    if folder.name == package:
         yield folder
     if package not in ("", ".", "..") and (folder / package).is_dir():
         yield folder / package
-
-
-def _package_name(folder: Path) -> str | None:
-    """Returns the name that a folder's package.xml gives."""
-    manifest = existing_file(folder / "package.xml")
-    if manifest is None:
-        return None
-    try:
-        _, root = parse_xml(manifest)
-    except ModelError:
-        return None
-    return str(root.findtext("name", "")).strip()
 
 
 SCHEME: Final = "robot_descriptions:"

@@ -167,8 +167,8 @@ def urdf_from(
         raise refusal_at(path, root, diagnose("robot-without-name"))
     if root.get("version") not in (None, "1", "1.0"):
         raise refusal_at(path, root, diagnose("version-unknown", version=root.get("version")))
-    undeclared, completed = leave_out_undeclared(root), complete_limits(root)
-    notes = [note for note in (undeclared, completed) if note is not None]
+    completed = complete_limits(root)
+    notes = [] if completed is None else [completed]
     rewritten = bool(notes)
     materials = distinct_children(path, root, "material")
     links = distinct_children(path, root, "link")
@@ -254,24 +254,6 @@ _MUST: Final[Mapping[str, tuple[str, ...]]] = {
 }
 
 _KNOWN: Final = frozenset((*_NUMBERS, *_REQUIRED, *_ONCE, *_MUST, "geometry", "material"))
-
-
-def leave_out_undeclared(root: etree._Element) -> Diagnostic | None:
-    """Takes out what has a prefix that is not declared: Pinocchio skips it, other parsers refuse.
-
-    Returns:
-        What was taken out; None if there was nothing.
-    """
-    gone: dict[str, None] = {}
-    for element in list(root.iter()):
-        for name in [str(name) for name in element.attrib if ":" in str(name).rpartition("}")[2]]:
-            gone[name] = None
-            del element.attrib[name]
-        parent = element.getparent()
-        if ":" in element.tag.rpartition("}")[2] and parent is not None:
-            gone[element.tag] = None
-            parent.remove(element)
-    return diagnose("undeclared-prefixes", names=gone) if gone else None
 
 
 def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:

@@ -55,19 +55,18 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
     if found := _DOCTYPE.match(text):
         line = text.count("\n", 0, found.end()) + 1
         raise refuse_file(Place(path, line), diagnose("doctype-refused"))
-    parser = _parser(recover=False)
+    parser = _parser()
     try:
         root = etree.fromstring(text.encode(), parser)
     except etree.XMLSyntaxError as error:
-        errors = [entry for entry in parser.error_log if entry.domain_name != "NAMESPACE"]
-        if errors or not len(parser.error_log):
-            line, message = (errors[0].line, errors[0].message) if errors else (1, str(error))
-            problem = diagnose("xml-not-well-formed", message=one_line(message))
-            if "Excessive depth" in message:  # libxml2's words
-                problem = diagnose("nested-too-deep", most=MAX_DEPTH)
-            raise refuse_file(Place(path, line or None), problem) from error
-        # A prefix is used that is not declared, which neither Pinocchio nor MuJoCo minds.
-        root = etree.fromstring(text.encode(), _parser(recover=True))
+        errors = parser.error_log
+        line, message = (errors[0].line, errors[0].message) if errors else (1, str(error))
+        problem = diagnose("xml-not-well-formed", message=one_line(message))
+        if "Excessive depth" in message:  # libxml2's words
+            problem = diagnose("nested-too-deep", most=MAX_DEPTH)
+        elif "prefix xacro" in message:
+            problem = diagnose("file-is-xacro")
+        raise refuse_file(Place(path, line or None), problem) from error
     count = 0
     ends = etree.iterwalk(root, events=("start", "end"))
     depth = 0
@@ -76,10 +75,10 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
         count += event == "start"
         if depth > MAX_DEPTH:
             raise refusal_at(path, element, diagnose("nested-too-deep", most=MAX_DEPTH))
-        name = etree.QName(element) if ":" not in element.tag.rpartition("}")[2] else None
-        if element.prefix == "xacro" or element.tag.startswith("xacro:"):
+        name = etree.QName(element)
+        if element.prefix == "xacro":
             raise refusal_at(path, element, diagnose("file-is-xacro"))
-        if name is not None and name.namespace and element.prefix is None:
+        if name.namespace and element.prefix is None:
             element.tag = name.localname
     if count > MAX_ELEMENTS:
         raise refuse_file(
@@ -99,7 +98,7 @@ def parse_numbers(text: str | None, default: str) -> NDArray[np.float64]:
 
 def parse_text(text: str) -> etree._Element:
     """Parses XML that was read before, or written here; comments are left out."""
-    return etree.fromstring(text.encode(), _parser(recover=False))
+    return etree.fromstring(text.encode(), _parser())
 
 
 def to_text(root: etree._Element) -> str:
@@ -125,10 +124,9 @@ def _text(path: Path) -> str:
     return text
 
 
-def _parser(recover: bool) -> etree.XMLParser:
+def _parser() -> etree.XMLParser:
     return etree.XMLParser(
         encoding="utf-8",
-        recover=recover,
         resolve_entities=False,
         no_network=True,
         load_dtd=False,

@@ -160,15 +160,6 @@ third are put aside by the second, and stand below the hips by the fourth."""
 _KEY_DIGITS = 6
 """Decimals of a keyframe's angles and height: a micrometre, which the servos make up for."""
 
-_NEAR = 1e-3
-"""How much a radian off a pose counts beside a sole that is off by the robot's height: it decides
-between postures that lay soles alike, and keeps none from being laid."""
-
-_LEVEL = 1e-3
-"""Parts of its height by which a sole may be off in a start (m), from which a stand is solved."""
-
-_ROUNDING = 1e-9  # rad
-
 _LOWEST, _HIGHEST = 0.25, 0.98  # parts of a leg's length
 
 
@@ -205,8 +196,7 @@ def first_stand(robot: Robot) -> Stand | None:
 def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
     """Finds a stand in the middle of the heights that the legs can reach.
 
-    The feet are where one of some poses has them, seen from above; or else where legs that lay
-    their soles as they can, each for itself, come to have them.
+    The feet are where one of some poses has them, seen from above; or else aside from their hips.
 
     Args:
         robot: The robot with feet.
@@ -216,64 +206,7 @@ def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         The robot with that as its nominal stand; None if it stands nowhere.
     """
     poses = list(poses)
-    found = _found(robot, poses) or _found(robot, [_put_aside(robot, pose) for pose in poses])
-    return found or next(filter(None, (_laid(robot, pose) for pose in poses)), None)
-
-
-def _laid(robot: Robot, pose: Array) -> Robot | None:
-    """Finds a stand on feet that lie where the legs, bent, have them; see ``found_start``."""
-    moved = Configuration(robot, robot.posed(pose)).foot_jacobians().values()
-    if not any((np.abs(jacobian[:, 6:]) > _ROUNDING).any() for jacobian in moved):
-        return None  # wheels turn about their middle, and lie nowhere else
-    length = leg_length(robot, robot.posed(pose))
-    heights = np.round(length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS), 3)
-    heights = heights[heights > 0]
-    for margin in _MARGINS:
-        laid = [(height, _lay_feet(robot, pose, height, margin)) for height in heights.tolist()]
-        found = _from_middle(
-            [
-                _starting(replace(robot, nominal=joints), joints, height)
-                for height, joints in laid
-                if joints is not None
-            ]
-        )
-        if found is not None:
-            return found
-    return None
-
-
-def _lay_feet(robot: Robot, pose: Array, height: float, margin: float) -> Array | None:
-    """Returns joint positions (nu,) near a pose with all feet level below the base, if there are.
-
-    And with the com over the middle of the feet, which are wherever that has them: of the six
-    numbers that place a sole only its height and tilt count.
-
-    Args:
-        robot: The robot.
-        pose: (nu,) which they are near.
-        height: Of the base (m).
-        margin: How far off their limits joints are (rad), or two fifths of a narrow range.
-    """
-    from scipy import optimize  # slow to import
-
-    low = np.clip(robot.lower_limits, -np.pi, np.pi)
-    high = np.clip(robot.upper_limits, -np.pi, np.pi)
-    inside = np.minimum(margin, 0.4 * (high - low)) - _ROUNDING
-    radii = np.array(list(robot.contact_radius.values()))
-
-    def off(joints: Array) -> Array:
-        config = Configuration(robot, robot.posed(joints))
-        places = config.foot_positions()
-        touching = np.array([places[point] for point in robot.contact_radius])
-        aside = (config.center_of_mass() - touching.mean(axis=0))[:2]
-        return np.concatenate([touching[:, 2] - radii + height, aside])
-
-    found = optimize.least_squares(
-        lambda joints: np.concatenate([off(joints) / height, _NEAR * (joints - pose)]),
-        np.clip(pose, low + inside + _ROUNDING, high - inside - _ROUNDING),
-        bounds=(low + inside, high - inside),
-    ).x
-    return found if np.abs(off(found)).max() < _LEVEL * height else None
+    return _found(robot, poses) or _found(robot, [_put_aside(robot, pose) for pose in poses])
 
 
 def _starting(robot: Robot, joints: Array, height: float) -> Robot:

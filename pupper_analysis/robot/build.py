@@ -468,7 +468,7 @@ def placeholders_among(robot: Robot, efforts: Mapping[str, float]) -> dict[str, 
     """Returns which efforts look like placeholders, and why; see ``placeholder_efforts``.
 
     Args:
-        robot: The robot, whose masses they are held against.
+        robot: The robot, whose masses and armatures they are held against.
         efforts: {joint: effort (N m)}; those of slides are left out.
     """
     model = robot.mj_model
@@ -480,6 +480,6 @@ def placeholders_among(robot: Robot, efforts: Mapping[str, float]) -> dict[str, 
         link = int(model.body_weldid[model.jnt_bodyid[joint]])
         carrier = int(model.body_weldid[model.body_parentid[link]])
         mass = float(weights[link] + weights[carrier])
-        motors.append(Motor(name, effort, mass))
+        motors.append(Motor(name, effort, mass, float(model.dof_armature[model.jnt_dofadr[joint]])))
     found = placeholder_efforts(motors, robot.total_mass)
     return {joint: why for joints, why in found for joint in joints}

@@ -7,10 +7,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
-import shapely
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import StanceUnreachableError
@@ -96,49 +94,3 @@ def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> 
     assert start.first_stand(robot) is None
     assert own_servos(robot).keys() == set(robot.joint_names)
     assert {"no-start-pose", "servos-added"} <= {note.code for note in robot.notes}
-
-
-@pytest.mark.longest
-@pytest.mark.parametrize("seed", [40000, 40005, 40019])
-def test_soles_that_legs_cannot_turn_lie_where_these_have_them(seed: int, tmp_path: Path) -> None:
-    """Legs of five joints, bent, have their soles turned otherwise than straight ones.
-
-    In MuJoCo's model all corners of both boxes are on the ground, and the com is between them.
-    """
-    robot = pa.load_robot(*random_legged.written(random_legged.irregular_biped(seed), tmp_path))
-    stand = pa.solve_stand(robot)
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_forward(model, data)
-    corners = [
-        data.geom_xpos[geom] + data.geom_xmat[geom].reshape(3, 3) @ (model.geom_size[geom] * signs)
-        for geom in np.flatnonzero((model.geom_type == 6) & (model.geom_contype != 0))
-        for signs in ([1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1])
-    ]
-    assert np.abs(np.array(corners)[:, 2]).max() < 1e-6
-    area = shapely.MultiPoint(np.array(corners)[:, :2]).convex_hull
-    assert area.contains(shapely.Point(data.subtree_com[0][:2]))
-    assert pa.judge_stand(robot, stand).own is not None
-
-
-def test_nobody_looks_where_wheels_could_be_laid(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """They turn about their middle: TIAGo's arms were moved for a minute, to no avail."""
-    wheels = "".join(
-        f'<body name="{x}{y}" pos="{x} {y} 0"><joint axis="0 1 0"/><geom size="0.1"/></body>'
-        for x in (-0.3, 0.3)
-        for y in (-0.2, 0.2)
-    )
-    path = tmp_path / "cart.xml"
-    path.write_text(
-        '<mujoco><worldbody><body name="cart" pos="0 0 0.1"><freejoint/>'
-        f'<geom type="box" size="0.3 0.1 0.05"/>{wheels}</body></worldbody></mujoco>'
-    )
-    robot = pa.load_robot(path)
-    looked: list[float] = []
-    monkeypatch.setattr(start, "_lay_feet", lambda *asked: looked.append(asked[2]))
-    assert start._laid(robot, clip_to_limits(robot)) is None
-    assert looked == []
-    assert start._laid(load("v3"), clip_to_limits(load("v3"))) is None
-    assert len(looked) > start._HEIGHTS

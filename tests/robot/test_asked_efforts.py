@@ -69,10 +69,14 @@ def test_a_verdict_names_placeholders_until_others_are_asked_for(tmp_path: Path)
         (Motor("knee", 1000.0, 3.0), "effort-beyond-links"),
         (Motor("knee", 1000.0, 5.0), None),
         (Motor("knee", 1010.0, 3.0), None),  # nobody invents such a number
-        (Motor("knee", math.inf, 3.0), None),
+        (Motor("knee", 30.0, 3.0, 1e-4), "effort-beyond-armature"),
+        (Motor("knee", 30.0, 3.0, 1e-3), None),
+        (Motor("knee", math.inf, 3.0, 1e-3), None),
         (Motor("knee", 1e3, 1e-9), None),  # between two marks on a link
     ],
 )
-def test_one_motor_is_held_against_its_links(motor: Motor, code: str | None) -> None:
+def test_one_motor_is_held_against_its_links_and_its_armature(
+    motor: Motor, code: str | None
+) -> None:
     codes = [message.code for _, message in placeholder_efforts([motor], 100.0)]
     assert codes == ([] if code is None else [code])

@@ -68,6 +68,7 @@ MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
         "expand it",
     ),
     "xacro undeclared": ('<robot name="r">\n<xacro:include/></robot>', 2, "expand it"),
+    "undeclared prefix": ('<robot name="r">\n<a:b/></robot>', 2, "prefix a on b is not defined"),
     "xacro value": (_two('<limit effort="${e}" velocity="1"/>'), 4, "is xacro"),
     "no robot name": ("<robot><link name='a'/></robot>", 1, "the robot has no name"),
     "version": ('<robot name="r" version="2"><link name="a"/></robot>', 1, "valid: 1.0"),

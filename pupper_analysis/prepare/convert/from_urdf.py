@@ -194,9 +194,6 @@ class UrdfBodies:
         if WORLD in links and (self.root != WORLD or free):
             problem = diagnose("link-named-world", subject=("link", WORLD))
             raise refusal_at(self.urdf.path, links[WORLD].element, problem)
-        guarded = len(self.urdf.root.findall("joint/safety_controller"))
-        if guarded:
-            self.notes.append(diagnose("safety-controllers-left", count=guarded))
         if self.root == WORLD:
             if links[WORLD].inertial is not None:
                 self.notes.append(diagnose("inertial-of-world-left", subject=("link", WORLD)))

@@ -196,13 +196,14 @@ def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[Found]:
 
 @rule
 def effort_placeholder(robot: RobotModel) -> Iterator[Found]:
-    """Finds efforts that no motor of that mass or robot gives."""
+    """Finds efforts that no motor of that mass, armature or robot gives."""
     motors = []
     for joint in robot.joints.values():
         if joint.kind == HINGE:
             ends = map(robot.carrier, (joint.parent, joint.child))
             mass = sum(link.mass for end in ends for link in robot.fixed_group(end))
-            motors.append(Motor(joint.name, joint.effort, mass))
+            armature = joint.stated.get("armature", 0.0)
+            motors.append(Motor(joint.name, joint.effort, mass, armature))
     for joints, message in placeholder_efforts(motors, robot.total_mass):
         yield Found("joint", joints[0], message, "limit")
 
