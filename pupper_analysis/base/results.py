@@ -59,8 +59,8 @@ def to_plain(value: Any) -> Any:
     raise ConfigurationError("result", diagnose("no-json-of", type=type(value).__name__))
 
 
-_WIDTH = 240
-"""Characters of a result's ``repr``: two or three lines of a terminal."""
+_WIDTH = 220
+"""Characters of what a result's ``repr`` shows: two or three lines of a terminal."""
 
 _MOST_SHOWN = 3
 """Numbers or names of a field that are shown one by one."""
@@ -92,7 +92,10 @@ class Result:
         Result.__post_init__(self)  # an array that was pickled can be written to
 
     def __repr__(self) -> str:
-        return _call(type(self).__name__, self._shown())
+        shown = ", ".join(f"{name}={value}" for name, value in self._shown())
+        if len(shown) > _WIDTH:
+            shown = f"{shown[:_WIDTH].rpartition(', ')[0]}, ..."
+        return f"{type(self).__name__}({shown})"
 
     def _shown(self) -> list[tuple[str, str]]:
         return [(f.name, shorten(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
@@ -152,14 +155,3 @@ def shorten(value: object) -> str:
         return f"{type(value).__name__}(...)"
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _call(name: str, parts: Iterable[tuple[str, str]]) -> str:
-    """Returns ``name(field=value, ...)``, cut at a field's end."""
-    text = f"{name}("
-    for number, (field, value) in enumerate(parts):
-        part = f"{', ' if number else ''}{field}={value}"
-        if len(text) + len(part) > _WIDTH:
-            return f"{text}, ...)"
-        text += part
-    return f"{text})"

@@ -13,14 +13,14 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 from xml.etree import ElementTree
 
-from pupper_analysis.base.diagnostics import Diagnostic, fill_template, phrase
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.results import to_json
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
@@ -168,38 +168,15 @@ def escape_control(text: str) -> str:
     )
 
 
-SHOWN = 10
-"""Annotations of one level that GitHub shows of a step; more are dropped without a word.
-
-Source: GitHub documentation, "Limitations" of annotations of workflow commands.
-"""
-
-
-def group_remarks(annotations: Iterable[Annotation], most: int = SHOWN) -> list[Annotation]:
-    """Returns no more annotations of a level than GitHub shows: the last one names the rest."""
-    result: list[Annotation] = []
-    found = list(annotations)
-    for level in dict.fromkeys(annotation.level for annotation in found):
-        here = [annotation for annotation in found if annotation.level == level]
-        if len(here) > most:
-            last, *others = here[most - 1 :]
-            named = ", ".join(
-                one.title + (f" ({one.place})" if one.place else "") for one in others
-            )
-            values = {"message": last.message, "count": len(others), "names": named}
-            message = fill_template(phrase("and-more-remarks", "en"), values, "en")
-            here = [*here[: most - 1], replace(last, message=message)]
-        result += here
-    return result
-
-
 def write_github(annotations: Iterable[Annotation]) -> str:
     """Returns workflow commands, one a line, that GitHub shows beside the files.
+
+    It shows ten of each level of a step; all of them stand in the step's log.
 
     Source: GitHub documentation, "Workflow commands for GitHub Actions".
     """
     lines = []
-    for annotation in group_remarks(annotations):
+    for annotation in annotations:
         file, line = annotation.file_and_line
         parameters = [f"file={_property(from_root(file))}"] if file else []
         parameters += [f"line={line}"] if line is not None else []

@@ -12,10 +12,8 @@ from collections.abc import Sequence
 from functools import singledispatch
 from typing import Any, Literal, NamedTuple
 
-from rich.box import Box
 from rich.cells import cell_len
 from rich.console import Console
-from rich.table import Table as Grid
 from rich.text import Text
 
 from pupper_analysis.present.document import (
@@ -283,7 +281,7 @@ STYLES = {"good": "green", "bad": "red", "warn": "yellow", "best": "bold green",
 """Of each emphasis."""
 
 
-_BOX = Box("    \n    \n ── \n" + "    \n" * 5)
+_BOX = "    \n    \n ── \n" + "    \n" * 5
 """A rule under the header, and no other line."""
 
 
@@ -342,7 +340,10 @@ def _least(columns: Sequence[_Column]) -> int:
 
 
 def _lines(out: Console, columns: Sequence[_Column], width: int) -> list[Text]:
-    grid = Grid(box=_BOX, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False,
+    from rich.box import Box  # no table is printed without -v, and both are slow to import
+    from rich.table import Table as Grid
+
+    grid = Grid(box=Box(_BOX), padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False,
                 header_style="dim", border_style="dim")  # fmt: skip
     for column in columns:
         fixed = column.width if column.least == column.width else None

@@ -45,9 +45,6 @@ _ROUNDING = 1e-12
 _ROUNDING_SHARE = 0.005
 """A value is rounded by no more than this part of its distance from the nominal stand's."""
 
-_DOUBTFUL = 50.0
-"""Degrees are 57 radians, a centimetre is a hundredth of a metre: more is no slip of a finger."""
-
 _MOST_DIGITS = 12
 
 
@@ -208,19 +205,6 @@ def differ_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -
     return bool((numbers.values != numbers.nominal).any())
 
 
-def doubtful_number(
-    robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
-) -> tuple[str, float] | None:
-    """Returns kind and value of what is so much more than is possible that its unit is in doubt."""
-    asked, found = Numbers(robot, task, demands), Numbers(robot, possible, demands)
-    more = np.abs(asked.values - asked.nominal) > _DOUBTFUL * np.abs(found.values - found.nominal)
-    more &= [FIELDS[key.field].kind != "contact" for key in asked.keys]  # a hand is there at home
-    if not more.any():
-        return None
-    most = int(more.argmax())
-    return FIELDS[asked.keys[most].field].kind, float(asked.values[most])
-
-
 def give_up(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
     """Returns a task with the nominal stand's numbers for some demands; lifts are next to none."""
     numbers = Numbers(robot, task, demands)
@@ -269,13 +253,8 @@ def describe_limit(
     robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
 ) -> Diagnostic:
     """Tells how far some demands of a task can go."""
-    kind, number = doubtful_number(robot, task, possible, demands) or ("", 0.0)
-    return diagnose(
-        "demands-can-go",
-        demands=[_describe_demand(robot, possible, demand, task) for demand in demands],
-        angle=number if kind == "angle" else None,
-        length=number if kind and kind != "angle" else None,
-    )
+    told = [_describe_demand(robot, possible, demand, task) for demand in demands]
+    return diagnose("demands-can-go", demands=told)
 
 
 def _describe_demand(robot: Robot, task: StandTask, demand: str, asked: StandTask) -> Diagnostic:

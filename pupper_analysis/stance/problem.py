@@ -283,13 +283,10 @@ def _goal_of(
         place, by_base = place + task.offset, True
     elif not isinstance(task.com, str):
         place = np.array(task.com)
-    elif like is not None and centre is like.centre and _centred(like.task):
-        place = like.place
     # The centre, of which no margin is asked, always is inside.
     at_centre = by_base or (isinstance(task.com, str) and task.com_margin == 0.0)
     if checked and not at_centre and not robot.welded:
         _check_inside(task, place, support.corners)
-    turn = like.turn if like is not None and _turned_alike(like.task, task) else task.turn()
     return Goal(
         task=task,
         targets=targets,
@@ -301,7 +298,7 @@ def _goal_of(
         support=support,
         centre=centre,
         height=float(centre[2]) + task.height,
-        turn=turn,
+        turn=task.turn(),
         place=place,
         by_base=by_base,
         lower=lower,
@@ -386,19 +383,10 @@ def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
     return task if task.com else task.filled(com=com if task.offset is None else "centre")
 
 
-def _centred(task: StandTask) -> bool:
-    """Whether the com shall be over the centre, or inside, where a search begins at the centre."""
-    return task.offset is None and isinstance(task.com, str)
-
-
 def _limited_alike(one: StandTask, other: StandTask) -> bool:
     """Whether the same is asked of joints; of patterns the last counts, so their order does."""
     postures = [*one.posture.items()] == [*other.posture.items()]
     return one.joint_margin == other.joint_margin and postures
-
-
-def _turned_alike(one: StandTask, other: StandTask) -> bool:
-    return one.roll == other.roll and one.pitch == other.pitch and one.yaw == other.yaw
 
 
 def _same_feet(one: StandTask, other: StandTask) -> bool:

@@ -161,7 +161,7 @@ class _Tasks:
         if goal.targets is not before.targets:
             for point, task in self.feet:
                 task.target_world = goal.targets[point]
-        if goal.turn is not before.turn:
+        if goal.turn != before.turn:
             self._orientation.R_world_frame = goal.task.rotation()
         if goal.height != before.height:
             self._height.target_world = np.array([0.0, 0.0, goal.height])

@@ -101,12 +101,8 @@ def stand_statics(
         StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
     """
     robot = stand.check(robot)
-
-    def find() -> GravityCompensation:
-        config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
-        return balance_load(config, config.load(), carrying, distribution=distribution)
-
-    return stand.statics(robot, distribution, find)
+    config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
+    return balance_load(config, config.load(), carrying, distribution=distribution)
 
 
 def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
@@ -160,76 +156,43 @@ def solve_stands(
         UnknownNameError: Likewise.
         StanceUnreachableError: For the first task that is out of reach; ``where`` tells which.
     """
+    goals: list[Goal] = []
     solved: list[Stand] = []
     robot = touching(robot, tasks[0].contacts) if tasks else robot
-    goals = _goals(robot, tasks)
+    for number, task in enumerate(tasks):
+        try:  # where feet and ground stay the same, so do the feet's places
+            goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))
+        except (ConfigurationError, UnknownNameError) as error:
+            raise error.at(f"tasks[{number}]") from None
     with lend(robot, Context) as context:
-        sequence = _Sequence(context)
         for number, goal in enumerate(goals):
+            stand = _continued(context, goal, [one.qpos for one in solved[:-5:-1]])
             try:
-                solved.append(sequence.solve(goal, explain=explain))
+                solved.append(stand or solve_goal(context, goal, explain=explain))
             except StanceUnreachableError as error:
                 raise error.at(f"tasks[{number}]") from None
     return tuple(solved)
 
 
-def _goals(robot: Robot, tasks: Sequence[StandTask]) -> list[Goal]:
-    """Returns the tasks in numbers; where feet and ground stay the same, so do the feet's places.
-
-    Raises:
-        ConfigurationError: If one is none, or none for this robot; names it.
-        UnknownNameError: Likewise.
-    """
-    goals: list[Goal] = []
-    for number, task in enumerate(tasks):
-        try:
-            goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))
-        except (ConfigurationError, UnknownNameError) as error:
-            raise error.at(f"tasks[{number}]") from None
-    return goals
-
-
-class _Sequence:
-    """The stands of a sequence, as far as it has come.
+def _continued(context: Context, goal: Goal, before: Sequence[Array]) -> Stand | None:
+    """Returns the stand that those before lead to; None if they lead to none nearby.
 
     Args:
         context: The robot's.
+        goal: The goal.
+        before: (nq,) of the last four stands, the latest first: a polynomial goes through them.
     """
-
-    def __init__(self, context: Context) -> None:
-        self._context = context
-        self._before: list[Array] = []  # qpos of the last four stands, the latest first
-
-    def solve(self, goal: Goal, *, explain: bool) -> Stand:
-        """Returns the next stand.
-
-        Raises:
-            StanceUnreachableError: If it is out of reach.
-        """
-        stand = self._continued(goal)
-        if stand is None:
-            stand = solve_goal(self._context, goal, explain=explain)
-        self._before = [stand.qpos.copy(), *self._before[:3]]
-        return stand
-
-    def _continued(self, goal: Goal) -> Stand | None:
-        """Returns the stand that those before lead to; None if they lead to none nearby."""
-        if not self._before or has_spare_joints(self._context.robot) or _is_open(goal):
-            return None
-        last, ahead = self._before[0], self._ahead()
-        for start in (ahead, last) if _apart(ahead, last) < _SAME_BEND else (last,):
-            stand = continue_stand(self._context, goal, start)
-            if stand is not None and _apart(stand.qpos, last) < _SAME_BEND:
-                return stand
+    if not before or has_spare_joints(context.robot) or _is_open(goal):
         return None
-
-    def _ahead(self) -> Array:
-        """Returns where the stands before lead to, on a polynomial through them."""
-        before = self._before
-        ahead = _WEIGHTS[len(before)][0] * before[0]
-        for weight, qpos in zip(_WEIGHTS[len(before)][1:], before[1:], strict=True):
-            ahead += weight * qpos
-        return ahead
+    weights, last = _WEIGHTS[len(before)], before[0]
+    ahead = weights[0] * last
+    for weight, qpos in zip(weights[1:], before[1:], strict=True):
+        ahead += weight * qpos
+    for start in (ahead, last) if _apart(ahead, last) < _SAME_BEND else (last,):
+        stand = continue_stand(context, goal, start)
+        if stand is not None and _apart(stand.qpos, last) < _SAME_BEND:
+            return stand
+    return None
 
 
 def _is_open(goal: Goal) -> bool:

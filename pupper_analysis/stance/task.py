@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite, check_length, check_type
-from pupper_analysis.base.diagnostics import Diagnostic, Phrase, diagnose
+from pupper_analysis.base.diagnostics import Phrase, diagnose
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict
@@ -223,37 +222,8 @@ class StandTask:
                 yield field, "", value
 
 
-def _refuse_elsewhere(init: Callable[..., None]) -> Callable[..., None]:
-    """Lets a task refuse what is asked of it by another name, or of another object."""
-
-    @wraps(init)
-    def call(self: StandTask, *args: Any, **values: Any) -> None:
-        for name in values.keys() - _DEFAULTS.keys():
-            hint = _elsewhere(name)
-            if hint is not None:
-                raise ConfigurationError(name, hint)
-        init(self, *args, **values)
-
-    return call
-
-
-def _elsewhere(name: str) -> Diagnostic | None:
-    """Says where a word lives that is no field of a task; None of one that nobody knows."""
-    for field_name, entry in FIELDS.items():
-        if name in (field_name, entry.option.replace("-", "_")):
-            ground = entry.part == "ground"
-            typed = f"ground=pa.Ground({field_name}=...)" if ground else f"{field_name}=..."
-            return diagnose("asked-elsewhere", typed=typed)
-    if name in ("payload", "payload_at"):
-        typed = "pa.solve_stand(pa.robot.with_payload(robot, mass, point), task)"
-        return diagnose("asked-elsewhere", typed=typed)
-    return None
-
-
 _OWN = tuple(field for field in FIELDS.values() if field.part == "task")
 
 _DEFAULTS = {one.name: one.default for one in fields(StandTask)}
-
-StandTask.__init__ = _refuse_elsewhere(StandTask.__init__)  # type: ignore[method-assign]
 
 _COMMA = {"en": ", ", "zh": "，"}  # noqa: RUF001

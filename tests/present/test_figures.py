@@ -20,9 +20,7 @@ from pupper_analysis.present.document import in_english
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.pose import (
     draw_skeleton,
-    ground_corners,
     pose_figure,
-    step_corners,
 )
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.tools.analyze.document import deviation_plot
@@ -104,21 +102,19 @@ def test_the_base_is_its_boxes(name: str, count: int) -> None:
 # ------------------------------------------------------------------------------------- figures
 
 
-def test_pose_figure_draws_slopes_steps_and_lifted_feet(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     robot = load("v3")
     ground = pa.Ground(slope=0.15, uphill=0.8, heights={"FR": 0.02})
     task = pa.StandTask(ground=ground, swing={"RL": 0.02}, com="inside", com_margin=0.01)
     stand = pa.solve_stand(robot, task)
-    plane, (step,) = ground_corners(stand), step_corners(describe_scene(robot, stand, None))
-    for corner in plane:
-        assert corner @ ground.normal() == pytest.approx(0, abs=1e-12)
-    feet = np.array(list(stand.foot_targets.values()))
-    assert (plane.min(axis=0)[:2] < feet.min(axis=0)[:2]).all()
     # The step's top is where the foot touches it, its bottom in the plane.
-    top = max(corner @ ground.normal() for corner in step)
-    touch = stand.contact_points["FR"] @ ground.normal()
-    assert top == pytest.approx(touch, abs=1e-9)
-    assert min(corner @ ground.normal() for corner in step) == pytest.approx(0, abs=1e-9)
+    (step,) = describe_scene(robot, stand, None).steps.values()
+    low, high = (float((step.centre + side * step.half[2] * ground.normal()) @ ground.normal())
+                 for side in (-1, 1))  # fmt: skip
+    assert high == pytest.approx(stand.contact_points["FR"] @ ground.normal(), abs=1e-9)
+    assert low == pytest.approx(0, abs=1e-9)
     figure = drawn(monkeypatch, pose_figure, robot, stand, pa.stance.stand_statics(robot, stand))
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert "swing foot" in labels

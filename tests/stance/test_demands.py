@@ -15,7 +15,6 @@ from pupper_analysis.stance.demands import (
     Numbers,
     describe_limit,
     differ_from_nominal,
-    doubtful_number,
     give_up,
     round_demands,
 )
@@ -122,18 +121,6 @@ def test_rounding_is_away_from_what_was_asked_and_by_little() -> None:
     assert near.joint_margin <= task.joint_margin
     assert near.com_margin == 0.02  # it gives nothing
     assert round_demands(robot, near, asked, demands) == near
-
-
-def test_a_unit_is_doubted_where_fifty_times_too_much_is_asked() -> None:
-    robot = load("v3")
-    possible = pa.StandTask(height=0.19, roll=0.3)
-    assert doubtful_number(robot, pa.StandTask(height=190.0), possible, ["height"]) == (
-        "length",
-        190.0,
-    )
-    assert doubtful_number(robot, pa.StandTask(roll=20.0 / 57), possible, ["roll"]) is None
-    assert doubtful_number(robot, pa.StandTask(height=0.4), possible, ["height"]) is None
-    assert doubtful_number(robot, pa.StandTask(height=19.0, roll=0.4), possible, ["height", "roll"])
 
 
 @pytest.mark.parametrize(

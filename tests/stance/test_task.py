@@ -36,21 +36,6 @@ def test_a_task_refuses_bad_requests(arguments: dict[str, object], named: str) -
         pa.StandTask(**arguments)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("word", "typed"),
-    [
-        ("slope", r"ground=pa\.Ground\(slope=\.\.\.\)"),
-        ("uphill", r"ground=pa\.Ground\(uphill=\.\.\.\)"),
-        ("step", r"ground=pa\.Ground\(heights=\.\.\.\)"),
-        ("move", r"foot_offsets=\.\.\."),
-        ("payload", "with_payload"),
-    ],
-)
-def test_a_word_that_lives_elsewhere_is_shown_its_place(word: str, typed: str) -> None:
-    with pytest.raises(pa.ConfigurationError, match=f"^{word}: .*{typed}"):
-        pa.StandTask(**{word: 0.1})  # type: ignore[arg-type]
-
-
 def test_a_word_that_nobody_knows_is_pythons_own_error() -> None:
     with pytest.raises(TypeError, match="unexpected keyword argument 'wings'"):
         pa.StandTask(wings=2)  # type: ignore[call-arg]

@@ -134,17 +134,6 @@ def motions_of(runs: Sequence[StandVerification]) -> list[doc.Motion]:
     ]
 
 
-def contact_text(sag: float) -> doc.Text:
-    """Says how much deeper the feet are in the ground, or how much less deep.
-
-    Args:
-        sag: By which contacts lower the base (m); below zero where servos that give way take load
-            off the contacts.
-    """
-    shown = f"{1e3 * abs(sag):.2f}"
-    return text("contacts-rise" if sag < 0 and float(shown) else "contacts-sink", depth=shown)
-
-
 def run_rows(
     runs: Sequence[Any], names: Collection[str] | None = None
 ) -> tuple[tuple[doc.Cell, ...], ...]:

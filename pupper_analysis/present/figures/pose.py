@@ -34,7 +34,6 @@ from pupper_analysis.robot.contact import foot_site, limb_ends
 
 Array = NDArray[np.float64]
 
-_ROUND = np.linspace(0.0, 2 * math.pi, 24, endpoint=False)
 BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
@@ -102,36 +101,6 @@ def hull_corners(points: Iterable[Array]) -> Array:
     hull = shapely.MultiPoint([point[:2] for point in points]).convex_hull
     line = hull.exterior if hull.geom_type == "Polygon" else hull
     return np.array(line.coords)
-
-
-_AROUND = 0.25
-"""How far the plane is drawn beyond the feet, in parts of their distance."""
-
-_PLANE, _STEP, _EDGE = "#ECEEF1", "#D5D9DF", "#8A929E"
-
-
-def ground_corners(stand: Stand) -> Array:
-    """Returns the corners (4, 3) of the piece of the ground's plane that is drawn (m)."""
-    places = np.array([place[:2] for place in stand.foot_targets.values()])
-    low, high = places.min(axis=0), places.max(axis=0)
-    margin = _AROUND * float((high - low).max())
-    low, high = low - margin, high + margin
-    ground = stand.task.ground
-    around = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
-    return np.array([[x, y, ground.height((x, y))] for x, y in around])
-
-
-def step_corners(seen: StandingScene) -> list[Array]:
-    """Returns the corners (8, 3) of each step's box (m), in the order of ``BOX_FACES``.
-
-    Of a bar points (n, 3) on its rims, whose outline it is.
-    """
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    rims = np.array([[math.cos(t), math.sin(t), z] for t in _ROUND for z in (-1, 1)])
-    return [
-        one.centre + ((rims if one.round else signs) * one.half) @ one.rotation.T
-        for one in seen.steps.values()
-    ]
 
 
 def _seen_from(elevation: float, azimuth: float) -> Array:
@@ -205,17 +174,12 @@ def _draw_stand(
     def line(points: Array, *marks: str, **how: Any) -> None:
         axes.plot(*(projection @ np.atleast_2d(points).T), *marks, **how)
 
-    def area(points: Array, **how: Any) -> None:
-        axes.add_patch(Polygon((projection @ points.T).T, **how))
-
-    if seen.ground.slope:
-        area(ground_corners(stand), fc=_PLANE, ec=_EDGE, lw=0.8, zorder=0)
-    boxes = [(box, _STEP, _EDGE, 0.5) for box in step_corners(seen)]
-    boxes += [(box, _BASE_FACE, _BASE_EDGE, 3) for box in lines.boxes]
-    for box, face, edge, order in boxes:
+    for box in lines.boxes:
         outline = hull_corners(box @ projection.T)
-        axes.add_patch(Polygon(outline, fc=face, ec=edge, alpha=0.4, lw=0.8, zorder=order))
-    area(seen.polygon, fc=_SUPPORT, ec=drawing.BLUE, hatch="//", alpha=0.7, lw=1.2, zorder=1)
+        base = Polygon(outline, fc=_BASE_FACE, ec=_BASE_EDGE, alpha=0.4, lw=0.8, zorder=3)
+        axes.add_patch(base)
+    support: dict[str, Any] = {"fc": _SUPPORT, "ec": drawing.BLUE, "hatch": "//", "zorder": 1}
+    axes.add_patch(Polygon(seen.polygon @ projection.T, alpha=0.7, lw=1.2, **support))
     hips = np.array([leg[0] for leg in lines.legs.values()])
     small = 1.0 if len(seen.contacts) >= len(seen.points) else 0.45  # of feet with several points
     for foot, leg in lines.legs.items():

@@ -421,7 +421,6 @@ def render_page(shown: Report, language: str = "en") -> str:
     scenes: list[dict[str, Any]] = []
     sections = tuple(_drawn(document, scenes) for document in shown.documents)
     meshes = share_meshes(scenes)
-    judged = [section for section in sections if section.passed is not None]
     page: str = (
         _environment()
         .get_template("page.html")
@@ -432,7 +431,6 @@ def render_page(shown: Report, language: str = "en") -> str:
             provenance=find_provenance().lines(),
             sections=sections,
             overview=[_block(block, scenes) for block in shown.overview],
-            counted=_counted(judged),
             words=_spoken(),
             text=text,
             library=library if scenes else None,
@@ -466,13 +464,6 @@ def _block(block: Block, scenes: list[dict[str, Any]]) -> Any:
         return None
     scenes.append(scene)
     return {"kind": "view", "title": block.title, "note": block.note, "scene": scene}
-
-
-def _counted(judged: list[Document]) -> Text | None:
-    if len(judged) < 2:  # of one, its own verdict says it
-        return None
-    good = sum(bool(section.passed) for section in judged)
-    return text("count-passed", good=good, count=len(judged))
 
 
 def _spoken() -> dict[str, dict[str, str]]:

@@ -138,7 +138,6 @@ _LEAST_STEP = 1 / 64  # of the feed-forward, in one step
 _CAREFUL = 1 / 64  # likewise: an unstable equilibrium is one only if such small steps lead to it
 _SHARE_TOLERANCE = 1e-7  # of the feed-forward: when a foot touches or lets go, to nanometres
 _MAX_EVENTS = 24  # feet that touch or let go on the way: more is chatter
-_NEARLY = 0.95  # of its friction: a foot that is about to slide, as far as a step can tell
 CREEP_STEPS = 20
 """Backward Euler steps in which feet creep: with 20 a robot that falls after 15 s does after 14."""
 
@@ -216,7 +215,6 @@ class HomotopyPath:
                         # Joints that follow others have none.
                         kp=Quantity(self.system.kp[self.system.kp > 0].min(), "N m/rad"),
                         share=self.share,
-                        sliding=self._about_to_slide(),
                     ),
                 )
 
@@ -260,16 +258,6 @@ class HomotopyPath:
             self.crept += step
             left -= step
             self._euler = 2 * step
-
-    def _about_to_slide(self) -> list[str]:
-        mu = self.system.sliding_friction
-        feet = [
-            foot
-            for foot, force in self.solution.forces.items()
-            if np.linalg.norm(force[:2]) > _NEARLY * mu[foot] * force[2]
-        ]
-        pinned = self.system.feet == "pinned"
-        return feet if pinned else []
 
     def _command(self, share: float) -> None:
         system = self.system
@@ -356,7 +344,6 @@ class SteadyState(Result):
         servo_sag: The part lost in the joints (m).
         contact_sag: The part lost in the softness of feet and ground (m).
         joint_torques: (nu,) of the motors (N m).
-        saturated: The joints whose servo is at its force limit.
         stance_feet: The feet that carry: swing feet that came down to the ground too, and without
             those of the stand that the ground would have to pull.
         contact_forces: {foot: (3,)} of the ground on every foot, in world axes (N); zero for those
@@ -388,7 +375,6 @@ class SteadyState(Result):
     servo_sag: float
     contact_sag: float
     joint_torques: Array
-    saturated: tuple[str, ...]
     stance_feet: tuple[str, ...]
     contact_forces: dict[str, Array]
     foot_creep: dict[str, float]
@@ -617,8 +603,6 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
     if creep.any():
         drift = float(np.linalg.solve(system.held(qpos, derivative), flow)[2])
     contact_sag = stand.sunk(robot, drops)
-    torques = system.torques(qpos)
-    full = (torques <= system.lower) | (torques >= system.upper)
     return SteadyState(
         feet=system.feet,
         qpos=qpos,
@@ -626,8 +610,7 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
         height_loss=loss,
         servo_sag=loss - contact_sag,
         contact_sag=contact_sag,
-        joint_torques=torques,
-        saturated=tuple(np.array(robot.joint_names)[full].tolist()),
+        joint_torques=system.torques(qpos),
         stance_feet=tuple(foot for foot in robot.contact_points if foot in solution.forces),
         contact_forces={
             foot: frame.T @ solution.force(foot) for foot, frame in system.frames.items()

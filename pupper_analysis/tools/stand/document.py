@@ -12,7 +12,6 @@ from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.loads import load_blocks, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
-    contact_text,
     ground_text,
     ground_word,
     height_plot,
@@ -140,7 +139,7 @@ def _settles(stance: Stance, settled: SteadyState) -> doc.Words:
         height=f"{1e3 * ((stance.stand.task.height or 0.0) - settled.height_loss):.2f}",
         loss=f"{1e3 * settled.height_loss:z.2f}",
         servo=f"{1e3 * settled.servo_sag:z.2f}",
-        contact=contact_text(settled.contact_sag),
+        contact=f"{1e3 * settled.contact_sag:z.2f}",
     )
     if settled.failures:
         why = join_words(map(doc.tell, settled.failures), "semicolon")

@@ -14,7 +14,6 @@ from pupper_analysis.base.diagnostics import (
     Severity,
     diagnose,
 )
-from pupper_analysis.present import formats
 from pupper_analysis.tools.check.config import entries_of, read_config
 from pupper_analysis.tools.check.remarks import (
     BaselineEntry,
@@ -335,21 +334,3 @@ def test_a_baseline_is_sorted_and_says_what_it_lets_pass(folder: Path) -> None:
     ]
     run(folder, "--update-baseline")
     assert (folder / BASELINE).read_text() == text
-
-
-# ------------------------------------------------------------------------------------- GitHub's ten
-
-
-def annotation(number: int, rule: str, level: str = "error") -> formats.Annotation:
-    return formats.Annotation(level, f"{rule} {number}", "m", f"a.urdf:{number}", rule=rule)
-
-
-def test_of_many_kinds_the_tenth_names_the_rest() -> None:
-    many = [annotation(number, f"kind{number}") for number in range(25)]
-    found = formats.group_remarks(many)
-    assert len(found) == 10
-    assert found[:9] == many[:9]
-    text = formats.write_github(many)
-    assert len(text.splitlines()) == 10
-    for number in range(25):
-        assert f"kind{number} {number}" in text

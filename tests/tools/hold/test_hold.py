@@ -117,7 +117,6 @@ def test_motors_that_are_too_weak_do_not_hold(tmp_path: Path) -> None:
         assert found.passed is holds
         assert ("motors-give-all" in [one.code for one in found.failures]) is not holds
     settled = steady_state(robot, stand)  # the weak elbow sags to where gravity asks for less
-    assert settled.saturated == ("elbow",)
     alone = verify_stand(robot, stand, feedforward=False, settled=settled)
     assert alone.passed
     assert alone.joint_positions[0] > 0.525
