@@ -165,18 +165,9 @@ def check_fields(instance: Any) -> None:
     Raises:
         ConfigurationError: If not, naming the field.
     """
-    kind: Any = type(instance)
-    for name, hint, fits in _fields(kind):
-        value = getattr(instance, name)
-        if not fits(value):
-            check_type(name, value, hint)
-
-
-@cache
-def _fields(kind: Any) -> tuple[tuple[str, Any, Callable[[Any], bool]], ...]:
-    """Returns name and type of a dataclass's fields, and what tells whether a value is of it."""
-    hints = _hints(kind)
-    return tuple((one.name, hints[one.name], _test(hints[one.name])) for one in fields(kind))
+    hints = _hints(type(instance))
+    for one in fields(instance):
+        check_type(one.name, getattr(instance, one.name), hints[one.name])
 
 
 def check_type(name: str, value: object, hint: Any) -> None:

@@ -92,10 +92,8 @@ def running() -> Iterator[Run]:
     if run is not None:
         yield run
         return
-    token = _now.set(Run())
+    token = _now.set(run := Run())
     try:
-        run = _now.get()
-        assert run is not None
         yield run
     finally:
         _now.reset(token)

@@ -102,7 +102,6 @@ class Series:
         points: Whether every point is marked.
         note: What it comes to, in a word or a number, beside its name in the legend.
         marked: The number of the point that matters most; None for none.
-        fails: Whether its last point is where it fails, and is crossed.
         reference: Whether it is what the others are compared with.
     """
 
@@ -112,7 +111,6 @@ class Series:
     points: bool = False
     note: Words | None = None
     marked: int | None = None
-    fails: bool = False
     reference: bool = False
 
 

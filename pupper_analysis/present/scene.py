@@ -14,7 +14,6 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.models.shapes import CONVEX, Mesh, Shape, read_mesh, read_shape
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground, Step
@@ -131,11 +130,6 @@ class StandingScene:
     def normal(self) -> Array:
         """The direction (3,) out of the ground's plane."""
         return self.ground.normal()
-
-    @property
-    def turn(self) -> Array:
-        """The quaternion (w, x, y, z) that takes the level to the ground's plane."""
-        return quaternion_from_rotation(self.ground.rotation())
 
 
 def describe_scene(

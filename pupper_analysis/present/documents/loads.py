@@ -204,17 +204,6 @@ def _contacts(statics: GravityCompensation, verification: StandVerification) -> 
         else text("grip-bears", name=doc.Name(name), force=f"{math.hypot(*wrench[:3]):.4g}")
         for name, wrench in statics.weld_wrenches.items()
     ]
-    inside = math.inf if statics.com_margin is None else statics.com_margin
-    margin = f"{1e3 * inside:.1f} mm" if math.isfinite(inside) else "-"
-    notes.append(
-        text(
-            "balance-residual",
-            force=f"{statics.residual_force:.1e}",
-            torque=f"{statics.residual_torque:.1e}",
-            mujoco=f"{verification.mujoco_residual:.1e}",
-            margin=margin,
-        )
-    )
     source = page_of("explanation/statics.md", "Which of them last")
     table = contact_table(statics)
     return replace(table, notes=tuple(notes), source=(source, proof_text(verification)))

@@ -97,7 +97,6 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
             run.time,
             1e3 * run.height,
             note=_lost(run),
-            fails=bool(run.failures),
         )
         for run in runs
     ]

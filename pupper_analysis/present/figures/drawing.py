@@ -47,7 +47,6 @@ _COLOURS = {
     "bar": SKY,
     "other": BLACK,
     "limit": RED,
-    "cross": RED,
     "axis": GREY,
     "grid": GRID,
     "empty": "0.93",
@@ -56,7 +55,7 @@ _COLOURS = {
 
 _DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)), "s4": (0, (5, 2)),
            "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
-_WIDTHS = {"limit": 1.6, "other": 2.0, "cross": 2.0}
+_WIDTHS = {"limit": 1.6, "other": 2.0}
 _SIDES = {"start": "left", "middle": "center", "end": "right"}
 
 _LETTERS = 12.0

@@ -260,9 +260,6 @@ def draw_series(places: Array, labels: Sequence[str], one: Series, index: int) -
          "r": MARKED if number_cell == one.marked else DOT}
         for number_cell, (cx, cy) in enumerate(rounded if one.points else [])
     ]  # fmt: skip
-    if one.fails:
-        x, y = rounded[-1]
-        marks += [draw_line(x - DOT, y - side, x + DOT, y + side, "cross") for side in (DOT, -DOT)]
     return marks
 
 

@@ -17,6 +17,7 @@ from functools import singledispatch
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -321,7 +322,7 @@ def installed_library() -> Library | None:
     try:
         script = (folder / "main.min.js").read_text(encoding="utf-8")
         licences = _licences(folder)
-    except (OSError, ValueError):
+    except (OSError, ValueError, PackageNotFoundError):
         return None
     if _EXPORT not in script:
         return None
@@ -330,16 +331,8 @@ def installed_library() -> Library | None:
 
 
 def _licences(folder: Path) -> str:
-    texts = []
-    try:
-        own = [
-            path
-            for path in distribution(_PACKAGE).files or []
-            if path.name.upper().startswith("LICENSE")
-        ]
-        texts += [f"MeshCat\n\n{path.read_text(encoding='utf-8')}" for path in own[:1]]
-    except (PackageNotFoundError, OSError):
-        pass
+    named = (path for path in distribution(_PACKAGE).files or () if path.name.startswith("LICENSE"))
+    texts = [f"MeshCat\n\n{path.read_text(encoding='utf-8')}" for path in islice(named, 1)]
     parts = json.loads((folder / "main.min.js.THIRD_PARTY_LICENSES.json").read_text("utf-8"))
     texts += [
         f"{part['name']} {part['version']}\n\n{part.get('licenseText') or part['license']}"
