@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -19,8 +20,6 @@ from pupper_analysis.base.runs import note_input, running
 from pupper_analysis.base.units import UNITS, Position
 
 if TYPE_CHECKING:
-    from rich.status import Status
-
     from pupper_analysis.base.results import Result
     from pupper_analysis.present.document import Block, Report
     from pupper_analysis.present.html.write import Reported
@@ -340,8 +339,10 @@ def _no_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
     return diagnose("part-is-no-quantity", part=text, given=given, kind=Term(kind), units=units)
 
 
-def show_progress(what: str) -> Status:
+def show_progress(what: str) -> AbstractContextManager[object]:
     """Shows on a terminal's standard error that work is going on, and on which."""
+    if not sys.stderr.isatty():
+        return nullcontext()
     from rich.console import Console
 
     return Console(stderr=True).status(what)

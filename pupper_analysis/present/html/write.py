@@ -11,7 +11,7 @@ import base64
 import json
 import re
 import reprlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import singledispatch
 from importlib.metadata import PackageNotFoundError, distribution
@@ -32,7 +32,7 @@ from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.files import whole_file
-from pupper_analysis.base.kinds import PAGE
+from pupper_analysis.base.kinds import PAGE, hash_of
 from pupper_analysis.base.provenance import find_provenance
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.shapes import Mesh
@@ -202,12 +202,9 @@ def short_numbers(values: ArrayLike) -> list[Any]:
 
 
 def extent_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Returns the least and the greatest x, y, z (3,) of the robot's shapes, by their boxes (m)."""
+    """Returns the least and the greatest x, y, z (3,) of the balls round the robot's shapes (m)."""
     own = shown_geoms(model)
-    turns = np.abs(data.geom_xmat[own].reshape(-1, 3, 3))
-    centres, halves = model.geom_aabb[own, :3], model.geom_aabb[own, 3:]
-    turned = np.einsum("nij,nj->ni", data.geom_xmat[own].reshape(-1, 3, 3), centres)
-    middle, reach = data.geom_xpos[own] + turned, np.einsum("nij,nj->ni", turns, halves)
+    middle, reach = data.geom_xpos[own], model.geom_rbound[own, None]
     frames = data.xpos[1:]
     ends = np.concatenate([middle - reach, middle + reach, frames])
     return ends.min(axis=0), ends.max(axis=0)
@@ -240,8 +237,13 @@ def _joint(one: JointAxis, motion: str) -> dict[str, Any]:
 
 
 def geoms_of(model: mujoco.MjModel) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
-    """Returns the robot's shapes, and the meshes that they have."""
-    shapes, meshes = shapes_of(model, MOST_FACES)
+    """Returns the robot's shapes, and the meshes that they have, named after their content.
+
+    So robots that have the same share it.
+    """
+    shapes, found = shapes_of(model, MOST_FACES)
+    meshes = {number: _mesh(mesh) for number, mesh in found.items()}
+    names = {number: hash_of(orjson.dumps(mesh))[:16] for number, mesh in meshes.items()}
     geoms = [
         {
             "shape": shape.form.kind,
@@ -250,11 +252,11 @@ def geoms_of(model: mujoco.MjModel) -> tuple[list[dict[str, Any]], dict[str, dic
             "pos": short_numbers(shape.form.pose.position),
             "quat": short_numbers(quaternion_from_rotation(shape.form.pose.rotation)),
             "colour": np.round(shape.colour, 3).tolist(),
-            **({} if shape.mesh is None else {"mesh": str(shape.mesh)}),
+            **({} if shape.mesh is None else {"mesh": names[shape.mesh]}),
         }
         for shape in shapes
     ]
-    return geoms, {str(number): _mesh(mesh) for number, mesh in meshes.items()}
+    return geoms, {names[number]: mesh for number, mesh in meshes.items()}
 
 
 def _mesh(mesh: Mesh) -> dict[str, Any]:
@@ -271,27 +273,6 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
         "faces": base64.b64encode(faces.tobytes()).decode(),
         "wide": wide,
     }
-
-
-def share_meshes(scenes: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Takes meshes out of scenes, where several robots have the same, and returns each once.
-
-    The scenes' own are replaced by the names under which they are returned.
-    """
-    found: dict[tuple[str, str, str], str] = {}
-    meshes: dict[str, dict[str, Any]] = {}
-    for scene in scenes:
-        names = {}
-        for name, mesh in scene.pop("meshes").items():
-            key = (mesh["vertices"], mesh["faces"], str(mesh["low"]) + str(mesh["span"]))
-            if key not in found:
-                found[key] = f"m{len(found)}"
-                meshes[found[key]] = mesh
-            names[name] = found[key]
-        for geom in scene["geoms"]:
-            if "mesh" in geom:
-                geom["mesh"] = names[geom["mesh"]]
-    return meshes
 
 
 _PACKAGE = "meshcat"
@@ -413,7 +394,7 @@ def render_page(shown: Report, language: str = "en") -> str:
     library = installed_library()
     scenes: list[dict[str, Any]] = []
     sections = tuple(_drawn(document, scenes) for document in shown.documents)
-    meshes = share_meshes(scenes)
+    meshes = {name: one for scene in scenes for name, one in scene.pop("meshes").items()}
     page: str = (
         _environment()
         .get_template("page.html")
