@@ -165,7 +165,8 @@ def check_fields(instance: Any) -> None:
     Raises:
         ConfigurationError: If not, naming the field.
     """
-    hints = _hints(type(instance))
+    kind: Any = type(instance)
+    hints = _hints(kind)
     for one in fields(instance):
         check_type(one.name, getattr(instance, one.name), hints[one.name])
 

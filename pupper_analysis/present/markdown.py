@@ -32,11 +32,8 @@ from pupper_analysis.present.formats import escape_control
 SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
 """Before a verdict."""
 
-MOST_ROWS = 60
-"""Of a table: a comment may have 65,536 characters, and that of a check has several tables."""
-
 MOST_LETTERS = 60_000
-"""Of a comment, with room for what is put around it."""
+"""Of a comment, which may have 65,536, with room for what is put around it."""
 
 _ACTS = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))")
 """What may begin or end markup, within words too; and what makes an item of a list of a line."""
@@ -118,12 +115,9 @@ def _table(table: Table) -> list[str]:
     heads = [_header(column) for column in table.columns]
     rules = [":---" if column.left or not index else "---:" for index, column in
              enumerate(table.columns)]  # fmt: skip
-    rows = [[_cell(cell) for cell in row] for row in table.rows[:MOST_ROWS]]
+    rows = [[_cell(cell) for cell in row] for row in table.rows]
     lines = [f"| {' | '.join(row)} |" for row in (heads, rules, *rows)]
     parts = [f"**{_escaped(table.title)}**", "\n".join(lines)]
-    left = len(table.rows) - MOST_ROWS
-    if left > 0:
-        parts.append(f"*{left} more rows: `--json` has them.*")
     if table.notes:
         parts.append("\n".join(f"- {_escaped(note)}" for note in table.notes))
     return parts

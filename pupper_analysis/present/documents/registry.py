@@ -66,9 +66,6 @@ def fields_of(result: Result) -> doc.Document:
 
 _HOUSE = "pupper_analysis"
 
-MOST_NAMES = 6
-"""Of robots or files in a title: what fits on two lines."""
-
 
 @singledispatch
 def build_document(result: object, _: Robot | None = None) -> Document:
@@ -137,10 +134,7 @@ def _title(documents: Sequence[Document]) -> Words:
         return text("report")
     kinds = {in_english(one.kind) for one in documents}
     kind = documents[0].kind if len(kinds) == 1 else text("report")
-    named = [one.title for one in documents[:MOST_NAMES]]
-    if len(documents) > MOST_NAMES:
-        named.append(text("count-more", count=len(documents) - MOST_NAMES))
-    return text("kind-names", kind=kind, names=join_words(named))
+    return text("kind-names", kind=kind, names=join_words(one.title for one in documents))
 
 
 def _load_builder(kind: type) -> None:

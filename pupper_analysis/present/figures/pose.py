@@ -30,7 +30,7 @@ import mujoco
 import shapely
 from numpy.typing import ArrayLike
 
-from pupper_analysis.robot.contact import foot_site, limb_ends
+from pupper_analysis.robot.contact import foot_site
 
 Array = NDArray[np.float64]
 
@@ -43,18 +43,16 @@ class Skeleton:
 
     Attributes:
         legs: {foot: (n, 3)} the joints from base to foot, and last the centre of the foot's sphere.
-        arms: (n, 3) each: the joints of the limbs that have no foot.
         boxes: (n, 8, 3) corners of the boxes of the base: of its box geoms or, if it has none, of
             those around its geoms. Corner 4 i + 2 j + k has the signs i, j, k along the edges.
     """
 
     legs: dict[str, Array]
-    arms: tuple[Array, ...]
     boxes: Array
 
     def points(self) -> Array:
         """Returns all points (n, 3) (m)."""
-        return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values(), *self.arms])
+        return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values()])
 
 
 def draw_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
@@ -71,8 +69,6 @@ def draw_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
         body, position = foot_site(model, frame, robot.name)
         tip = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
         legs[foot] = np.array([*_joints_to(model, data, base, body), tip])
-    walked = {int(model.body_weldid[body]) for body, _ in robot.contact_places.values()}
-    arms = [_joints_to(model, data, base, body) for body in limb_ends(model) if body not in walked]
     geoms = np.flatnonzero(model.geom_bodyid == base)
     drawn = geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_BOX.value]
     signs = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
@@ -81,8 +77,7 @@ def draw_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
         centre, half_size = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         rotation = data.geom_xmat[geom].reshape(3, 3)
         boxes.append(data.geom_xpos[geom] + (centre + signs * half_size) @ rotation.T)
-    long = tuple(np.array(arm) for arm in arms if len(arm) > 1)
-    return Skeleton(legs, long, np.array(boxes).reshape(-1, 8, 3))
+    return Skeleton(legs, np.array(boxes).reshape(-1, 8, 3))
 
 
 def _joints_to(model: mujoco.MjModel, data: mujoco.MjData, base: int, body: int) -> list[Array]:
@@ -191,8 +186,6 @@ def _draw_stand(
         line(leg[:-1], "o", color="white", mec=drawing.BLACK, mew=0.8, ms=4, zorder=order)
         mark = _SWING if foot in stand.task.swing else {"color": drawing.BLACK, "marker": "o"}
         line(leg[-1], **mark, ms=7 * small, zorder=order)
-    for arm in lines.arms:
-        line(arm, color=_FAR_COLOUR, lw=2.5, solid_capstyle="round", zorder=2)
     around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
     line(np.concatenate([around, around[:1]]), color=_BASE_EDGE, lw=2.2, zorder=3)
     line(np.array([seen.com, seen.below]), color=drawing.GREEN, ls="--", lw=1.2, zorder=6)
