@@ -42,11 +42,6 @@ class JointKind(IntEnum):
 FREE, BALL, SLIDE, HINGE = JointKind
 
 
-def spec_kind(joint: mujoco.MjsJoint) -> JointKind:
-    """Returns the kind of a joint of a spec."""
-    return JointKind(int(joint.type))
-
-
 def free_joints(model: mujoco.MjModel) -> list[int]:
     """Returns the ids of the free joints."""
     return [int(joint) for joint in np.flatnonzero(model.jnt_type == FREE)]
@@ -60,7 +55,7 @@ def scalar_joints(model: mujoco.MjModel) -> NDArray[np.intp]:
 def has_free_joint(model: mujoco.MjModel | mujoco.MjSpec) -> bool:
     """Tells whether anything floats freely."""
     if isinstance(model, mujoco.MjSpec):
-        return any(spec_kind(joint) is FREE for joint in model.joints)
+        return any(joint.type == FREE for joint in model.joints)
     return bool((model.jnt_type == FREE).any())
 
 

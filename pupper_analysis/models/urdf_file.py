@@ -186,8 +186,8 @@ def urdf_from(
             leader = str(mimic.get("joint"))
             notes.append(diagnose("mimic-of-no-joint", subject=("joint", name), leader=leader))
     check_tree(path, links, joints)
-    unlimited = taken_as_unlimited(root)
-    notes += [] if unlimited is None else [unlimited]
+    unlimited = [joint.name for joint in unlimited_joints(root)]
+    notes += [diagnose("range-unstated", names=unlimited)] if unlimited else []
     if rewritten or unlimited:
         text = for_engines(root)
     file = UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))
@@ -439,12 +439,6 @@ def states_no_limits(joint: UrdfJoint) -> bool:
 def unlimited_joints(root: etree._Element) -> list[UrdfJoint]:
     """Returns the joints of a URDF that state no limits; see ``states_no_limits``."""
     return [joint for joint in UrdfTree(root).joints.values() if states_no_limits(joint)]
-
-
-def taken_as_unlimited(root: etree._Element) -> Diagnostic | None:
-    """Tells which joints state no limits."""
-    names = [joint.name for joint in unlimited_joints(root)]
-    return diagnose("range-unstated", names=names) if names else None
 
 
 def for_engines(root: etree._Element) -> str:

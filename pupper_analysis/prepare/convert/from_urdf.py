@@ -195,8 +195,6 @@ class UrdfBodies:
             problem = diagnose("link-named-world", subject=("link", WORLD))
             raise refusal_at(self.urdf.path, links[WORLD].element, problem)
         if self.root == WORLD:
-            if links[WORLD].inertial is not None:
-                self.notes.append(diagnose("inertial-of-world-left", subject=("link", WORLD)))
             self._fill(worldbody, links[self.root])
             return
         body = add_element(worldbody, "body", name=self.root)
@@ -267,17 +265,12 @@ class UrdfBodies:
         """Tells whether a joint mimics another; notes if there is none that moves."""
         if joint.mimic is None:
             return False
-        leader: UrdfJoint | None = joint
-        passed = set[str]()
-        while leader is not None and leader.mimic is not None:
-            meant = str(leader.mimic.get("joint"))
-            if meant == joint.name or meant in passed:
-                leader = None
-                break
-            passed.add(meant)
-            leader = self.tree.joints.get(meant)
-        if leader is None or leader.is_fixed:
-            meant = str(joint.mimic.get("joint"))
+        meant, passed = str(joint.mimic.get("joint")), {joint.name}
+        leader = self.tree.joints.get(meant)
+        while leader is not None and leader.mimic is not None and leader.name not in passed:
+            passed.add(leader.name)
+            leader = self.tree.joints.get(str(leader.mimic.get("joint")))
+        if leader is None or leader.is_fixed or leader.name in passed:
             message = diagnose("mimic-leads-nowhere", subject=("joint", joint.name), leader=meant)
             self.notes.append(message)
             return False
