@@ -1,4 +1,4 @@
-"""Why a simulation does not come to rest: what grows, stiff servos, feet that creep."""
+"""Why a simulation does not come to rest: what grows, contacts that chatter, feet that creep."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
-from pupper_analysis.robot.stability import Mode, Stability, servo_stability
+from pupper_analysis.robot.stability import Mode, Stability
 from pupper_analysis.simulation.monitor import Watcher
 from pupper_analysis.simulation.stability import LEFT, Nudge
 from pupper_analysis.stance.stand import Stand
@@ -28,37 +28,6 @@ _EVEN = 0.05
 
 CREEPING = 1e-3
 """Feet that creep faster are said to (m/s): 5 mm in the 5 s of a simulation."""
-
-
-def too_stiff(robot: Robot, stand: Stand, drive: Servos) -> list[Diagnostic]:
-    """Says whether the servos alone are too stiff for the time step, and which would do.
-
-    Args:
-        robot: The robot.
-        stand: Where it stands.
-        drive: Its servos.
-    """
-    model, data = drive.model, mujoco.MjData(drive.model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_forward(model, data)
-    stiffness, damping = np.zeros(model.nv), np.zeros(model.nv)
-    dofs = robot.mj_convention.qvel_index[robot.nv - robot.nu :]
-    stiffness[dofs], damping[dofs] = drive.kp, drive.kd
-    found = servo_stability(model, data, stiffness, damping, np.array(model.dof_damping))
-    if found is None or found.ratio <= 1:
-        return []
-    worst = robot.joint_names[int(np.argmax(found.shares[dofs]))]
-    return [
-        diagnose(
-            "servos-too-stiff",
-            ratio=found.ratio,
-            integrator=drive.integrator,
-            timestep=Quantity(model.opt.timestep, "s"),
-            joint=worst,
-            stable=Quantity(found.timestep, "s"),
-            explicit=not drive.implicit,
-        )
-    ]
 
 
 _NOISE = 0.2

@@ -26,7 +26,6 @@ from pupper_analysis.simulation.causes import (
     find_chatter,
     find_creep,
     find_instability,
-    too_stiff,
 )
 from pupper_analysis.simulation.monitor import LAST, SimulationSettings, Watch, watch_contacts
 from pupper_analysis.simulation.rollout import (
@@ -253,7 +252,7 @@ def verify_stand(
     )
     failures = _failures(robot, upright, run.states, watch, found)
     if failures:
-        failures += [*too_stiff(robot, stand, drive), *find_creep(robot, stand, prediction)]
+        failures += find_creep(robot, stand, prediction)
     failures += find_instability(found.stability, found.nudge)
     stays = not failures
     if feedforward:

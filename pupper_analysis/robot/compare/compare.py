@@ -19,7 +19,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
@@ -36,7 +35,6 @@ from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.loading import reader_of
 from pupper_analysis.models.mjcf import silence_mujoco, start_data
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
-from pupper_analysis.models.multibody import MultibodyTree, to_pinocchio
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import DIRECTIONS, Pose, Shape, read_shape
 from pupper_analysis.models.sides import OF_LEGS
@@ -273,33 +271,11 @@ def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Di
     if matched.conventions.base is not None:
         stands = stands @ matched.conventions.base.rotation
     turn = stands @ _in_root(urdf, matched.urdf_link[robot.base]).T
-    one, two = kinematic_trees(robot)
-    down = turn @ DOWN
-    tilt = math.atan2(float(np.linalg.norm(np.cross(down, two.gravity))), float(down @ two.gravity))
-    if not two.gravity.any() or tilt <= tolerances.rotation:
+    down, gravity = turn @ DOWN, kinematic_trees(robot)[1].gravity
+    tilt = math.atan2(float(np.linalg.norm(np.cross(down, gravity))), float(down @ gravity))
+    if not gravity.any() or tilt <= tolerances.rotation:
         return None
-    first, second = gravity_torques(one, down), gravity_torques(two, two.gravity)
-    joint = max(one.joints, key=lambda name: abs(second[name] - first[name]))
-    unit = "N" if one.joints[joint].slides else "N m"
-    return diagnose(
-        "base-tilted",
-        subject=("joint", joint),
-        tilt=Quantity(tilt, "rad"),
-        urdf=Quantity(first[joint], unit),
-        mjcf=Quantity(second[joint], unit),
-    )
-
-
-def gravity_torques(tree: MultibodyTree, gravity: Array) -> dict[str, float]:
-    """Returns {joint: what it needs to hold against gravity at zero angles (N m; N)}.
-
-    Args:
-        tree: A robot on a fixed base.
-        gravity: (3,) in the base's frame (m/s^2).
-    """
-    model = to_pinocchio(replace(tree, gravity=gravity))
-    held = pin.computeGeneralizedGravity(model, model.createData(), pin.neutral(model))
-    return {name: float(held[model.joints[model.getJointId(name)].idx_v]) for name in tree.joints}
+    return diagnose("base-tilted", subject=("body", robot.mj_base), tilt=Quantity(tilt, "rad"))
 
 
 def _in_root(urdf: etree._Element, link: str) -> Array:

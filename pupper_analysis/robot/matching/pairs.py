@@ -10,15 +10,12 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.robot.matching.alignment import with_base
-from pupper_analysis.robot.matching.conventions import quarter_turns
 from pupper_analysis.robot.matching.trees import at_zero, urdf_tree
 
 
@@ -236,53 +233,26 @@ def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, s
     """Matches the joints of two trees that ``pairs`` lack, by structure.
 
     Below the same parent, with parallel axes at zero angles, each the nearest to the other. Where
-    no name is in common and the axes of the base do not match as they are, its frame may be turned
-    by quarters in one of the files; if two turns match as many joints, each its own way, nothing is
-    guessed.
+    no name is in common and not all joints match, the base's frame may be turned in one of the
+    files, and legs exchanged: what matches is a choice then, and nothing is guessed.
     """
     free, rest = len(set(one.joints) - set(pairs)), len(set(two.joints) - set(pairs.values()))
     if not free or not rest:
         return Guess({}, {})
-    best, distance = _in_place(one, two, pairs)
+    best = _in_place(one, two, pairs)
     if pairs or len(best.pairs) == min(free, rest):
         return best
-    tried = [(best, distance)]
-    for turn in quarter_turns():
-        turned = with_base(one, pin.SE3(turn, np.zeros(3)))
-        tried.append(_in_place(turned, two, pairs))
-    tried.sort(key=lambda one: (-len(one[0].pairs), one[1]))
-    (best, distance) = tried[0]
-    rivals = [
-        other.pairs
-        for other, apart in tried[1:]
-        if len(other.pairs) == len(best.pairs)
-        and other.pairs != best.pairs
-        and apart < 2 * distance + 1e-3
-    ]
-    if rivals and best.pairs:
-        every = [best.pairs, *rivals]
-        choices = {
-            name: tuple(dict.fromkeys(found[name] for found in every if name in found))
-            for name in best.pairs
-        }
-        return Guess({}, choices)
-    return best
+    return Guess({}, {**{name: (other,) for name, other in best.pairs.items()}, **best.choices})
 
 
-def _in_place(
-    one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]
-) -> tuple[Guess, float]:
-    """Matches the joints of two trees where they are; returns how far they are apart, too.
-
-    The distance is relative to the robot's size, and the greatest of all pairs.
-    """
+def _in_place(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
+    """Matches the joints of two trees where they are."""
     free_one, free_two = set(one.joints) - set(pairs), set(two.joints) - set(pairs.values())
     place_one, place_two = at_zero(one), at_zero(two)
     size = max(float(np.linalg.norm(place[0])) for place in place_one.values())
     partner = {one.base: two.base, **pairs}
     guessed: dict[str, str] = {}
     choices: dict[str, tuple[str, ...]] = {}
-    worst = 0.0
 
     def likeness(name: str, other: str) -> float:
         (here, axis), (there, other_axis) = place_one[name], place_two[other]
@@ -305,7 +275,6 @@ def _in_place(
             )
             if np.isfinite(least) and (least < 0.5 * rivals).all():
                 guessed[name] = partner[name] = theirs[column]
-                worst = max(worst, float(least) / max(size, 1e-9))
             elif np.isfinite(least):
                 choices[name] = tuple(
                     other for other, far in zip(theirs, table[row], strict=True) if np.isfinite(far)
@@ -315,4 +284,4 @@ def _in_place(
         name: tuple(other for other in others if other not in taken)
         for name, others in choices.items()
     }
-    return Guess(guessed, {name: others for name, others in left.items() if others}), worst
+    return Guess(guessed, {name: others for name, others in left.items() if others})

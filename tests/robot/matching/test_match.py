@@ -181,7 +181,7 @@ def test_names_that_all_differ_are_matched_by_structure_and_said_so(tmp_path: Pa
     assert set(comparison.joints) == JOINTS
 
 
-def test_what_two_turns_match_is_left_open(tmp_path: Path) -> None:
+def test_what_matches_in_part_without_a_name_in_common_is_left_open(tmp_path: Path) -> None:
     """As Cassie's two models: turned by half a turn about z, its legs match as well, exchanged."""
 
     def walker(x: float, words: tuple[str, ...], last: tuple[float, float, float]) -> Parts:
@@ -199,9 +199,7 @@ def test_what_two_turns_match_is_left_open(tmp_path: Path) -> None:
 
     one = walker(-0.05, ("abduction_*", "flexion_*", "end_*"), (0.0, 1.0, 0.0))
     two = walker(0.01, ("*-roll", "*-pitch", "*-tip"), (0.0, 0.0, 1.0))
-    with pytest.raises(
-        ModelError, match=r"--map abduction_near=[a-z]+-roll or --map abduction_near"
-    ):
+    with pytest.raises(ModelError, match="--map abduction_near=near-roll"):
         compared(write(tmp_path, urdf_text(one, []), mjcf_text(two, [])))
 
 
