@@ -33,7 +33,6 @@ from pupper_analysis.cli.stance_fields import read_stance_file
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.convert.meshes import UnreadableError, obj_of, read_mesh
-from pupper_analysis.robot.matching.match import read_mapping
 from pupper_analysis.tools.check.config import read_config
 from pupper_analysis.tools.check.remarks import read_baseline
 from pupper_analysis.tools.study.store import Store
@@ -186,7 +185,6 @@ def kinds() -> tuple[Kind, ...]:
         ),
         Kind("study.toml", _STUDY, Study.read),
         Kind("study.json", b'{"format": 1, "study": {"robot": "v3", "seed": 1}}\n', _read_store),
-        Kind("map.toml", b'"hip" = "hip_joint"\n"knee" = "knee_joint"\n', read_mapping),
         Kind("pupper-analysis.toml", _CONFIG, read_config),
         Kind("baseline.txt", _BASELINE, read_baseline),
         Kind("robot.urdf", urdf_text(quadruped()).encode(), read_urdf),

@@ -109,7 +109,10 @@ def configuration(robot: pa.Robot, _: pa.Stand) -> dict[str, object]:
         "foot_positions": config.foot_positions(),
         "foot_jacobians": config.foot_jacobians(),
         "contact_points": config.contact_points(),
-        "contact_jacobians": config.contact_jacobians(),
+        "contact_jacobians": {
+            foot: config.point_jacobian(robot.contact_frames[foot], point)
+            for foot, point in config.contact_points().items()
+        },
         "center_of_mass": config.center_of_mass(),
         "com_jacobian": config.com_jacobian(),
         "mass_matrix": config.mass_matrix(),

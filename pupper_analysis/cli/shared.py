@@ -479,12 +479,6 @@ map_option = click.option(
 )
 
 
-map_file_option = file_option(
-    "--map-file",
-    help='TOML file with one such pair per line: "name in the URDF" = "name in the MJCF".',
-)
-
-
 frame_option = click.option(
     "--frame",
     "feet",
@@ -509,11 +503,9 @@ def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances
     return tolerances.changed(dict(parse_number_assignment("tolerance", text) for text in changes))
 
 
-def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str]:
-    """Returns {name in the URDF: name in the MJCF} of --map and --map-file."""
-    from pupper_analysis.robot.matching.match import read_mapping
-
-    names = read_mapping(map_file) if map_file is not None else {}
+def mapped_names(pairs: tuple[str, ...]) -> dict[str, str]:
+    """Returns {name in the URDF: name in the MJCF} of --map."""
+    names: dict[str, str] = {}
     for text in pairs:
         old, new = parse_assignment("map", text)
         if names.setdefault(old, new) != new:

@@ -199,26 +199,6 @@ class Configuration:
             for foot in (self.robot.contact_points if feet is None else feet)
         }
 
-    def contact_jacobians(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
-        """Returns the Jacobian of the material point at each contact, {foot: (3, nv)}.
-
-        The point is the lowest of the foot's sphere, and moves with the foot's link. It differs
-        from the Jacobian of the foot's centre by the sphere's rolling.
-
-        Args:
-            feet: Names of feet; all by default.
-
-        Raises:
-            UnknownNameError: If a foot is unknown.
-        """
-        robot = self.robot
-        names = [
-            robot.check_foot(foot) for foot in (robot.contact_points if feet is None else feet)
-        ]
-        offsets = np.zeros((len(names), 3))
-        offsets[:, 2] = [-robot.contact_radius[foot] for foot in names]
-        return dict(zip(names, self.point_jacobians(names, offsets), strict=True))
-
     def point_jacobians(self, feet: Sequence[str], offsets: Array) -> Array:
         """Returns the Jacobians (n, 3, nv) of points that move with feet, in world axes.
 

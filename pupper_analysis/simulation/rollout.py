@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -24,8 +24,6 @@ from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompen
 Array = NDArray[np.float64]
 
 _SHALLOW, _DEEP = 1e-6, 0.065536  # m: where the feet are looked for that carry the weight
-
-_FURTHER = 8.0  # a search looks so many times as deep: wider brackets than 2 take fewer looks
 
 _DROP_RESOLUTION = 1e-12  # m: drops that differ by no more are one
 
@@ -140,12 +138,12 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     if robot.bolted or robot.welds or (apart and any(stand.depths.values())):
         return rest_state(robot, drive, stand.qpos, data.ctrl)
     low, high = 0.0, _SHALLOW
-    short, over = -math.inf, surplus(high)
-    while over <= 0 and high < _DEEP:
-        low, high, short = high, min(_FURTHER * high, _DEEP), over
-        over = surplus(high)
-    # Where nothing carries, however deep, it begins there and falls.
-    surplus(_carried(surplus, low, high, short, over) if over > 0 else high)
+    while (over := surplus(high)) <= 0 and high < _DEEP:
+        low, high = high, min(2 * high, _DEEP)
+    while over > 0 and high - low > _DROP_RESOLUTION:
+        middle = (low + high) / 2
+        low, high = (middle, high) if surplus(middle) < 0 else (low, middle)
+    surplus(high)  # where nothing carries, however deep, it begins there and falls
     return full_state(model, data)
 
 
@@ -182,39 +180,6 @@ def settled_activations(model: mujoco.MjModel, ctrl: Array, slowest: float = mat
             last = int(model.actuator_actadr[motor] + model.actuator_actnum[motor] - 1)
             activations[last] = min(max(float(ctrl[control]), low), high)
     return activations
-
-
-def _carried(
-    surplus: Callable[[float], float], low: float, high: float, short: float, over: float
-) -> float:
-    """Returns where a surplus crosses zero, or up to ``_DROP_RESOLUTION`` beyond.
-
-    By the Illinois method: secants between a drop that is short and one that is over; of an end
-    that stays for a second time half as much counts. Where ``low`` has not been looked at, that is
-    the middle.
-
-    Args:
-        surplus: It grows with the drop.
-        low: Where it is negative (m).
-        high: Where it is not (m).
-        short: What it is at ``low`` (N).
-        over: What it is at ``high`` (N).
-    """
-    kept = 0
-    while high - low > _DROP_RESOLUTION:
-        share = over / (over - short) if math.isfinite(short) else 0.5
-        # Not nearer to an end than half of what is the same: so both ends come.
-        middle = high - min(
-            max(share * (high - low), _DROP_RESOLUTION / 2), high - low - _DROP_RESOLUTION / 2
-        )
-        found = surplus(middle)
-        if found < 0:
-            low, short, over = middle, found, over / 2 if kept < 0 else over
-            kept = -1
-        else:
-            high, over, short = middle, found, short / 2 if kept > 0 else short
-            kept = 1
-    return high
 
 
 def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:

@@ -93,7 +93,6 @@ class NudgeTrial(Result):
         time: When (s).
         fell: How many of the nudges ended in a failure.
         nudges: How many there were.
-        joint_error: The largest distance of a joint from the stand at the end (rad).
         duration: s.
     """
 
@@ -103,7 +102,6 @@ class NudgeTrial(Result):
     time: float | None
     fell: int
     nudges: int
-    joint_error: float
     duration: float
 
 
@@ -150,7 +148,6 @@ def simulate_nudges(
     events = [_first_event(held, stand, rows, creeps) for rows in states]
     failed = [event for event in events if event is not None]
     time, failure, where = min(failed, key=lambda event: event[0]) if failed else (None, None, ())
-    joints = states[:, -1, 1 + robot.mj_convention.qpos_index[7:]]
     return NudgeTrial(
         held=not failed,
         failure=failure,
@@ -158,7 +155,6 @@ def simulate_nudges(
         time=time,
         fell=len(failed),
         nudges=len(states),
-        joint_error=float(np.abs(joints - stand.qpos[7:]).max()),
         duration=duration,
     )
 

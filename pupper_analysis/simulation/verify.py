@@ -48,33 +48,27 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 Array = NDArray[np.float64]
 
 
-def balance_by_mujoco(
-    robot: Robot, stand: Stand, prediction: GravityCompensation
-) -> tuple[float, float]:
+def balance_by_mujoco(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:
     """Checks stand and statics with MuJoCo's kinematics and dynamics of the MJCF."""
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
     remainder = data.qfrc_bias - data.qfrc_passive
-    foot_error = 0.0
     jacobian = np.zeros((3, model.nv))
     centres = monitor.foot_centres(robot, data)
-    for foot, target in stand.foot_targets.items():
-        centre = centres[foot]
-        foot_error = max(foot_error, float(np.linalg.norm(centre - target)))
-        if foot in stand.stance_feet:
-            radius, depth = robot.contact_radius[foot], stand.depths[foot]
-            point = centre + contact_offset(radius, stand.normals[foot], depth)
-            mujoco.mj_jac(model, data, jacobian, None, point, robot.contact_places[foot][0])
-            remainder -= jacobian.T @ prediction.contact_forces[foot]
+    for foot in stand.stance_feet:
+        radius, depth = robot.contact_radius[foot], stand.depths[foot]
+        point = centres[foot] + contact_offset(radius, stand.normals[foot], depth)
+        mujoco.mj_jac(model, data, jacobian, None, point, robot.contact_places[foot][0])
+        remainder -= jacobian.T @ prediction.contact_forces[foot]
     for push in weld_pushes(robot, stand, prediction).values() if robot.welds else ():
         remainder[robot.mj_convention.qvel_index] -= push
     joints = robot.mj_convention.qvel_index[-robot.nu :]
     if robot.closure is not None:
         remainder[joints] -= robot.closure.push(stand.qpos) @ remainder[joints]
     remainder[joints] -= prediction.joint_torques
-    return foot_error, float(np.abs(remainder).max())
+    return float(np.abs(remainder).max())
 
 
 STABLE_DEVIATION = 5e-3
@@ -98,9 +92,6 @@ predicted: joints about vertical axes hold nothing."""
 
 SETTLED_DRIFT = 5e-4
 """A base whose height changes faster than this in the last second has not settled (m/s)."""
-
-SOFT = 1e-4
-"""Ground into which feet sink deeper than their stand has them by this is soft (m)."""
 
 _SAMPLE_TIME = 0.02  # s between the states that are looked at closely
 NUDGED = 7 / 12  # of the time by default: 5 s to settle, and 7 s in which 1e-3 must be forgotten
@@ -142,8 +133,6 @@ class StandVerification(Outcome, SimulationSettings, Tabular):
         force_error: Largest deviation of a vertical foot force / its prediction (or / ``LIGHT`` of
             the weight, where a foot is predicted to carry less than that); on a plane of its own
             the force that presses counts, and of a grip all of it. None where no foot carries.
-        mujoco_foot_error: Largest distance of a foot from its target at ``stand.qpos`` by MuJoCo's
-            kinematics of the MJCF (m).
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
             predicted f and tau (N, N m), less what closed loops carry.
         stability: Of where it settled: the modes that grow, and the margin; where it fell, of
@@ -170,7 +159,6 @@ class StandVerification(Outcome, SimulationSettings, Tabular):
     predicted_torques: Array
     foot_forces: dict[str, Array]
     predicted_forces: dict[str, Array]
-    mujoco_foot_error: float
     mujoco_residual: float
     stability: Stability
     nudge: Nudge | None
@@ -256,7 +244,7 @@ def verify_stand(
     failures += find_instability(found.stability, found.nudge)
     stays = not failures
     if feedforward:
-        failures += _deviations(robot, stand, watch, found, alone=stays)
+        failures += _deviations(robot, stand, watch, found)
     elif settled is not None and not settled.failures and robot.bolted and not stand.stance_feet:
         failures += _off_rest(robot, found, settled)
     failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
@@ -366,7 +354,6 @@ def _measured(
         off_grip = float(np.linalg.norm(watch.forces[name] - held[name]))
         errors.append(off_grip / max(float(np.linalg.norm(held[name])), light))
     step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE_TIME, _FRAME))
-    foot_error, residual = balance_by_mujoco(robot, stand, prediction)
     return StandVerification(
         passed=True,
         failures=(),
@@ -399,8 +386,7 @@ def _measured(
         foot_forces=watch.forces,
         predicted_forces=predicted | held,
         force_error=max(errors, default=None),
-        mujoco_foot_error=foot_error,
-        mujoco_residual=residual,
+        mujoco_residual=balance_by_mujoco(robot, stand, prediction),
         stability=run.stability,
         nudge=run.nudge,
         time=states[::step, 0].copy(),
@@ -510,10 +496,8 @@ def _deviations(
     stand: Stand,
     watch: Watch,
     found: StandVerification,
-    *,
-    alone: bool,
 ) -> list[Diagnostic]:
-    """Says what is not as predicted; soft ground may be why, if that ``alone`` is wrong."""
+    """Says what is not as predicted."""
     off = deviations(found.joint_error, found.torque_error)
     if found.force_error is not None and not found.force_error < FORCE_TOLERANCE:
         off.append(diagnose("foot-force-off", error=found.force_error))
@@ -524,8 +508,4 @@ def _deviations(
         return [*off, *two]
     if off and watch.touching:
         return [*off, *(diagnose("parts-touch", bodies=pair) for pair in watch.touching)]
-    sunk = (float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
-    deepest = max(sunk, default=0.0)
-    if off and alone and deepest > SOFT and not any(stand.depths.values()):
-        off.append(diagnose("feet-sink", depth=Quantity(deepest, "m")))
     return off

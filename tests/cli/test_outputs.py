@@ -37,7 +37,6 @@ ARGUMENTS = {
 """{argument of a command: what is given}."""
 
 OPTIONS = {
-    "map_file": "map.toml",
     "stance": "stance.toml",
     "stands": "stands.csv",
     "policy": "policy.json",
@@ -112,7 +111,6 @@ def fill(folder: Path) -> Path:
     for path in (pair.urdf, pair.mjcf):
         if path.name not in ("robot.urdf", "robot.xml"):
             path.unlink()
-    (folder / "map.toml").write_text('"FL_knee" = "FL_knee"\n')
     (folder / "stance.toml").write_text("height = '30cm'\n")
     (folder / "stands.csv").write_text("command.FL_knee,position.FL_knee\n-1.2,-1.25\n")
     (folder / "log.csv").write_text("time,command.FL_knee,position.FL_knee\n0,-1.2,-1.25\n")
@@ -289,7 +287,7 @@ def test_every_command_with_a_path_is_swept() -> None:
 def tiny(command: click.Command) -> list[str]:
     """Returns a command line that is soon done, without outputs."""
     line = next(lines_of(command))
-    for name in ("-o", "--stance", "--map-file"):  # the last two are of other robots
+    for name in ("-o", "--stance"):  # the last is of another robot
         if name in line:
             del line[line.index(name) : line.index(name) + 2]
     return line

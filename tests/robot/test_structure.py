@@ -17,7 +17,6 @@ from tests.support.states import random_state
 QUANTITIES: dict[str, Callable[[pa.Configuration], object]] = {
     "feet": lambda config: list(config.foot_positions().values()),
     "jacobians": lambda config: list(config.foot_jacobians().values()),
-    "contacts": lambda config: list(config.contact_jacobians().values()),
     "axes": lambda config: [config.joint_axis(name) for name in config.robot.joint_names],
     "com": lambda config: config.center_of_mass(),
     "com jacobian": lambda config: config.com_jacobian(),

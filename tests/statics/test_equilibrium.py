@@ -136,14 +136,18 @@ def null_space(result: pa.statics.GravityCompensation) -> np.ndarray:
     return np.asarray(linalg.null_space(np.hstack(columns)))
 
 
+def jacobians(config: pa.Configuration, result: pa.statics.GravityCompensation) -> list[np.ndarray]:
+    """Those of the points that touch (3, nv)."""
+    frames, points = config.robot.contact_frames, result.contact_points
+    return [config.point_jacobian(frames[foot], points[foot]) for foot in result.contact_forces]
+
+
 def joint_torques(
     config: pa.Configuration, result: pa.statics.GravityCompensation, forces: np.ndarray
 ) -> np.ndarray:
     """The joint torques that go with contact forces (3 n,)."""
     torques = config.gravity()
-    for jacobian, force in zip(
-        config.contact_jacobians(result.contact_forces).values(), forces.reshape(-1, 3), strict=True
-    ):
+    for jacobian, force in zip(jacobians(config, result), forces.reshape(-1, 3), strict=True):
         torques -= jacobian.T @ force
     return torques[6:]
 
@@ -206,7 +210,7 @@ def linear_programme(
     """The least peak of share * |torque|, with cones of 64 sides, by scipy's simplex."""
     sides = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     count = len(result.contact_forces)
-    jacobian = np.concatenate(list(config.contact_jacobians(result.contact_forces).values()))
+    jacobian = np.concatenate(jacobians(config, result))
     faces = np.column_stack([np.cos(sides), np.sin(sides), np.full(64, -friction)])
     cones = np.column_stack([np.kron(np.eye(count), faces), np.zeros(64 * count)])
     torque = -share[:, None] * jacobian.T[6:]

@@ -87,7 +87,6 @@ def run(shift: float, *, passed: bool) -> Stub:
         torque_error=0.01234 + shift,
         foot_forces={"FR": np.array([0.101, 0.202, 7.303]), "RL": np.array([0.404, 0.505, 8.606])},
         force_error=0.02356 + shift,
-        mujoco_foot_error=3.1e-10,
         mujoco_residual=4.2e-5,
         stability=Stub(doubling_time=None),
         feedforward=passed,

@@ -7,9 +7,8 @@ its mirror image.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,6 @@ from pupper_analysis.robot.compare.behaviour import (
 )
 from pupper_analysis.robot.compare.differences import (
     Difference,
-    Effect,
     Explanation,
     RelativeError,
     apply_changes,
@@ -130,13 +128,7 @@ def explain_differences(
         deviations={name: judge.relative(name, urdf[name], mjcf[name]) for name in urdf},
         residual=left,
         complete=all(value <= EXPLAINED for value in left.values()),
-        notes=tuple(
-            _given_notes(
-                {"armature": robot.joint_names, **(unstated or {})},
-                first,
-                lambda values: judge.effects(urdf, behaviour(values)),
-            )
-        ),
+        notes=tuple(_given_notes({"armature": robot.joint_names, **(unstated or {})}, first)),
     )
 
 
@@ -226,27 +218,12 @@ _UNITS = {"armature": "kg m^2", "damping": "N m s/rad", "friction": "N m"}
 
 
 def _given_notes(
-    given: Mapping[str, Collection[str]],
-    values: MultibodyTree,
-    effects_of: Callable[[MultibodyTree], Mapping[str, Effect]],
+    given: Mapping[str, Collection[str]], values: MultibodyTree
 ) -> Iterator[Diagnostic]:
-    """Yields what the URDF was given of the MJCF's, and what leaving it out of its model does."""
-    for kind in _GIVEN:
-        own = {name: float(getattr(values.joints[name], kind)) for name in given.get(kind, ())}
-        if any(own.values()):
-            none: dict[str, Any] = {kind: 0.0}
-            bare = {name: replace(values.joints[name], **none) for name in own}
-            effects = effects_of(replace(values, joints={**values.joints, **bare}))
-            of_mass, forward = (
-                effects[name].relative if name in effects else 0.0
-                for name in ("mass matrix", "forward dynamics")
-            )
-            least, greatest = (Quantity(f(own.values()), _UNITS[kind]) for f in (min, max))
-            yield diagnose(
-                _GIVEN[kind],
-                least=least,
-                greatest=greatest if greatest != least else None,
-                count=len(own),
-                mass_matrix=of_mass,
-                forward=forward,
-            )
+    """Yields what the URDF was given of the MJCF's."""
+    for kind, code in _GIVEN.items():
+        own = [float(getattr(values.joints[name], kind)) for name in given.get(kind, ())]
+        if any(own):
+            least, greatest = (Quantity(f(own), _UNITS[kind]) for f in (min, max))
+            more = greatest if greatest != least else None
+            yield diagnose(code, least=least, greatest=more, count=len(own))

@@ -57,13 +57,10 @@ from pupper_analysis.robot.compare.differences import (
     Explanation,
     PatternCause,
     change_of,
-    convention_changes,
     in_degrees,
     with_names_of_models,
 )
 from pupper_analysis.robot.contact import limb_ends
-from pupper_analysis.robot.matching.alignment import Alignment
-from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.sources import Sources
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -377,14 +374,12 @@ class Compared:
     Attributes:
         result: How they differ.
         matched: Both as one robot.
-        alignment: The MJCF's tree in the URDF's link frames.
         explanation: Every number in which they differ, and the proof that none is missing.
         sources: Where the numbers of both stand.
     """
 
     result: FilesCompared
     matched: Match
-    alignment: Alignment
     explanation: Explanation
     sources: tuple[Sources, Sources]
 
@@ -399,7 +394,6 @@ def compare_files(
     feet: Sequence[str] = (),
     tolerances: Tolerances | None = None,
     strict_names: bool = False,
-    any_coordinates: bool = False,
 ) -> Compared:
     """Compares a URDF with an MJCF of the same robot, and explains how they differ.
 
@@ -417,8 +411,6 @@ def compare_files(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
     mount = mount_of(matched, urdf_file.root, tolerances)
-    if any_coordinates:
-        matched = _in_any_coordinates(matched)
     robot = matched.robot
     if not robot.total_mass > 0:
         mass = Quantity(robot.total_mass, "kg")
@@ -472,7 +464,7 @@ def compare_files(
         agree=not (differences or unmatched or objections),
         same_robot=not (_mechanical(differences) or unmatched or objections),
     )
-    return Compared(result, matched, alignment, explanation, sources)
+    return Compared(result, matched, explanation, sources)
 
 
 def _causes(*of: object) -> tuple[PatternCause, ...]:
@@ -524,13 +516,6 @@ def _second(path: str | Path) -> MjcfFile:
     """Reads the second file: an MJCF, or what stands for one."""
     reader = reader_of(Path(path))
     return read_mjcf(path) if reader is None else reader.read_as_mjcf(Path(path))
-
-
-def _in_any_coordinates(matched: Match) -> Match:
-    """Makes notes of the files' conventions of coordinates: then they are no differences."""
-    changes = convention_changes(matched.conventions, kinematic_trees(matched.robot)[0])
-    notes = (*matched.notes, *(difference.diagnostic for difference, _ in changes))
-    return replace(matched, conventions=Conventions(), notes=notes)
 
 
 def _mechanical(differences: Iterable[Difference]) -> bool:

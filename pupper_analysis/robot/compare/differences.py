@@ -167,9 +167,9 @@ class Difference(Stated, Result):
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """What a user must mend first, first: by tier, then by effect, then by kind and size."""
+        """What a user must mend first, first: by tier, then by effect, then by kind."""
         kind = ORDER.index("lower limit" if self.kind == "upper limit" else self.kind)
-        return self.tier, -self._felt, -self.weight[1], kind, -self._lost, ORDER.index(self.kind)
+        return self.tier, -self._felt, -self.weight[1], kind, ORDER.index(self.kind)
 
     @property
     def weight(self) -> tuple[float, float]:
@@ -192,23 +192,6 @@ class Difference(Stated, Result):
     def _share_of_mass(self) -> float:
         one, two = (float(value) for value in (self.urdf, self.mjcf))  # type: ignore[arg-type]
         return abs(two - one) / max(abs(one), abs(two), 1e-300)
-
-    @property
-    def _lost(self) -> float:
-        """How much of its limits or its effort a joint has in one file alone; 0 of all else.
-
-        Of a hinge's range in turns, of a slide's in m, of an effort relative to the greater; at
-        most 1.
-        """
-        if self.kind not in LIMITS:
-            return 0.0
-        one, two = (float(value) for value in (self.urdf, self.mjcf))  # type: ignore[arg-type]
-        if not (math.isfinite(one) and math.isfinite(two)):
-            return 1.0
-        whole = math.tau if self.unit == "rad" else 1.0
-        if self.kind == "effort":
-            whole = max(abs(one), abs(two), 1e-300)
-        return min(abs(two - one) / whole, 1.0)
 
     @property
     def tier(self) -> int:

@@ -23,16 +23,14 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.base.errors import InputError, ModelError, UnknownNameError
-from pupper_analysis.base.inputs import read_toml
+from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models import multibody
 from pupper_analysis.models.attributes import BY_KIND, PASSIVE
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.description import Description, ModelTree
-from pupper_analysis.models.mjcf import JointKind, compile_spec, name_all, numbered
+from pupper_analysis.models.mjcf import JointKind, compile_spec, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import TreeJoint
-from pupper_analysis.models.places import refuse_input
 from pupper_analysis.models.spec_tree import SpecTree, delete_joint, join_free_base, state_number
 from pupper_analysis.models.urdf_file import UrdfFile, for_engines
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -230,26 +228,8 @@ class Match:
             bodies=self.mjcf_body,
             frames={name: site for name, (_, site) in frames.items()},
             base=base,
-            renumbered=bool(self.only_mjcf),  # the numbers are those of what was left
         )
         return one, two
-
-
-def read_mapping(path: Path) -> dict[str, str]:
-    """Reads names from a TOML file: ``"name in the URDF" = "name in the MJCF"``, a line each.
-
-    Raises:
-        ModelError: If it cannot be read, or holds anything but text.
-    """
-    try:
-        _, values = read_toml(path)
-    except InputError as error:
-        raise refuse_input(path, error) from error
-    for name, value in values.items():
-        if not isinstance(value, str):
-            problem = diagnose("mapping-not-a-name", subject=("joint", name), value=repr(value))
-            raise ModelError(path, problem)
-    return values
 
 
 def match_models(
@@ -277,7 +257,8 @@ def match_models(
         strict: Damping and friction that the URDF does not state are 0; else they are the MJCF's.
 
     Raises:
-        ModelError: If the two have no joint in common, or one cannot be analysed.
+        ModelError: If the two have no joint in common, one cannot be analysed, or (``complete``)
+            the MJCF closes loops and has joints that the URDF lacks.
         UnknownNameError: If ``names`` or ``feet`` name what is not there.
     """
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
@@ -286,7 +267,6 @@ def match_models(
     joined = join_free_base(spec, stated=taken)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
     dropped = drop_other_objects(spec, mjcf.path, root)
-    at_bodies = ball_joints(spec)
     theirs, balls, held = list_hinges(spec, mjcf.path)
     tree = mjcf_tree(spec, mjcf.path)
     root, stripped = strip_roots(root, urdf.path, tree)
@@ -295,7 +275,7 @@ def match_models(
     notes += [*dropped, *held, *stripped, *fixed]
     wanted = dict(names or {})
     _check_names(wanted, (mine, root, urdf.path), (theirs, spec, mjcf.path))
-    found = pair_up(root, spec, tree, (urdf.path, mjcf.path), (mine, theirs), wanted)
+    found = pair_up(root, tree, (urdf.path, mjcf.path), (mine, theirs), wanted)
     pairs, notes = found.pairs, [*notes, *found.notes]
     if is_fused(spec, pairs.values()):
         notes += take_mass_of_base(root, urdf.path)
@@ -304,7 +284,8 @@ def match_models(
     only_mjcf = (*balls, *(name for name in theirs if name not in partners))
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
-    freed = open_loops(spec, at_bodies, only_mjcf) if complete else []
+    if complete:
+        _refuse_loops(spec, only_mjcf, mjcf.path)
     sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
     ways = ways_off(sides[0], only_urdf), ways_off(sides[1], only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
@@ -316,7 +297,15 @@ def match_models(
     unstated = {} if strict else take_unstated(root, tree.joints, urdf.unknown, pairs)
     frames = common_frames(root, spec, wanted)
     _check_feet(feet, frames, urdf.path)
-    description = _described(root, spec, (urdf, mjcf), {n: frames[n] for n in feet or frames})
+    description = Description(
+        name=spec.modelname,
+        urdf=for_engines(root),
+        urdf_source=urdf.path,
+        mjcf=spec,
+        mjcf_source=mjcf.path,
+        contact_points={},
+        frames={name: frames[name] for name in feet or frames},
+    )
     robot, meant, moved = _in_one_convention(root, description, tolerances or Tolerances())
     return Match(
         robot=robot,
@@ -326,7 +315,7 @@ def match_models(
         guessed=found.guessed,
         only_urdf=only_urdf,
         only_mjcf=only_mjcf,
-        notes=(*notes, *freed, *moved),
+        notes=(*notes, *moved),
         reference=Reference(
             robot.mj_model if only_mjcf else models[1],
             robot.mj_model if only_mjcf else whole,
@@ -345,25 +334,6 @@ def _check_feet(feet: Sequence[str], frames: Mapping[str, tuple[str, str]], urdf
     for foot in feet:
         if foot not in frames:
             raise UnknownNameError(urdf, "frame of both files (for a foot)", foot, frames)
-
-
-def _described(
-    root: etree._Element,
-    spec: mujoco.MjSpec,
-    files: tuple[UrdfFile, MjcfFile],
-    frames: Mapping[str, tuple[str, str]],
-) -> Description:
-    """Describes a robot by two files that have been made alike."""
-    urdf, mjcf = files
-    return Description(
-        name=spec.modelname,
-        urdf=for_engines(root),
-        urdf_source=urdf.path,
-        mjcf=spec,
-        mjcf_source=mjcf.path,
-        contact_points={},
-        frames=frames,
-    )
 
 
 def _in_one_convention(
@@ -680,63 +650,17 @@ def mjcf_tree(
     return with_base(tree, placement_of(data.xquat[body], data.xpos[body]).inverse())
 
 
-_BODIES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
+_CLOSING = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
-def ball_joints(spec: mujoco.MjSpec) -> dict[str, list[str]]:
-    """Returns {body: its ball joints}, before these are taken out."""
-    found: dict[str, list[str]] = {}
-    for joint in spec.joints:
-        if joint.type == JointKind.BALL:
-            found.setdefault(joint.parent.name, []).append(joint.name)
-    return found
+def _refuse_loops(spec: mujoco.MjSpec, gone: Collection[str], source: Path) -> None:
+    """Refuses loops, and couplings through joints that only the MJCF has: held, they would bind.
 
-
-def open_loops(
-    spec: mujoco.MjSpec, balls: dict[str, list[str]], gone: Collection[str]
-) -> list[Diagnostic]:
-    """Takes out what would bind joints through others that are about to be held, in place.
-
-    A rod that is held at zero would hold the ankle that it turns. Opened, the tree of the URDF is
-    left: its joints are driven by themselves, and their torques are theirs, not those of motors
-    behind the rods.
-
-    Args:
-        spec: The MJCF, without its ball joints.
-        balls: {body: the ball joints that it had}.
-        gone: The joints that only the MJCF has.
-
-    Returns:
-        What was opened.
+    A rod that is held at zero would hold the ankle that it turns.
     """
-    driven = {actuator.target for actuator in spec.actuators}
-    opened, freed = [], dict[str, None]()
-    for index, equality in enumerate(list(spec.equalities)):
-        joints = _joints_between(spec, equality, balls)
-        if equality.active and not joints.isdisjoint(gone):
-            kind = mujoco.mjtEq(equality.type).name.removeprefix("mjEQ_").lower()
-            ends = [equality.name1, equality.name2 or "world"]
-            opened.append(f"{kind} {equality.name or numbered(index, *ends)}")
-            freed |= dict.fromkeys(sorted(joints - set(gone) - driven))
-            spec.delete(equality)
-    return [diagnose("loops-opened", constraints=opened, freed=freed)] if opened else []
-
-
-def _joints_between(
-    spec: mujoco.MjSpec, equality: mujoco.MjsEquality, balls: dict[str, list[str]]
-) -> set[str]:
-    """Returns the joints on the way between what an equality constraint binds."""
-    if equality.type == mujoco.mjtEq.mjEQ_JOINT:
-        return {name for name in (equality.name1, equality.name2) if name}
-    if equality.type not in _BODIES:
-        return set()
-    directions = []
-    for name in (equality.name1, equality.name2):
-        site = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
-        body = spec.site(name).parent if site and name else spec.body(name) if name else None
-        way: set[str] = set()
-        while body is not None and body.name != "world":
-            way |= {joint.name for joint in body.joints} | set(balls.get(body.name, ()))
-            body = body.parent
-        directions.append(way)
-    return directions[0] ^ directions[1]
+    for equality in spec.equalities if gone else ():
+        ends = {equality.name1, equality.name2} - {""}
+        coupled = equality.type == mujoco.mjtEq.mjEQ_JOINT and not ends.isdisjoint(gone)
+        coupled = coupled and not ends.issubset(gone)
+        if equality.active and (coupled or equality.type in _CLOSING):
+            raise ModelError(source, diagnose("loops-through-other-joints", joints=gone))

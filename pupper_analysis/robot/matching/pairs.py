@@ -1,4 +1,4 @@
-"""Which joints of two files are the same: by name, by part of it, by link, by where they are."""
+"""Which joints of two files are the same: by name, by part of it, by where they are."""
 
 from __future__ import annotations
 
@@ -30,13 +30,12 @@ class Pairs:
 
 def pair_up(
     root: etree._Element,
-    spec: mujoco.MjSpec,
     tree: MultibodyTree,
     files: tuple[Path, Path],
     joints: tuple[Sequence[str], Sequence[str]],
     wanted: Mapping[str, str],
 ) -> Pairs:
-    """Matches the joints: by ``wanted``, by name, by part of it, by link, and by structure.
+    """Matches the joints: by ``wanted``, by name, by part of it, and by structure.
 
     Raises:
         ModelError: If fewer than half of the joints have a partner.
@@ -49,9 +48,6 @@ def pair_up(
     pairs |= {name: name for name in mine if name in known and name not in used}
     guessed = without_affixes(mine, theirs, pairs)
     pairs |= guessed
-    by_link = _by_link(root, spec, pairs)
-    guessed |= by_link
-    pairs |= by_link
     guess = guess_of_trees(urdf_tree(root, files[0]), tree, pairs)
     guessed |= guess.pairs
     pairs |= guess.pairs
@@ -90,27 +86,6 @@ def _options(one: str, others: Sequence[str]) -> Diagnostic:
     """Returns the options by which a user says which joint another is."""
     options = [f"--map {one}={other}" for other in others]
     return diagnose("ways-to-map", subject=("joint", one), options=options)
-
-
-def _by_link(root: etree._Element, spec: mujoco.MjSpec, pairs: Mapping[str, str]) -> dict[str, str]:
-    """Matches joints by what they move: links and bodies of one name, but for affixes.
-
-    Exporters make up the joints' names (``dof_1``, ``A_to_B``) where the links have their own.
-    """
-    mine = {joint.name: joint.child for joint in UrdfTree(root).moving}
-    movers = [body for body in spec.bodies if len(list(body.joints)) == 1]
-    theirs = {body.joints[0].name: body.name for body in movers}
-    known = {mine[one]: theirs[two] for one, two in pairs.items() if one in mine and two in theirs}
-    links, bodies = list(mine.values()), list(theirs.values())
-    taken = set(known.values())
-    known |= {name: name for name in links if name in bodies and name not in {*known, *taken}}
-    known |= without_affixes(links, bodies, known)
-    of_body = {body: joint for joint, body in theirs.items()}
-    return {
-        joint: of_body[known[link]]
-        for joint, link in mine.items()
-        if joint not in pairs and link in known
-    }
 
 
 _EMPTY = {"joint", "jnt", "link"}

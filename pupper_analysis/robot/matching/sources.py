@@ -114,7 +114,6 @@ class MjcfSources:
         bodies: {base or joint: the body that it moves}.
         frames: {frame: its site, body or geom}; others are called so there, too.
         base: What the base is called.
-        renumbered: Whether elements without a name have other numbers than in the file.
     """
 
     file: MjcfFile
@@ -122,17 +121,13 @@ class MjcfSources:
     bodies: Mapping[str, str]
     frames: Mapping[str, str]
     base: tuple[str, ...]
-    renumbered: bool = False
 
     def place(self, kind: str, element: str) -> Place:
         """Returns where a number stands: see `UrdfSources`."""
         file, body = self.file, self.bodies.get(element, "")
         if kind in _SECTION:
-            if not element.startswith("#"):
-                return file.place(_SECTION[kind], element)
-            if self.renumbered:
-                return Place(file.path)
-            return file.numbered(_SECTION[kind], int(element[1:].split()[0]))
+            named = not element.startswith("#")
+            return file.place(_SECTION[kind], element) if named else Place(file.path)
         if kind in _GLOBAL_OPTIONS:
             words = set(_GLOBAL_OPTIONS[kind]) or {element}
             tag = "flag" if kind == "flag" else "option"

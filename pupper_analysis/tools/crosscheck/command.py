@@ -9,7 +9,6 @@ import click
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.shared import (
     frame_option,
-    map_file_option,
     map_option,
     mapped_names,
     with_changes,
@@ -20,7 +19,6 @@ from pupper_analysis.cli.shared import (
 @click.argument("urdf", type=shared.MODEL_FILE)
 @click.argument("mjcf", type=shared.MODEL_FILE)
 @map_option
-@map_file_option
 @shared.package_option
 @frame_option
 @click.option(
@@ -38,11 +36,6 @@ from pupper_analysis.cli.shared import (
     help="Report everything above rounding errors (1e-9): differences in printed digits, in "
     "names, damping that the URDF lacks, and a fixed base that is tilted against the URDF's.",
 )
-@click.option(
-    "--any-coordinates",
-    is_flag=True,
-    help="Accept other zero angles of joints and another frame of a free base; notes list them.",
-)
 @shared.all_option
 @shared.json_option
 @shared.report_option
@@ -51,12 +44,10 @@ def command(
     urdf: Path,
     mjcf: Path,
     pairs: tuple[str, ...],
-    map_file: Path | None,
     packages: tuple[str, ...],
     feet: tuple[str, ...],
     changes: tuple[str, ...],
     strict: bool,
-    any_coordinates: bool,
     everything: bool,
     json_path: Path | None,
     report_path: Path | None,
@@ -70,8 +61,7 @@ def command(
     name, by name without prefixes and suffixes, and finally by structure (which is then printed).
 
     SAME ROBOT, DIFFERENT CONVENTIONS means that only the zero angles of joints, or the frame of a
-    free base, differ, so that the same joint angles are another pose. The exit status is then 1, or
-    0 with --any-coordinates.
+    free base, differ, so that the same joint angles are another pose. The exit status is then 1.
 
     \b
     Examples:
@@ -89,7 +79,7 @@ def command(
     from pupper_analysis.tools.crosscheck.crosscheck import compare_models
     from pupper_analysis.tools.crosscheck.document import comparison_remarks
 
-    names = mapped_names(pairs, map_file)
+    names = mapped_names(pairs)
     folders = shared.package_folders(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = with_changes(tolerances, changes)
@@ -101,7 +91,6 @@ def command(
         feet=feet,
         tolerances=tolerances,
         strict_names=strict,
-        any_coordinates=any_coordinates,
     )
     if style in ("text", "markdown"):
         shared.show_results([("", comparison)], style, everything=everything)

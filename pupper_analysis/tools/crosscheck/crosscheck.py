@@ -102,7 +102,6 @@ def compare_models(
     feet: Sequence[str] = (),
     tolerances: Tolerances | None = None,
     strict_names: bool = False,
-    any_coordinates: bool = False,
     configurations: int = 20,
     seed: int = 0,
 ) -> Comparison:
@@ -122,9 +121,6 @@ def compare_models(
             a difference; otherwise `guessed` alone tells of them. So are damping and dry friction
             that the URDF does not state; otherwise a note tells of them. And a fixed base that is
             tilted against the URDF's; otherwise `mount` alone tells of it.
-        any_coordinates: Joints' zeros, moved with their limits, and a free base's frame may be
-            elsewhere: notes tell of them. By default they are differences, because qpos means
-            another pose.
         configurations: Number of random configurations of the cross-check.
         seed: Of the random numbers, 0 or more.
 
@@ -147,7 +143,6 @@ def compare_models(
         feet=feet,
         tolerances=tolerances,
         strict_names=strict_names,
-        any_coordinates=any_coordinates,
     )
     check = cross_check(
         compared.matched.robot,

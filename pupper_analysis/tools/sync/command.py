@@ -10,7 +10,6 @@ from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 from pupper_analysis.cli.shared import (
     fine_tolerance_option,
-    map_file_option,
     map_option,
     mapped_names,
     with_changes,
@@ -41,7 +40,6 @@ from pupper_analysis.cli.shared import (
     help=f"Write even to files with uncommitted changes. {shared.FORCE}",
 )
 @map_option
-@map_file_option
 @shared.package_option
 @fine_tolerance_option
 @shared.json_option
@@ -56,7 +54,6 @@ def command(
     backup: bool,
     force: bool,
     pairs: tuple[str, ...],
-    map_file: Path | None,
     packages: tuple[str, ...],
     changes: tuple[str, ...],
     json_path: Path | None,
@@ -89,7 +86,7 @@ def command(
         refuse_idle("--dry-run", "backup")
     if not take:
         refuse_alone(("--take",), "partial", "backup")
-    names, folders = mapped_names(pairs, map_file), shared.package_folders(packages)
+    names, folders = mapped_names(pairs), shared.package_folders(packages)
     tolerances = with_changes(Tolerances(), changes)
 
     result = sync_models(

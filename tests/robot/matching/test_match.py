@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.robot.matching.match import read_mapping
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from tests.support.corpus import INERTIAL, link
 from tests.support.robots import (
@@ -258,36 +257,6 @@ def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
     assert "the URDF's xknee0, xhip1" in str(raised.value)
 
 
-def exporters_names(parts: Parts) -> Parts:
-    """Joints as an exporter makes their names up; links called as they were."""
-    return {
-        name: replace(part, joint=part.joint and f"{part.link}_to_{part.parent}")
-        for name, part in parts.items()
-    }
-
-
-def prefixed(parts: Parts, prefix: str) -> Parts:
-    return {
-        prefix + name: replace(
-            part, link=prefix + part.link, parent=part.parent and prefix + part.parent
-        )
-        for name, part in parts.items()
-    }
-
-
-def test_joints_are_matched_by_the_links_that_they_move(tmp_path: Path) -> None:
-    """All links are the same but for a prefix; all axes are turned, which hides the structure."""
-    urdf = exporters_names(quadruped())
-    mjcf = prefixed({n: replace(p, axis=(0.0, 0.0, 1.0)) for n, p in quadruped().items()}, "right_")
-    comparison = compared(write(tmp_path, urdf_text(urdf), mjcf_text(mjcf, ())))
-    assert comparison.guessed == {
-        part.joint: f"{'hip' if 'thigh' in name else 'knee'}{name[-1]}"
-        for name, part in urdf.items()
-        if part.joint
-    }
-    assert {kind for kind, _ in found(comparison)} <= {"axis"}
-
-
 @pytest.mark.parametrize("where", ["URDF", "MJCF"])
 def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> None:
     """A hand is fixed to the rod, and carries two fingers."""
@@ -331,23 +300,6 @@ def test_an_unknown_name_lists_the_valid_ones(
         UnknownNameError, match=rf"robot.{file}: no joint .*'{wrong}'; there are: hip0"
     ):
         compare_texts(tmp_path, URDF, MJCF, names={one: other})
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('"a" = ', "not a TOML file"),
-        ('a = "b"\na = "c"', "not a TOML file"),
-        ("a = 1", "a = 1: give the name in the MJCF, in quotes"),
-        ('[legs]\na = "b"', "give the name in the MJCF, in quotes"),
-    ],
-)
-def test_a_bad_mapping_file(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "names.toml"
-    path.write_text(text)
-    with pytest.raises(ModelError, match=message) as error:
-        read_mapping(path)
-    assert str(error.value).startswith(str(path))
 
 
 # ------------------------------------------------------------------------------------- fused

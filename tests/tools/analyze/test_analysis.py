@@ -24,7 +24,7 @@ def test_every_variant_verifies(name: str) -> None:
     analysis = pa.analyze_variant(pa.load_variant(name))
     assert analysis.verified, analysis.failures
     assert analysis.stand.foot_error < 1e-9
-    assert analysis.verification.mujoco_foot_error < 1e-9
+    assert analysis.verification.mujoco_residual < 1e-9
     assert analysis.verification.joint_error < 1e-3
     assert analysis.verification.torque_error < 0.01
     assert analysis.verification.force_error < 0.01

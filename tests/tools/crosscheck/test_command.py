@@ -27,7 +27,6 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "renamed.urdf").write_text(urdf_text(changed(robot, "shank1", joint="lf kfe")))
     (folder / "folder").mkdir()
     (folder / "names.toml").write_text('"lf kfe" = "knee1"\n')
-    (folder / "bad.toml").write_text("lf = 1\n")
     (folder / "noise.toml").write_text("= = =\n")
     (folder / "text.urdf").write_text("a robot\n")
     (folder / "cut.xml").write_text(mjcf_text(robot)[:400])
@@ -63,7 +62,6 @@ BAD: dict[str, tuple[list[str], str]] = {
         ["robot.urdf", "robot.xml", "--map", "hip0=hip1", "--map", "hip1=hip1"],
         "hip1",
     ),
-    "bad map file": (["robot.urdf", "robot.xml", "--map-file", "bad.toml"], "bad.toml: lf = 1"),
     "tolerance of nothing": (
         ["robot.urdf", "robot.xml", "--tolerance", "weight=1"],
         "no kind 'weight'; valid: mass, com,",
