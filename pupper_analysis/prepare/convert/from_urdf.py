@@ -153,7 +153,6 @@ class UrdfBodies:
     Attributes:
         urdf: The file.
         tree: Its links, as they are to be bodies.
-        floats: Whether the URDF has its base on a floating joint.
         meshes: Its meshes.
         armature: {joint: rotor inertia (kg m^2)}.
         notes: What an MJCF cannot say, or what was left out.
@@ -166,7 +165,6 @@ class UrdfBodies:
 
     urdf: UrdfFile
     tree: UrdfTree
-    floats: bool
     meshes: Meshes
     armature: Mapping[str, float]
     notes: list[Diagnostic] = field(default_factory=list)
@@ -452,7 +450,7 @@ class BareMjcf:
         if carried:
             notes.append(diagnose("shapes-carried", links=carried))
         meshes, rotors = Meshes(urdf, output, copied=options.copy_meshes), options.armature or {}
-        bodies = UrdfBodies(urdf, tree, floats, meshes, rotors)
+        bodies = UrdfBodies(urdf, tree, meshes, rotors)
         mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
         bodies.add(mjcf, free=freed)
         for name, rgba in bodies.materials.items():
