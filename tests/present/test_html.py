@@ -301,6 +301,17 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[ty
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 
 
+def test_each_geom_has_its_own_mesh_and_robots_share_those_that_are_alike() -> None:
+    models = load("v3").mj_model, load("v3-heavy").mj_model
+    (geoms, meshes), (_, others) = map(write.geoms_of, models)
+    shapes, whole = shapes_of(models[0], write.MOST_FACES)
+    assert len(meshes) > 3
+    assert meshes.keys() == others.keys()
+    for shape, geom in zip(shapes, geoms, strict=True):
+        if shape.mesh is not None:
+            assert meshes[geom["mesh"]] == write._mesh(whole[shape.mesh])
+
+
 def test_meshes_keep_their_size() -> None:
     """The torso's volume by the file's triangles is that of what the page has."""
     model = load("v3").mj_model
