@@ -86,7 +86,6 @@ def test_bad_input_of_scripts_is_one_line_and_exit_status_2(
 def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
     from click.testing import CliRunner
 
-    from pupper_analysis import cli
     from pupper_analysis.simulation import verify as simulation
 
     monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)

@@ -141,7 +141,7 @@ def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("module", ["click", "rich.console", "pupper_analysis.tools.stand.command"])
-def test_ctrl_c_while_it_is_loaded_is_one_line(module: str, tmp_path: Path) -> None:
+def test_ctrl_c_while_it_is_loaded_is_one_line(module: str) -> None:
     """A signal at a known moment of the start: while a module is imported."""
     code = f"""
         import os, signal, sys

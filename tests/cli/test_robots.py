@@ -89,11 +89,6 @@ def test_one_file_is_enough_to_stand(capfd: pytest.CaptureFixture[str], file: Pa
     ],
 )
 def test_bad_input_is_one_line_and_exit_status_2(
-    capfd: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    message: str,
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], message: str
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     check_refusal(capfd, tmp_path, arguments, message)

@@ -75,20 +75,15 @@ def test_what_is_typed_goes_first(tmp_path: Path) -> None:
         ("FL=wall:0.4m,foo=1", "'foo' is none of 'mu', 'place', 'offset', 'radius'"),
         ("FL=plane:0,0,0,1", "is not of the form"),
         ("FL=plane:0,0,0,0,0,0", "is no direction"),
-        ("FL=table:1cm,place=1/2", "is not of the form"),
         ("FL=table:1cm,radius=0", "radius: 0 is not more than 0"),
         ("FL=bar:0,0,0,0,1,0,0", "bar.radius: 0 is not more than 0"),
-        ("FL=bar:0,0,0,0,1,0,-1cm", "bar.radius: -0.01 is not more than 0"),
         ("FL=bar:0,0,0,0,0,0,1cm", "bar.direction: "),
         ("FL=bar:0,0,0,0,1,0,1cm,mu=-1", "bar.friction: -1.0 is not between 0 and"),
         ("FL=slope:5deg,mu=-1", "slope.friction: -1.0 is not between 0 and"),
-        ("FL=bar:0,0,0,0,1,0", "is not of the form"),
-        ("FL=bar:0,0,0,0,1,x,1cm", "is no length"),
         ("FL=bar:0,0,nan,0,1,0,1cm", "bar.point: element 2 is nan"),
         ("FL=table:1cm,grip=-1N", "grip: -1 is not more than 0"),
         ("FL=table:1cm,grip=", "is no force"),
         ("FL=table:1cm,grip=60lbf", "is no force"),
-        ("FL=table:1cm,grip=inf", "grip"),
         ("FL=table:1cm,grip=9N,force=3N", "no force is stated"),
         ("FL=weld,grip=9N", "'grip' is none of 'place', 'offset'"),
     ],
@@ -131,15 +126,9 @@ def test_contacts_are_typed_and_written_into_files(tmp_path: Path) -> None:
     ],
 )
 def test_bad_files_are_one_line_and_exit_status_2(
-    capfd: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    text: str | None,
-    message: str,
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, text: str | None, message: str
 ) -> None:
-    folder, file = tmp_path / "empty", tmp_path / "bad.toml"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
+    file = tmp_path / "bad.toml"
     if text is not None:
         file.write_text(text)
-    check_refusal(capfd, folder, ["stand", "v3", "--stance", str(file)], message)
+    check_refusal(capfd, tmp_path, ["stand", "v3", "--stance", str(file)], message)

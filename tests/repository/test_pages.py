@@ -31,14 +31,12 @@ def test_blocks_that_take_minutes_run(name: str, tmp_path: Path) -> None:
 def test_few_blocks_are_run_nowhere() -> None:
     left = {line for found in BLOCKS.values() for block in found for line in block.left}
     unreachable = (
-        *(
-            "pip install",
-            "make ",
-            "source ",
-            "robot_descriptions",
-            "python",
-            "--bridge ros2",
-            "g1.xml",
-        ),
+        "pip install",
+        "make ",
+        "source ",
+        "robot_descriptions",
+        "python",
+        "--bridge ros2",
+        "g1.xml",
     )
     assert all(any(words in line for words in unreachable) for line in left), left

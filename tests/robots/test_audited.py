@@ -10,9 +10,9 @@ import pytest
 
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.tools.audit.audit import Audit, audit_model
+from pupper_analysis.tools.audit.audit import Audit, Severity, audit_model
 from pupper_analysis.tools.audit.registry import CHECKS
-from tests.robots.test_real_robots import URDF, file
+from tests.robots.test_real_robots import MJCF, URDF, file
 from tests.support.repository import benchmark
 
 symmetric = benchmark("symmetric_slips")
@@ -67,6 +67,21 @@ def test_inertials_and_ranges_that_nobody_meant_are_named_and_others_are_not(nam
     model = read_urdf_model(read_urdf(file(URDF, f"{name}.urdf")))
     assert bool(list(CHECKS["inertial-placeholder"](model))) == (name in BALLS)
     assert bool(list(CHECKS["range-placeholder"](model))) == (name in TURNS)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("go1", set()),
+        ("mini_cheetah", {"mirror-inertia", "mirror-shapes"}),
+        ("spot", {"mirror-limits"}),
+        ("b2", {"mirror-com", "mirror-shapes"}),
+    ],
+)
+def test_slips_of_one_leg_are_the_only_warnings(name: str, expected: set[str]) -> None:
+    result = audit_model(file(MJCF, f"{name}/{name}.xml"))
+    assert result.passed
+    assert {one.rule for one in result.findings if one.severity == Severity.WARNING} == expected
 
 
 FLIPPED = "com y flipped"  # by 1 to 3 cm, in shapes that do not tell

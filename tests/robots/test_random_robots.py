@@ -36,20 +36,12 @@ def outcome(seed: int, folder: Path) -> set[str]:
     return codes
 
 
-def check(seed: int, folder: Path) -> None:
-    found, drawn = outcome(seed, folder), random_legged.drawn(seed)
-    assert not found or drawn.motors == "position", (seed, drawn.said, found)
+LATE = [
+    pytest.param(seed, marks=pytest.mark.longest) for seed in range(100, 140) if seed not in QUICK
+]
 
 
-@pytest.mark.parametrize("seed", QUICK)
+@pytest.mark.parametrize("seed", [*QUICK, *LATE])
 def test_a_random_robot_stands_as_published_or_says_why_not(seed: int, tmp_path: Path) -> None:
-    check(seed, tmp_path)
-
-
-@pytest.mark.longest
-@pytest.mark.parametrize("start", range(100, 140, 10))
-def test_random_robots_stand_as_published_or_say_why_not(start: int, tmp_path: Path) -> None:
-    for seed in range(start, start + 10):
-        folder = tmp_path / str(seed)
-        folder.mkdir()
-        check(seed, folder)
+    found, drawn = outcome(seed, tmp_path), random_legged.drawn(seed)
+    assert not found or drawn.motors == "position", (seed, drawn.said, found)

@@ -21,12 +21,10 @@ def belts(
     polynomial: tuple[float, ...] = (-0.2, -0.8),
     *,
     words: str = 'solref="0.01 1"',
-    actuators: str = "motor",
-    free: bool = True,
     in_mjcf: bool = True,
 ) -> Pair:
     """Knees follow motors in the thighs: q_knee = a0 + a1 q_motor + ...; a <mimic> in the URDF."""
-    pair = quadruped(folder, actuators=actuators, free=free)
+    pair = quadruped(folder)
     urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
     equality = ElementTree.SubElement(mjcf, "equality")
     for leg in LEGS:
@@ -52,8 +50,6 @@ def four_bars(
     folder: Path,
     crank: float = ARM,
     *,
-    words: str = 'solref="0.005 1"',
-    kind: str = "connect",
     in_urdf: bool = True,
 ) -> Pair:
     """Knees are pulled by rods from cranks beside the thighs; the URDF is the tree without closure.
@@ -83,7 +79,7 @@ def four_bars(
         )
         anchor = f'anchor="{rod[0]} 0 {rod[2]}"'
         bodies = f'body1="{leg}_rod" body2="{leg}_calf"'
-        _add(equality, f"<{kind} {bodies} {anchor} {words}/>")
+        _add(equality, f'<connect {bodies} {anchor} solref="0.005 1"/>')
     return _written(pair, urdf, mjcf)
 
 

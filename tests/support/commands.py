@@ -28,14 +28,17 @@ def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int
 def check_refusal(
     capfd: pytest.CaptureFixture[str], folder: Path, arguments: Sequence[str], message: str
 ) -> None:
-    """Checks that bad input is one line, exit status 2, and no file in the current folder."""
-    status, out, err = run_command(capfd, *arguments)
+    """Checks that bad input is one line, exit status 2, and no file where it is typed."""
+    here = folder / "empty"
+    here.mkdir(exist_ok=True)
+    with contextlib.chdir(here):
+        status, out, err = run_command(capfd, *arguments)
     assert status == 2
     assert message in err
     assert err.startswith("error: ")
     assert len(err.strip().splitlines()) == 1
     assert out == ""
-    assert list(folder.iterdir()) == []
+    assert list(here.iterdir()) == []
 
 
 class Answer(NamedTuple):

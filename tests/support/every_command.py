@@ -64,22 +64,19 @@ class Truth(StrEnum):
 
 
 @silence_mujoco()
-def truth_of(
-    path: Path, plain: Path, base: str = "trunk", *, slope: float = 0.0, load: float = 0.0
-) -> Truth:
+def truth_of(path: Path, plain: Path, *, slope: float = 0.0, load: float = 0.0) -> Truth:
     """Simulates a file; one that has no keyframe from the plain file's, by the joints' names.
 
     Args:
         path: The file.
         plain: The file of which it is an edit.
-        base: The body that shall stay where it is.
         slope: By which gravity is turned, so that the ground rises towards x (rad).
         load: Of a mass that is welded to the base ``ABOVE`` (kg).
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if load:
-            spec.body(base).add_body(
+            spec.body("trunk").add_body(
                 pos=ABOVE, mass=load, inertia=[1e-6] * 3, explicitinertial=True
             )
         model = spec.compile()
@@ -100,7 +97,7 @@ def truth_of(
         _as_in(mujoco.MjModel.from_xml_path(str(plain)), model, data)
     data.qvel[:] += NUDGE * np.random.default_rng(43).standard_normal(model.nv)
     mujoco.mj_forward(model, data)
-    body, fastest = model.body(base).id, 0.0
+    body, fastest = model.body("trunk").id, 0.0
     start = data.subtree_com[body].copy()
     steps = round(SECONDS / model.opt.timestep)
     for step in range(steps):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 
@@ -66,11 +65,6 @@ class Page:
     def tables(self) -> dict[str, list[dict[str, str]]]:
         """Returns {title: [{header with unit: cell} per row]}, in English."""
         found: dict[str, list[dict[str, str]]] = {}
-        for title, rows in self._tables():
-            found.setdefault(title, rows)
-        return found
-
-    def _tables(self) -> Iterator[tuple[str, list[dict[str, str]]]]:
         for figure in self.root.iter("figure"):
             if figure.get("class") != "table":
                 continue
@@ -79,11 +73,8 @@ class Page:
                 dict(zip(headers, (shown(cell) for cell in row), strict=True))
                 for row in figure.findall(".//tbody/tr")
             ]
-            yield shown(figure.find("figcaption")), rows
-
-    def every_table(self) -> list[list[dict[str, str]]]:
-        """Returns the rows of all tables, in their order: as ``tables``, with all of a title."""
-        return [list(rows) for _, rows in self._tables()]
+            found.setdefault(shown(figure.find("figcaption")), rows)
+        return found
 
     def shown(self) -> str:
         """Returns all that is shown in English, scripts left out."""

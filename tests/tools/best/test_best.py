@@ -113,7 +113,7 @@ def test_best_stance_has_the_largest_margin() -> None:
 
 
 @pytest.mark.usefixtures("few_samples")
-def test_joints_to_spare_are_as_its_task_has_them(few_samples: None, tmp_path: Path) -> None:
+def test_joints_to_spare_are_as_its_task_has_them(tmp_path: Path) -> None:
     """Legs of four joints: a search, from what was near, left them 4e-8 rad from ``stand``'s."""
     pair = written(drawn(91004), tmp_path)
     robot = pa.load_robot(pair.urdf, pair.mjcf)

@@ -188,17 +188,6 @@ def test_a_mirror_tells_a_slip_in_one_source_alone(sources: dict[str, Path]) -> 
     assert found.findings[0].values == (0.26, 0.26)
 
 
-def test_what_feeds_a_policy_must_have_its_order(sources: dict[str, Path]) -> None:
-    text = sources["config.yaml"].read_text()
-    swapped = [*JOINTS[:6], *JOINTS[9:], *JOINTS[6:9]]
-    sources["config.yaml"].write_text(text.replace(listed(JOINTS), listed(swapped)))
-    found = contract(sources["policy.onnx"], sources["config.yaml"])
-    orders = [one for one in found.findings if one.kind == "order"]
-    assert len(orders) == 1
-    assert set(orders[0].joints) == set(JOINTS[6:])
-    assert "6 → 9 (leg_back_r_1)" in orders[0].message
-
-
 def test_observations_in_another_order_are_found(sources: dict[str, Path]) -> None:
     text = sources["mjlab_cfg.py"].read_text()
     one, two = re.findall(r'            "(?:angles|last)".*\n', text)
@@ -213,13 +202,6 @@ def test_the_model_is_held_against_the_others(sources: dict[str, Path]) -> None:
     assert (finding.kind, finding.values) == ("kd", (0.25, 0.1))
     assert finding.places[1].rpartition(":")[0].endswith("pupper_v3_shared.xml")
     assert "40 % of the damping" in finding.message
-
-
-def test_limits_of_motors_are_held_against_the_urdfs(sources: dict[str, Path]) -> None:
-    text = sources["isaac_cfg.py"].read_text()
-    sources["isaac_cfg.py"].write_text(text.replace("effort_limit=3.0", "effort_limit=2.0"))
-    (finding,) = contract(sources["isaac_cfg.py"]).findings
-    assert (finding.kind, finding.values, finding.joints) == ("effort", (2.0, 3.0), tuple(JOINTS))
 
 
 def test_default_poses_are_stood(sources: dict[str, Path]) -> None:
@@ -405,28 +387,3 @@ def test_a_flat_table_that_a_function_makes_is_a_trainer(sources: dict[str, Path
     assert (step.kind, step.values) == ("policy step", (0.01, 0.02))
     line = PLAYGROUND.splitlines().index("        Kp=5.0,") + 1
     assert kp.places[0] == f"{path}:{line}"
-
-
-def test_a_usd_of_other_names_is_matched_by_structure(tmp_path: Path) -> None:
-    from lxml import etree
-
-    from pupper_analysis.models.loading import reader_of
-    from tests.tools.usd import written
-
-    path, other = written.write(tmp_path), tmp_path / "other.urdf"
-    reader = reader_of(path)
-    assert reader is not None
-    root = reader.read_as_urdf(path).root
-    text = etree.tostring(root).decode()
-    for name, new in {"hip": "m1", "knee": "m2", "spring": "m3"}.items():
-        text = text.replace(f'<joint name="{name}"', f'<joint name="{new}"')
-    for number, link in enumerate(re.findall(r'<link name="([^"]*)"', text)):
-        text = text.replace(f'"{link}"', f'"body{number}"')
-    other.write_text(text)
-    found = read_contract(path, other, stand=False)
-    assert any(one.code == "contract-matched" for one in found.notes)
-    lower = {(one.source, one.joint) for one in found.facts if one.quantity == "lower limit"}
-    assert lower == {
-        (name, joint) for name in (path.name, "other.urdf") for joint in ("hip", "knee", "spring")
-    }
-    assert [one.message for one in found.findings] == []

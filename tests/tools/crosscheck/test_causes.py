@@ -119,15 +119,6 @@ def test_one_mass_ten_times_too_large(tmp_path: Path) -> None:
     assert "(ten times: a decimal point?)" in line
 
 
-def test_products_of_inertia_that_are_dropped(tmp_path: Path) -> None:
-    mjcf = {
-        name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
-        for name, part in quadruped().items()
-    }
-    line = first_line(pair(tmp_path, mjcf))
-    assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")
-
-
 def test_what_matters_most_is_said_first(tmp_path: Path) -> None:
     """A slip before a limit that differs as well, and after a base of nine times the mass."""
     thigh = quadruped()["thigh0"]

@@ -8,14 +8,11 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.robot.compare import mjcf_only as extras
-from pupper_analysis.tools.crosscheck.crosscheck import Comparison
 from pupper_analysis.tools.crosscheck.document import (
     comparison_remarks,
 )
 from tests.support.printing import printed
 from tests.support.robots import (
-    Files,
-    all_changed,
     changed,
     compared,
     mjcf_text,
@@ -24,21 +21,6 @@ from tests.support.robots import (
     write,
     write_parts,
 )
-
-
-def lines(comparison: Comparison, everything: bool = False) -> list[str]:
-    """What is printed, without the files' names in the verdict."""
-    text = printed(comparison, everything=everything)
-    return text.replace(" robot.urdf and robot.xml: ", ": ", 1).splitlines()
-
-
-@pytest.fixture
-def files(tmp_path: Path) -> Files:
-    mjcf = changed(all_changed(quadruped(), damping=0.3), "base", mass=7.5)
-    return write_parts(tmp_path, quadruped(), mjcf)
-
-
-# ------------------------------------------------------------------------------------- machines
 
 
 def test_remarks_on_joints_left_over_and_guessed(tmp_path: Path) -> None:
@@ -60,7 +42,7 @@ def test_what_is_not_explained_is_the_verdict(
     text = mjcf_text(quadruped())
     text = text.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
     comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
-    first = lines(comparison)[0]
+    first = printed(comparison).replace(" robot.urdf and robot.xml: ", ": ", 1)
     assert re.match(r"DISAGREE: \S+ of forward dynamics is left that no difference explains", first)
     (remark,) = (r for r in comparison_remarks(comparison) if r.title == "agreement")
     assert remark.level == "error"

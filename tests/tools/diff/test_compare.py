@@ -351,9 +351,7 @@ REFUSED = {
     "no such path": ("HEAD:./none.urdf", "git does not have it: path 'robots/none.urdf' does not"),
     "no such revision": ("v9:./robot.urdf", "git does not have it: "),
     "an option": ("--output=x:robot.urdf", "No such option"),
-    "an option's name": ("-x:robot.urdf", "o such option"),
     "no such file": ("none.urdf", "no such file"),
-    "no path": ("HEAD:", "no such file"),
     "another format": ("HEAD:./robot.xml", "another format than HEAD:./robot.xml; crosscheck"),
 }
 

@@ -156,15 +156,9 @@ def _of_nothing(folder: Path) -> Path:
     return bag(folder, [("/numbers", ARRAY, 0.0, array([1.0]))])
 
 
-def _broken(folder: Path) -> Path:
-    path = folder / "broken.mcap"
-    path.write_bytes(b"\x89MCAP0\r\n" + bytes(range(200)))
-    return path
-
-
-def _empty(folder: Path) -> Path:
-    path = folder / "empty.db3"
-    path.write_bytes(b"")
+def _broken(folder: Path, name: str = "broken.mcap") -> Path:
+    path = folder / name
+    path.write_bytes(b"\x89MCAP0\r\n" + bytes(range(200)) if name == "broken.mcap" else b"")
     return path
 
 
@@ -179,7 +173,7 @@ def _pipe(folder: Path) -> Path:
         (_backwards, "stamps-go-back"),
         (_of_nothing, "bag-without-states"),
         (_broken, "no-bag"),
-        (_empty, "no-bag"),
+        (lambda folder: _broken(folder, "empty.db3"), "no-bag"),
         (lambda folder: folder / "none.mcap", "no-such-file"),
         (_pipe, "file-not-regular"),
     ],

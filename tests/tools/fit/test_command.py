@@ -19,7 +19,7 @@ def write(path: Path, time: np.ndarray, position: np.ndarray, command: np.ndarra
 
 
 def test_a_motion_is_fitted_and_the_files_corrected(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     files = tmp_path / "bar.urdf", tmp_path / "bar.xml"
     for file, text in zip(files, (URDF, MJCF), strict=True):
@@ -55,29 +55,21 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     times = max(1.0, written["fit"]["held_out"] / written["fit"]["fitted"])
     for one, own in zip(written["parameters"], written["fit"]["estimates"], strict=True):
         assert one["std"] == pytest.approx(times * own["std"])
-    here = tmp_path / "here"
-    here.mkdir()
-    monkeypatch.chdir(here)
-    check_refusal(capfd, here, (*given, "--topic", "state=/joint_states"), "bag")
-    check_refusal(capfd, here, (*given, "--hold-out", "1.5"), "--hold-out: 1.5 is not")
+    check_refusal(capfd, tmp_path, (*given, "--topic", "state=/joint_states"), "bag")
+    check_refusal(capfd, tmp_path, (*given, "--hold-out", "1.5"), "--hold-out: 1.5 is not")
     path.write_text(path.read_text().replace("command.turn [deg]", "torque.turn"))
-    check_refusal(capfd, here, given, "fitted by the positions that its servos were asked for")
+    check_refusal(capfd, tmp_path, given, "fitted by the positions that its servos were asked for")
 
 
-def test_bad_input_is_one_line(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    elsewhere = tmp_path / "here"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
+def test_bad_input_is_one_line(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     stands = tmp_path / "stands.csv"
     stands.write_text("command.elbow,position.elbow\n0.1,0.2\n")
     given = ("fit", "v3", "--stands", str(stands))
-    check_refusal(capfd, elsewhere, ("fit", "v3"), "--plan 12")
-    check_refusal(capfd, elsewhere, given, "elbow")
-    check_refusal(capfd, elsewhere, (*given, "--prior", "mass=heavy"), "mass=heavy")
-    check_refusal(capfd, elsewhere, (*given, "--weight", "heavy"), "heavy")
+    check_refusal(capfd, tmp_path, ("fit", "v3"), "--plan 12")
+    check_refusal(capfd, tmp_path, given, "elbow")
+    check_refusal(capfd, tmp_path, (*given, "--prior", "mass=heavy"), "mass=heavy")
+    check_refusal(capfd, tmp_path, (*given, "--weight", "heavy"), "heavy")
     stands.write_text("position.elbow\n0.2\n")
-    check_refusal(capfd, elsewhere, given, "command.<joint>")
-    check_refusal(capfd, elsewhere, ("fit", "v3", "--log", str(stands)), "time")
-    check_refusal(capfd, elsewhere, ("fit", "v3", "--plan", "2", "-o", "plan.csv"), "2 is no")
+    check_refusal(capfd, tmp_path, given, "command.<joint>")
+    check_refusal(capfd, tmp_path, ("fit", "v3", "--log", str(stands)), "time")
+    check_refusal(capfd, tmp_path, ("fit", "v3", "--plan", "2", "-o", "plan.csv"), "2 is no")

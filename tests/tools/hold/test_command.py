@@ -41,14 +41,8 @@ def test_what_is_written_is_what_python_finds(
 
 
 def test_weak_motors_and_bad_input(
-    files: tuple[str, str],
-    capfd: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    files: tuple[str, str], capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    here = tmp_path / "here"
-    here.mkdir()
-    monkeypatch.chdir(here)
     status, output, _ = run_command(capfd, "hold", *files, "--payload", "3")
     assert status == 1
     assert "FAILS arm" in output
@@ -64,7 +58,7 @@ def test_weak_motors_and_bad_input(
         (("--payload", "-1"), "mass"),
         (("--kp", "0"), "kp"),
     ):
-        check_refusal(capfd, here, ("hold", *files, *wrong), said)
+        check_refusal(capfd, tmp_path, ("hold", *files, *wrong), said)
 
 
 def test_a_urdf_without_inertials_holds_nothing(

@@ -10,7 +10,6 @@ import pupper_analysis as pa
 from pupper_analysis.present.verdict import in_words
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.hold.hold import hold_posture
-from tests.prepare import test_judge
 from tests.prepare.test_own_run import codes
 from tests.prepare.test_planted import right
 from tests.support import arm, arm_features, features
@@ -74,19 +73,6 @@ def test_an_arm_is_held_as_mujoco_imports_it(tmp_path: Path) -> None:
     assert verdict.own is not None
     assert verdict.own.imported
     assert "MuJoCo's own import of the URDF" in in_words(verdict)
-
-
-@pytest.mark.parametrize(
-    ("rule", "message"),
-    [
-        ("triangle-inequality", test_judge.SLIPS["triangle-inequality"][1]),
-        ("range-empty", "joint 'FL_roll' is limited to 0.8 to -0.8"),
-    ],
-)
-def test_what_is_held_has_it_too(tmp_path: Path, rule: str, message: str) -> None:
-    urdf = test_judge.slipped(tmp_path, test_judge.SLIPS[rule][0])
-    verdict = hold_posture(pa.load_robot(urdf, fixed_base=True)).verdict
-    assert message in in_words(verdict)
 
 
 @pytest.mark.parametrize("gravity", ["0 0 -1.62", "0 0 0"])

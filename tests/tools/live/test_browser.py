@@ -21,7 +21,6 @@ from PIL import Image
 
 import pupper_analysis as pa
 from pupper_analysis.tools.live.server import Page
-from pupper_analysis.tools.live.state import State, write_stance_file
 from tests.present.test_html_browser import browser  # noqa: F401 - the fixture
 from tests.repository.test_readme import commands
 from tests.support.repository import ROOT
@@ -60,17 +59,10 @@ def served() -> Iterator[Page]:
 class Opened:
     """A live page in a browser, and what it complains of."""
 
-    def __init__(
-        self,
-        browser: Any,  # noqa: F811
-        address: str,
-        size: tuple[int, int] = (960, 560),
-    ) -> None:
+    def __init__(self, browser: Any, address: str) -> None:  # noqa: F811
         # Small and coarse: every pixel is drawn by the processor.
         address += ("&" if "?" in address else "?") + "fixedDpr=0.5"
-        self.context = browser.new_context(
-            viewport=dict(zip(("width", "height"), size, strict=True))
-        )
+        self.context = browser.new_context(viewport={"width": 960, "height": 560})
         self.page = self.context.new_page()
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.complaints: list[str] = []
@@ -100,9 +92,6 @@ class Opened:
         box = element.bounding_box()
         self.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
 
-    def tab(self, name: str) -> None:
-        self.press(self.page.locator("[role=tab]", has_text=name).first)
-
     def button(self, name: str) -> None:
         self.press(self.page.get_by_role("button", name=name, exact=True).first)
 
@@ -128,9 +117,9 @@ class Opened:
         cells = self.page.locator("table.barred:visible td:nth-child(2)").all_inner_texts()
         return [float(text) for text in cells]
 
-    def takes(self, stand: pa.Stand, robot: pa.Robot | None = None) -> None:
+    def takes(self, stand: pa.Stand) -> None:
         """Waits until the page's torques are those of a stand, by the Python interface."""
-        expected = pa.stance.stand_statics(robot or load("v3"), stand).joint_torques
+        expected = pa.stance.stand_statics(load("v3"), stand).joint_torques
 
         def same() -> bool:
             shown = self.torques()
@@ -172,21 +161,6 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     assert "120.0\tmm" in opened.words()
     opened.button("Reset all")
     opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
-
-
-def test_a_page_begins_with_a_stance_and_saves_it(browser: Any) -> None:  # noqa: F811
-    state = State(height=122.0, swing={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
-    served = Page(pa.load_variant("v3"), state)
-    one = Opened(browser, served.address)
-    robot = pa.robot.with_payload(load("v3"), 0.4)
-    stand = pa.stance.solve_stand_on_soft_ground(robot, state.task())
-    one.takes(stand, robot)
-    with one.page.expect_download() as caught:
-        one.button("Save the stance, for --stance")
-    assert Path(caught.value.path()).read_text() == write_stance_file(state)
-    one.close()
-    served.close()
-    assert one.complaints == []
 
 
 GUIDE = ROOT / "docs" / "how-to" / "live.md"

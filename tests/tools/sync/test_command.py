@@ -46,7 +46,6 @@ def test_what_was_written_is_shown(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--take", "left"], "take: 'left' is not of the form urdf, mjcf, urdf:WHICH or mjcf"),
         (["--take", "urdf:tail"], "no difference is called 'tail'"),
         (["--map", "a"], "'a' is not of the form NAME=VALUE"),
         (["--tolerance", "mass=0"], "mass=0.0 is not positive"),

@@ -11,8 +11,8 @@ import pytest
 import pupper_analysis as pa
 from tests.support.cases import some
 from tests.support.robots import (
-    Files,
     Parts,
+    agree,
     arm,
     changed,
     mjcf_text,
@@ -34,13 +34,6 @@ CHANGES = [
     ("shank0", {"effort": 12.5}),
     ("shank0", {"damping": 0.25, "friction": 0.0}),
 ]
-
-
-def agree(files: Files) -> bool:
-    compared = pa.compare_models(
-        files.urdf, files.mjcf, tolerances=pa.matching.Tolerances.strict(), configurations=2
-    )
-    return compared.agree and max(compared.deviations.values()) < 1e-9
 
 
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])

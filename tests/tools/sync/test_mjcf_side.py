@@ -1,4 +1,4 @@
-"""A greatest torque is written where the file states it, and is the joint's then, gear and all."""
+"""A mass is written into the body that has one, also where that has no joint of its own."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import pytest
 import pupper_analysis as pa
 from tests.support.robots import changed, mjcf_text, quadruped, urdf_text, write
 
-# ------------ A mass is written into the body that has one, also where that has no joint of its own
-
 
 def test_the_body_that_weighs_is_changed(tmp_path: Path) -> None:
     """The joint's own body is empty; what it carries without a joint has all of its mass."""
@@ -24,7 +22,7 @@ def test_the_body_that_weighs_is_changed(tmp_path: Path) -> None:
     files = write(tmp_path, heavier, f'{head}<body name="thigh1"{rest}')
     result = pa.sync_models(files.urdf, files.mjcf, take="urdf")
     assert result.agree
-    ((edit),) = result.edits
+    (edit,) = result.edits
     assert (edit.attribute, edit.new) == ("mass", "1.25")
     model = mujoco.MjModel.from_xml_path(str(files.mjcf))
     assert model.body("core").mass[0] == pytest.approx(1.25)

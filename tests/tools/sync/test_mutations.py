@@ -73,7 +73,6 @@ def attributes(tag: str) -> dict[str, str]:
 class Mutated(NamedTuple):
     file: Path
     text: str
-    count: int  # attributes
 
 
 Change = Callable[[random.Random, list[float]], list[float]]
@@ -174,10 +173,9 @@ def mutated(pair: Pair, choose: random.Random) -> Mutated | None:
         stated = attributes(found[2])
         own = role(text, found.start(), found[1]) == kind and not is_free(stated, found[1])
         in_class = found.start() < text.rfind("</default>") and file.suffix == ".xml"
-        free = stated.get("type") == "free" or (found[1] == "site" and "foot" not in str(stated))
-        geom = found[1] == "geom" and stated.get("class") in ("visual", "collision", "torso", None)
+        free = stated.get("type") == "free"
         fits = (attribute in stated) != inserts and bool(stated)
-        if own and fits and not in_class and not free and not (geom and inserts):
+        if own and fits and not in_class and not free:
             places.append(found)
     if not places:
         return None
@@ -186,14 +184,14 @@ def mutated(pair: Pair, choose: random.Random) -> Mutated | None:
     if inserts:
         words = " ".join(repr(value) for value in change(choose, []))
         at = place.end(2)
-        return Mutated(file, f'{text[:at]} {attribute}="{words}"{text[at:]}', 1)
+        return Mutated(file, f'{text[:at]} {attribute}="{words}"{text[at:]}')
     values = [float(word) for word in stated[attribute].split()]
     if not any(values) and change in (scaled, one_scaled):
         return None
     words = " ".join(repr(value) for value in change(choose, values))
     span = re.compile(rf'\s{attribute}="([^"]*)"').search(text, place.start(2))
     assert span is not None
-    return Mutated(file, text[: span.start(1)] + words + text[span.end(1) :], 1)
+    return Mutated(file, text[: span.start(1)] + words + text[span.end(1) :])
 
 
 def changed_attributes(before: str, after: str) -> int:
@@ -229,7 +227,7 @@ def restored(pair: Pair, seed: int) -> str | None:
         assert not sync.not_mended
         assert sync.written == (str(mutation.file),), said
         count = changed_attributes(mutation.text, after[mutation.file])
-        assert count == mutation.count == len(sync.edits), said
+        assert count == len(sync.edits) == 1, said
         assert all(after[file] == good[file] for file in good if file != mutation.file)
         return f"{mutation.file.suffix} {sync.edits[0].attribute}"
     finally:

@@ -205,19 +205,14 @@ def test_a_planted_order_is_found(trot: Policy) -> None:
 
 
 @pytest.mark.longest
-def test_a_planted_sign_is_found(trot: Policy) -> None:
-    signs = np.ones(12)
-    signs[4] = -1.0
-    found = ranked(trot.with_contract(signs=signs))
-    assert not found.passed
-    assert found.candidates[0].flipped == ("leg_front_l_2",)
-
-
-@pytest.mark.longest
-def test_a_planted_scale_is_found(trot: Policy) -> None:
-    found = ranked(trot.with_contract(action_scale=0.5 * trot.contract.action_scale))
-    assert not found.passed
-    assert (found.candidates[0].change, found.candidates[0].detail) == ("scale", "x 2")
+def test_a_planted_sign_and_a_planted_scale_are_found(trot: Policy) -> None:
+    signs = np.where(np.arange(12) == 4, -1.0, 1.0)
+    turned = ranked(trot.with_contract(signs=signs))
+    half = ranked(trot.with_contract(action_scale=0.5 * trot.contract.action_scale))
+    assert not turned.passed
+    assert not half.passed
+    assert turned.candidates[0].flipped == ("leg_front_l_2",)
+    assert (half.candidates[0].change, half.candidates[0].detail) == ("scale", "x 2")
 
 
 @pytest.mark.longest

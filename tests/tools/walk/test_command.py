@@ -46,13 +46,8 @@ def test_what_an_audit_calls_an_error_is_said(
         assert said in out, err
 
 
-def test_bad_input(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bad_input(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     policy = made.still(tmp_path / "still.json")
-    folder = tmp_path / "empty"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
     words = ("walk", "v3", "--policy")
     for more, message in (
         ((str(tmp_path / "none.json"),), "none.json"),
@@ -63,15 +58,12 @@ def test_bad_input(
         ((str(policy), "--vary", "mass", "--seeds", "0"), "seeds"),
         ((str(policy), "--contract", str(policy)), "TOML"),
     ):
-        check_refusal(capfd, folder, (*words, *more), message)
+        check_refusal(capfd, tmp_path, (*words, *more), message)
 
 
 def test_a_robot_without_servos_or_joints_of_the_policy_is_a_line(
-    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    folder = tmp_path / "empty"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
     values = json.loads(made.still(tmp_path / "still.json").read_text())
     without = {key: value for key, value in values.items() if key not in ("kp", "kd")}
     bare = tmp_path / "bare.json"
@@ -84,14 +76,14 @@ def test_a_robot_without_servos_or_joints_of_the_policy_is_a_line(
     named = tmp_path / "named.json"
     named.write_text(json.dumps(values))
     named.with_suffix(".toml").write_text(f"joints = {[f'j{k}' for k in range(12)]}")
-    check_refusal(capfd, folder, ("walk", "v3", "--policy", str(named)), "j0")
+    check_refusal(capfd, tmp_path, ("walk", "v3", "--policy", str(named)), "j0")
     few = made.still(tmp_path / "few.json", default_joint_pos=[0.0] * 11)
-    check_refusal(capfd, folder, ("walk", "v3", "--policy", str(few)), "default")
+    check_refusal(capfd, tmp_path, ("walk", "v3", "--policy", str(few)), "default")
     large = tmp_path / "large.onnx"
     tensor = made.tensor("W", [1.0], dims=(40_000, 25_000))
     ends = [made.value("obs", 1, 2)], [made.value("y", 1, 3)]
     large.write_bytes(made.onnx([made.node("MatMul", ("obs", "W"), ("y",))], [tensor], *ends))
-    check_refusal(capfd, folder, ("walk", "v3", "--policy", str(large)), "1000000000 weights")
+    check_refusal(capfd, tmp_path, ("walk", "v3", "--policy", str(large)), "1000000000 weights")
 
 
 @pytest.mark.slow
