@@ -258,51 +258,6 @@ def _links(model: pin.Model) -> dict[int, str]:
     return found
 
 
-def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
-    """Builds a Pinocchio model of the parameters; frames are of type BODY."""
-    model = pin.Model()
-    model.gravity = pin.Motion(parameters.gravity, np.zeros(3))
-    index = {parameters.base: 0}
-    if parameters.floating:
-        flyer = pin.JointModelFreeFlyer()
-        index[parameters.base] = model.addJoint(0, flyer, pin.SE3.Identity(), "__free__")
-    _append(model, index[parameters.base], parameters.bodies[parameters.base])
-    order = parameters.parents_first()
-    for name in order:
-        joint = parameters.joints[name]
-        motion = (
-            pin.JointModelPrismaticUnaligned(joint.axis)
-            if joint.slides
-            else pin.JointModelRevoluteUnaligned(joint.axis)
-        )
-        index[name] = model.addJoint(
-            index[joint.parent],
-            motion,
-            joint.placement,
-            name,
-            np.array([joint.effort]),
-            np.array([joint.velocity]),
-            np.array([joint.lower]),
-            np.array([joint.upper]),
-        )
-        _append(model, index[name], parameters.bodies[name])
-    offset = 6 if parameters.floating else 0
-    joints = [parameters.joints[name] for name in order]
-    for one in _OF_PINOCCHIO:
-        getattr(model, one.pinocchio)[offset:] = [getattr(joint, one.field) for joint in joints]
-    model.damping[:offset] = parameters.base_damping
-    model.armature[:offset] = parameters.base_armature
-    for name, (body, position) in parameters.frames.items():
-        placement = pin.SE3(np.eye(3), position)
-        frame = pin.Frame(name, index[body], 0, placement, pin.FrameType.BODY)
-        model.addFrame(frame, False)
-    return model
-
-
-def _append(model: pin.Model, joint: int, body: TreeBody) -> None:
-    model.appendBodyToJoint(joint, body.rigid, pin.SE3.Identity())
-
-
 _OF_BODIES = ("mass", "com", "inertia")
 _OF_JOINTS = {
     **{kind: kind for kind in ("position", "rotation", "axis", "parent")},

@@ -14,12 +14,13 @@ import pupper_analysis as pa
 from pupper_analysis.models.attributes import IN_A_TREE, JOINT_ATTRIBUTES, PASSIVE
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.models.multibody import from_pinocchio, to_pinocchio
+from pupper_analysis.models.multibody import from_pinocchio
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from tests.support.corpus import INERTIAL, joint, link, urdf
+from tests.support.engines import to_pinocchio
 
 # No two alike: a swapped column is seen.
 VALUES = {

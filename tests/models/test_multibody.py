@@ -12,6 +12,7 @@ from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.robot.compare.differences import changes_between
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
+from tests.support.engines import to_pinocchio
 from tests.support.robots import matched, mjcf_text, quadruped, urdf_text, write
 from tests.support.variants import load
 
@@ -23,7 +24,7 @@ def test_the_free_joints_own_damping_and_armature_are_kept(tmp_path: Path) -> No
     model = pinocchio_from_mujoco(robot.mj_model)
     values = multibody.from_pinocchio(model, "base", robot.joint_names, {})
     assert (values.base_damping, values.base_armature) == (0.5, 0.3)
-    again = multibody.to_pinocchio(values)
+    again = to_pinocchio(values)
     np.testing.assert_array_equal(again.damping[:6], np.full(6, 0.5))
     np.testing.assert_array_equal(again.armature[:6], np.full(6, 0.3))
     assert again.armature[6:].tolist() == [0.01, 0.02] * 4

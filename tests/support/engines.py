@@ -1,4 +1,7 @@
-"""MuJoCo's own view of a robot: its data at a public state, and models that are changed."""
+"""MuJoCo's own view of a robot: its data at a public state, and models that are changed.
+
+And Pinocchio's of a tree of parameters.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,12 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 import pupper_analysis as pa
 from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.coordinates import PinocchioConvention
 
 
@@ -126,3 +132,44 @@ def velocity_map_rate(
     if convention.floating:
         rate[:3] = -np.cross(qvel[3:6], rotation_from_quaternion(qpos[3:7]).T @ qvel[:3])
     return rate
+
+
+def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
+    """Builds a Pinocchio model of the parameters; frames are of type BODY."""
+    model = pin.Model()
+    model.gravity = pin.Motion(parameters.gravity, np.zeros(3))
+    index, still = {parameters.base: 0}, pin.SE3.Identity()
+    if parameters.floating:
+        flyer = pin.JointModelFreeFlyer()
+        index[parameters.base] = model.addJoint(0, flyer, still, "__free__")
+    model.appendBodyToJoint(index[parameters.base], parameters.bodies[parameters.base].rigid, still)
+    order = parameters.parents_first()
+    for name in order:
+        joint = parameters.joints[name]
+        motion = (
+            pin.JointModelPrismaticUnaligned(joint.axis)
+            if joint.slides
+            else pin.JointModelRevoluteUnaligned(joint.axis)
+        )
+        index[name] = model.addJoint(
+            index[joint.parent],
+            motion,
+            joint.placement,
+            name,
+            np.array([joint.effort]),
+            np.array([joint.velocity]),
+            np.array([joint.lower]),
+            np.array([joint.upper]),
+        )
+        model.appendBodyToJoint(index[name], parameters.bodies[name].rigid, still)
+    offset = 6 if parameters.floating else 0
+    joints = [parameters.joints[name] for name in order]
+    for one in (one for one in JOINT_ATTRIBUTES if one.pinocchio):
+        getattr(model, one.pinocchio)[offset:] = [getattr(joint, one.field) for joint in joints]
+    model.damping[:offset] = parameters.base_damping
+    model.armature[:offset] = parameters.base_armature
+    for name, (body, position) in parameters.frames.items():
+        placement = pin.SE3(np.eye(3), position)
+        frame = pin.Frame(name, index[body], 0, placement, pin.FrameType.BODY)
+        model.addFrame(frame, False)
+    return model

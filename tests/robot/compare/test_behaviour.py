@@ -16,7 +16,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.conversion import MujocoTree
-from pupper_analysis.models.multibody import MultibodyTree, to_pinocchio
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.compare.behaviour import (
     Behaviour,
     States,
@@ -28,6 +28,7 @@ from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.structure import Structure
 from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO, size_notes
 from tests.support.cases import some
+from tests.support.engines import to_pinocchio
 from tests.support.repository import benchmark
 from tests.support.variants import load
 

@@ -15,13 +15,11 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.models.multibody import (
-    from_pinocchio,
-    to_pinocchio,
-)
+from pupper_analysis.models.multibody import from_pinocchio
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.tools.diff.compare import Trial, with_fixed
 from tests.support.commands import Answer, answer
+from tests.support.engines import to_pinocchio
 from tests.support.repository import ROOT
 from tests.support.robots import (
     FEET,
