@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import hypothesis
@@ -9,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from tests.support.durations import Limit, Recorder, mark, sample
-from tests.support.ran import summary_lines
+from tests.support.ran import Ran, summary_lines
 from tests.support.rooms import trees
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import NAMES, load, stand_of
@@ -31,6 +32,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--record-durations", action="store_true", help="write tests/durations.json anew"
     )
+    parser.addoption(
+        "--ran", type=Path, metavar="FILE", help="add to a file what ran: tests/support/ran.py"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -44,6 +48,8 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(Recorder())
     elif quick:
         config.pluginmanager.register(Limit())
+    if file := config.getoption("--ran"):
+        config.pluginmanager.register(Ran(file.resolve(), config, everything), "ran")
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -53,6 +59,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         sample(items)
         return
     mark(items)
+    if ran := config.pluginmanager.get_plugin("ran"):
+        ran.collected(items)
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
