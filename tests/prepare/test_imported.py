@@ -60,7 +60,6 @@ def test_a_sound_urdf_does_by_itself_what_is_predicted(tmp_path: Path) -> None:
     assert not verdict.own.falls
     assert verdict.own.timestep is None
     assert verdict.own.worst is not None
-    assert verdict.own.worst.added
     assert "MuJoCo's own import of the URDF, from the computed pose" in in_words(verdict)
     assert verdict.published is not None
     assert not verdict.published.differs

@@ -221,9 +221,9 @@ def _given_notes(
     given: Mapping[str, Collection[str]], values: MultibodyTree
 ) -> Iterator[Diagnostic]:
     """Yields what the URDF was given of the MJCF's."""
-    for kind, code in _GIVEN.items():
+    for kind in _GIVEN:
         own = [float(getattr(values.joints[name], kind)) for name in given.get(kind, ())]
         if any(own):
             least, greatest = (Quantity(f(own), _UNITS[kind]) for f in (min, max))
             more = greatest if greatest != least else None
-            yield diagnose(code, least=least, greatest=more, count=len(own))
+            yield diagnose(_GIVEN[kind], least=least, greatest=more, count=len(own))
