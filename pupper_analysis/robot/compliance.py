@@ -13,6 +13,8 @@ from pupper_analysis.robot.robot import Robot
 
 _MAX_ITERATIONS = 200  # in search of a depth: 5 do, but for laws that no Newton step fits
 
+_FREELY = 4  # Newton steps from a depth that is not far off; two do
+
 _QUADRATIC = 1e-9  # of a depth: a Newton step as short as that leaves the square of it
 
 _ROUNDING = 4e-16  # of a depth
@@ -103,14 +105,30 @@ class GroundLaw:
         """The normal stiffness (N/m) where the contact begins."""
         return self.rate(-self.margin)
 
-    def depth(self, force: float) -> float:
-        """Returns the penetration (m) under a normal force (N); linear where the foot pulls."""
+    def depth(self, force: float, near: float | None = None) -> float:
+        """Returns the penetration (m) under a normal force (N); linear where the foot pulls.
+
+        Args:
+            force: The force.
+            near: A penetration that is not far from it (m), to begin with.
+        """
         start = -self.margin
         if not self._first_rate:  # a solref of zeros: nothing pushes back
             return math.inf if force > 0 else start
         linear = force / self._first_rate
         if force <= 0:
             return start + linear
+        if near is not None:  # where Newton's iteration converges, as a rule: bounds cost as much
+            x = near - start
+            for _ in range(_FREELY):
+                if not x > 0:
+                    break
+                found, slope = self._pressed(start + x)
+                if not slope > 0:
+                    break
+                last, x = x, x - (found - force) / slope
+                if abs(x - last) <= _QUADRATIC * last:
+                    return start + x
         high = 2 * linear
         while self.force(start + high) < force:  # on ground that gets softer as a foot sinks
             high *= 2

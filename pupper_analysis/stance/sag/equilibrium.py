@@ -331,7 +331,12 @@ class SagEquilibrium:
         """Returns how deep the feet that touch sink (n,) under forces (n, 3)."""
         asked = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
         if asked != self._sunk[0]:
-            depths = [self.laws[foot].depth(force) for foot, force in asked]
+            # By the last step, or the last place, or another foot's, they are known nearly.
+            known = {foot: depth for (foot, _), depth in zip(*self._sunk, strict=True)}
+            depth, depths = None, []
+            for foot, force in asked:
+                depth = self.laws[foot].depth(force, known.get(foot, depth))
+                depths.append(depth)
             self._sunk = asked, np.array(depths)
         return self._sunk[1].copy()
 
