@@ -241,6 +241,7 @@ def test_an_effort_of_zero_is_the_mjcfs_or_none(tmp_path: Path) -> None:
     np.testing.assert_array_equal(robot.effort_limits, 30.0)  # its motors' ctrlrange
     np.testing.assert_array_equal(robot.velocity_limits, np.inf)
     assert any(note.code == "effort-unstated" for note in robot.notes)
+    assert not any(note.code == "motors-uneven" for note in robot.notes)  # -30 to 30
     stand = pa.solve_stand(robot)
     held = pa.stance.stand_statics(robot, stand)
     np.testing.assert_allclose(held.motor_utilisation, np.abs(held.joint_torques) / 30, rtol=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.compare import differences as explain_module
 from pupper_analysis.robot.compare.attribution import explain_differences
@@ -126,6 +128,22 @@ def test_armature_is_given_to_both_and_told(tmp_path: Path) -> None:
     assert explanation.differences == ()
     (note,) = explanation.notes
     assert "0.03 kg m^2 on 1 joint" in str(note)
+
+
+def test_damping_and_friction_that_the_mjcf_alone_states_have_their_units(tmp_path: Path) -> None:
+    urdf = re.sub("<dynamics[^>]*/>", "", urdf_text(quadruped()))
+    comparison = compared(write(tmp_path, urdf, mjcf_text(quadruped())))
+    assert comparison.differences == ()
+    units = {
+        note.code: (note.values["least"], note.values["count"])
+        for note in comparison.notes
+        if note.code.endswith("-of-the-mjcf-alone")
+    }
+    assert units == {
+        "armature-of-the-mjcf-alone": (Quantity(0.01, "kg m^2"), 8),
+        "damping-of-the-mjcf-alone": (Quantity(0.1, "N m s/rad"), 8),
+        "friction-of-the-mjcf-alone": (Quantity(0.2, "N m"), 8),
+    }
 
 
 def test_a_joint_moved_moves_what_it_carries(tmp_path: Path) -> None:
