@@ -186,7 +186,8 @@ def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parame
     for option in command.outputs:
         if option.name == "figure" and "--policy" in line:
             continue  # refused
-        given = {"count": 4 if "--plan" in line else None, "no_figures": False}
+        given = dict.fromkeys(str(one.name) for one in command.params)
+        given |= {"count": 4 if "--plan" in line else None}
         assert isinstance(option.type, OutputPath)
         holds = option.type.held(given)
         if isinstance(holds, Folder):

@@ -187,15 +187,16 @@ def put_legend(figure: Figure, handles: Sequence[Artist]) -> None:
                   handlelength=1.6)  # fmt: skip
 
 
-def save_figure(figure: Figure, path: str | Path) -> None:
-    """Writes a figure as a PNG, and its folder if need be; no half-written file is ever there.
+def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> None:
+    """Write a figure as a PNG file in one atomic step, and create its folder if it is missing.
 
     Args:
         figure: The figure.
         path: The file.
+        force: Replace an existing file that this package did not write as a figure.
 
     Raises:
-        OutputError: If the file cannot be written, or is no figure of ours.
+        OutputError: If the file cannot be written, or would replace a file of another kind.
     """
     from pupper_analysis import __version__
 
@@ -204,5 +205,5 @@ def save_figure(figure: Figure, path: str | Path) -> None:
         "Software": f"{GENERATOR} {__version__}",
         "Source": "\n".join(find_provenance().lines()),
     }
-    with whole_file(Path(path), PICTURE) as file:
+    with whole_file(Path(path), PICTURE, force=force) as file:
         figure.savefig(file, format="png", metadata=made)
