@@ -144,15 +144,16 @@ def _closed(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
     return closed
 
 
+@check_arguments
 def held_stand(robot: Robot, posture: Posture) -> Stand:
-    """Returns a posture as a stand on no feet, which is simulated, sags and is judged as all are.
+    """Return a posture as a stand without feet, for the functions that simulate and judge stands.
 
     Args:
-        robot: A robot whose base is held.
-        posture: Where it is commanded to be.
+        robot: A robot whose base is fixed to the world.
+        posture: The commanded joint positions.
 
     Raises:
-        ConfigurationError: If the base is free.
+        ConfigurationError: If the base is free, or an argument has another type.
     """
     check_held(robot)
     return Stand(task=StandTask(), qpos=posture.qpos, robot=robot.fingerprint)
