@@ -18,7 +18,7 @@ from scipy import linalg
 from scipy.spatial import ConvexHull, QhullError
 
 from pupper_analysis.models.mjcf import free_joints
-from pupper_analysis.models.shapes import read_shape
+from pupper_analysis.models.shapes import Shape, read_shape
 from pupper_analysis.robot.contact import ground_geom
 
 BALL = 2e-3
@@ -114,6 +114,29 @@ _CAP = math.radians(50.0)
 
 _BALL = 0.1
 """A foot is a ball if no point of that cap is off the sphere by more than this part of it."""
+
+
+def osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
+    """Compute the sphere that has an ellipsoid's lowest point and its mean radius of curvature.
+
+    With the half axes in S, the support function is h(d) = |S d|, attained at S^2 d / h. The
+    principal radii of curvature there are the two non-zero eigenvalues of the second derivative of
+    h, which is S^2 / h - S^2 d d^T S^2 / h^3 (Schneider 2014, Convex Bodies, section 2.5). Half of
+    its trace is their mean.
+
+    Args:
+        shape: An ellipsoid, placed in the world.
+        down: shape (3,), unit vector towards the ground, expressed in the world frame.
+
+    Returns:
+        The centre, shape (3,) [m], expressed in the world frame, and the radius [m].
+    """
+    turn, squares = shape.pose.rotation, np.array(shape.size) ** 2
+    local = turn.T @ down
+    support = math.sqrt(float(local @ (squares * local)))
+    tip = squares * local / support
+    radius = float((squares.sum() - tip @ tip) / support) / 2
+    return shape.pose.position + turn @ tip - radius * down, radius
 
 
 def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
@@ -252,7 +275,9 @@ def _tip(
         return ()
     outline = list(_outline(model, data, geom))
     place, radius = min(outline, key=lambda sphere: float(sphere[0][2]) - sphere[1])
-    if not radius and len(outline) > 3:
+    if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value:
+        place, radius = osculating_sphere(read_shape(model, geom, data), down)
+    elif not radius and len(outline) > 3:
         points = np.array([point for point, _ in outline])
         place, radius = fit_sphere(points, place, down)
         if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:

@@ -310,6 +310,34 @@ def with_feet(
     return described.given(*added)
 
 
+def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
+    """Return whether a sphere takes the place of an ellipsoid at a contact point of the feet."""
+    types = robot.mj_model.geom_type
+    return any(
+        types[point.geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value
+        for foot in feet
+        for point in foot.points
+        if is_ball(robot.mj_model, point)
+    )
+
+
+_CONTACT_POINT_TOLERANCE = 1e-6
+"""Distance [m] by which the sphere of an ellipsoid may miss the fit at the nominal stand. Chosen:
+a hundredth of the depth of a loaded contact."""
+
+
+def contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:
+    """Return whether two fits of the same contact points differ; False if the feet differ."""
+    points = [[(foot.name, point) for foot in feet for point in foot.points] for feet in
+              (before, after)]  # fmt: skip
+    if [(name, point.geom) for name, point in points[0]] != [(n, p.geom) for n, p in points[1]]:
+        return False
+    return any(
+        np.linalg.norm(old.center - new.center) > _CONTACT_POINT_TOLERANCE
+        for (_, old), (_, new) in zip(*points, strict=True)
+    )
+
+
 def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
     """Tells whether a contact point is that of a sphere which fits to a mesh or another shape."""
     kind = int(model.geom_type[point.geom])

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.transmission import MadeServo, is_at_one_joint
-from pupper_analysis.prepare.feet import Foot, is_ball
+from pupper_analysis.prepare.feet import Foot, has_ellipsoids, is_ball
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
@@ -60,11 +60,14 @@ def named_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic
 
 def tell_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
     """Tells of which feet balls take the place, {foot: why}; feet of a kind have one reason."""
-    soles, others = list[str](), list[str]()
+    soles, others, ellipsoids = list[str](), list[str](), list[str]()
     for foot in feet:
-        if any(is_ball(robot.mj_model, point) for point in foot.points):
+        if has_ellipsoids(robot, [foot]):
+            ellipsoids.append(foot.name)
+        elif any(is_ball(robot.mj_model, point) for point in foot.points):
             (soles if len(foot.points) > 1 else others).append(foot.name)
     return {
+        **dict.fromkeys(ellipsoids, diagnose("balls-for-ellipsoids", feet=ellipsoids)),
         **dict.fromkeys(soles, diagnose("balls-for-soles", feet=soles)),
         **dict.fromkeys(others, diagnose("balls-for-feet", feet=others)),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import permutations
 from pathlib import Path
 
 import mujoco
@@ -11,7 +12,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.contact_points import fit_sphere, sole_corners, stays_flat
+from pupper_analysis.models.shapes import Pose, Shape
+from pupper_analysis.prepare.contact_points import (
+    fit_sphere,
+    osculating_sphere,
+    sole_corners,
+    stays_flat,
+)
 from pupper_analysis.robot.robot import Robot
 from tests.support.cases import some
 from tests.support.legged import BIPED_FEET, Pair, aside, biped, held, quadruped, sole_mesh
@@ -189,28 +196,88 @@ def test_soles_of_balls_that_lean_the_other_way_are_told(tmp_path: Path) -> None
     assert "_calf is 0.1 mm in the ground" in str(caught.value.blocked[0])
 
 
-@pytest.mark.parametrize("size", ["0.02 0.02 0.02", "0.03 0.02 0.01"])
-def test_an_ellipsoid_touches_where_it_is_lowest(size: str, tmp_path: Path) -> None:
-    """Of three equal half axes it is a ball; of others its lowest point is a closed form."""
-    turn = Rotation.from_euler("xyz", (0.3, 0.5, 0.2))
+TILTED = Rotation.from_euler("xyz", (0.3, 0.5, 0.2))
+
+
+def with_ellipsoids(folder: Path, size: tuple[float, ...], turn: Rotation) -> Pair:
+    """Write a quadruped whose feet are ellipsoids with the half axes ``size`` [m]."""
     quaternion = " ".join(map(repr, turn.as_quat(scalar_first=True).tolist()))
-    foot = f'<geom type="ellipsoid" size="{size}" pos="0 0 -0.2" quat="{quaternion}"/>'
-    pair = quadruped(tmp_path, foot=foot, floor=True)
+    axes = " ".join(map(str, size))
+    foot = f'<geom type="ellipsoid" size="{axes}" pos="0 0 -0.2" quat="{quaternion}"/>'
+    return quadruped(folder, foot=foot, floor=True)
+
+
+def lowest_points(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Return the lowest point of each ellipsoid, shape (n, 3) [m], in closed form.
+
+    With the half axes in S and the direction d downwards in the geom's frame, the point is
+    S^2 d / |S d|.
+    """
+    found = []
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        turn, squares = data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom] ** 2
+        down = -turn[2]
+        found.append(
+            data.geom_xpos[geom] + turn @ (squares * down) / np.sqrt(down @ (squares * down))
+        )
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn", [Rotation.identity(), TILTED], ids=["level", "tilted"])
+@pytest.mark.parametrize("size", [*permutations((0.03, 0.02, 0.01)), (0.02, 0.02, 0.02)], ids=str)
+def test_contact_points_of_ellipsoid_feet_are_the_lowest_points_of_the_published_file(
+    size: tuple[float, ...], turn: Rotation, tmp_path: Path
+) -> None:
+    """References: the closed form, and MuJoCo's contacts of the unmodified MJCF."""
+    pair = with_ellipsoids(tmp_path, size, turn)
     robot = pa.load_robot(*pair)
     stand = pa.solve_stand(robot)
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    points = np.array(list(stand.contact_points.values()))
+    published = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(published)
     robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_fwdPosition(published, data)
+    closed_form = lowest_points(published, data)
+    np.testing.assert_allclose(distances_to_nearest(closed_form, points), 0, atol=2e-5)
     data.qpos[2] -= 1e-4
-    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_fwdPosition(published, data)
     assert len(data.contact) == 4
-    for touch in data.contact:
-        away = [np.linalg.norm(touch.pos - place) for place in stand.contact_points.values()]
-        assert min(away) < 1.1e-4
-        assert touch.dist == pytest.approx(-1e-4, abs=1e-6)
-    if len(set(size.split())) == 1:
+    np.testing.assert_allclose(data.contact.dist, -1e-4, atol=1e-6)
+    np.testing.assert_allclose(distances_to_nearest(data.contact.pos, points), 0, atol=1.1e-4)
+    assert "balls-for-ellipsoids" in {note.code for note in robot.notes}
+    if len(set(size)) == 1:  # the limit: a sphere
         assert set(robot.contact_radius.values()) == {0.02}
-        soft = pa.stance.solve_stand_on_soft_ground(robot)
-        assert pa.verify_stand(robot, soft).torque_error < 1e-5
+    soft = pa.stance.solve_stand_on_soft_ground(robot)
+    assert pa.verify_stand(robot, soft).torque_error < 1e-5
+
+
+def distances_to_nearest(these: np.ndarray, those: np.ndarray) -> np.ndarray:
+    """Return the distance of each point (n, 3) from the nearest of other points [m]."""
+    apart: np.ndarray = np.linalg.norm(these[:, None] - those[None], axis=2).min(axis=1)
+    return apart
+
+
+def test_osculating_sphere_has_the_point_and_mean_curvature_of_the_support_function() -> None:
+    """Reference: finite differences of h(d) = max x.d, whose gradient is the point in d.
+
+    A support function's second derivative across d has the principal radii as eigenvalues.
+    """
+    half_axes, step = np.array([0.03, 0.02, 0.01]), 1e-4
+    down = TILTED.apply([0.0, 0.0, -1.0])
+    shape = Shape("", "ellipsoid", Pose(), tuple(half_axes.tolist()), collides=True)
+
+    def support(direction: np.ndarray) -> float:
+        return float(np.linalg.norm(half_axes * direction))
+
+    eye = step * np.eye(3)
+    gradient = [(support(down + one) - support(down - one)) / (2 * step) for one in eye]
+    curvature = sum(
+        (support(down + one) - 2 * support(down) + support(down - one)) / step**2 for one in eye
+    )  # the trace: the direction itself adds nothing, as h is homogeneous of degree 1
+    centre, radius = osculating_sphere(shape, down)
+    np.testing.assert_allclose(centre + radius * down, gradient, atol=1e-8)
+    assert radius == pytest.approx(curvature / 2, rel=1e-5)
 
 
 def test_a_round_sole_touches_on_its_rim(tmp_path: Path) -> None:
