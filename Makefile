@@ -13,8 +13,9 @@ LOWEST_TESTS := $(addprefix tests/,$(addsuffix .py,base/test_results cli/test_sh
 # Inputs of the fuzzer, and more options of tests/fuzz.py.
 N ?= 2000
 FUZZ ?=
-# Writes a line with date and commit into docs/data/last-runs.csv.
-RECORDED := $(BIN)/python scripts/record_run.py
+# The timeout guards against hanging: it is ten times what the longest test needs. The method
+# "thread" also ends a process that hangs in compiled code.
+PYTEST := $(BIN)/python -m pytest --timeout=600 --timeout-method=thread
 MINOR := $(shell sed -n 's/^requires-python = ">=3\.\([0-9]*\)".*/\1/p' pyproject.toml)
 
 # What else is installed on the machine stays out of the way.
@@ -24,7 +25,7 @@ unexport PYTHONPATH PYTHONHOME
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest test-longest browser durations fuzz coverage benchmark benchmark-quick benchmark-ratios lint types docs docs-links wheel dist clean
+.PHONY: help setup analyze test test-slow test-lowest test-all browser fuzz coverage benchmark benchmark-quick benchmark-ratios lint types docs docs-links wheel dist clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
@@ -34,14 +35,14 @@ setup: $(VENV)/.ready ## only set up the virtual environment
 analyze: $(VENV)/.ready ## analyse all variants; figures go to output/
 	$(BIN)/python scripts/analyze_variant.py
 
-test: $(VENV)/.ready ## run the tests, without the long proofs
-	$(BIN)/python -m pytest
+test: $(VENV)/.ready ## run the quick tests: a minute
+	$(PYTEST)
 
-test-slow: $(VENV)/.ready ## run the long proofs
-	$(BIN)/python -m pytest -m "slow and not longest"
+test-all: $(VENV)/.ready ## run all tests
+	$(PYTEST) tests
 
-test-longest: $(VENV)/.ready ## run the longest proofs: an hour
-	$(RECORDED) "make test-longest" $(BIN)/python -m pytest -m longest
+test-slow: $(VENV)/.ready ## run the tests that make test leaves out
+	$(PYTEST) -m slow
 
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
 	$(LOWEST)/bin/python -m pytest -m "not slow" -W ignore::DeprecationWarning $(LOWEST_TESTS)
@@ -49,18 +50,15 @@ test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that a
 browser: $(VENV)/.ready-dev ## see to a browser for the tests of pages: apt or Playwright install chromium
 	.ci/browser
 
-durations: $(VENV)/.ready-dev ## run some cases of each test, and write how long it takes: sets what is slow
-	$(BIN)/python -m pytest --record-durations
-
 fuzz: $(VENV)/.ready ## spoil N files and commands; no traceback, hang or lost file may come of it
 	$(BIN)/python tests/damaged.py 500
 	$(BIN)/python tests/fuzz.py $(N) $(FUZZ)
 
 coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave out
-	$(BIN)/python -m pytest -m "slow or not slow" --cov --cov-report=term-missing:skip-covered
+	$(BIN)/python -m pytest tests --cov --cov-report=term-missing:skip-covered
 
 benchmark: $(VENV)/.ready-benchmark ## measure against the bare engines and peers
-	$(RECORDED) "make benchmark" $(BIN)/python benchmarks/run.py --json build/benchmarks.json --tables docs/data \
+	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --tables docs/data \
 	  --figure docs/images/growth.png $(BENCHMARK)
 
 benchmark-quick: $(VENV)/.ready-benchmark ## only check that benchmarks and peers agree

@@ -1,16 +1,17 @@
-"""Fixtures that all tests share, and which tests are run when."""
+"""Shared fixtures, the selection of the quick tests, and the report of skipped tests."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
+import sys
+from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
 import hypothesis
 import pytest
 
 import pupper_analysis as pa
-from tests.support.durations import Limit, Recorder, mark, sample
-from tests.support.ran import Ran, summary_lines
 from tests.support.rooms import trees
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import NAMES, load, stand_of
@@ -28,45 +29,58 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("suite")
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--record-durations", action="store_true", help="write tests/durations.json anew"
-    )
-    parser.addoption(
-        "--ran", type=Path, metavar="FILE", help="add to a file what ran: tests/support/ran.py"
-    )
+NO_SKIPS = os.environ.get("CI") == "true" and sys.platform == "linux"
+"""Whether a skipped test counts as failed: CI on Linux has everything that the tests need."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    everything = config.args_source is not pytest.Config.ArgsSource.ARGS
-    quick = everything and not (config.option.markexpr or config.option.keyword)
-    if quick:
-        config.option.markexpr = "not slow"  # who names files, words or marks gets what was named
-    if config.getoption("--record-durations"):
-        for name in NAMES:  # what is loaded once is no test's own
-            stand_of(name)
-        config.pluginmanager.register(Recorder())
-    elif quick:
-        config.pluginmanager.register(Limit())
-    if file := config.getoption("--ran"):
-        config.pluginmanager.register(Ran(file.resolve(), config, everything), "ran")
+    """Select the quick tests if the command line names no file, mark or keyword."""
+    named = config.args_source is pytest.Config.ArgsSource.ARGS
+    if not (named or config.option.markexpr or config.option.keyword):
+        config.option.markexpr = "not slow"
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Marks what is slow, before any are chosen by their marks."""
-    if config.getoption("--record-durations"):
-        sample(items)
-        return
-    mark(items)
-    if ran := config.pluginmanager.get_plugin("ran"):
-        ran.collected(items)
+def pytest_report_header(config: pytest.Config) -> str | None:
+    """Return the line that says that only the quick tests run."""
+    if config.option.markexpr == "not slow":
+        return "quick tests only (-m 'not slow'); make test-all runs all tests"
+    return None
+
+
+def skip_reason(report: pytest.TestReport | pytest.CollectReport) -> str:
+    """Return the reason of a skipped test or module on one line."""
+    message = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+    return " ".join(str(message).removeprefix("Skipped: ").split())
+
+
+def fail_skipped(report: pytest.TestReport | pytest.CollectReport) -> None:
+    """Change the outcome of a skipped test or module to failed if CI runs the tests."""
+    if NO_SKIPS and report.skipped and not hasattr(report, "wasxfail"):
+        report.longrepr = f"skipped in CI: {skip_reason(report)}; see make setup-ci"
+        report.outcome = "failed"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[Any]:
+    report = yield
+    fail_skipped(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[Any]:
+    report = yield
+    fail_skipped(report)
+    return report
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Says what was skipped, and how to have it."""
-    for line in summary_lines(terminalreporter.stats.get("skipped", [])):
-        terminalreporter.write_line(line, yellow=True)
+    """Print the number of skipped tests per reason, and the command that prevents skips."""
+    reasons = Counter(map(skip_reason, terminalreporter.stats.get("skipped", [])))
+    for reason, count in sorted(reasons.items()):
+        terminalreporter.write_line(f"{count} skipped: {reason}", yellow=True)
+    if reasons:
+        terminalreporter.write_line("make setup-ci installs what these tests need", yellow=True)
 
 
 @pytest.fixture(scope="session")

@@ -79,6 +79,7 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_wrong_arguments_raise_the_packages_errors(
     name: str, usual: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -39,6 +39,7 @@ main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gl", ["osmesa", "egl", "bogus"])
 def test_commands_need_no_opengl(gl: str, tmp_path: Path) -> None:
     result = run(
@@ -48,6 +49,7 @@ def test_commands_need_no_opengl(gl: str, tmp_path: Path) -> None:
     assert "rules" in result.stdout
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn_without(tmp_path: Path) -> None:
     command = ("analyze", "original", "--output", "out")
     result = run("-c", BROKEN, *command, folder=tmp_path, gl="osmesa")
@@ -65,6 +67,7 @@ def test_a_process_of_a_study_needs_no_opengl(tmp_path: Path) -> None:
     assert (result.stdout, result.stderr) == ("osmesa\n", "")
 
 
+@pytest.mark.slow
 def test_a_command_loads_no_opengl_that_it_does_not_draw_with(tmp_path: Path) -> None:
     """GLFW starts a process of its own to be loaded: a tenth of the time of `stand v3`."""
     code = """

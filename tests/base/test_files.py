@@ -165,6 +165,7 @@ def test_a_folder_that_cannot_be_searched_is_an_output_error(
         files.check_folder(tmp_path / "folder" / "new")
 
 
+@pytest.mark.slow
 def test_dash_is_standard_output(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -69,6 +69,7 @@ def test_what_is_no_text_is_told_with_its_line(data: bytes, code: str, line: int
     assert decode_input(Path("a.csv"), "\ufeffä".encode()) == "ä"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", damaged.kinds(), ids=lambda kind: kind.name)
 def test_damaged_files_of_every_kind_are_read_or_refused_in_one_line(
     kind: damaged.Kind, tmp_path: Path, capfd: pytest.CaptureFixture[str]

@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import mujoco
+import pytest
 from PIL import Image
 
 from pupper_analysis.base.units import units_of
@@ -15,6 +16,7 @@ from tests.support.commands import answer
 from tests.support.repository import ROOT
 
 
+@pytest.mark.slow
 def test_json_page_markdown_and_pictures_say_where_they_come_from(tmp_path: Path) -> None:
     file = tmp_path / "own.urdf"
     file.write_bytes((ROOT / "urdf" / "pupper_skeleton.urdf").read_bytes())

@@ -9,6 +9,7 @@ import pytest
 from tests.support import agreement, arm_features
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [None, 910, 903])
 def test_what_one_command_prints_others_confirm(seed: int | None, tmp_path: Path) -> None:
     """Of a variant, of a random pair, and of a random URDF alone, which is converted, too."""

@@ -33,6 +33,7 @@ def run(script: str, *arguments: str, cwd: Path | None = None) -> subprocess.Com
     )
 
 
+@pytest.mark.slow
 def test_analyze_writes_figures_json_and_models_of_its_own_variant(tmp_path: Path) -> None:
     result = run(
         "analyze_variant.py",
@@ -60,6 +61,7 @@ def test_analyze_writes_figures_json_and_models_of_its_own_variant(tmp_path: Pat
 ANALYZE = ("analyze_variant.py", "--json", "all.json")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -83,6 +85,7 @@ def test_bad_input_of_scripts_is_one_line_and_exit_status_2(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
     from click.testing import CliRunner
 

@@ -21,6 +21,7 @@ SURELY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EDITS)
 def test_no_command_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
     """Whatever becomes of the file, nor silent of that."""
@@ -29,6 +30,7 @@ def test_no_command_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> Non
     assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -43,6 +45,7 @@ def test_no_file_that_is_made_is_better_than_bare_mujoco(name: str, tmp_path: Pa
     assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", arm_features.FEATURES)
 def test_what_holds_an_arm_is_no_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
     row = every_command.row_of_arm(name, tmp_path)
@@ -68,6 +71,7 @@ def test_what_becomes_of_an_arms_file_by_itself(name: str, tmp_path: Path) -> No
     assert every_command.truth_of_arm(mjcf) is ARMS[name]
 
 
+@pytest.mark.slow
 def test_what_is_lost_in_its_first_step_passes_nowhere(tmp_path: Path) -> None:
     """A keyframe's ctrl of 1e9: MuJoCo begins anew at once, commanded nothing, and stands."""
     name = "a keyframe's ctrl 1e9"
@@ -78,6 +82,7 @@ def test_what_is_lost_in_its_first_step_passes_nowhere(tmp_path: Path) -> None:
     assert not any(cell.passed or cell.refused for cell in row.cells.values())
 
 
+@pytest.mark.slow
 def test_a_knee_that_pushes_away_passes_nowhere(tmp_path: Path) -> None:
     name = "slip: kp of one has the wrong sign"
     row = every_command.row_of(name, EDITS[name], tmp_path, ("stand", "study"))

@@ -80,6 +80,7 @@ def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_pat
     assert {path.name for path in tmp_path.iterdir()} == {"stands.csv"}
 
 
+@pytest.mark.slow
 def test_a_stance_of_a_file_may_say_more_than_a_command_uses(tmp_path: Path) -> None:
     (tmp_path / "stance.toml").write_text("payload-at = '0,0,1cm'\nkp = 20\nheight = '17cm'\n")
     given = answer("workspace", "v3", "--stance", "stance.toml", folder=tmp_path)

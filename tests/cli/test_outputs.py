@@ -242,16 +242,8 @@ def one_line(given: Answer) -> bool:
     return given.stderr.startswith("error: ") and len(given.stderr.strip().splitlines()) == 1
 
 
-_IN_CI = ("audit", "convert", "fit", "stand", "study", "sync")
-"""Commands that write in ways of their own; the others write as one of these does."""
-
-_STAGED = [
-    pytest.param(command, marks=() if command.name in _IN_CI else pytest.mark.longest)
-    for command in WRITING
-]
-
-
-@pytest.mark.parametrize("command", _STAGED, ids=lambda command: str(command.name))
+@pytest.mark.slow
+@pytest.mark.parametrize("command", WRITING, ids=lambda command: str(command.name))
 def test_no_output_is_an_input(command: Command, folder: Path) -> None:
     before, count = sums(folder), 0
     for case in cases(command):

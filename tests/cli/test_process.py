@@ -20,7 +20,6 @@ import pytest
 
 from pupper_analysis import cli
 from pupper_analysis.cli.process import Ended
-from tests.support.cases import some
 from tests.support.repository import ROOT
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -71,8 +70,9 @@ class Full(io.RawIOBase):
         raise OSError(self.number, os.strerror(self.number))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "status"), some([(errno.ENOSPC, 2), (errno.EIO, 2), (errno.EPIPE, 0)], 2)
+    ("number", "status"), [(errno.ENOSPC, 2), (errno.EIO, 2), (errno.EPIPE, 0)]
 )
 def test_results_are_written_where_standard_output_fails(
     number: int,
@@ -91,6 +91,7 @@ def test_results_are_written_where_standard_output_fails(
     monkeypatch.undo()
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
     process = start(
         *COMMAND, "workspace", "v3", "--json", "out.json", "--report", "out.html", cwd=tmp_path
@@ -105,7 +106,8 @@ def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
     assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("encoding", some(["ascii", "latin-1", "cp1252"], 3))
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
 def test_any_encoding_will_do(encoding: str, tmp_path: Path) -> None:
     environment = {**ENVIRONMENT, "PYTHONIOENCODING": encoding}
     file = shutil.copy(ROOT / "urdf/pupper_skeleton.urdf", tmp_path / "狗.urdf")
@@ -140,6 +142,7 @@ def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> Non
 # ------------------------------------------------------------------------------------- signals
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["click", "rich.console", "pupper_analysis.tools.stand.command"])
 def test_ctrl_c_while_it_is_loaded_is_one_line(module: str) -> None:
     """A signal at a known moment of the start: while a module is imported."""
@@ -228,6 +231,7 @@ def test_what_the_system_lacks_is_no_bug(
         assert said in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_names_that_are_no_text_and_windows_that_are_none(tmp_path: Path) -> None:
     """On Linux a file's name is bytes; an environment may ask for any window."""
     odd = tmp_path / os.fsdecode(b"\xff.urdf")

@@ -70,6 +70,7 @@ def test_what_names_no_robot_or_two_is_refused(
         RobotOptions.taken_from(dict(options)).one(words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", [URDF, MJCF], ids=["urdf", "mjcf"])
 def test_one_file_is_enough_to_stand(capfd: pytest.CaptureFixture[str], file: Path) -> None:
     status, out, _ = run_command(capfd, "stand", str(file), "-v")
@@ -79,6 +80,7 @@ def test_one_file_is_enough_to_stand(capfd: pytest.CaptureFixture[str], file: Pa
     assert f"the {made} was made of {file.name} in memory" in out.replace("\n", " ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

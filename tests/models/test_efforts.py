@@ -61,6 +61,7 @@ def bare_height(robot: pa.Robot, seconds: float = 4.0) -> float:
     return float(data.qpos[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_motors_that_cannot_hold_it_are_told_wherever_their_limit_stands(way: str) -> None:
     """v3's knees hold 0.46 N m. Bare MuJoCo collapses with 0.3, and keeps its height with 3."""
@@ -80,6 +81,7 @@ def test_motors_that_cannot_hold_it_are_told_wherever_their_limit_stands(way: st
     assert pa.verify_stand(strong, stand, kp=KP, kd=KD, duration=2.0).passed
 
 
+@pytest.mark.slow
 def test_what_stands_or_falls_does_not_hang_on_where_the_limit_stands() -> None:
     """The payload of the same motors, said in three ways, and once by the URDF alone."""
     stand, masses = stand_of("v3"), []
@@ -209,6 +211,7 @@ def test_the_mjcfs_range_counts_where_the_urdf_states_none(tmp_path: Path) -> No
     assert pa.compare_models(pair.urdf, pair.mjcf).agree
 
 
+@pytest.mark.slow
 def test_a_converted_hinge_without_limits_has_none(tmp_path: Path) -> None:
     urdf = rewritten(standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
     mjcf, found = converted(urdf, "quad.xml")
@@ -250,6 +253,7 @@ def test_an_effort_of_zero_is_the_mjcfs_or_none(tmp_path: Path) -> None:
     np.testing.assert_array_equal(robot.effort_limits, np.inf)
 
 
+@pytest.mark.slow
 def test_what_the_urdfs_motors_cannot_hold_does_not_pass(tmp_path: Path) -> None:
     """Its MJCF has no limit of force, and its servos are given the URDF's."""
     pair = biped(tmp_path)

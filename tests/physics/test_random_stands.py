@@ -10,7 +10,6 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.simulation.verify import FORCE_TOLERANCE
 from pupper_analysis.stance.stand import stand_statics
-from tests.support.cases import some
 from tests.support.repository import benchmark
 from tests.support.variants import BASES_FIRST, NAMES, load
 
@@ -18,7 +17,8 @@ stances = benchmark("stances")
 stances.STARTS = 60  # the benchmark has 200
 
 
-@pytest.mark.parametrize("name", some(BASES_FIRST, 6, first=2))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BASES_FIRST)
 def test_no_verdict_is_wrong(name: str) -> None:
     robot = load(name)
     outcomes = stances.judged(robot, 8, seed=100 + NAMES.index(name))
@@ -82,6 +82,7 @@ def test_inside_is_found_where_a_joint_is_at_its_limit(name: str) -> None:
 # ------------------------------------------------------------------------------------- the checks
 
 
+@pytest.mark.slow
 def test_the_check_sees_a_stand_that_is_a_little_off() -> None:
     robot = load("v3")
     for task in (

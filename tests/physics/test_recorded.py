@@ -12,7 +12,8 @@ import pytest
 from tests.recorded import COARSE, FILE, JOBS, computed, setting
 from tests.support.variants import NAMES
 
-JOBS_AND_MARKS = [pytest.param(n, marks=pytest.mark.longest if JOBS[n].slow else ()) for n in JOBS]
+QUICK_JOBS = [name for name, job in JOBS.items() if not job.slow]
+SLOW_JOBS = [name for name, job in JOBS.items() if job.slow]
 
 
 @cache
@@ -41,9 +42,8 @@ def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -
     return messages
 
 
-@pytest.mark.parametrize("job", JOBS_AND_MARKS)
-@pytest.mark.parametrize("name", NAMES)
-def test_numbers_are_unchanged(name: str, job: str) -> None:
+def check(name: str, job: str) -> None:
+    """Compare the numbers of a job with the recorded numbers."""
     wanted, now = JOBS[job], setting()
     then = recorded()["setting"]
     if wanted.same_engines and now != then:
@@ -54,6 +54,19 @@ def test_numbers_are_unchanged(name: str, job: str) -> None:
     found = computed(name, job)
     assert found, "nothing was computed"
     assert changes(found, recorded()["results"][name][job], wanted.tolerance) == []
+
+
+@pytest.mark.parametrize("job", QUICK_JOBS)
+@pytest.mark.parametrize("name", NAMES)
+def test_numbers_are_unchanged(name: str, job: str) -> None:
+    check(name, job)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("job", SLOW_JOBS)
+@pytest.mark.parametrize("name", NAMES)
+def test_numbers_of_long_searches_and_simulations_are_unchanged(name: str, job: str) -> None:
+    check(name, job)
 
 
 def test_all_jobs_of_all_variants_are_recorded() -> None:

@@ -106,7 +106,7 @@ def numbers(robot: pa.Robot, mass: float, size: float = 1.0) -> dict[str, float]
     return found
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", [0.02, 1.0, 2800.0])
 def test_a_scaled_robot_has_the_same_numbers(mass: float) -> None:
     robot, factor = load("v3"), mass / load("v3").total_mass
@@ -115,7 +115,7 @@ def test_a_scaled_robot_has_the_same_numbers(mass: float) -> None:
     )
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", [0.02, 2800.0])
 def test_a_resized_robot_has_the_same_numbers(mass: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for how long creep and growth are looked at, 12 s for each: in their own units a small
@@ -140,7 +140,7 @@ def test_a_robot_of_20_grams_slides_to_where_it_does_at_3_kilograms() -> None:
     assert losses[1] == pytest.approx(losses[0], rel=1e-9)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_verdicts_about_the_least_stiffness_do_not_jump(tmp_path: Path) -> None:
     """From below it falls, from there on it stands; once it was stands, unstable, stands."""
     drawn_one = drawn(14)

@@ -74,6 +74,7 @@ def test_motors_of_v3_hold_less_by_what_springs_in_its_knees_give(tmp_path: Path
     verified(sprung)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", ["_knee", "_roll"])
 def test_a_quadruped_with_springs_stands_as_predicted(joint: str, tmp_path: Path) -> None:
     robot = load(with_springs(quadruped(tmp_path), joint))
@@ -85,6 +86,7 @@ def test_a_biped_with_springs_stands_as_predicted(tmp_path: Path) -> None:
     verified(load(with_springs(biped(tmp_path), "_ankle")))
 
 
+@pytest.mark.slow
 def test_springs_of_tendons_count(tmp_path: Path) -> None:
     """A tendon of length a + 0.5 b pulls with k (rest - length): by 1 and 0.5 of that."""
     pair = quadruped(tmp_path)
@@ -102,6 +104,7 @@ def test_springs_of_tendons_count(tmp_path: Path) -> None:
     verified(robot)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motors", [False, True])
 def test_gravity_compensation_takes_weight_off_motors_and_feet(
     motors: bool, tmp_path: Path

@@ -39,6 +39,7 @@ def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> No
         assert run.torque_error < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [701, 708])
 def test_servos_are_made_for_the_files_own_time_step(tmp_path: Path, seed: int) -> None:
     """At 2 ms 701's file shook on the servos that stood at 1 ms, kp 2700 and kd 130."""
@@ -57,7 +58,7 @@ def test_servos_are_made_for_the_files_own_time_step(tmp_path: Path, seed: int) 
 FINGERS = 12
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_a_servo_that_leads_many_light_fingers_lets_the_robot_rest(tmp_path: Path) -> None:
     """Romeo's, whose hands shook at 18 Hz: a servo's damping acts on its own joint first."""
     parts = []

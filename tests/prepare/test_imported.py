@@ -50,6 +50,7 @@ def verdict_of(robot: pa.Robot) -> Verdict:
     return pa.judge_stand(robot, pa.solve_stand(robot))
 
 
+@pytest.mark.slow
 def test_a_sound_urdf_does_by_itself_what_is_predicted(tmp_path: Path) -> None:
     """Two routes from the URDF to MuJoCo, ours and its own: one robot."""
     robot = pa.load_robot(four_legs(tmp_path))
@@ -68,6 +69,7 @@ def test_a_sound_urdf_does_by_itself_what_is_predicted(tmp_path: Path) -> None:
         assert run.torque_error < 1e-3  # feet stick where the nudge left them
 
 
+@pytest.mark.slow
 def test_the_import_is_mujocos_own_and_has_what_no_urdf_states(tmp_path: Path) -> None:
     robot = pa.load_robot(four_legs(tmp_path))
     model = raw_model(robot)
@@ -81,6 +83,7 @@ def test_the_import_is_mujocos_own_and_has_what_no_urdf_states(tmp_path: Path) -
     assert own_run(again) == own_run(robot)
 
 
+@pytest.mark.slow
 def test_what_falls_as_mujoco_imports_it_does_not_hold(tmp_path: Path) -> None:
     """Whatever is made of it: here two feet of the import are points, 18 mm higher."""
     robot = pa.load_robot(four_legs(tmp_path))
@@ -95,6 +98,7 @@ def test_what_falls_as_mujoco_imports_it_does_not_hold(tmp_path: Path) -> None:
     assert not verdict.passed
 
 
+@pytest.mark.slow
 def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> None:
     """Servos and step are ours, made for spheres: at 2 ms meshes shake on them, at 1 ms not."""
     verdict = verdict_of(pa.load_robot(two_legs(tmp_path)))

@@ -54,6 +54,7 @@ def slipped(folder: Path, slip: Slip) -> Path:
     return edited_by(four_legs(folder), slip)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", SLIPS)
 def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule: str) -> None:
     slip, message = SLIPS[rule]

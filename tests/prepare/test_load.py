@@ -46,6 +46,7 @@ def test_limbs_that_hang_in_the_world_are_told_from_a_base(tmp_path: Path) -> No
     assert "attaches the limbs to the world" in str(held)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "frame"),
     [("own", "own"), ("a geom", "toe"), ("a link and a body", ("FL_calf", "FL_calf"))],
@@ -103,6 +104,7 @@ def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> No
     assert held.joint_torques[ankle] == pytest.approx(-(about + foot)[1], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     stand = pa.stance.solve_stand_on_soft_ground(robot)
@@ -113,6 +115,7 @@ def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
     assert sag.height_loss > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ahead", "held"), [(0.088, True), (0.092, False)])
 def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_path: Path) -> None:
     """The soles, 0.18 m long, reach 0.09 m to either side of their middle."""
@@ -128,6 +131,7 @@ def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_pa
             pa.solve_stand(robot, task)
 
 
+@pytest.mark.slow
 def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     heights = {"left_tilt_link": 0.02, "right_tilt_link": 0.045}
@@ -144,6 +148,7 @@ def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> Non
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, on_one)).passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("below", "framed"), [(0.78, False), (0.78, True), (1.7, False), (0.72 - 1e-9, False)]
 )
@@ -233,6 +238,7 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
     stands(robot)
 
 
+@pytest.mark.slow
 def test_a_foot_with_a_mesh_that_is_not_round_is_told(tmp_path: Path) -> None:
     corners = itertools.product((-0.03, 0.03), (-0.02, 0.02), (-0.02, 0.02))
     vertices = " ".join(str(value) for corner in corners for value in corner)
@@ -263,6 +269,7 @@ def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) 
     stands(robot)
 
 
+@pytest.mark.slow
 def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     """The URDF counts one knee from 0.3 rad before the MJCF's zero: the same robot."""
     pair = quadruped(tmp_path)
@@ -300,6 +307,7 @@ def test_wrong_arguments_are_refused_by_name(wrong: dict[str, object], tmp_path:
         load(quadruped(tmp_path), **wrong)
 
 
+@pytest.mark.slow
 def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
     """Pi Plus' knees bend one way in the MJCF, and both in the URDF: it was thrown into the air."""
     pair = quadruped(tmp_path, keyframe="")

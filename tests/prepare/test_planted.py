@@ -237,6 +237,7 @@ def planted(folder: Path, plant: str) -> tuple[Path, Path]:
     return pair.urdf, pair.mjcf
 
 
+@pytest.mark.slow
 def test_of_what_is_sound_nothing_is_told(tmp_path: Path) -> None:
     verdict = judged(*standing(tmp_path))
     assert verdict.passed, in_words(verdict)
@@ -250,6 +251,7 @@ HARMLESS = {
 """Those with which it stands in bare MuJoCo, too: nothing is told."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", [*PLANTS, *ODD])
 def test_the_right_one_is_told(tmp_path: Path, plant: str) -> None:
     """And no verdict is better than bare MuJoCo."""
@@ -259,6 +261,7 @@ def test_the_right_one_is_told(tmp_path: Path, plant: str) -> None:
     assert found or stands(mjcf)
 
 
+@pytest.mark.slow
 def test_gravity_aside_is_told(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
     shared = tmp_path / "mjcf/pupper_v3_shared.xml"

@@ -34,6 +34,7 @@ def slipped(folder: Path, name: str, seed: int = 0) -> legged.Pair:
     return pair
 
 
+@pytest.mark.slow
 def test_what_stands_by_itself_holds(tmp_path: Path) -> None:
     pair = standing(tmp_path)
     assert truth_of(pair.mjcf, pair.mjcf) is Truth.STANDS
@@ -113,6 +114,7 @@ def test_a_servo_whose_bias_is_all_zero_is_no_motor(tmp_path: Path) -> None:
     assert {made.instead_of for made in robot.description.made_servos} == {Drive.OTHER}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -162,6 +164,7 @@ CAUSES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cause", CAUSES)
 def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str) -> None:
     old, new, element, line = CAUSES[cause]
@@ -181,6 +184,7 @@ def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str)
     assert element in in_words(verdict)
 
 
+@pytest.mark.slow
 def test_files_of_two_robots_are_told_from_a_file_that_differs(tmp_path: Path) -> None:
     pair = standing(tmp_path)
     rewritten(pair.mjcf, ('mass="4"', 'mass="5"'))
@@ -190,6 +194,7 @@ def test_files_of_two_robots_are_told_from_a_file_that_differs(tmp_path: Path) -
     assert [cause.code for cause in published.causes] == ["pair"]
 
 
+@pytest.mark.slow
 def test_a_keyframes_angles_are_no_torques(tmp_path: Path) -> None:
     """Servos that have lost their gains are motors, which the keyframe tells 0.6 and -1.2 N m."""
     pair = legged.quadruped(tmp_path, floor=True)

@@ -64,6 +64,7 @@ def test_limits_the_wrong_way_round_are_refused(tmp_path: Path, upper: str) -> N
         pa.solve_stand(pa.load_robot(*pair))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [True, False])
 def test_a_ball_in_the_scene_and_named_feet(tmp_path: Path, first: bool) -> None:
     """The keyframe is of the robot alone: MuJoCo fills it up with zeros."""

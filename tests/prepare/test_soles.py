@@ -20,7 +20,6 @@ from pupper_analysis.prepare.contact_points import (
     stays_flat,
 )
 from pupper_analysis.robot.robot import Robot
-from tests.support.cases import some
 from tests.support.legged import BIPED_FEET, Pair, aside, biped, held, quadruped, sole_mesh
 
 
@@ -44,6 +43,7 @@ def holds(robot: Robot, task: pa.StandTask | None = None, *, within: float) -> p
     return stand
 
 
+@pytest.mark.slow
 def test_a_sole_of_a_mesh_has_balls_at_its_corners(tmp_path: Path) -> None:
     """MuJoCo's contacts of a mesh with many vertices jump as loads shift: by 1.4 % on an H1-2."""
     pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
@@ -66,6 +66,7 @@ def test_a_sole_of_a_mesh_has_balls_at_its_corners(tmp_path: Path) -> None:
     holds(robot, pa.StandTask(offset=(0.02, 0.015)), within=1e-3)
 
 
+@pytest.mark.slow
 def test_the_balls_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
     """A Zeroth bot's sole has a corner 0.14 mm off the others: its foot tilted, by 1.9 %."""
     pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
@@ -107,7 +108,8 @@ def test_the_corners_of_a_hull_are_those_that_matter() -> None:
     assert sole_corners(line, np.array([0.0, 0.0, 1.0]), 1e-3) == []
 
 
-@pytest.mark.parametrize("shape", some(["box", "four spheres", "two capsules"], 3))
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["box", "four spheres", "two capsules"])
 def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
     """Roll at the hip; pitch at hip, knee and ankle: as TRON 1's. The com is 2 um aside."""
     pair = held(biped(tmp_path, BIPED_FEET[shape]), "_yaw", "_tilt")
@@ -120,6 +122,7 @@ def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
     holds(robot, pa.StandTask(height=0.95 * robot.stand_height), within=1e-2)
 
 
+@pytest.mark.slow
 def test_a_sole_that_is_not_quite_level_lies_as_the_leg_lays_it(tmp_path: Path) -> None:
     """By a mesh's last digits: no roll of the foot can mend it."""
     foot = BIPED_FEET["box"].replace("/>", ' euler="3e-6 0 0"/>')
@@ -127,6 +130,7 @@ def test_a_sole_that_is_not_quite_level_lies_as_the_leg_lays_it(tmp_path: Path) 
     holds(load(pair), within=1e-2)
 
 
+@pytest.mark.slow
 def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
     """They tilted as far as they may, for a com that need not be where it was put: by 2.8 %.
 
@@ -142,6 +146,7 @@ def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
         assert np.ptp(heights) < 1e-6
 
 
+@pytest.mark.slow
 def test_what_legs_of_four_joints_cannot_do_is_refused(tmp_path: Path) -> None:
     robot = load(held(biped(tmp_path), "_yaw", "_tilt"))
     task = pa.StandTask(foot_offsets={"left_tilt_link": (0.0, 0.03)})
@@ -179,6 +184,7 @@ def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
     assert "foot-force-off" in {failure.code for failure in found.failures}
 
 
+@pytest.mark.slow
 def test_soles_of_balls_that_lean_the_other_way_are_told(tmp_path: Path) -> None:
     """The ball that was taken for the foot is not the lowest there; the others are no feet.
 
@@ -290,6 +296,7 @@ def test_a_round_sole_touches_on_its_rim(tmp_path: Path) -> None:
         np.testing.assert_allclose(from_axis, 0.09, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_sole_sinks_as_a_plane_whose_forces_have_the_resultant(tmp_path: Path) -> None:
     """By unequal loads of the soles it tilts, and a corner lifts: 8e-4 off, and "not >= 0 m"."""
     pair = biped(tmp_path)

@@ -50,6 +50,7 @@ def test_a_keyframe_in_which_no_stand_exists_is_left_for_a_height_that_one_has(
     assert "start-pose-found" in {note.code for note in robot.notes}
 
 
+@pytest.mark.slow
 def test_a_start_pose_is_one_in_which_the_nominal_stand_exists(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -71,6 +72,7 @@ def test_a_start_pose_is_one_in_which_the_nominal_stand_exists(
     assert least < pa.load_robot(*files).stand_height < 0.8
 
 
+@pytest.mark.slow
 def test_feet_below_axes_about_the_vertical_are_put_aside(tmp_path: Path) -> None:
     """A leg points to its foot: wherever the base moves, if the foot is below the leg's first axis.
 
@@ -85,6 +87,7 @@ def test_feet_below_axes_about_the_vertical_are_put_aside(tmp_path: Path) -> Non
     assert stand.com_error < 1e-9
 
 
+@pytest.mark.slow
 def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> None:
     """Who knows a height for it needs no gains of their own."""
     files = quadruped(tmp_path)

@@ -99,6 +99,7 @@ def comparison() -> pa.checks.Comparison:
 # What the page is
 
 
+@pytest.mark.slow
 def test_a_page_is_well_formed_and_loads_nothing() -> None:
     page = page_of(analysis())
     assert page.text.startswith("<!doctype html>")
@@ -113,6 +114,7 @@ def test_a_page_is_well_formed_and_loads_nothing() -> None:
     assert not re.search(r"url\(|@import|http", style)
 
 
+@pytest.mark.slow
 def test_every_number_s_header_has_a_unit() -> None:
     """A column's own, or one beside it for each row."""
     count = 0

@@ -35,6 +35,7 @@ def second_moments(inertia: np.ndarray) -> np.ndarray:
 # ------------------------------------------------------------------------------------- two routes
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(base=bases, leg_scale=leg_scales, torso_mass_scale=torso_scales)
 def test_urdf_and_mjcf_agree_at_any_scale(
@@ -69,6 +70,7 @@ def lump(points: np.ndarray, masses: np.ndarray) -> tuple[float, np.ndarray, np.
     return mass, com, np.asarray(inertia)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", BODIES)
 @settings(max_examples=15)
 @given(first=leg_scales, second=leg_scales)
@@ -124,6 +126,7 @@ def test_capsule_inertia_is_the_integral(mass: float, radius: float, length: flo
     np.testing.assert_allclose(tensor, np.diag([axial, lateral, lateral]), rtol=1e-11, atol=1e-18)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", BODIES)
 @settings(max_examples=15)
 @given(scale=leg_scales)

@@ -34,6 +34,7 @@ def test_skeleton_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(s=st.floats(0.3, 3), t=st.floats(0.2, 5))
 def test_v3_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:

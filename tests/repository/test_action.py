@@ -94,12 +94,14 @@ def test_the_action_is_one() -> None:
     assert not any("${{" in one["run"] for one in STEPS.values())
 
 
+@pytest.mark.slow
 def test_the_action_passes_on_the_sample(installed: Path) -> None:
     result = step("Check", installed)
     assert result.returncode == 0, result.stderr
     assert result.stdout == "passed: 0 to fix, 1 known\n"
 
 
+@pytest.mark.slow
 def test_the_action_fails_at_the_line_of_what_is_new(installed: Path) -> None:
     text = (installed / "hopper.urdf").read_text()
     (installed / "hopper.urdf").write_text(text.replace('upper="1.5"', 'upper="1.2"'))
@@ -109,7 +111,7 @@ def test_the_action_fails_at_the_line_of_what_is_new(installed: Path) -> None:
     assert f"::error file=hopper.urdf,line={line},title=upper limit of hip::" in result.stdout
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_the_action_installs_what_checking_needs(checkout: Path) -> None:
     """From the package index, as on GitHub; without PlaCo and Matplotlib."""
     result = step("Install", checkout)
@@ -181,6 +183,7 @@ main()
 V3 = [str(ROOT / "urdf" / "pupper_v3.urdf"), str(ROOT / "mjcf" / "pupper_v3.xml")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "more"),
     [

@@ -19,6 +19,7 @@ sys.path.append(str(ROOT / "benchmarks"))  # where its modules find each other
 import run as benchmarks
 
 
+@pytest.mark.slow
 def test_the_quick_setting_runs_and_writes(tmp_path: Path) -> None:
     """It ends with 1 where an answer is not exact; times are not looked at."""
     written = tmp_path / "found.json"

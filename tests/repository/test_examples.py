@@ -87,6 +87,7 @@ def test_every_example_is_run_here_and_in_the_list() -> None:
     assert sorted(listed) == sorted(SEEN) == SCRIPTS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEEN)
 def test_an_example_is_short_and_shows_what_it_says(name: str, shown: Shown) -> None:
     code = (EXAMPLES / f"{name}.py").read_text()

@@ -12,6 +12,7 @@ from tests import fuzz
 SEEDS = sorted((Path(fuzz.__file__).parent / "fuzz_seeds").glob("*.json"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", SEEDS, ids=lambda path: path.stem)
 def test_seeds_that_once_failed_pass(path: Path) -> None:
     assert fuzz.found_in(fuzz.Case.from_json(path.read_text())) == []

@@ -43,6 +43,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     graphlib.TopologicalSorter(graph).prepare()
 
 
+@pytest.mark.slow
 def test_the_house_has_few_folders_and_arrows() -> None:
     graph = drawing.folder_graph()
     assert len(graph) <= 11
@@ -51,6 +52,7 @@ def test_the_house_has_few_folders_and_arrows() -> None:
     assert loose == {"__init__.py", "__main__.py"}
 
 
+@pytest.mark.slow
 def test_tools_know_each_other_at_few_places_and_in_no_circle() -> None:
     graph = drawing.tool_graph()
     assert sum(map(len, graph.values())) <= 12

@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 from types import MappingProxyType
 
+import pytest
+
 import pupper_analysis as pa
 from tests.support.names import public, public_modules
 from tests.support.repository import ROOT
@@ -56,11 +58,13 @@ def test_import_loads_nothing_heavy(tmp_path: Path) -> None:
     assert run(code, tmp_path) == "[]"
 
 
+@pytest.mark.slow
 def test_loading_a_base_model_needs_no_drawing_and_no_urdf_writer(tmp_path: Path) -> None:
     code = "import pupper_analysis as pa; pa.load_variant('v3'); " + LOADED.format(names=HEAVY)
     assert run(code, tmp_path) == "[]"
 
 
+@pytest.mark.slow
 def test_a_stand_needs_no_drawing_and_of_scipy_the_linear_algebra(tmp_path: Path) -> None:
     code = (
         "import pupper_analysis as pa; r = pa.load_variant('v3'); s = pa.solve_stand(r); "
@@ -72,6 +76,7 @@ def test_a_stand_needs_no_drawing_and_of_scipy_the_linear_algebra(tmp_path: Path
     assert run(code + LOADED.format(names=names), tmp_path) == "[]"
 
 
+@pytest.mark.slow
 def test_docstrings_example_works(tmp_path: Path) -> None:
     assert pa.__doc__ is not None
     lines = [line[4:] for line in pa.__doc__.splitlines() if line.startswith("    ")]

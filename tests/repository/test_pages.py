@@ -22,7 +22,7 @@ def test_blocks_of_a_page_run_and_print_what_it_says(name: str, tmp_path: Path) 
     pages.run_page(BLOCKS[name], tmp_path)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LATE)
 def test_blocks_that_take_minutes_run(name: str, tmp_path: Path) -> None:
     pages.run_page(BLOCKS[name], tmp_path, late=True)

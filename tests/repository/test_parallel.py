@@ -67,6 +67,7 @@ ATTRIBUTES = st.dictionaries(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", all_errors(), ids=lambda kind: kind.__name__)
 @COPIES
 @given(message=st.text(), attributes=ATTRIBUTES)
@@ -104,6 +105,7 @@ def assert_same_model(one: mujoco.MjModel, two: mujoco.MjModel, tolerance: float
         np.testing.assert_array_equal(getattr(one.opt, name), getattr(two.opt, name))
 
 
+@pytest.mark.slow
 @COPIES
 def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any]) -> None:
     robot = load(variant)
@@ -122,6 +124,7 @@ def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any])
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["v3-heavy", "long-leg"])
 def test_a_pickled_robot_stands_the_same(variant: str) -> None:
     robot = load(variant)
@@ -183,6 +186,7 @@ def heights(robot: pa.Robot, height: float) -> list[float]:
     return [float(value) for value in stand.qpos]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", sorted({"spawn", "fork"} & {*multiprocessing.get_all_start_methods()})
 )

@@ -121,12 +121,13 @@ def test_the_core_names_no_tool_that_only_reads() -> None:
                 assert not re.search(rf"\b{name}", text, re.I), path
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("tool", own_packages())
 def test_each_tool_goes_with_its_folders(tool: str, tmp_path: Path) -> None:
     check_without(tool, tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", range(3))
 def test_some_tool_goes_with_its_folders(which: int, tmp_path: Path) -> None:
     """Others on another day: seeded by the commit, so that a failure can be had again."""

@@ -81,6 +81,7 @@ def test_help_lists_it_and_imports_it_not(installed: Path, tmp_path: Path) -> No
     assert done.stdout.split() == ["True", "False"]
 
 
+@pytest.mark.slow
 def test_it_has_options_a_page_json_and_markdown(installed: Path, tmp_path: Path) -> None:
     assert "about its base" in run(installed, tmp_path, "inertia", "--help")
     words = ("inertia", "v3", "--json", "inertia.json", "--report", "inertia.html")
@@ -95,6 +96,7 @@ def test_it_has_options_a_page_json_and_markdown(installed: Path, tmp_path: Path
     assert "轴" in page  # and what has no Chinese is there in English
 
 
+@pytest.mark.slow
 def test_a_format_from_outside_is_audited_and_compared(tmp_path: Path) -> None:
     stated = '[project.entry-points."pupper_analysis.formats"]\nurdfz = "urdfz_format"'
     install(tmp_path, "urdfz_format", {n: PARTS[n] for n in ("format.toml", "reader.py")}, stated)
@@ -108,6 +110,7 @@ def test_a_format_from_outside_is_audited_and_compared(tmp_path: Path) -> None:
     assert "mass-not-positive" in run(tmp_path, tmp_path, "audit", "heavy.urdfz", status=1)
 
 
+@pytest.mark.slow
 def test_a_reader_of_the_guide_is_short_and_what_it_reads_is_compared(tmp_path: Path) -> None:
     """With it a file of limits is held against the URDF; without it, it is of no kind."""
     reader = re.search(r"```python\n(# our_firmware/limits.py.*?)```", CONTRACT, re.S)

@@ -19,6 +19,7 @@ def loaded(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
     return pa.load_robot(*pair)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "option",
     [

@@ -104,6 +104,7 @@ def test_a_belts_motor_holds_what_the_knee_would(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_belts_stand_as_predicted_though_they_stretch(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = holds(robot)
@@ -114,7 +115,7 @@ def test_belts_stand_as_predicted_though_they_stretch(tmp_path: Path) -> None:
     assert "motor-torque-off" in {failure.code for failure in rigid.failures}
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", [belts, four_bars])
 def test_constraints_may_be_as_soft_as_they_are(pair, tmp_path: Path) -> None:
     """Where they are closed they are 30 times as soft as where they are open."""
@@ -131,6 +132,7 @@ def test_constraints_may_be_as_soft_as_they_are(pair, tmp_path: Path) -> None:
             pa.steady_state(robot, pa.solve_stand(robot), feet="sliding")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("polynomial", [(0.0, -0.7, -0.08), (-0.1, -0.9, 0.05, 0.01, -0.002)])
 def test_a_coupling_need_not_be_linear(polynomial: tuple[float, ...], tmp_path: Path) -> None:
     robot = load(belts(tmp_path, polynomial))
@@ -142,6 +144,7 @@ def test_a_coupling_need_not_be_linear(polynomial: tuple[float, ...], tmp_path: 
     holds(robot)
 
 
+@pytest.mark.slow
 def test_a_parallelograms_crank_holds_what_the_knee_would(tmp_path: Path) -> None:
     """In closed form: knee = motor - pitch and pin = pitch - motor, by virtual work."""
     robot = load(four_bars(tmp_path))
@@ -159,6 +162,7 @@ def test_a_parallelograms_crank_holds_what_the_knee_would(tmp_path: Path) -> Non
         assert (tau["knee"], tau["pin"]) == (0.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("crank", [0.05, 0.04])
 def test_four_bars_stand_as_predicted(crank: float, tmp_path: Path) -> None:
     robot = load(four_bars(tmp_path, crank))
@@ -169,6 +173,7 @@ def test_four_bars_stand_as_predicted(crank: float, tmp_path: Path) -> None:
     holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
 
 
+@pytest.mark.slow
 def test_a_dead_point_is_the_cause_of_a_refusal(tmp_path: Path) -> None:
     """A crank of 30 mm folds the knee no further than to 0.336 m: "the feet miss by 2e-05 mm"."""
     robot = load(four_bars(tmp_path, 0.03))
@@ -183,6 +188,7 @@ def test_a_dead_point_is_the_cause_of_a_refusal(tmp_path: Path) -> None:
     assert refused.value.blocked == ()
 
 
+@pytest.mark.slow
 def test_a_foot_that_comes_nearest_does_so_with_loops_closed(tmp_path: Path) -> None:
     """Without them all feet are in place, and a refusal had nothing to name."""
     robot = load(four_bars(tmp_path))
@@ -202,6 +208,7 @@ def test_a_foot_that_comes_nearest_does_so_with_loops_closed(tmp_path: Path) -> 
     assert [one.code for one in message.blocked] == ["loops-stay-open"]
 
 
+@pytest.mark.slow
 def test_a_loops_derivative_is_that_of_its_residual(tmp_path: Path) -> None:
     robot = load(four_bars(tmp_path, 0.04))
     closure, qpos = robot.closure, pa.solve_stand(robot).qpos
@@ -222,6 +229,7 @@ def test_a_loops_derivative_is_that_of_its_residual(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_give_is_what_mujoco_opens_by(tmp_path: Path) -> None:
     """A constraint's force and opening at rest, from a simulation that knows no prediction."""
     robot = load(belts(tmp_path, words=""))
@@ -246,6 +254,7 @@ def test_a_give_is_what_mujoco_opens_by(tmp_path: Path) -> None:
     np.testing.assert_allclose(robot.closure.give(qpos, load_on_knees), opened, rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", [belts, four_bars])
 def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
     """Where MuJoCo's feet have crept to, without tangential forces."""
@@ -260,7 +269,7 @@ def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
     assert pa.stance.minimum_stiffness(robot, stand, feet="sliding") > 1
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> None:
     """Right knees follow left ones: as those give way, feet on two sides are not on one level."""
     pair = quadruped(tmp_path)
@@ -290,6 +299,7 @@ def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
             pa.gravity_compensation(pa.Configuration(robot, qpos), contacts)
 
 
+@pytest.mark.slow
 def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = pa.solve_stand(robot)
@@ -304,6 +314,7 @@ def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
             ask()
 
 
+@pytest.mark.slow
 def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, in_mjcf=False))
     assert any("are now coupled in the MJCF, too: FL_knee" in str(note) for note in robot.notes)
@@ -322,7 +333,7 @@ def test_loops_with_rods_that_the_urdf_lacks_are_refused(tmp_path: Path) -> None
         load(pair)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> None:
     """A weld ties three ways in the plane: with another hinge at the rod's end it is a connect."""
     folders = [tmp_path / name for name in ("one", "two")]
@@ -346,7 +357,7 @@ def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> No
         assert at(two, torques, name) == pytest.approx(at(one, wanted, name), abs=1e-2)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_pins_may_turn_round_and_round_or_have_no_limits_stated(tmp_path: Path) -> None:
     pair = four_bars(tmp_path)
     limited = pair.mjcf.read_text()
@@ -363,6 +374,7 @@ def test_pins_may_turn_round_and_round_or_have_no_limits_stated(tmp_path: Path) 
     holds(load(pair))
 
 
+@pytest.mark.slow
 def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
     pair = belts(tmp_path)
     text = pair.mjcf.read_text()
@@ -382,7 +394,7 @@ def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
     holds(robot)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_what_ties_a_robot_to_the_world_is_named_where_its_stand_fails(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     tie = '<equality><connect name="tied" body1="trunk" anchor="0.1 0 0"/></equality><actuator>'

@@ -25,6 +25,7 @@ def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
 # ------------------------------------------------------------------------------------- kinematics
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_frames_are_where_mujoco_has_them(any_robot: pa.Robot, data: st.DataObject) -> None:
     qpos = data.draw(positions(any_robot))
@@ -43,6 +44,7 @@ def test_frames_are_where_mujoco_has_them(any_robot: pa.Robot, data: st.DataObje
     np.testing.assert_allclose(config.base_rotation(), base, atol=1e-12)
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_joints_are_where_mujoco_has_them(any_robot: pa.Robot, data: st.DataObject) -> None:
     qpos = data.draw(positions(any_robot))
@@ -61,6 +63,7 @@ def test_joints_are_where_mujoco_has_them(any_robot: pa.Robot, data: st.DataObje
         config.joint_axis("tail")
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_jacobians_are_derivatives(any_robot: pa.Robot, data: st.DataObject) -> None:
     qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
@@ -123,6 +126,7 @@ def test_mass_matrix_is_mujocos_and_positive_definite(
     np.testing.assert_allclose(matrix, theirs[np.ix_(v, v)], atol=1e-12)
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_bias_forces_are_mujocos(any_robot: pa.Robot, data: st.DataObject) -> None:
     qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))

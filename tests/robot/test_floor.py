@@ -42,6 +42,7 @@ def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "floor",
     [
@@ -63,6 +64,7 @@ def test_a_floor_anywhere_is_the_ground(tmp_path: Path, floor: str) -> None:
         assert robot.contacts == plain.contacts
 
 
+@pytest.mark.slow
 def test_what_stands_in_the_world_is_left_out(tmp_path: Path) -> None:
     """A box as ground, stairs under the robot, and a table that no joint moves."""
     stairs = '<geom name="stair" type="box" size="1 1 0.03" pos="0.5 0 0.03"/>'
@@ -77,6 +79,7 @@ def test_what_stands_in_the_world_is_left_out(tmp_path: Path) -> None:
     stands(robot)
 
 
+@pytest.mark.slow
 def test_contacts_by_pairs_are_those_of_the_feet(tmp_path: Path) -> None:
     """The prepared robot's contacts are those that MuJoCo makes of the file as it is."""
     values = 'friction="0.37 0.37 0.02 0.003 0.003" solref="0.03 1.2" solimp="0.9 0.95 0.002 0.5 2"'

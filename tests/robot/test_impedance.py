@@ -41,6 +41,7 @@ def tied(kind: str, seed: int) -> mujoco.MjModel:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(8))
 def test_what_opens_at_rest_is_as_simulated(kind: str, seed: int) -> None:

@@ -55,6 +55,7 @@ def test_motors_of_several_controls_are_read(element: str, controls: int, tmp_pa
     assert pa.diff_models(pair.mjcf, pair.mjcf).same
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", [PID, DC, IN_PARENT])
 def test_robots_stand_on_them(element: str, tmp_path: Path) -> None:
     pair = with_motors(quadruped(tmp_path), element)
@@ -91,6 +92,7 @@ def test_several_motors_at_a_joint_are_refused(element: str, tmp_path: Path) -> 
         loaded(with_motors(quadruped(tmp_path), element))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", [LAGGING, BIASED, SPEED])
 def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None:
     """A filter begins at rest; who has a force of its own is no servo."""
@@ -100,6 +102,7 @@ def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None
     holds(robot)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "pulls"), [("motor", False), ("position", True)])
 def test_motors_of_tendons_exert_nothing_and_are_told(
     kind: str, pulls: bool, tmp_path: Path

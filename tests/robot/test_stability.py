@@ -225,9 +225,8 @@ def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
     assert finer.stability.lasts()
 
 
-@pytest.mark.parametrize(
-    ("examples", "nudges"), [(10, 2), pytest.param(60, 20, marks=pytest.mark.longest)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("examples", "nudges"), [(10, 2), (60, 20)])
 def test_what_holds_stays_and_what_is_refused_does_not(examples: int, nudges: int) -> None:
     """Of random stands, payloads and gains; each judgement is taken at its word."""
     module = benchmark("stability")

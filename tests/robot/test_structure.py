@@ -8,6 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance.sag.equilibrium import integrate_step
@@ -57,6 +58,7 @@ def test_results_are_not_views_of_a_workspace(any_robot: pa.Robot) -> None:
     np.testing.assert_array_equal(other.base_rotation(), expected)
 
 
+@pytest.mark.slow
 def test_a_copy_keeps_its_workspace(any_robot: pa.Robot) -> None:
     config = pa.Configuration(any_robot, *random_state(any_robot, 7))
     order = np.arange(len(QUANTITIES))
@@ -69,6 +71,7 @@ def test_a_copy_keeps_its_workspace(any_robot: pa.Robot) -> None:
     same(looked_at(twin, order), before)
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_each_others_configurations(any_robot: pa.Robot) -> None:
     """Configurations that are made in one thread, asked in another, and dropped in a third."""
     states = [random_state(any_robot, seed) for seed in range(6)]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.tendons import BONDS, tell_bonds_not_kept
@@ -18,6 +19,7 @@ CORD = '<fixed name="cord" limited="true" range="-1 1.3"><joint joint="FR_knee" 
 ROPE = '<spatial limited="true" range="0 1"><site site="a"/><site site="b"/></spatial>'
 
 
+@pytest.mark.slow
 def test_a_range_that_is_not_kept_is_told(tmp_path: Path) -> None:
     """Of a sum of joints' positions, and of a way through space."""
     pair = quadruped(tmp_path)

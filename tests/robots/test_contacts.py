@@ -118,7 +118,7 @@ STANCES = {
 }
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("stance", STANCES)
 def test_mujoco_holds_stances_on_what_they_state(stance: str) -> None:
     name, make, within = STANCES[stance]
@@ -136,7 +136,7 @@ def test_mujoco_holds_stances_on_what_they_state(stance: str) -> None:
     assert found.force_error < within
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_g1_hangs_back_on_a_ladder() -> None:
     """Soles on two rungs, both hands around a third; the com is behind the heels, so they pull."""
     g1, contacts = robot("g1"), dict[str, pa.Contact | pa.Weld]()
@@ -163,7 +163,7 @@ def test_g1_hangs_back_on_a_ladder() -> None:
         pa.solve_stand(g1, pa.StandTask(contacts={"left_ankle_roll_link": bar}))
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("pressing", [True, False])
 @pytest.mark.parametrize("stance", ["ur5, table", "go2, bolted", "go2, by a foot"])
 def test_what_is_bolted_down_bears_what_an_independent_programme_finds(

@@ -24,6 +24,7 @@ def holds(robot: Robot, task: pa.StandTask | None = None) -> pa.Stand:
     return stand
 
 
+@pytest.mark.slow
 def test_a_planar_robot_stands_with_the_com_two_micrometres_off_the_centre(tmp_path: Path) -> None:
     robot = load(planar(quadruped(tmp_path)))
     assert robot.nu == 8
@@ -38,6 +39,7 @@ def test_a_planar_robot_stands_with_the_com_two_micrometres_off_the_centre(tmp_p
         pa.solve_stand(robot, pa.StandTask(com="centre"), explain=False)
 
 
+@pytest.mark.slow
 def test_reachable_heights_are_those_at_which_it_stands(tmp_path: Path) -> None:
     """Legs that swing in planes cannot hold the com where the start has it, to rounding."""
     robot = load(planar(quadruped(tmp_path)))
@@ -49,6 +51,7 @@ def test_reachable_heights_are_those_at_which_it_stands(tmp_path: Path) -> None:
         pa.solve_stand(robot, pa.StandTask(height=heights.high + 1e-3), explain=False)
 
 
+@pytest.mark.slow
 def test_a_planar_robot_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
     robot = load(planar(quadruped(tmp_path)))
     holds(robot, pa.StandTask(height=0.9 * robot.stand_height))

@@ -10,6 +10,7 @@ from tests.robots.test_real_robots import MJCF, file
 from tests.support.random_edits import answers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["go2", "aliengo", "mini_cheetah", "spot", "hyqreal1"])
 def test_what_moves_a_robot_of_others_is_told(tmp_path: Path, name: str) -> None:
     found = answers(file(MJCF, f"{name}/{name}.xml"), 20, 0, tmp_path)

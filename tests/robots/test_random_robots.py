@@ -9,7 +9,7 @@ import pytest
 import pupper_analysis as pa
 from tests.support import random_legged
 
-QUICK = (3, 7, 8, 12, 14, 21, 36, 39, 104)
+SEEDS = (3, 7, 8, 12, 14, 21, 36, 39, *range(100, 140))
 """Seeds of one robot of each kind: springs, tails, hexapods, bipeds; free and held bases; a
 foot that leans in the start pose."""
 
@@ -36,12 +36,8 @@ def outcome(seed: int, folder: Path) -> set[str]:
     return codes
 
 
-LATE = [
-    pytest.param(seed, marks=pytest.mark.longest) for seed in range(100, 140) if seed not in QUICK
-]
-
-
-@pytest.mark.parametrize("seed", [*QUICK, *LATE])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_random_robot_stands_as_published_or_says_why_not(seed: int, tmp_path: Path) -> None:
     found, drawn = outcome(seed, tmp_path), random_legged.drawn(seed)
     assert not found or drawn.motors == "position", (seed, drawn.said, found)

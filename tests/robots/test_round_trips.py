@@ -18,6 +18,7 @@ URDFS = (
 MJCFS = ("go2", "aliengo", "mini_cheetah", "go1", "b2", "hyqreal1", "spot", "a2")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", URDFS)
 def test_a_urdf_there_and_back_loses_nothing_silently(tmp_path: Path, name: str) -> None:
     lost, count = round_trip(file(URDF, f"{name}.urdf"), tmp_path)
@@ -25,6 +26,7 @@ def test_a_urdf_there_and_back_loses_nothing_silently(tmp_path: Path, name: str)
     assert not lost
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MJCFS)
 def test_an_mjcf_there_and_back_loses_nothing_silently(tmp_path: Path, name: str) -> None:
     lost, count = round_trip(file(MJCF, f"{name}/{name}.xml"), tmp_path)

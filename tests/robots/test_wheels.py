@@ -49,6 +49,7 @@ def wheeled(folder: Path, *legs: str, aside: float = 0.0) -> Pair:
     return pair
 
 
+@pytest.mark.slow
 def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
     """Forces pass through the axles, wherever the wheels turned: they hold nothing."""
     files = wheeled(tmp_path, "FL", "FR", "RL", "RR", aside=0.004)

@@ -19,7 +19,7 @@ def standing() -> tuple[pa.Robot, Stand]:
     return robot, pa.stance.solve_stand_on_soft_ground(robot)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kp", "kd", "feedforward"),
     [(5.0, 0.1, True), (20.0, 0.5, False), (0.05, 0.001, False), (5e4, 0.0, True)],

@@ -14,6 +14,7 @@ from tests.support.legged import quadruped
 from tests.support.variants import load
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limits", "rests"), [("0 1", True), ("-1e-9 1", True), ("-1 1", False)])
 def test_a_joint_that_rests_against_its_limit_does_not_come_to_it(
     limits: str, rests: bool, tmp_path: Path

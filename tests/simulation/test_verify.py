@@ -45,6 +45,7 @@ def plain_run(
     return data
 
 
+@pytest.mark.slow
 def test_stand_is_verified(variant: str) -> None:
     result = verified(variant)
     assert result.passed, result.failures
@@ -88,6 +89,7 @@ def height_on(feet: np.ndarray) -> float:
     return float(-plane[0] / math.hypot(1, *plane[1:]))
 
 
+@pytest.mark.slow
 def test_sag_is_explained(variant: str) -> None:
     """A servo gives way by tau / kp; on legs so bent the base is so much lower."""
     robot, stand, result = load(variant), stand_of(variant), verified(variant, False)
@@ -116,6 +118,7 @@ def test_gains_per_joint() -> None:
     assert result.joint_error < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_integrator_is_selected_reported_and_does_not_move_the_balance(integrator: str) -> None:
     result = pa.verify_stand(load("v3"), stand_of("v3"), integrator=integrator)
@@ -253,6 +256,7 @@ def test_each_cell_of_a_sweep_tells_how_stable_its_gains_are() -> None:
     assert result.lasts.tolist() == [[False, False], [True, True]]
 
 
+@pytest.mark.slow
 def test_by_default_the_grid_is_around_the_models_own_gains() -> None:
     robot, stand = load("v3"), stand_of("v3")
     result = pa.simulation.sweep_gains(robot, stand)

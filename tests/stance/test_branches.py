@@ -45,6 +45,7 @@ def places_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_branches_reach_by_mujocos_kinematics_and_are_as_many_as_others_find(
@@ -119,6 +120,7 @@ ON_A_STEEP_SLOPE = pa.StandTask(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("task", "angle", "values"),
     [

@@ -88,7 +88,7 @@ def test_the_elastic_problems_derivative_is_that_of_its_residuals() -> None:
     np.testing.assert_allclose(elastic._jacobian(x) @ way, (ends[0] - ends[1]) / 2e-6, atol=2e-3)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_of_nine_demands_few_must_give() -> None:
     """As little as it takes, to either side of the nominal stand; and it is so as it is told."""
     robot = load("v3")

@@ -349,7 +349,7 @@ def test_a_robot_has_the_contacts_of_each_task(armed: pa.Robot) -> None:
         touching(loaded, {})
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_where_a_com_is_in_balance_is_what_a_search_says(armed: pa.Robot, seed: int) -> None:
     """1,000 places each, a linear programme on edges of the cones at each."""
@@ -546,6 +546,7 @@ def needed_on_slope(error: Any) -> float:
     return needed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "ask", "asked", "limit", "step", "holds"),
     [
@@ -577,7 +578,6 @@ def needed_on_slope(error: Any) -> float:
             5e-4,
             False,
             id="a slanted plane out of reach",
-            marks=pytest.mark.longest,
         ),
         pytest.param(
             "armed",

@@ -171,6 +171,7 @@ def test_limits_are_found_by_who_types_them(name: str, task: pa.StandTask) -> No
         pa.solve_stand(robot, replace(task, **limits), explain=False)
 
 
+@pytest.mark.slow
 def test_a_limit_with_the_com_in_a_corner_of_its_margin_is_all_that_there_is() -> None:
     """Two sides of the polygon and a joint's limit leave the com some micrometres to be at.
 

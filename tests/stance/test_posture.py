@@ -17,6 +17,7 @@ from tests.support import arm
 from tests.support.random_legged import drawn, written
 
 
+@pytest.mark.slow
 def test_a_tail_is_where_it_is_told_to_be(tmp_path: Path) -> None:
     """Three legs and a tail, whose weight changes what the feet carry."""
     pair = written(drawn(57), tmp_path)

@@ -20,6 +20,7 @@ TASKS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", TASKS)
 @pytest.mark.parametrize("name", NAMES)
 def test_simulation_holds_what_is_predicted(name: str, what: str) -> None:

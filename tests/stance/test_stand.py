@@ -96,6 +96,7 @@ def nearest(
     return best
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(name=st.sampled_from(NAMES), task=tasks)
 def test_any_stand_is_solved_or_out_of_reach(name: str, task: pa.StandTask) -> None:

@@ -48,6 +48,7 @@ def assert_same(found: pa.Stand, expected: pa.Stand) -> None:
 LINE = '<geom type="capsule" size="0.01" fromto="-0.06 0 -0.05 0.12 0 -0.05"/>'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("foot", [BIPED_FEET["box"], LINE], ids=["box", "line"])
 def test_flat_feet_fix_a_leg_of_six_joints_and_a_line_does_not(foot: str, tmp_path: Path) -> None:
     """Where a leg may still turn, its stand depends on the start: the single call's."""

@@ -317,7 +317,7 @@ def test_what_grips_is_what_an_independent_programme_finds(
     assert used == pytest.approx(strength, rel=1e-3) if strength < 10 else used < 0.9 * strength
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_where_a_com_is_in_balance_with_a_grip_is_what_a_search_says(armed: pa.Robot) -> None:
     """1,000 places, each by a cone programme of its own."""
     stand = pa.solve_stand(armed, gripping(armed, 10.0))

@@ -21,6 +21,7 @@ def reached(robot: pa.Robot, task: pa.StandTask) -> bool:
         return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "long-leg"])
 def test_limits_are_tight_in_every_direction(name: str) -> None:
     robot = load(name)
@@ -37,6 +38,7 @@ def test_limits_are_tight_in_every_direction(name: str) -> None:
         assert interval.low == pytest.approx(-interval.high, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_shifts_end_where_the_com_leaves_the_polygon_or_the_legs_end() -> None:
     robot = load("v3")
     x = base_workspace(robot).intervals["x"]
@@ -49,6 +51,7 @@ def test_shifts_end_where_the_com_leaves_the_polygon_or_the_legs_end() -> None:
                 pa.stance.stand_statics(robot, pa.solve_stand(robot, beyond))
 
 
+@pytest.mark.slow
 def test_the_task_is_where_it_begins() -> None:
     robot = load("v3")
     level = reachable_heights(robot)

@@ -74,7 +74,7 @@ def resident() -> int:
     return pages * 4096
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="not Linux with glibc")
 def test_robots_that_are_solved_leave_no_memory_behind() -> None:
     """PlaCo alone would keep 375 kB of each, and as much again where links are kept apart.

@@ -99,6 +99,7 @@ def mujoco_joint_torques(
 # ------------------------------------------------------------------------------------- balance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
 @settings(max_examples=60)
 @given(config=near_stands)
@@ -152,6 +153,7 @@ def joint_torques(
     return torques[6:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.15, 0.8])
 @settings(max_examples=30)
 @given(config=near_stands, seed=st.integers(0, 1000))
@@ -485,6 +487,7 @@ def forces_exist(
     return bool(found.status == 0)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     name=st.sampled_from(["original", "v3"]),

@@ -154,6 +154,7 @@ def test_every_code_is_said_in_both_languages() -> None:
             assert HAN.search(message.templates["zh"]), code
 
 
+@pytest.mark.slow
 def test_every_code_that_is_used_is_in_the_catalogue_and_the_other_way_round() -> None:
     used = {code for _, code, _ in calls()}
     assert used - set(CODES) == set()

@@ -9,6 +9,8 @@ import re
 from dataclasses import fields, is_dataclass
 from functools import cache
 
+import pytest
+
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import LANGUAGES, meaning
 from pupper_analysis.base.results import Result
@@ -45,6 +47,7 @@ def all_results(kind: type = Result) -> set[type]:
     return {s for one in kind.__subclasses__() for s in (one, *all_results(one))}
 
 
+@pytest.mark.slow
 def test_each_field_that_pages_list_has_a_meaning_that_is_its_docstrings() -> None:
     """Of a corrected docstring only ``en`` is to be corrected, too; the Chinese stays."""
     wanted = {}

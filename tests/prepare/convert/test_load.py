@@ -49,6 +49,7 @@ def bent(robot: pa.Robot) -> np.ndarray:
     return qpos
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["of_urdf", "of_mjcf"])
 def test_each_file_alone_is_the_robot_of_both(
     which: str, both: pa.Robot, request: pytest.FixtureRequest
@@ -88,6 +89,7 @@ def test_the_made_model_has_what_only_the_other_engine_reads(
         )
 
 
+@pytest.mark.slow
 def test_of_two_files_one_can_be_taken(tmp_path: Path) -> None:
     """The URDF's numbers, and then the MJCF's, where they are of two robots."""
     urdf, mjcf = pa.pupper.write_variant("original", tmp_path)

@@ -30,6 +30,7 @@ def _drift(mjcf: Path, but: str = "") -> float:
     return float(gone.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
@@ -56,6 +57,7 @@ def test_a_root_link_world_cannot_be_free(tmp_path: Path) -> None:
         pa.convert_model(urdf, tmp_path / "new.xml", fixed_base=False)
 
 
+@pytest.mark.slow
 def test_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
     """Those that are written anew, too: one must not stand for the other."""
     for folder, size in (("a", 0.1), ("b", 0.3)):
@@ -96,6 +98,7 @@ def _with_arm(folder: Path, mimic: str) -> Path:
     return _changed(folder, ("</robot>", f"{arm}</robot>"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, -0.5])
 def test_the_keyframe_of_a_robot_with_a_mimic_stands(factor: float, tmp_path: Path) -> None:
     """The leader's servo holds what its follower needs as well, by virtual work."""
@@ -105,6 +108,7 @@ def test_the_keyframe_of_a_robot_with_a_mimic_stands(factor: float, tmp_path: Pa
     assert _drift(mjcf, but="arm2") < 1e-5  # MuJoCo's couplings are soft: it sags by 3 mrad
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leader", ["nowhere", "arm2"])
 def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None:
     mjcf, found = converted(_with_arm(tmp_path, f'<mimic joint="{leader}"/>'), "quad.xml")
@@ -218,6 +222,7 @@ def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None
     )
 
 
+@pytest.mark.slow
 def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
     """Robots have boxes of size 0 as markers (Upkie's base), which MuJoCo refuses."""
     marker = '<visual><geometry><box size="0 0 0"/></geometry></visual></link>'
@@ -227,6 +232,7 @@ def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
     assert "size 0 0 0 was left out" in said
 
 
+@pytest.mark.slow
 def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path: Path) -> None:
     """As Kuavo's toes, which sank in by 20 mm; and as Drake's Atlas, whose points were left out."""
     ball = shape_of("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
@@ -254,6 +260,7 @@ def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path
     np.testing.assert_allclose(model.body("FL_toe").pos, (0, 0, -0.2), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_base_that_floats_in_the_link_world(tmp_path: Path) -> None:
     """As Centauro's: the link is the world itself, and no body that moves."""
     floating = (
@@ -266,6 +273,7 @@ def test_a_base_that_floats_in_the_link_world(tmp_path: Path) -> None:
     assert compiled(mjcf).body("trunk").parentid == 0
 
 
+@pytest.mark.slow
 def test_legs_that_are_spread_as_a_spiders_have_feet(tmp_path: Path) -> None:
     """At zero angles they end at the base's height, one a little lower than the others."""
     urdf = standing_urdf(tmp_path)

@@ -83,6 +83,7 @@ def same_world(memory: mujoco.MjModel, file: mujoco.MjModel) -> None:
     np.testing.assert_allclose(memory.key_ctrl, file.key_ctrl, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [70201, 70208, 70209])
 def test_a_lone_urdf_stands_in_the_world_that_is_written(seed: int, tmp_path: Path) -> None:
     urdf = drawn(tmp_path, seed)
@@ -117,6 +118,7 @@ def test_all_that_is_added_says_why(tmp_path: Path) -> None:
     assert "servos-added" in messages
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", ["", '<option impratio="5"/>'])
 def test_who_frees_a_base_and_lays_the_ground_says_how_it_grips(
     stated: str, tmp_path: Path

@@ -191,6 +191,7 @@ def shaken(parts: Parts, seed: int) -> Parts:
     return result
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10**6), fixed=st.booleans())
 def test_all_differences_taken_away_nothing_is_left(
     tmp_path_factory: pytest.TempPathFactory, seed: int, fixed: bool
@@ -248,6 +249,7 @@ BY_TOLERANCE: dict[str, tuple[str, float, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strict", [False, True])
 @pytest.mark.parametrize("kind", BY_TOLERANCE)
 def test_each_tolerance_passes_just_below_and_fails_just_above(
@@ -304,6 +306,7 @@ HINTS: dict[str, tuple[dict[str, Any], dict[str, Any], str, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hint", HINTS)
 def test_the_message_gives_both_values_and_the_likely_slip(tmp_path: Path, hint: str) -> None:
     urdf, mjcf, kind, words = HINTS[hint]

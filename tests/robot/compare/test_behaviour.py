@@ -27,7 +27,6 @@ from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.structure import Structure
 from pupper_analysis.tools.crosscheck.crosscheck import URDF_MUJOCO, size_notes
-from tests.support.cases import some
 from tests.support.engines import to_pinocchio
 from tests.support.repository import benchmark
 from tests.support.variants import load
@@ -123,6 +122,7 @@ def test_limits_and_efforts_are_kept() -> None:
         assert found.damping == joint.damping
 
 
+@pytest.mark.slow
 def test_a_large_robot_is_compared_without_pinocchios_data(
     written: Written, workspaces: list[int]
 ) -> None:
@@ -140,6 +140,7 @@ def test_a_large_robot_is_compared_without_pinocchios_data(
     assert set(edges) == {"models (MuJoCo)", "extras (MJCF)"}
 
 
+@pytest.mark.slow
 def test_a_large_robot_that_agrees(written: Written) -> None:
     urdf, mjcf = written(60, 4)
     result = pa.compare_models(urdf, mjcf)
@@ -183,7 +184,8 @@ def _calls(work: Callable[[], object]) -> int:
     return count
 
 
-@pytest.mark.parametrize("heavier", some([5, 0], 2))
+@pytest.mark.slow
+@pytest.mark.parametrize("heavier", [5, 0])
 def test_twice_the_robot_is_twice_the_work(written: Written, heavier: int) -> None:
     one, two = written(52, 4, heavier), written(104, 4, heavier)
     pa.compare_models(*written(3, 4, heavier))  # imports

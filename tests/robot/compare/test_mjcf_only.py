@@ -283,6 +283,7 @@ def accelerations(text: str, seed: int) -> np.ndarray:
     return np.array(rows)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     chosen=st.dictionaries(

@@ -432,7 +432,7 @@ def test_the_unchanged_pairs_agree(tmp_path: Path) -> None:
         assert comparison.complete
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", MUTATIONS)
 def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) -> None:
     tried = 0

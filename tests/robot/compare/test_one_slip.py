@@ -23,7 +23,7 @@ OWN = [name for name in one_slip.BASES if name not in ("go1", "anymal", "hyq")]
 """Robots whose files need nothing that may not be installed."""
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OWN)
 def test_of_one_plausible_slip_nothing_is_said_that_is_not_so(name: str, tmp_path: Path) -> None:
     for number in range(5):  # none of those in docs/data/slips.csv, whose seed is 0
@@ -31,7 +31,7 @@ def test_of_one_plausible_slip_nothing_is_said_that_is_not_so(name: str, tmp_pat
         assert not one_slip.wrong(result), result
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_of_attributes_at_their_ends_nothing_is_said_that_is_not_so(tmp_path: Path) -> None:
     cases = attributes.cases(str(tmp_path), ())
     assert len(cases) > 5000

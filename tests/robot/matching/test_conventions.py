@@ -187,6 +187,7 @@ POSES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose", POSES)
 def test_the_frame_of_a_free_base_elsewhere_is_one_cause(tmp_path: Path, pose: str) -> None:
     mjcf, feet = reframed(quadruped(), FEET, "base", *POSES[pose])

@@ -36,7 +36,7 @@ def bare_height(
     return float(data.qpos[robot.mj_convention.qpos_index[2]])
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize(("height", "pitch", "roll"), [(0.96, 0.05, 0.02), (0.98, 0.04, 0.0)])
 def test_soles_that_pivot_on_their_way_stand(
     height: float, pitch: float, roll: float, tmp_path: Path
@@ -52,7 +52,7 @@ def test_soles_that_pivot_on_their_way_stand(
     assert pose.base_height == pytest.approx(found, abs=4e-3 * robot.stand_height)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 5, 7, 8, 20])
 def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
     """Nothing that is said to stand falls: let go where it is said to rest, MuJoCo stays there.
@@ -82,7 +82,7 @@ def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
     assert looked_at
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("point", [(0.03, 0.01, 0.05), (-0.03, 0.01, 0.05), (0.01, -0.03, 0.05)])
 def test_soles_bear_what_is_stated_when_nudged(point: Point, tmp_path: Path) -> None:
     """Legs of five joints: no roll of an ankle lays the soles as the ground would.

@@ -85,6 +85,7 @@ ANYWHERE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ANYWHERE)
 @pytest.mark.parametrize("name", ["original", "heavy", "v3"])
 def test_slopes_steps_and_three_legs(name: str, what: str) -> None:
@@ -101,6 +102,7 @@ def test_slopes_steps_and_three_legs(name: str, what: str) -> None:
             np.testing.assert_allclose(pose.contact_forces[foot], force, atol=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["heavy", "v3"])
 def test_creep_in_time(name: str) -> None:
     """Sliding down a slope, and towards the sliding equilibrium on the level."""
@@ -123,6 +125,7 @@ def test_creep_in_time(name: str) -> None:
     assert away[2] < 0.05 * away[0] + 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "heavy"])
 def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
     """Against simulations: with margin to spare the height is exact, and below zero it is not."""
@@ -161,6 +164,7 @@ LANDING = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "foot", "height", "kp"), LANDING)
 def test_a_lifted_foot_that_comes_down_carries(
     name: str, foot: str, height: float, kp: float
@@ -222,6 +226,7 @@ def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
     assert "RR" in str(caught.value.problem)
 
 
+@pytest.mark.slow
 def test_a_little_above_the_minimum_no_stiffness_is_left_out() -> None:
     """A long step on the way to rest may end on another branch; MuJoCo stands with all of these."""
     robot, stand = load("v3"), stand_of("v3")
@@ -263,6 +268,7 @@ def test_an_equilibrium_that_creep_ends_is_no_stand() -> None:
     assert heights[20] == pytest.approx(pose.base_height, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "feet", "kd", "ground"),
     [("long-leg", "pinned", 1.0, firm_grip), ("v3", "sliding", 0.1, fast_creep)],

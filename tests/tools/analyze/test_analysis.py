@@ -20,6 +20,7 @@ from tests.support.robots import Frame, Part, mjcf_text, urdf_text, write
 from tests.support.tiny import TINY_MJCF, TINY_URDF
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", pa.VARIANTS)
 def test_every_variant_verifies(name: str) -> None:
     analysis = pa.analyze_variant(pa.load_variant(name))
@@ -69,6 +70,7 @@ def test_leg_jacobian_of_a_planar_leg() -> None:
         assert jacobian.condition == pytest.approx(np.linalg.cond(jacobian.matrix))
 
 
+@pytest.mark.slow
 def test_a_failed_verification_and_a_failed_check_are_told() -> None:
     robot = pa.load_variant("original")
     weak = copy.copy(robot.mj_model)
@@ -107,6 +109,7 @@ def telescope(folder: Path) -> pa.Robot:
     return pa.load_robot(*files, feet={leg: f"{leg}_foot" for leg in LEGS})
 
 
+@pytest.mark.slow
 def test_legs_of_one_joint_have_no_thigh(tmp_path: Path) -> None:
     robot = telescope(tmp_path)
     assert leg_lengths(robot) == (None, pytest.approx(0.0))  # along the slide

@@ -54,6 +54,7 @@ def render_with_opengl(*arguments: Any, **options: Any) -> render.Picture:
 # ------------------------------------------------------------------------------------- OpenGL
 
 
+@pytest.mark.slow
 def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
     picture = render_with_opengl(
         pairs("original", "v3", "v3-heavy"), tmp_path / "a.png", width=WIDTH
@@ -70,6 +71,7 @@ def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
         assert all(is_background(edge).all() for edge in edges)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_the_projection_is_that_of_the_camera(name: str, tmp_path: Path) -> None:
     """Feet are black, and black pixels are where the line drawing has its feet."""
@@ -97,6 +99,7 @@ def test_line_drawing_without_opengl(tmp_path: Path) -> None:
         assert 0.2 < 1 - is_background(tile).mean() < 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("variables", "methods"),
     [

@@ -240,6 +240,7 @@ def sound() -> dict[str, Audit]:
 # ------------------------------------------------------------------------------------- the rules
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.rule}-{case.format}")
 def test_a_slip_is_found_where_it_is(case: Case, tmp_path: Path, sound: dict[str, Audit]) -> None:
     path = written(tmp_path, case.format, case.edits)
@@ -272,6 +273,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_mesh_that_is_none_is_found(name: str, tmp_path: Path) -> None:
     content, code = BROKEN[name]

@@ -84,6 +84,7 @@ def check_kept(robot: pa.Robot, found: pa.analysis.BestStance) -> None:
     assert com_margin(robot, found.stand) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_best_stance_has_the_least_utilisation(name: str) -> None:
     robot, found = load(name), best_stance(load(name))
@@ -101,6 +102,7 @@ def test_best_stance_has_the_least_utilisation(name: str) -> None:
     assert peak == pytest.approx(found.value, rel=0.1)
 
 
+@pytest.mark.slow
 def test_best_stance_has_the_largest_margin() -> None:
     """As long as it may be, and the com where the nearest edges are equally far."""
     robot, found = load("v3"), best_stance(load("v3"), "margin")
@@ -112,6 +114,7 @@ def test_best_stance_has_the_largest_margin() -> None:
         assert abs(found.coordinates[f"{foot} x"]) > 0.04
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_joints_to_spare_are_as_its_task_has_them(tmp_path: Path) -> None:
     """Legs of four joints: a search, from what was near, left them 4e-8 rad from ``stand``'s."""
@@ -123,7 +126,7 @@ def test_joints_to_spare_are_as_its_task_has_them(tmp_path: Path) -> None:
     assert found.value > found.nominal_value
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_largest_payload_holds_in_mujoco(name: str) -> None:
     robot, found = load(name), best_stance(load(name), Objective.PAYLOAD)
@@ -141,6 +144,7 @@ def test_largest_payload_holds_in_mujoco(name: str) -> None:
     assert not pa.judge_stand(more, pa.solve_stand(more, found.stand.task)).passed
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -> None:
     robot, point = load("v3"), (0.05, 0.0, 0.05)
@@ -165,6 +169,7 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
     assert allowed >= 5
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
     """On three legs the com moves sideways: without that it would be outside the triangle."""
@@ -180,6 +185,7 @@ def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
     assert com_margin(robot, found.stand) >= 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_the_rest_of_the_task_stays() -> None:
     robot = load("v3")

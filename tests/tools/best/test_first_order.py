@@ -16,6 +16,7 @@ from pupper_analysis.tools.best.first_order import SmallPayload, bearable
 from tests.support.variants import NAMES, load
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "task", "link", "point"),
     [

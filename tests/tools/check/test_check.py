@@ -153,6 +153,7 @@ def test_a_joint_in_one_file_only(folder: Path) -> None:
     assert ("joint", "knee") in [(r.kind, r.element) for r in check.remarks if r.fails]
 
 
+@pytest.mark.slow
 def test_severities_that_fail(folder: Path) -> None:
     change(folder / "pupper-analysis.toml", "start-outside-limits", "gravity-unusual")
     result = run(folder)

@@ -44,6 +44,7 @@ def check(folder: Path, since: str | None = "HEAD") -> pa.guard.RepositoryCheck:
     return pa.guard.check_repository(folder / "pupper-analysis.toml", since=since)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*FELT, *HARMLESS])
 def test_each_edit_is_told_at_its_line_with_its_effect(folder: Path, name: str) -> None:
     edit = (FELT | HARMLESS)[name]
@@ -65,6 +66,7 @@ def test_each_edit_is_told_at_its_line_with_its_effect(folder: Path, name: str) 
         assert check(folder, None).passed  # no file contradicts it: history alone does
 
 
+@pytest.mark.slow
 def test_no_baseline_knows_a_change(folder: Path) -> None:
     FELT["floor"].written(folder / "mjcf")
     config = folder / "pupper-analysis.toml"
@@ -84,6 +86,7 @@ def test_a_new_file_and_a_broken_old_one_have_no_history(folder: Path) -> None:
     assert not [remark for remark in check(folder).remarks if remark.check == "diff"]
 
 
+@pytest.mark.slow
 def test_a_revision_that_is_none_is_refused(folder: Path) -> None:
     for revision in ("no-such", "--output=x"):
         with pytest.raises(ModelError):

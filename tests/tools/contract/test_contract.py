@@ -204,6 +204,7 @@ def test_the_model_is_held_against_the_others(sources: dict[str, Path]) -> None:
     assert "40 % of the damping" in finding.message
 
 
+@pytest.mark.slow
 def test_default_poses_are_stood(sources: dict[str, Path]) -> None:
     text = sources["config.yaml"].read_text()
     sources["config.yaml"].write_text(text.replace("0.52", "0.82"))

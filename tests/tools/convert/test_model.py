@@ -23,6 +23,7 @@ from tests.support.round_trips import round_trip
 # ---------------------------------------------------------------------------- a URDF as an MJCF
 
 
+@pytest.mark.slow
 def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
     urdf = standing_urdf(tmp_path)
     mjcf, found = converted(urdf, "quad.xml")
@@ -44,6 +45,7 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
     assert sensors == {"gyro", "accelerometer", "orientation"}
 
 
+@pytest.mark.slow
 def test_random_robots_are_the_same_in_both_formats(tmp_path: Path) -> None:
     random = np.random.default_rng(5)
     for number in range(6):
@@ -184,6 +186,7 @@ def test_nothing_is_written_of_what_cannot_be_simulated(feature: str, tmp_path: 
 # ---------------------------------------------------------------------------- an MJCF as a URDF
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pupper_v3", "pupper_skeleton"])
 def test_our_own_mjcfs_become_urdfs_that_agree(name: str, tmp_path: Path) -> None:
     source = ROOT / "mjcf" / f"{name}.xml"
@@ -243,6 +246,7 @@ def test_anchors_zeros_and_several_joints_of_a_body(tmp_path: Path) -> None:
     assert [shape.tag for shape in shapes] == ["cylinder", "sphere", "sphere"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", ["urdf/pupper_v3.urdf", "mjcf/pupper_v3.xml"])
 def test_v3_there_and_back_loses_nothing_silently(tmp_path: Path, file: str) -> None:
     lost, count = round_trip(ROOT / file, tmp_path)
@@ -400,6 +404,7 @@ def test_a_mesh_that_an_mjcf_touches_with_and_lacks_is_no_conversion(tmp_path: P
             assert "gone.stl" in str(found.failures[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("empty", [False, True])
 def test_a_base_frame_below_the_feet_is_written_where_it_is(empty: bool, tmp_path: Path) -> None:
     """Its own keyframe has it as far below the ground as the URDF does.

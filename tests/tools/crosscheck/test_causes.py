@@ -56,6 +56,7 @@ def test_euler_angles_that_are_meant_agree(tmp_path: Path) -> None:
     assert compared(write(tmp_path, urdf_text(quadruped()), text)).agree
 
 
+@pytest.mark.slow
 def test_another_euler_sequence(tmp_path: Path) -> None:
     text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian"')
     line = first_line(write(tmp_path, urdf_text(quadruped()), text))
@@ -91,6 +92,7 @@ def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float 
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factors", "words"),
     [

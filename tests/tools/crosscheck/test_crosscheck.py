@@ -48,6 +48,7 @@ def _with_urdf(robot: pa.Robot, old: str, new: str) -> pa.Robot:
     return build_robot(description, fixed_base=False, foot_depth=None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "quantities", "where"),
     [

@@ -92,6 +92,7 @@ def test_frames_that_are_turned_do_not_hide_a_link(folder: Path) -> None:
     assert "8 *_rotor of 0.089 kg each" in the_cause(compared(files), "links")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inertia", [True, False])
 def test_a_decimal_point_in_links_that_are_folded(inertia: bool, folder: Path) -> None:
     def tenfold(part: Part) -> Part:

@@ -77,6 +77,7 @@ CHANGES: dict[str, tuple[str, dict[str, Any], list[tuple[str, str]], str]] = {
 FELT = {"mass", "com", "inertia", "position", "axis", "damping"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["urdf", "xml"])
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_change_is_found_at_its_lines(tmp_path: Path, name: str, kind: str) -> None:

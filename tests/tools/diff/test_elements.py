@@ -32,6 +32,7 @@ def rest_height(file: Path) -> float:
     return float(data.qpos[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*FELT, *HARMLESS])
 def test_one_edit_is_told_at_its_line_with_what_mujoco_makes_of_it(
     tmp_path: Path, name: str

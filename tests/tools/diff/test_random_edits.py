@@ -14,6 +14,7 @@ from tests.support.random_legged import drawn, written
 from tests.support.repository import ROOT
 
 
+@pytest.mark.slow
 def test_what_moves_v3_is_told(tmp_path: Path) -> None:
     found = answers(ROOT / "mjcf/pupper_v3.xml", 8, 0, tmp_path)
     assert not [one for one in found if not one.right]
@@ -29,6 +30,7 @@ def test_what_a_file_is_built_from_is_told(tmp_path: Path) -> None:
     assert any(one.truth > FELT for one in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [44, 46])
 def test_what_moves_a_random_robot_is_told(tmp_path: Path, seed: int) -> None:
     (tmp_path / "drawn").mkdir()

@@ -18,6 +18,7 @@ def write(path: Path, time: np.ndarray, position: np.ndarray, command: np.ndarra
     np.savetxt(path, rows, "%.7f", ",", header=head, comments="")
 
 
+@pytest.mark.slow
 def test_a_motion_is_fitted_and_the_files_corrected(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

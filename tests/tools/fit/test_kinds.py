@@ -23,6 +23,7 @@ WRITERS: dict[str, Callable[..., object]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_result_is_known_and_nothing_else_is_taken_for_it(name: str, tmp_path: Path) -> None:
     path, write = tmp_path / name, WRITERS[name]

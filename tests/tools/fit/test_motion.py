@@ -26,7 +26,7 @@ def fitted() -> MotionFit:
     return fit_motion(bar(), [log()], priors=PRIORS)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_planted_errors_are_found_within_their_intervals() -> None:
     posterior = fitted().posterior
     found = {one.kind: place for place, one in enumerate(posterior.parameters)}
@@ -38,7 +38,7 @@ def test_planted_errors_are_found_within_their_intervals() -> None:
         assert abs(off) < 0.25 * abs(true), kind
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
     noise = QUANTUM * math.hypot(0.3, 1 / math.sqrt(12))
     # While the bar is still, quanta hide a part of it.
@@ -50,7 +50,7 @@ def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
     assert fitted().diagnostics == ()
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_with_the_mass_not_known_either_all_is_told_in_ratio_only() -> None:
     found = fit_motion(bar(), [log()], priors=["com=0"])
     assert {one.determined for one in found.estimates if one.kind in ("kp", "mass")} != {"data"}
@@ -60,7 +60,7 @@ def test_with_the_mass_not_known_either_all_is_told_in_ratio_only() -> None:
     assert ratio.std < 0.05
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_what_no_servo_explains_is_said() -> None:
     """A spring between the bar and its surroundings, of which the model knows nothing."""
     odd = log().position + 0.02 * np.sin(17 * log().time)[:, None]

@@ -50,7 +50,7 @@ def test_few_are_chosen_of_those_that_are_rare() -> None:
     assert len(set(choose_stands(each, np.eye(5), 9, rare, 2))) == 9  # there are no others
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_a_plan_has_a_known_mass_on_turned_stands_and_few_on_three_feet(tmp_path: Path) -> None:
     robot = load_variant("v3")
     at = (0.01, 0.0, 0.05)
@@ -123,6 +123,7 @@ def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[
     assert plan.com_width(robot, known) == pytest.approx(aside, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["original", "long-leg"])
 def test_variants_whose_thighs_pass_near_by_and_near_their_limits_have_stands(
     variant: str,

@@ -173,6 +173,7 @@ def test_a_message_that_comes_late_is_waited_for(robot: Robot, plan: Path, tmp_p
     assert record_stands(robot, plan, tmp_path / "stands.csv", one, one).complete
 
 
+@pytest.mark.slow
 def test_a_slip_is_waited_for_and_its_row_is_of_a_robot_at_rest(
     robot: Robot, plan: Path, sound: Array, tmp_path: Path
 ) -> None:

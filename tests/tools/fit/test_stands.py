@@ -145,6 +145,7 @@ def equations(
     return StandEquations(robot, stands, table, kp, np.full(robot.nu, friction), noise), table
 
 
+@pytest.mark.slow
 def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
@@ -259,6 +260,7 @@ def test_masses_and_kp_that_are_all_too_small_explain_no_more(
     assert np.abs(messages).max() < 0.02 * found[0]
 
 
+@pytest.mark.slow
 def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: MeasuredStands) -> None:
     fit = fit_stands(robot, stands, priors=["kp=0"])
     assert fit.explained
@@ -310,6 +312,7 @@ def test_how_sure_the_whole_com_is_follows_from_one_number(
     np.testing.assert_allclose(found, np.abs(moved), rtol=1e-3, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_the_whole_com_is_that_of_the_planted_robot(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
@@ -344,6 +347,7 @@ def test_friction_of_one_sign_where_a_known_mass_is_on_is_within_what_is_said(
     assert none.kp_factor.low > 1.1
 
 
+@pytest.mark.slow
 def test_a_dead_band_is_found_and_kp_is_right_beside_it(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
@@ -366,6 +370,7 @@ def test_a_dead_band_is_found_and_kp_is_right_beside_it(
     assert "servos-have-a-dead-band" not in {one.code for one in plain.diagnostics}
 
 
+@pytest.mark.slow
 def test_joints_that_dry_friction_holds_have_the_right_kp_and_so_much_of_it_is_named(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
@@ -406,6 +411,7 @@ def test_friction_holds_joints_by_what_their_servos_give_as_it_does_in_mujoco(
     assert math.sqrt(np.mean((more / (kp * band) - held) ** 2)) < 0.12
 
 
+@pytest.mark.slow
 def test_a_weight_that_makes_all_servos_twice_as_stiff_is_asked_about(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
@@ -429,7 +435,7 @@ def test_a_weight_that_makes_all_servos_twice_as_stiff_is_asked_about(
     assert right.total_mass.std < 0.003 * planted.total_mass
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_a_known_mass_tells_kp_without_a_scale_and_speaks_against_a_wrong_one(
     robot: Robot, planted: Robot, with_mass: MeasuredStands
 ) -> None:
@@ -458,7 +464,7 @@ def test_a_known_mass_tells_kp_without_a_scale_and_speaks_against_a_wrong_one(
     assert half.kp_factor.low < 0.5 < half.kp_factor.high
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_stands_that_are_turned_tell_a_slope_from_a_com(robot: Robot, planted: Robot) -> None:
     """1.2 deg down along the ground's x: turned to the other side, along the base's -x."""
     size, slope = float(np.linalg.norm(robot.gravity)), math.radians(1.2)
@@ -478,6 +484,7 @@ def test_stands_that_are_turned_tell_a_slope_from_a_com(robot: Robot, planted: R
     assert along.mean > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "codes"),
     [
@@ -524,6 +531,7 @@ def test_plugs_that_explain_less_than_the_stands_as_they_are_are_not_doubted(
     assert [doubted(one) for one in (-1.0, 1.0, -math.inf)] == [False, True, False]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "stand", "joint", "off"), [("position", 3, 6, 0.02), ("command", 9, 2, -0.05)]
 )
@@ -565,7 +573,7 @@ def test_a_reading_is_asked_about_with_noise_no_larger_than_expected_and_as_smal
         assert (one.moment, one.flatness) == (usual.moment, usual.flatness / 3)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_without_a_trusted_kp_only_the_ratio_is_told(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
@@ -600,7 +608,7 @@ def test_numbers_that_cannot_be_are_refused(robot: Robot, stands: MeasuredStands
             fit_stands(robot, stands, **option)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_a_stand_whose_foot_carries_that_should_not_is_left_out_with_a_note(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
@@ -823,6 +831,7 @@ def test_a_load_that_no_known_mass_tells_of_is_asked_about_with_the_scale(robot:
     assert not list(suspect_scale(robot, measured((load, mass), np.array([-0.4, 1.0]), 0.5)))
 
 
+@pytest.mark.slow
 def test_false_alarms_are_as_rare_as_is_said() -> None:
     rng, noise = np.random.default_rng(0), 0.7
     alarms = 0

@@ -23,7 +23,7 @@ def files(tmp_path: Path) -> tuple[str, str]:
     return str(urdf), str(mjcf)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_what_is_written_is_what_python_finds(
     files: tuple[str, str], capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

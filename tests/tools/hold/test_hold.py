@@ -133,7 +133,7 @@ def test_motors_that_are_too_weak_do_not_hold(tmp_path: Path) -> None:
 COUPLED = 'joint1="b_slide" joint2="elbow" polycoef="0.02 {ratio} 0 0"'
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize(("ratio", "rate"), [("0.05 0", 0.05), ("0.02 0.015", 0.056)])
 def test_a_joint_that_follows_is_held_by_the_one_that_leads(
     tmp_path: Path, ratio: str, rate: float
@@ -199,6 +199,7 @@ def test_without_gravity_nothing_is_held_and_any_mass_is(tmp_path: Path) -> None
     assert "inf kg" not in page
 
 
+@pytest.mark.slow
 def test_a_base_that_is_welded_answers_as_one_that_its_file_fixes(tmp_path: Path) -> None:
     """A light one shook on MuJoCo's soft weld, and a loop ended in a traceback."""
     (tmp_path / "bars.xml").write_text(FOUR_BARS.replace('mass="1"', 'mass=".02"'))

@@ -26,6 +26,7 @@ def _servos(gain: float, bias: float) -> str:
 _ELBOW = '<position joint="elbow" kp="300.0" kv="20"/>'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("servos", "code", "joint"),
     [
@@ -75,6 +76,7 @@ def test_an_arm_is_held_as_mujoco_imports_it(tmp_path: Path) -> None:
     assert "MuJoCo's own import of the URDF" in in_words(verdict)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gravity", ["0 0 -1.62", "0 0 0"])
 def test_gravity_that_is_not_the_earths_stands_in_the_verdict(tmp_path: Path, gravity: str) -> None:
     """Without it motors hold any mass: true, and not of a robot on the ground."""
@@ -105,6 +107,7 @@ ODD = {
 """{feature of an arm: what may be told of it}."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("feature", ODD)
 def test_of_what_is_odd_in_an_arm_the_right_one_is_told(tmp_path: Path, feature: str) -> None:
     urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[feature])

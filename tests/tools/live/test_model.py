@@ -137,6 +137,7 @@ def test_simulations_are_the_python_interfaces() -> None:
     assert trial.motion == pytest.approx(same.motion, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
     model = model_of()
     found = model.answer(State(height=200.0, roll=30.0))

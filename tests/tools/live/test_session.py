@@ -158,6 +158,7 @@ def test_a_stance_that_changes_during_a_simulation_ends_it(page: Open) -> None:
     assert "Not simulated yet" in page.result
 
 
+@pytest.mark.slow
 def test_a_simulation_is_told(page: Open) -> None:
     page.session.simulate()
     wait_for(lambda: "HOLDS" in page.result, "it is not verified")
@@ -165,6 +166,7 @@ def test_a_simulation_is_told(page: Open) -> None:
     wait_for(lambda: "it recovers" in page.result, "it does not recover")
 
 
+@pytest.mark.slow
 def test_a_simulation_is_beside_the_prediction_for_what_it_commands(page: Open) -> None:
     """Both are of the stand whose legs are longer by what feet sink: they are half a mm apart."""
     page.ask(State(roll=5.0))

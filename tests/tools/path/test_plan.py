@@ -17,7 +17,6 @@ from pupper_analysis.robot.configuration import UP
 from pupper_analysis.tools.path.dynamics import joint_resistance
 from pupper_analysis.tools.path.plan import StancePath, stance_path
 from pupper_analysis.tools.path.tracking import track_path
-from tests.support.cases import some
 from tests.support.variants import load
 
 Task = pa.StandTask
@@ -56,6 +55,7 @@ def path_of(name: str, kind: str, rolling: bool = True) -> StancePath:
     return stance_path(load(name), stances(name, kind), SECONDS[kind], rate=rate, rolling=rolling)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "original"])
 @pytest.mark.parametrize("kind", SECONDS)
 @pytest.mark.parametrize("rolling", [False, True])
@@ -99,6 +99,7 @@ def test_every_sample_is_a_stand_in_balance(name: str, kind: str, rolling: bool)
         np.testing.assert_allclose(stand.qpos, one.qpos, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("v3", "circle"), ("original", "lift")])
 def test_rolling_feet_do_not_slip(name: str, kind: str) -> None:
     """The velocity of the foot's material point at the contact, by differences, is zero."""
@@ -121,7 +122,8 @@ def test_rolling_feet_do_not_slip(name: str, kind: str) -> None:
     assert slow < 2e-3 * fast
 
 
-@pytest.mark.parametrize("kind", some(list(SECONDS), 2))
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", list(SECONDS))
 def test_a_path_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
     path = stance_path(load("v3"), stances("v3", kind)[:3], 1.0, rate=140.0)
     joints, step = path.joint_positions(), path.time[1]
@@ -135,6 +137,7 @@ def test_a_path_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
         assert near.min() < 0.2 * acceleration.max()
 
 
+@pytest.mark.slow
 def test_torques_do_not_jump_where_a_foot_gives_its_load_away() -> None:
     """From sample to sample they change half as much at twice the rate."""
     jumps = []
@@ -145,6 +148,7 @@ def test_torques_do_not_jump_where_a_foot_gives_its_load_away() -> None:
     assert jumps[1] < 0.1 * np.ptp(path.torques, axis=0).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("v3", "circle"), ("original", "lift")])
 def test_velocity_and_acceleration_are_derivatives(name: str, kind: str) -> None:
     """Of a spline of order 7 through qpos, leg by leg: at the stances the jerk is not smooth."""
@@ -200,6 +204,7 @@ def test_a_foot_is_unloaded_before_it_lifts() -> None:
     assert loads[-1] == pytest.approx(loads[0], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
     robot, ground = load("v3"), pa.Ground(slope=0.05, uphill=0.5)
     moved = [

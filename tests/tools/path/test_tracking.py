@@ -19,7 +19,6 @@ from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.path.tracking import path_commands, study_path, track_path
 from tests.prepare.test_own_run import codes, slipped
-from tests.support.cases import some
 from tests.support.commands import check_refusal, run_command
 from tests.support.engines import mujoco_at
 from tests.support.repository import benchmark
@@ -40,7 +39,8 @@ BOUNDS = {
 }
 
 
-@pytest.mark.parametrize(("name", "kind"), some(list(BOUNDS), 3))
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "kind"), list(BOUNDS))
 def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
     tracking = track_path(load(name), path_of(name, kind))
     assert tracking.passed, tracking.failures
@@ -53,7 +53,8 @@ def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
     assert tracking.to_dict()["passed"] is True
 
 
-@pytest.mark.parametrize("seconds", some([0.6, 1.0, 4.0], 3))
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.6, 1.0, 4.0])
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_torques_in_motion_are_confirmed_at_any_speed(name: str, seconds: float) -> None:
     """Without inertia the fast ones would be off by more than they are."""
@@ -68,6 +69,7 @@ def test_torques_in_motion_are_confirmed_at_any_speed(name: str, seconds: float)
         assert inertia > 2 * tracking.torque_error
 
 
+@pytest.mark.slow
 def test_an_integrators_own_error_is_kept_small() -> None:
     """The skeleton's 4 ms, implicit, are good for standing, and not for a fast path."""
     robot = load("original")
@@ -80,6 +82,7 @@ def test_an_integrators_own_error_is_kept_small() -> None:
     assert explicit.torque_error == pytest.approx(fine.torque_error, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_time_step_suits_the_servos_damping() -> None:
     """13 N m s/rad made half of the inertia of A1's knees: its fastest squat lost the ground."""
     robot, share = load("original"), []
@@ -95,6 +98,7 @@ def test_a_time_step_suits_the_servos_damping() -> None:
     assert 0.9 * share[0] < share[1] < 0.1
 
 
+@pytest.mark.slow
 def test_legs_that_are_longer_hold_the_same_forces_with_other_torques() -> None:
     """v3's feet are 4 mm in the ground: on its first command it stays, with 3 % less in knees."""
     robot = benchmark("sag").changed(load("v3"), benchmark("sag").without_dry_friction)
@@ -113,6 +117,7 @@ def test_legs_that_are_longer_hold_the_same_forces_with_other_torques() -> None:
     assert np.abs(path.torques[0] - held).max() > 0.01 * largest
 
 
+@pytest.mark.slow
 def test_what_fails_is_said() -> None:
     robot = load("v3")
     path = path_of("v3", "lift")
@@ -139,6 +144,7 @@ def fast_sway() -> pa.stance.StancePath:
     return stance_path(robot, [pa.StandTask(), *sides, pa.StandTask()], 0.85, rate=100)
 
 
+@pytest.mark.slow
 def test_pushing_and_rolling_share_one_cone_as_in_mujoco() -> None:
     """Simulated contacts are on its edge while a foot is pushed and rolls; the path's are not out.
 
@@ -178,6 +184,7 @@ def test_a_path_leads_to_where_the_robot_stays(mass: float, passes: bool) -> Non
     assert pa.judge_stand(robot, found.stand).passed is passes
 
 
+@pytest.mark.slow
 def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     csv, file = tmp_path / "way.csv", tmp_path / "all.json"
     three_legs = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01")
@@ -224,6 +231,7 @@ def judged(robot: pa.Robot) -> Verdict:
     return study_path(robot, pa.StandTask(height=0.33), 1.0).verdict
 
 
+@pytest.mark.slow
 def test_a_path_is_tracked_and_says_what_the_file_does(tmp_path: Path) -> None:
     verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
     assert verdict.asked is Asked.TRACKED

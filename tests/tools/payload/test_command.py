@@ -12,6 +12,7 @@ from tests.support.commands import run_command
 from tests.support.variants import load
 
 
+@pytest.mark.slow
 def test_what_lasts_is_what_motors_of_that_effort_carry(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -26,6 +27,7 @@ def test_what_lasts_is_what_motors_of_that_effort_carry(
     assert found["--effort"][0] == "CARRIES (at the stated peak torque, for moments)"
 
 
+@pytest.mark.slow
 def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     asked = ("--payload-at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")

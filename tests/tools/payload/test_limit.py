@@ -64,12 +64,13 @@ def check_typed_back(robot: pa.Robot, point: Place, **gains: float) -> pa.analys
     return limit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_a_payload_typed_into_stand_holds_and_more_does_not(name: str) -> None:
     check_typed_back(load(name), ON_TOP)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "legs"), [*((seed, 0) for seed in (3, 5, *range(20, 32))), (0, 3), (1, 5), (2, 6)]
 )
@@ -80,7 +81,7 @@ def test_so_do_those_of_random_robots(seed: int, legs: int, tmp_path: Path) -> N
     check_typed_back(robot, tuple((place * robot.stand_height).tolist()))
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_the_base_moves_from_under_the_load() -> None:
     robot, point = load("v3"), (0.05, 0.01, 0.05)
     limit = payload_limit(robot, stand_of("v3"), point)
@@ -94,7 +95,7 @@ def test_the_base_moves_from_under_the_load() -> None:
     assert limit.contact_forces.keys() == set(stand.stance_feet)
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_where_the_base_stays_it_tips_by_the_balance_about_the_edge() -> None:
     """Ahead of the front feet: m (a - d) = M d, with d and a from the com to edge and mass."""
     robot = with_efforts(load("v3"), 1e3)
@@ -108,6 +109,7 @@ def test_where_the_base_stays_it_tips_by_the_balance_about_the_edge() -> None:
     assert limit.stance.mass == pytest.approx(robot.total_mass * edge / (arm - edge), rel=5e-3)
 
 
+@pytest.mark.slow
 def test_at_the_motors_limit_one_is_at_its_end_on_the_ground_that_is_simulated() -> None:
     robot = load("v3")
     limit = payload_limit(robot, None, ON_TOP, **STIFF)
@@ -122,7 +124,7 @@ def test_at_the_motors_limit_one_is_at_its_end_on_the_ground_that_is_simulated()
     assert rigid.motor_utilisation.max() > 1.03  # on rigid ground it would not be the limit
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_feet_that_sink_bring_the_calves_down() -> None:
     """The calves of the skeleton are 7 mm above the ground, and MuJoCo's gives way by that."""
     robot = load("original")
@@ -141,7 +143,7 @@ def test_feet_that_sink_bring_the_calves_down() -> None:
     ).passed
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
     robot = with_efforts(load("v3"), np.inf)
     limit = payload_limit(robot)
@@ -151,7 +153,7 @@ def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
     assert limit.binding == "servos"
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_a_payload_on_a_leg_is_held_by_the_motors_that_carry_it() -> None:
     robot = load("v3")
     tool = find_tool(robot, "leg_front_l_2").moved((0.0, 0.02, 0.06))
@@ -184,6 +186,7 @@ def test_how_fast_it_buckles_is_what_bare_mujoco_does() -> None:
     assert free.doubling_time == pytest.approx(doubling, rel=0.02)
 
 
+@pytest.mark.slow
 def test_what_does_not_hold_without_payload_carries_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -221,6 +224,7 @@ def test_where_the_trial_falls_what_it_bears_is_bisected(most: float) -> None:
     assert (nothing.mass, nothing.failure) == (0.0, Failure.UNLOADED)
 
 
+@pytest.mark.slow
 def test_robots_that_were_loaded_are_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each has MuJoCo's model with its meshes: of ANYmal C fifty took half a gigabyte."""
     made: list[ref[pa.Robot]] = []
@@ -251,6 +255,7 @@ def biped(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
     return pa.load_robot(*written(irregular_biped(3), tmp_path_factory.mktemp("biped")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mass", "stands"), [(MOST_SEEN, False), (LESS, True)])
 def test_who_stands_the_nudges_stands_those_between_them(
     mass: float, stands: bool, biped: pa.Robot, monkeypatch: pytest.MonkeyPatch

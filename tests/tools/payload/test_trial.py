@@ -32,11 +32,13 @@ def test_each_nudge_is_simulated_from_the_stand_that_is_judged() -> None:
     assert held.qpos[0] < stand.qpos[0] - 0.01  # the base moved from under the load
 
 
+@pytest.mark.slow
 def test_dry_friction_does_not_hold_up_what_is_not_stable() -> None:
     """With it v3 stays up so long as nobody touches it, which proves nothing."""
     assert not simulate_payload(load("v3"), stand_of("v3"), 7.0, duration=6).held
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("impratio", "failure"), [(30.0, None), (1.0, payload.Failure.SLIDING)])
 def test_creep_is_no_slide(impratio: float, failure: payload.Failure | None) -> None:
     """With a quarter of their friction feet creep by 7 mm, as MuJoCo's is viscous; or by 0.2 m."""

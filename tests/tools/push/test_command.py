@@ -30,6 +30,7 @@ def test_a_stand_that_does_not_last_is_exit_status_1(
     assert "it does not stand, so it withstands no push" in out
 
 
+@pytest.mark.slow
 def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     urdf, mjcf = pa.pupper.write_variant("heavy", tmp_path / "robot")
     own = ("--urdf", str(urdf), "--mjcf", str(mjcf))

@@ -56,6 +56,7 @@ def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool
     return not fell and data.xmat[1, 8] > 0.9 and float(np.abs(data.qvel[:6]).max()) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "index"), [("original", 0), ("original", 1), ("v3", 2)])
 def test_limit_in_a_plain_loop(name: str, index: int) -> None:
     result = pushed(name)
@@ -65,6 +66,7 @@ def test_limit_in_a_plain_loop(name: str, index: int) -> None:
     assert not plain_push(name, angle, impulse + 1.02 * result.resolution, 3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
     """The limit goes to the closed form of a rigid body that rolls over two feet."""
@@ -155,6 +157,7 @@ def test_bad_requests_are_refused(arguments: dict[str, Any], field: str) -> None
         push_recovery(load("v3", fixed_base=True), stand_of("v3"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "task",
     [
@@ -180,6 +183,7 @@ def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
         assert result.impulses[1] > three
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kd", "stands"), [(5.0, True), (8.0, False)])
 def test_what_does_not_stand_withstands_no_push_and_what_stands_does(
     tmp_path: Path, kd: float, stands: bool
@@ -199,6 +203,7 @@ def test_what_does_not_stand_withstands_no_push_and_what_stands_does(
         assert trial.failure == found.weakest_failure
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "v3-long-leg"])
 def test_what_ends_early_ends_as_it_would(name: str) -> None:
     """Around the limits, where robots dwell on two feet; v3-long-leg for seconds."""
@@ -232,6 +237,7 @@ def test_a_push_is_judged_by_where_it_ends() -> None:
         assert bench._unsettled(ends)
 
 
+@pytest.mark.slow
 def test_what_is_pushed_is_the_stand_that_is_told() -> None:
     robot, task = load("v3"), pa.StandTask(roll=math.radians(4.0))
     stand = pa.stance.solve_stand_as_simulated(robot, task)

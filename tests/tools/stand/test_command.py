@@ -20,6 +20,7 @@ from tests.support.legged import quadruped
 from tests.support.printing import printed
 
 
+@pytest.mark.slow
 def test_the_table_of_joints_is_a_file_and_a_dataframe(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -54,6 +55,7 @@ def test_the_table_of_joints_is_a_file_and_a_dataframe(
     assert (status, path.read_text()) == (2, "mine\n"), err
 
 
+@pytest.mark.slow
 def test_servos_stiffness_margins_and_a_derived_variant(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -79,6 +81,7 @@ def test_servos_stiffness_margins_and_a_derived_variant(
     assert "nearest links" in out
 
 
+@pytest.mark.slow
 def test_the_minimum_stiffness_is_found_where_the_given_one_is_less() -> None:
     robot = load_variant("v3-long-leg")
     result = study_stance(robot, StandTask(), kp=4.0, kd=0.1, stiffness=True)
@@ -87,6 +90,7 @@ def test_the_minimum_stiffness_is_found_where_the_given_one_is_less() -> None:
     assert 4.0 < result.minimum_stiffness < 6.0
 
 
+@pytest.mark.slow
 def test_motors_too_weak_are_said_so() -> None:
     """Reached and in balance, but held by no motor of 3 N m."""
     robot = load_variant(VariantSpec(base="v3", torso_mass_scale=12.0))
@@ -123,6 +127,7 @@ BAD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_one_line_and_exit_status_2(
     case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path

@@ -37,6 +37,7 @@ def outcome() -> pa.study.StudyOutcome:
 # What came of it
 
 
+@pytest.mark.slow
 def test_the_report_counts_what_the_table_has() -> None:
     found = outcome()
     table = found.table
@@ -110,6 +111,7 @@ def test_the_front_is_drawn_and_in_a_table() -> None:
     assert sags == pytest.approx(found.front["servo_sag"].tolist())
 
 
+@pytest.mark.slow
 def test_the_command_writes_it(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(
         'robot = "v3"\nmeasure = ["servo_sag", "peak_utilisation"]\n'

@@ -102,6 +102,7 @@ def placed(robot: Robot, joint: str) -> tuple[np.ndarray, np.ndarray]:
     return Configuration(robot, qpos).frame_position(link), data.joint(joint).xanchor.copy()
 
 
+@pytest.mark.slow
 def test_ones_own_links_grow_in_both_engines(own: Robot) -> None:
     """Links between two joints get longer by the factor, across the second joint's axis alone."""
     urdf = UrdfTree.of(own.description.urdf)
@@ -135,6 +136,7 @@ def test_ones_own_links_grow_in_both_engines(own: Robot) -> None:
         assert grown == pytest.approx(0.5 * own.mj_model.body_mass[group].sum(), rel=1e-9), link
 
 
+@pytest.mark.slow
 def test_engines_agree_on_a_stretched_robot(own: Robot) -> None:
     """The mass matrix at a random state: a lever or tensor that one file alone got differs."""
     factors = {f"length:{joint}": 1.3 for joint in with_length(own)}
@@ -153,6 +155,7 @@ def test_engines_agree_on_a_stretched_robot(own: Robot) -> None:
     assert longer.stand_height > own.stand_height
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pattern", "message"), [
     ("{base}", "is the base"),
     ("nothing*", "nothing"),

@@ -25,7 +25,6 @@ from pupper_analysis.tools.study import running, store
 from pupper_analysis.tools.study.design import Maker
 from pupper_analysis.tools.study.running import Chunk, Progress
 from tests.support import legged, study_metrics
-from tests.support.cases import some
 from tests.support.commands import run_command
 from tests.support.repository import ROOT
 from tests.support.variants import load
@@ -53,6 +52,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 # ----------------------------------------------------------------------------- the table
 
 
+@pytest.mark.slow
 def test_what_does_not_stand_is_told_as_zero_and_has_no_sag(
     threads: Executor, tmp_path: Path
 ) -> None:
@@ -82,6 +82,7 @@ def standing(legs: float, torso: float, height: float) -> tuple[pa.Robot, pa.Sta
     return robot, pa.solve_stand(robot, pa.StandTask(height=height))
 
 
+@pytest.mark.slow
 def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
     vary = {"height": [0.12, 0.5], "slope": [0.0, 1.2], "mass:leg_*_3": pa.study.normal(1.0, 1e-3)}
     table = study(vary, "peak_utilisation", study_metrics.fails, samples=32).run(
@@ -133,7 +134,7 @@ class Backwards(Executor):
         return future
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_threads_processes_and_any_order_give_the_same_bits(
     undisturbed: pd.DataFrame, tmp_path: Path, threads: Executor
 ) -> None:
@@ -162,6 +163,7 @@ def test_of_other_versions_no_result_is_taken(
 # ----------------------------------------------------------------------------- going on
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_done_again(
     undisturbed: pd.DataFrame, tmp_path: Path, threads: Executor
 ) -> None:
@@ -184,7 +186,8 @@ def test_a_changed_study_has_its_own_rows_alone(tmp_path: Path, threads: Executo
     assert "peak_utilisation" not in pa.read_study(tmp_path)
 
 
-@pytest.mark.parametrize("sole", some([True, False], 2), ids=["boxes", "spheres"])
+@pytest.mark.slow
+@pytest.mark.parametrize("sole", [True, False], ids=["boxes", "spheres"])
 def test_a_pair_of_files_as_published(sole: bool, tmp_path: Path, threads: Executor) -> None:
     """Joints of other names, torque motors, no floor: factors are in both of its models."""
     foot = {"foot": legged.BOX.format(name="")} if sole else {}
@@ -245,7 +248,8 @@ def test_other_files_are_other_designs(tmp_path: Path) -> None:
 HEAVY = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs more than 4 kg
 
 
-@pytest.mark.parametrize("guilty", [pytest.param("crashes", marks=pytest.mark.longest), "hangs"])
+@pytest.mark.slow
+@pytest.mark.parametrize("guilty", ["crashes", "hangs"])
 def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
     """Whatever else the machine does: sound designs may need a longer limit, this one any."""
     kind = {"crashes": "crashed", "hangs": "timed out"}[guilty]
@@ -262,7 +266,7 @@ def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) ->
     assert made.execute(folder, workers=1).done == 0  # marked for good
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_a_worker_that_is_killed_once_costs_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,7 +276,7 @@ def test_a_worker_that_is_killed_once_costs_nothing(
     assert list(table["crashes_once"]) == [1.0] * 5
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_workers_are_begun_anew_before_engines_fill_the_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -283,7 +287,7 @@ def test_workers_are_begun_anew_before_engines_fill_the_memory(
     assert 2 <= table["process"].nunique() < 5
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_a_given_executor_that_breaks_loses_nothing_that_is_done(tmp_path: Path) -> None:
     made = study(HEAVY, study_metrics.crashes)
     with (
@@ -355,7 +359,7 @@ def left_over(session: int) -> list[int]:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="it looks into /proc")
-@pytest.mark.longest
+@pytest.mark.slow
 def test_killed_at_any_moment_it_goes_on(tmp_path: Path) -> None:
     """The parent is killed after some rows, again and again; no row is lost, doubled or halved."""
     script = tmp_path / "script.py"
@@ -390,6 +394,7 @@ from pupper_analysis.tools.study.store import Store
 with Store(Path(sys.argv[1])).locked()"""
 
 
+@pytest.mark.slow
 def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
     """The second is refused, in this process and in another; a dead run does not hold it."""
     refusals = []
@@ -411,6 +416,7 @@ def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
     assert study({"kp": [5.0]}).execute(tmp_path, executor=threads).there == 1
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_whole_shards(
     tmp_path: Path, threads: Executor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -468,6 +474,7 @@ kp = [0.2, 10]
 """
 
 
+@pytest.mark.slow
 def test_the_study_command_writes_its_results(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -493,7 +500,7 @@ def test_the_study_command_writes_its_results(
     assert columns["servo_sag"][1] == table["servo_sag"][1]
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(
         'robot = "v3"\nmeasure = ["minimum_stiffness"]\n[vary]\n'

@@ -216,6 +216,7 @@ def test_factors_are_in_both_files_alike() -> None:
     assert after.mj_model.dof_frictionloss[dofs] == pytest.approx(rubbed * loss)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "original"])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
@@ -319,6 +320,7 @@ def test_measures_are_what_their_names_say() -> None:
     assert list(torques.values()) == pytest.approx(statics.joint_torques.tolist())
 
 
+@pytest.mark.slow
 def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
     """On servos that were added in the place of its own; with gains that are given it may."""
     pair = slips.standing(tmp_path)
@@ -344,7 +346,7 @@ def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
         assert ("on servos that were added" in message) is not stands
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_measures_that_simulate_are_what_their_names_say() -> None:
     robot, stand = load("v3"), stand_of("v3")
     held = pa.stance.solve_stand_as_simulated(robot)  # as `push` and `stand` have it

@@ -58,6 +58,7 @@ def test_bare_engines_read_the_design(heavy: WrittenDesign) -> None:
     assert model.actuator_biasprm[:, 1] == pytest.approx(-10.0)
 
 
+@pytest.mark.slow
 def test_ones_own_robot_with_its_payload_and_stance(tmp_path: Path) -> None:
     """Payload and a tilted stance are in what is written; the payload is a link of both files."""
     pair = quadruped(tmp_path)
@@ -72,6 +73,7 @@ def test_ones_own_robot_with_its_payload_and_stance(tmp_path: Path) -> None:
     assert 'pitch = "0.1rad"' in found.stance.read_text()
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_replaced(heavy: WrittenDesign) -> None:
     folder = heavy.urdf.parent.parent
     study = pa.Study("v3", {"leg_scale": [1.2], "mass:*_1": [1.1], "kp": [5.0, 10.0]}, METRICS)
@@ -88,6 +90,7 @@ def test_what_is_there_is_not_replaced(heavy: WrittenDesign) -> None:
         write_design(study, 3, folder)
 
 
+@pytest.mark.slow
 def test_files_of_another_robot_are_reported(
     heavy: WrittenDesign, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 import pupper_analysis as pa
-from tests.support.cases import some
 from tests.support.robots import (
     Parts,
     agree,
@@ -36,10 +35,9 @@ CHANGES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
-@pytest.mark.parametrize(
-    ("link", "values"), some(CHANGES, 3), ids=[str(i) for i in range(len(CHANGES))]
-)
+@pytest.mark.parametrize(("link", "values"), CHANGES, ids=[str(i) for i in range(len(CHANGES))])
 def test_link_frames_that_are_turned(
     tmp_path: Path, link: str, values: dict[str, object], side: str
 ) -> None:
@@ -62,6 +60,7 @@ def test_link_frames_that_are_turned(
                 assert numbers[0] == pytest.approx(numbers[1], rel=1e-11, abs=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 @pytest.mark.parametrize(
     ("link", "values"),
@@ -103,6 +102,7 @@ def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) 
         assert [float(word) for word in edit.new.split()] == pytest.approx(list(there), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
     """And what differs beside it is written in the file's own frame."""
     x, y, z = ROBOT["base"].com

@@ -18,7 +18,6 @@ import mujoco
 import pytest
 
 import pupper_analysis as pa
-from tests.support.cases import some
 from tests.support.repository import ROOT
 from tests.support.robots import mjcf_text, quadruped, urdf_text
 
@@ -235,14 +234,15 @@ def restored(pair: Pair, seed: int) -> str | None:
             file.write_bytes(text.encode())
 
 
-@pytest.mark.parametrize("model", some(MODELS, 3))
+@pytest.mark.slow
+@pytest.mark.parametrize("model", MODELS)
 def test_a_few_mutations_are_undone(model: str, folder: Path) -> None:
     pair = written(model, folder / model)
     done = [restored(pair, seed) for seed in range(6)]
     assert sum(one is not None for one in done) >= 1
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 def test_many_mutations_are_undone(model: str, folder: Path) -> None:
     pair = written(model, folder / model)

@@ -76,6 +76,7 @@ def plain(tmp_path: Path) -> Files:
     return write(tmp_path, urdf_text(quadruped()), text)
 
 
+@pytest.mark.slow
 def test_numbers_go_into_both_files_in_their_own_frames(turned: Files, tmp_path: Path) -> None:
     tensor = np.array([[1.6e-3, 2e-5, -1e-5], [2e-5, 1.5e-3, 3e-6], [-1e-5, 3e-6, 4e-4]])
     numbers = {

@@ -56,6 +56,7 @@ def replaced(file: Path, old: str, new: str, count: int = 1) -> None:
 DIFFERENT = changed(changed(ROBOT, "base", mass=7.0), "thigh1", effort=25.0, damping=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("take", "expected"),
     [
@@ -82,6 +83,7 @@ def test_choices_are_a_side_a_kind_or_a_number(
     assert result.agree == (len(expected) == 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("take", "said"),
     [
@@ -248,6 +250,7 @@ def test_what_is_not_stated_overwrites_nothing(tmp_path: Path) -> None:
     assert files.urdf.read_text().count("damping") == before.count("damping") > 0
 
 
+@pytest.mark.slow
 def test_of_what_was_chosen_all_is_written_or_nothing(tmp_path: Path) -> None:
     """One body that cannot be mended would leave a robot of two versions on the disk."""
     parts = {**ROBOT, "pad": type(ROBOT["base"])("pad", "shank0", "to_pad", "fixed")}
@@ -381,6 +384,7 @@ def git(folder: Path, *arguments: str) -> None:
     subprocess.run(["git", *named, *arguments], cwd=folder, check=True, capture_output=True)
 
 
+@pytest.mark.slow
 def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> None:
     files = pair(tmp_path)
     try:
@@ -449,6 +453,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> None:
     file = tmp_path / "robot.xml"
     contents = {b"1" * 4_000_000, b"2" * 4_000_001}

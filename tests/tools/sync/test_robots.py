@@ -30,7 +30,7 @@ UNWRITTEN = {
 other, and shapes are not written; Mini Cheetah's URDF states no efforts."""
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 @pytest.mark.parametrize("robot", PAIRS)
 def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path) -> None:

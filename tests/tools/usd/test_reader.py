@@ -21,7 +21,7 @@ from tests.support.repository import ROOT
 from tests.tools.usd import written as usd
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("converter", "folder"), [("urdf_usd_converter", "urdf"), ("mujoco_usd_converter", "mjcf")]
 )

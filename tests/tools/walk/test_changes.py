@@ -31,6 +31,7 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Policy:
     return Policy.load(made.still(tmp_path_factory.mktemp("walk") / "still.json"))
 
 
+@pytest.mark.slow
 def test_a_stand_falls_from_weak_motors_whatever_the_workers(still: Policy) -> None:
     robot = load("v3")
     found = [
@@ -92,7 +93,7 @@ def trot(tmp_path_factory: pytest.TempPathFactory) -> Policy:
     return Policy.load(made.trot(tmp_path_factory.mktemp("walk") / "trot.json"))
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_intervals_are_the_same_again_and_their_ends_walk_and_do_not(trot: Policy) -> None:
     """Each end is walked, and what is beyond is not, in a run of its own; repeated, bit by bit."""
     robot, command, names = load("v3"), made.TROT[0], ("mass", "kp", "delay", "strength")
@@ -204,7 +205,7 @@ def test_a_planted_order_is_found(trot: Policy) -> None:
     assert found.candidates[0].joints == names
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_a_planted_sign_and_a_planted_scale_are_found(trot: Policy) -> None:
     signs = np.where(np.arange(12) == 4, -1.0, 1.0)
     turned = ranked(trot.with_contract(signs=signs))
@@ -215,7 +216,7 @@ def test_a_planted_sign_and_a_planted_scale_are_found(trot: Policy) -> None:
     assert (half.candidates[0].change, half.candidates[0].detail) == ("scale", "x 2")
 
 
-@pytest.mark.longest
+@pytest.mark.slow
 def test_what_walks_as_well_is_said_to_be_not_determined(tmp_path: Path) -> None:
     """A history that is read the other way round: here it is one frame late, which walks, too."""
     policy = Policy.load(made.trot(tmp_path / "trot.json", history=2))
