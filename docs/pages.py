@@ -21,7 +21,7 @@ import click
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.base.diagnostics.catalogue import LINED, word_files
+from pupper_analysis.base.diagnostics.catalogue import LINE_ENTRY_FILES, word_files
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.tools.audit.registry import FORMATS, RULES
 
@@ -105,7 +105,7 @@ def diagnostic_codes(words: Mapping[str, Any], language: str) -> str:
     """Returns the page of all codes, with the words of their entries."""
     parts = [f"# {words['codes']}\n\n{words['codes-about']}\n"]
     for whose, path in word_files().items():
-        if path.name not in LINED:
+        if path.name not in LINE_ENTRY_FILES:
             entries = tomllib.loads(path.read_text("utf-8"))
             for lined in ("texts", "meanings", "terms"):
                 entries.pop(lined, None)

@@ -1,4 +1,7 @@
-"""Checks of arguments."""
+"""Checks of arguments of public functions and of fields of dataclasses.
+
+Each check raises a ``ConfigurationError`` that contains the name of the argument.
+"""
 
 from __future__ import annotations
 
@@ -32,14 +35,14 @@ _T = TypeVar("_T")
 
 
 def check_finite(name: str, value: object) -> float:
-    """Returns a finite number.
+    """Return a value as a finite float.
 
     Args:
-        name: The argument's name, for the message.
-        value: What was given.
+        name: Name of the argument, for the message.
+        value: Value of the argument.
 
     Raises:
-        ConfigurationError: If it is no finite number.
+        ConfigurationError: If the value is no finite real number.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ConfigurationError(name, diagnose("no-number", value=reprlib.repr(value)))
@@ -53,92 +56,95 @@ def check_finite(name: str, value: object) -> float:
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Returns a new array of real numbers.
+    """Return a new array of real numbers, which may be infinite or NaN.
 
-    What NumPy would turn into such without a word is refused: texts, truth values, the real parts
-    of complex numbers, what a mask hides.
+    Values that NumPy would convert silently are rejected: texts, Booleans, complex numbers and
+    masked elements.
 
     Args:
-        name: The argument's name, for the message.
-        values: What was given.
+        name: Name of the argument, for the message.
+        values: Values of the argument.
 
     Raises:
-        ConfigurationError: If it is no such array.
+        ConfigurationError: If the values cannot be converted.
     """
     if type(values) is np.ndarray and values.dtype == np.float64:
-        return values.copy()  # a stand's qpos: nothing to find out
+        return values.copy()  # the usual case, such as the qpos of a stand
     if np.ma.is_masked(values):
         raise ConfigurationError(name, diagnose("array-is-masked"))
     try:
-        found = np.asarray(values)
-        if found.dtype.kind == "O" and not all(map(_is_real, found.flat)):
+        array = np.asarray(values)
+        if array.dtype.kind == "O" and not all(map(_is_real_number, array.flat)):
             raise ConfigurationError(name, diagnose("array-of-other-things"))
-        if found.dtype.kind not in "iufO":
-            message = diagnose("array-of-another-type", type=str(found.dtype))
+        if array.dtype.kind not in "iufO":
+            message = diagnose("array-of-another-type", type=str(array.dtype))
             raise ConfigurationError(name, message)
-        return np.array(found, dtype=float)
+        return np.array(array, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
         message = diagnose("no-array", problem=str(error))
         raise ConfigurationError(name, message) from error
 
 
-def _is_real(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, _TRUTHS)
+def _is_real_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, _BOOLEAN_TYPES)
 
 
 def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
-    """Returns a vector (size,) of finite numbers.
+    """Return a vector (size,) of finite numbers.
 
     Args:
-        name: The argument's name, for the message.
-        values: What was given.
-        size: How long it must be.
+        name: Name of the argument, for the message.
+        values: Values of the argument.
+        size: Required number of elements.
 
     Raises:
-        ConfigurationError: If it is no such vector.
+        ConfigurationError: If the shape differs, or an element is not finite.
     """
-    found = real_array(name, values)
-    if found.shape != (size,):
-        message = diagnose("array-of-another-shape", size=size, shape=str(found.shape))
+    vector = real_array(name, values)
+    if vector.shape != (size,):
+        message = diagnose("array-of-another-shape", size=size, shape=str(vector.shape))
         raise ConfigurationError(name, message)
-    # Quicker than to look at each; where the length overflows, each is looked at.
-    if not math.isfinite(math.hypot(*found.tolist())) and not np.isfinite(found).all():
-        index = int(np.flatnonzero(~np.isfinite(found))[0])
-        message = diagnose("element-not-finite", index=index, value=found[index])
+    # The norm is faster than a test of each element. It may overflow, so the elements are tested
+    # if the norm is infinite.
+    if not math.isfinite(math.hypot(*vector.tolist())) and not np.isfinite(vector).all():
+        index = int(np.flatnonzero(~np.isfinite(vector))[0])
+        message = diagnose("element-not-finite", index=index, value=vector[index])
         raise ConfigurationError(name, message)
-    return found
+    return vector
 
 
-FARTHEST = 1000.0
-"""m: beyond, what is given is no length of a robot; beyond all measure, numbers overflow."""
+MAX_LENGTH = 1000.0
+"""Maximum absolute value of a length or coordinate [m]. No robot is larger; the bound prevents
+overflow in later computations."""
 
 
 def check_length(name: str, value: object) -> float:
-    """Returns a length or a coordinate (m).
+    """Return a length or a coordinate [m].
 
     Args:
-        name: The argument's name, for the message.
-        value: What was given.
+        name: Name of the argument, for the message.
+        value: Value of the argument.
 
     Raises:
-        ConfigurationError: If it is no finite number, or farther than 1000 m.
+        ConfigurationError: If the value is not finite, or its absolute value exceeds
+            ``MAX_LENGTH``.
     """
     number = check_finite(name, value)
-    if abs(number) > FARTHEST:
+    if abs(number) > MAX_LENGTH:
         message = diagnose(
-            "length-beyond", length=Quantity(number, "m"), farthest=Quantity(FARTHEST, "m")
+            "length-beyond", length=Quantity(number, "m"), farthest=Quantity(MAX_LENGTH, "m")
         )
         raise ConfigurationError(name, message)
     return number
 
 
 def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Lets a public function refuse arguments that are not of the types it says.
+    """Decorate a public function with a check of its arguments against the type hints.
 
-    What it says no type of (arrays, literals) it has to check itself, and so the values.
+    Array types and literals are not checked; the function itself must check these, and all values.
 
     Raises:
-        ConfigurationError: On the call, naming the argument.
+        ConfigurationError: In the call, if an argument has another type.
     """
     positional = tuple(
         name
@@ -148,59 +154,64 @@ def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
     @wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-        fits = _tests(function)
-        # What does not fit the signature is left to the call, whose TypeError is Python's own.
-        for given in (zip(positional, args, strict=False), kwargs.items()):
-            for name, value in given:
-                if name in fits and not fits[name](value):
-                    check_type(name, value, _hints(function)[name])
+        type_tests = _make_type_tests(function)
+        # Arguments that do not match the signature raise Python's own TypeError in the call.
+        for arguments in (zip(positional, args, strict=False), kwargs.items()):
+            for name, value in arguments:
+                if name in type_tests and not type_tests[name](value):
+                    check_type(name, value, _get_type_hints(function)[name])
         return function(*args, **kwargs)
 
     return call
 
 
 def check_fields(instance: Any) -> None:
-    """Checks that a dataclass's fields are of the types it says.
+    """Check the fields of a dataclass instance against the type hints.
 
     Raises:
-        ConfigurationError: If not, naming the field.
+        ConfigurationError: If a field has another type.
     """
-    kind: Any = type(instance)
-    hints = _hints(kind)
-    for one in fields(instance):
-        check_type(one.name, getattr(instance, one.name), hints[one.name])
+    dataclass_type: Any = type(instance)
+    hints = _get_type_hints(dataclass_type)
+    for field in fields(instance):
+        check_type(field.name, getattr(instance, field.name), hints[field.name])
 
 
 def check_type(name: str, value: object, hint: Any) -> None:
-    """Checks that an argument is of a type.
+    """Check a value against a type hint.
+
+    Args:
+        name: Name of the argument, for the message.
+        value: Value of the argument.
+        hint: Type hint.
 
     Raises:
-        ConfigurationError: If not.
+        ConfigurationError: If the value has another type.
     """
-    if _test(hint)(value):
+    if _make_type_test(hint)(value):
         return
     message = diagnose(
         "of-another-type",
         value=reprlib.repr(value),
-        wanted=[_kind(option) for option in _options(hint)],
+        wanted=[_describe_type(option) for option in _union_members(hint)],
     )
     raise ConfigurationError(name, message)
 
 
 @cache
-def _hints(described: Any) -> dict[str, Any]:
+def _get_type_hints(described: Any) -> dict[str, Any]:
     return typing.get_type_hints(described)
 
 
 @cache
-def _tests(function: Any) -> dict[str, Callable[[Any], bool]]:
-    """Returns what tells of each of a function's arguments whether it is of the type it says."""
-    return {name: _test(hint) for name, hint in _hints(function).items()}
+def _make_type_tests(function: Any) -> dict[str, Callable[[Any], bool]]:
+    """Return {argument: test of whether a value has the annotated type} of a function."""
+    return {name: _make_type_test(hint) for name, hint in _get_type_hints(function).items()}
 
 
-_NUMBERS: dict[Any, Any] = {float: Real, int: Integral}
+_NUMBER_TYPES: dict[Any, Any] = {float: Real, int: Integral}
 
-_NAMED: dict[Any, str] = {
+_TYPE_NAMES: dict[Any, str] = {
     float: "a number",
     int: "a whole number",
     types.NoneType: "None",
@@ -208,37 +219,39 @@ _NAMED: dict[Any, str] = {
     bool: "True or False",
     Path: "a path",
 }
-"""What types are called that are no objects of this package."""
+"""Names of built-in types in error messages, as terms of the catalogue."""
 
 
-_TRUTHS = (bool, np.bool_)
+_BOOLEAN_TYPES = (bool, np.bool_)
 
 
-def _options(hint: Any) -> tuple[Any, ...]:
-    """Returns the types of a union; of no union, itself."""
+def _union_members(hint: Any) -> tuple[Any, ...]:
+    """Return the members of a union type; a tuple with the type itself for other types."""
     union = typing.get_origin(hint) in (typing.Union, types.UnionType)
     return typing.get_args(hint) if union else (hint,)
 
 
 @cache
-def _test(hint: Any) -> Callable[[Any], bool]:
-    """Returns what checks whether a value is of a type; yes of a type that cannot be checked.
+def _make_type_test(hint: Any) -> Callable[[Any], bool]:
+    """Return a test of whether a value has a type; for unsupported types, the test always succeeds.
 
-    It is made once per type: arguments are checked more often than types are written.
+    The result is cached, because arguments are checked often and the number of types is small.
     """
-    options = _options(hint)
+    options = _union_members(hint)
     if len(options) > 1:
         if any(inspect.isclass(option) and issubclass(option, Enum) for option in options):
-            return _anything  # by name as well: who looks it up knows the names
-        tests = tuple(_test(option) for option in options)
+            # Members of the enum may be given by name; the function that looks up the name checks.
+            return _accept_anything
+        tests = tuple(_make_type_test(option) for option in options)
         return lambda value: any(test(value) for test in tests)
-    if hint in _NUMBERS:
-        kind = _NUMBERS[hint]
+    if hint in _NUMBER_TYPES:
+        kind = _NUMBER_TYPES[hint]
         return lambda value: (
-            type(value) is hint or (isinstance(value, kind) and not isinstance(value, _TRUTHS))
+            type(value) is hint
+            or (isinstance(value, kind) and not isinstance(value, _BOOLEAN_TYPES))
         )
     if hint is bool:
-        return lambda value: isinstance(value, _TRUTHS)
+        return lambda value: isinstance(value, _BOOLEAN_TYPES)
     if hint in (None, types.NoneType):
         return lambda value: value is None
     if hint is Path:
@@ -247,41 +260,48 @@ def _test(hint: Any) -> Callable[[Any], bool]:
         return lambda value: isinstance(value, hint)
     kind, inner = typing.get_origin(hint), typing.get_args(hint)
     if kind is Mapping:
-        key = _test(inner[0])
+        key = _make_type_test(inner[0])
         return lambda value: isinstance(value, Mapping) and all(map(key, value))
     if kind in (Sequence, Iterable):
-        return _listed(_test(inner[0]), of_known_length=kind is Sequence)
-    return _anything
+        return _make_elements_test(_make_type_test(inner[0]), of_known_length=kind is Sequence)
+    return _accept_anything
 
 
-def _anything(_: Any) -> bool:
+def _accept_anything(_: Any) -> bool:
     return True
 
 
-def _listed(element: Callable[[Any], bool], *, of_known_length: bool) -> Callable[[Any], bool]:
-    """Returns what tells whether a value is a sequence, or anything to go through, of elements."""
+def _make_elements_test(
+    element: Callable[[Any], bool], *, of_known_length: bool
+) -> Callable[[Any], bool]:
+    """Return a test of whether a value is a sequence, or an iterable, of valid elements.
 
-    def test(value: Any) -> bool:
-        listed = isinstance(value, Sequence) and not isinstance(value, str | bytes)
-        array = isinstance(value, np.ndarray) and value.ndim
-        if of_known_length and not listed and not array:
+    Args:
+        element: Test of an element.
+        of_known_length: Whether the value must be a sequence or an array.
+    """
+
+    def has_valid_elements(value: Any) -> bool:
+        is_sequence = isinstance(value, Sequence) and not isinstance(value, str | bytes)
+        is_array = isinstance(value, np.ndarray) and value.ndim
+        if of_known_length and not is_sequence and not is_array:
             return False
-        # What can be looked at but once is looked at by whom it is given to.
-        again = listed or array
-        return isinstance(value, Iterable) and (not again or all(map(element, value)))
+        # Elements of an iterator are not tested here, because that would consume the iterator.
+        reusable = is_sequence or is_array
+        return isinstance(value, Iterable) and (not reusable or all(map(element, value)))
 
-    return test
+    return has_valid_elements
 
 
-def _kind(option: Any) -> Diagnostic | Term:
-    """Returns what a type is called in an error."""
+def _describe_type(option: Any) -> Diagnostic | Term:
+    """Return the name of a type for an error message."""
     kind, inner = typing.get_origin(option), typing.get_args(option)
     name = getattr(option, "__name__", str(option))
     if kind in (Sequence, Iterable):
-        each = [_kind(inside) for inside in _options(inner[0])]
-        return diagnose("sequence-of", each=each)
+        names = [_describe_type(inside) for inside in _union_members(inner[0])]
+        return diagnose("sequence-of", each=names)
     if kind is Mapping:
         return Term("a mapping of names")
-    if option in _NAMED:
-        return Term(_NAMED[option])
+    if option in _TYPE_NAMES:
+        return Term(_TYPE_NAMES[option])
     return diagnose("object-of", type=name)

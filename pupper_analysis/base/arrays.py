@@ -1,4 +1,8 @@
-"""Arrays that mean something in space."""
+"""Conversions between inertias, rotations and quaternions, and products of 3-D vectors.
+
+Arrays are NumPy arrays; placements and inertias are Pinocchio's types. Quaternions are (w, x, y,
+z).
+"""
 
 from __future__ import annotations
 
@@ -19,16 +23,17 @@ INERTIA_ENTRIES = {
     "ixz": (0, 2),
     "iyz": (1, 2),
 }
-"""The six entries of an inertia by their names in a URDF, in the order of an MJCF's fullinertia."""
+"""{name in a URDF: (row, column)} of the six independent entries of an inertia tensor. The order is
+that of MJCF's ``fullinertia``."""
 
 
 def inertia_entries(tensor: Array) -> Array:
-    """Returns the six entries of an inertia (3, 3), in the order of ``INERTIA_ENTRIES``."""
-    return np.array([tensor[place] for place in INERTIA_ENTRIES.values()])
+    """Return the six entries of an inertia tensor (3, 3), in the order of ``INERTIA_ENTRIES``."""
+    return np.array([tensor[index] for index in INERTIA_ENTRIES.values()])
 
 
 def inertia_tensor(entries: Iterable[float]) -> Array:
-    """Returns the inertia (3, 3) of six entries, in the order of ``INERTIA_ENTRIES``."""
+    """Return the symmetric tensor (3, 3) with six entries in the order of ``INERTIA_ENTRIES``."""
     tensor = np.zeros((3, 3))
     for value, (row, column) in zip(entries, INERTIA_ENTRIES.values(), strict=True):
         tensor[row, column] = tensor[column, row] = value
@@ -36,27 +41,32 @@ def inertia_tensor(entries: Iterable[float]) -> Array:
 
 
 def rotation_from_quaternion(quaternion: Array) -> Array:
-    """Returns the (3, 3) rotation matrix of a unit quaternion (w, x, y, z)."""
+    """Return the rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
     w, x, y, z = quaternion.tolist()
     rotation: Array = pin.Quaternion(w, x, y, z).toRotationMatrix()
     return rotation
 
 
 def quaternion_from_rotation(rotation: Array) -> Array:
-    """Returns the unit quaternion (w, x, y, z) of a rotation (3, 3)."""
+    """Return the unit quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
     x, y, z, w = pin.Quaternion(rotation).coeffs()
     return np.array([w, x, y, z])
 
 
 def placement_of(quaternion: Array, position: Array) -> pin.SE3:
-    """Returns the placement of a unit quaternion (w, x, y, z) and a position (3,)."""
+    """Return the placement with a unit quaternion (w, x, y, z) and a position (3,) [m]."""
     return pin.SE3(rotation_from_quaternion(quaternion), np.array(position))
 
 
 def inertia_of(mass: float, com: Array, tensor: Array) -> pin.Inertia:
-    """Returns an inertia in the frame in which its com (3,) and the tensor about that are given.
+    """Return the spatial inertia of a body, without checking that the values are physical.
 
-    Pinocchio's constructor refuses what no body has, which a file may state all the same.
+    Pinocchio's constructor rejects unphysical values, which a model file may contain.
+
+    Args:
+        mass: Mass [kg].
+        com: Centre of mass (3,) [m], in the frame of the result.
+        tensor: Inertia tensor (3, 3) [kg m^2] about the centre of mass, in the axes of that frame.
     """
     result = pin.Inertia.Zero()
     result.mass, result.lever, result.inertia = float(mass), np.array(com), np.array(tensor)
@@ -64,17 +74,20 @@ def inertia_of(mass: float, com: Array, tensor: Array) -> pin.Inertia:
 
 
 def across(vector: Array, direction: Array) -> Array:
-    """Returns the part of a vector (3,) that is at right angles to a direction (3,)."""
+    """Return the component of a vector (3,) perpendicular to a unit vector (3,): v - (v . u) u."""
     part: Array = vector - (vector @ direction) * direction
     return part
 
 
 def cross_matrices(vectors: Array) -> Array:
-    """Returns the matrices (..., 3, 3) that take x to v x x, of vectors v (..., 3)."""
-    matrices: Array = (vectors @ _CROSSES).reshape(*vectors.shape, 3)
+    """Return the skew-symmetric matrices (..., 3, 3) [v]x of vectors v (..., 3): [v]x w = v x w."""
+    matrices: Array = (vectors @ _UNIT_CROSS_MATRICES).reshape(*vectors.shape, 3)
     return matrices
 
 
-_CROSSES = np.zeros((3, 9))
-_CROSSES[[2, 1, 2, 0, 1, 0], [1, 2, 3, 5, 6, 7]] = -1, 1, 1, -1, -1, 1
+_UNIT_CROSS_MATRICES = np.zeros((3, 9))
+"""Flattened skew-symmetric matrices of the unit vectors, shape (3, 9). One matrix product is faster
+than six column assignments."""
+
+_UNIT_CROSS_MATRICES[[2, 1, 2, 0, 1, 0], [1, 2, 3, 5, 6, 7]] = -1, 1, 1, -1, -1, 1
 """What ``cross_matrices`` takes unit vectors to: one product is quicker than six columns."""

@@ -1,7 +1,8 @@
-"""OpenGL that is asked for and missing stops only what draws with it.
+"""Import of MuJoCo if the requested OpenGL is not available.
 
-MuJoCo imports the OpenGL that the variable MUJOCO_GL names when it is itself imported, and
-gets on without if that fails with an ImportError. PyOpenGL fails with others too.
+MuJoCo imports the OpenGL backend named in the environment variable MUJOCO_GL during its own import.
+MuJoCo ignores an ImportError of the backend, but PyOpenGL also raises other exceptions. The
+functions here import MuJoCo without OpenGL in that case, so that only rendering fails.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ from importlib import import_module
 
 
 def import_mujoco() -> None:
-    """Imports MuJoCo without OpenGL if MUJOCO_GL asks for one that cannot be had.
+    """Import MuJoCo; if the backend in MUJOCO_GL fails, import MuJoCo without OpenGL.
 
-    Nothing is imported if the variable is not set: by itself MuJoCo takes what is there. Nor if
-    MuJoCo is there already, or is not installed, which whoever needs it will say.
+    Without MUJOCO_GL, or if MuJoCo is already imported, nothing is imported: MuJoCo then selects an
+    available backend. If MuJoCo is not installed, the first module that needs MuJoCo reports the
+    error.
     """
     if not os.environ.get("MUJOCO_GL") or "mujoco" in sys.modules:
         return
@@ -23,21 +25,22 @@ def import_mujoco() -> None:
         import_module("mujoco")
     except ImportError:
         return
-    except Exception:  # a name that MuJoCo does not know, or a driver, each fails in its own way
+    except Exception:  # unknown backend names and drivers raise different exceptions
         import_without_opengl()
 
 
 def import_without_opengl() -> None:
-    """Imports MuJoCo without OpenGL, unless it is there already: GLFW starts a process to load.
+    """Import MuJoCo without OpenGL, because GLFW starts a process while loading.
 
-    What draws asks for its own afterwards (tools/analyze/render.py), by the variable as it is set.
+    MUJOCO_GL has its old value afterwards; ``tools/analyze/render.py`` uses this value to load
+    OpenGL.
     """
-    wanted = os.environ.get("MUJOCO_GL")
+    previous = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"
     try:
         import_module("mujoco")
     finally:
-        if wanted is None:
+        if previous is None:
             del os.environ["MUJOCO_GL"]
         else:
-            os.environ["MUJOCO_GL"] = wanted
+            os.environ["MUJOCO_GL"] = previous

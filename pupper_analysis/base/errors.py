@@ -1,4 +1,4 @@
-"""Typed errors: one base class; each names what is wrong and what would be valid."""
+"""Exceptions with a common base class. Each message states the problem and valid alternatives."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from pupper_analysis.base.diagnostics import (
 )
 
 Problem: TypeAlias = Diagnostic | str
-"""What is wrong: a diagnostic, or words of another program's, which are in its language."""
+"""Description of a problem: a diagnostic, or the message of another program."""
 
 _E = TypeVar("_E", bound="PupperAnalysisError")
 
 
 class PupperAnalysisError(Exception):
-    """Base class of every error that the package raises on purpose.
+    """Base class of all exceptions that the package raises deliberately.
 
-    Errors survive pickling, whatever arguments their classes take, so that they come back whole
-    from other processes.
+    Exceptions can be pickled independently of their constructor arguments, so that worker processes
+    can return them.
 
     Attributes:
-        diagnostic: The same as data: a code, values with units, and words in both languages.
-        where: In which part of a longer task it happened ("at 0.50 s, ..."); empty otherwise.
+        diagnostic: Code, values with units, and message texts in both languages.
+        where: Part of a longer computation with the error ("at 0.50 s, ..."); may be empty.
     """
 
     diagnostic: Diagnostic
@@ -40,51 +40,54 @@ class PupperAnalysisError(Exception):
         super().__init__(str(self.diagnostic))
 
     def at(self, where: Problem) -> Self:
-        """Returns the same error, with all it carries, whose message begins with where it was."""
+        """Return a copy of the error whose message starts with the part of the computation."""
         message = diagnose("error-at", where=where, what=vars(self).get("diagnostic", str(self)))
-        error = _restore(type(self), (str(message),), vars(self))
+        error = _restore_error(type(self), (str(message),), vars(self))
         error.diagnostic = message
         error.where = str(where)
         return error
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restore, (type(self), self.args, vars(self))
+        return _restore_error, (type(self), self.args, vars(self))
 
 
 def as_diagnostic(problem: Problem) -> Diagnostic:
-    """Returns what is wrong as a diagnostic, which words of another program's become, too."""
+    """Return a problem as a diagnostic. The message of another program becomes a value."""
     return problem if isinstance(problem, Diagnostic) else diagnose("problem", problem=problem)
 
 
-def _restore(kind: type[_E], args: tuple[Any, ...], data: dict[str, Any]) -> _E:
-    """Makes an error of what it carries, without its constructor, which makes up the message."""
-    error = kind.__new__(kind, *args)
-    error.__dict__.update(data)
+def _restore_error(error_type: type[_E], args: tuple[Any, ...], attributes: dict[str, Any]) -> _E:
+    """Create an error from its attributes, without the constructor.
+
+    The constructor would build a new message.
+    """
+    error = error_type.__new__(error_type, *args)
+    error.__dict__.update(attributes)
     return error
 
 
 class VariantError(PupperAnalysisError):
-    """A variant's name or scale is not valid.
+    """Invalid name or scale of a variant.
 
     Attributes:
-        field: What was given (``"name"``, ``"base"``, ``"leg_scale"``, ``"torso_mass_scale"``).
-        value: The offending value.
+        field: Argument (``"name"``, ``"base"``, ``"leg_scale"``, ``"torso_mass_scale"``).
+        value: Invalid value.
     """
 
     def __init__(self, field: str, value: object, valid: Problem) -> None:
         self.field = field
         self.value = value
-        given = reprlib.repr(value)
-        super().__init__(diagnose("variant-not-valid", field=field, value=given, valid=valid))
+        value_text = reprlib.repr(value)
+        super().__init__(diagnose("variant-not-valid", field=field, value=value_text, valid=valid))
 
 
 class ModelError(PupperAnalysisError):
-    """A model file cannot be used.
+    """Model file that cannot be used.
 
     Attributes:
-        source: The file (or the model) at fault.
-        problem: What is wrong, and what would be valid.
-        cause: The same, without its words where a diagnostic was given.
+        source: File or model.
+        problem: Message text, with valid alternatives.
+        cause: Diagnostic of the problem.
     """
 
     def __init__(self, source: str | PathLike[str], problem: Problem) -> None:
@@ -97,14 +100,15 @@ class ModelError(PupperAnalysisError):
 
 
 class InputError(PupperAnalysisError):
-    """A file cannot be read: it is not there, no regular file, too large, or no text.
+    """File that cannot be read: missing, no regular file, too large, or no valid text.
 
-    Who reads a file of some kind raises it as the error of that kind.
+    The readers of a file type convert this error to an error of their own.
 
     Attributes:
         path: The file.
-        cause: What is wrong, and what would be valid.
-        line: Where, from 1; None of the file as a whole.
+        cause: Diagnostic of the problem.
+        line: Line number, from 1; None if the problem concerns the whole file or the line is
+            unknown.
     """
 
     def __init__(
@@ -118,12 +122,12 @@ class InputError(PupperAnalysisError):
 
 
 class UnknownNameError(ModelError):
-    """A name is not in the model.
+    """Name that the model does not contain.
 
     Attributes:
-        kind: ``"joint"``, ``"frame"``, ``"foot"``, ``"body"`` ...
-        name: The unknown name.
-        known: The names that would have been valid.
+        kind: Kind of element: ``"joint"``, ``"frame"``, ``"foot"``, ``"body"`` ...
+        name: Unknown name.
+        known: Valid names.
     """
 
     def __init__(
@@ -137,11 +141,11 @@ class UnknownNameError(ModelError):
 
 
 class ConfigurationError(PupperAnalysisError):
-    """A coordinate vector, or a value of a request, has a wrong shape or is out of its bounds.
+    """Argument or coordinate vector with an invalid shape or value.
 
     Attributes:
-        field: The name of the argument.
-        problem: What is wrong with it.
+        field: Name of the argument.
+        problem: Description of the problem.
     """
 
     def __init__(self, field: str, problem: Problem) -> None:
@@ -149,26 +153,27 @@ class ConfigurationError(PupperAnalysisError):
         super().__init__(diagnose("argument-not-valid", field=field, problem=problem))
 
 
-_SEEN = 1e-3
-"""Of the farthest foot's miss: less is how closely the search ends, and is in no message."""
+_MIN_RELATIVE_FOOT_ERROR = 1e-3
+"""Lower bound of the foot errors in the message, relative to the largest. Smaller errors are
+residuals of the search."""
 
 
 class StanceUnreachableError(PupperAnalysisError):
-    """No configuration inside the joint limits, and clear of obstacles, satisfies a stand task.
+    """Stand task without a solution within the joint limits and without collisions.
 
     Attributes:
-        shortfall: How far each foot that cannot be planted ends from its target, in metres.
-        at_limit: Joints that are at a limit in the best configuration found, with the limit (rad).
-        possible: {demand: how far it can go}, for each demand that alone may give; if there is
-            none, for as few as are found that together do ("height and roll"); none of them can be
-            kept. Some may become more than the nominal stand has. Diagnostics.
-        limits: The same as values of the task's fields, such as {"roll": {"roll": 0.337}}:
-            ``replace(task, **limits["roll"])`` is in reach.
-        nearest: The stand of the one of ``limits`` that gives least; None if there is none, or it
-            was not asked for.
-        blocked: What is in the way where the feet could be planted: a part in the ground, parts
-            too near to each other, or a com too near to tipping. Diagnostics.
-        lacks: What the robot would need that it has not; None if nothing is known.
+        shortfall: {foot or contact point: remaining distance [m] to its target}.
+        at_limit: {joint: limit [rad]} of the joints at a limit in the best configuration found.
+        possible: {requirement: diagnostic of its feasible value}, for each requirement whose
+            relaxation alone makes the task feasible. If there is none, for small sets that must be
+            relaxed together ("height and roll"). Some values may exceed those of the nominal stand.
+        limits: The feasible values as fields of the task, for example {"roll": {"roll": 0.337}}:
+            ``replace(task, **limits["roll"])`` is feasible.
+        nearest: Stand for the entry of ``limits`` with the smallest relaxation. None if there is
+            none, or if it was not requested.
+        blocked: Diagnostics of the obstacles if the feet can reach the targets: a part in the
+            ground, parts too close to each other, or a CoM too close to the edge of the support.
+        lacks: Diagnostic of a property that the robot lacks; None if unknown.
     """
 
     def __init__(
@@ -189,23 +194,24 @@ class StanceUnreachableError(PupperAnalysisError):
         self.at_limit = dict(at_limit)
         self.possible = dict(possible or {})
         self.nearest = nearest
-        missing: dict[str, float] = {}  # of a sole's contact points, "foot/3", the one farthest off
-        for point, gap in self.shortfall.items():
+        # The largest error of the contact points of a foot, which are named "foot/0", "foot/1" ...
+        foot_errors: dict[str, float] = {}
+        for point, error in self.shortfall.items():
             name, _, number = point.rpartition("/")
             foot = name if name and number.isdigit() else point
-            if gap > 0:
-                missing[foot] = max(gap, missing.get(foot, 0.0))
-        least = _SEEN * max(missing.values(), default=0.0)
-        missed = [
-            diagnose("foot-misses-target", subject=("foot", foot), gap=Quantity(gap, "m"))
-            for foot, gap in missing.items()
-            if gap >= least
+            if error > 0:
+                foot_errors[foot] = max(error, foot_errors.get(foot, 0.0))
+        min_shown_error = _MIN_RELATIVE_FOOT_ERROR * max(foot_errors.values(), default=0.0)
+        foot_diagnostics = [
+            diagnose("foot-misses-target", subject=("foot", foot), gap=Quantity(error, "m"))
+            for foot, error in foot_errors.items()
+            if error >= min_shown_error
         ]
         joints = [
             diagnose("joint-at-limit", subject=("joint", name), limit=Quantity(limit, "rad"))
             for name, limit in self.at_limit.items()
         ]
-        feet = [diagnose("feet-miss-targets", feet=missed)] if missed else []
+        feet = [diagnose("feet-miss-targets", feet=foot_diagnostics)] if foot_diagnostics else []
         super().__init__(
             diagnose(
                 "stance-out-of-reach",
@@ -219,7 +225,7 @@ class StanceUnreachableError(PupperAnalysisError):
 
 
 class Infeasibility(StrEnum):
-    """Why no set of contact forces keeps a robot in balance."""
+    """Reason why no contact forces balance the robot."""
 
     NO_CONTACT = "no contact"
     COM_OUTSIDE = "com outside the support polygon"
@@ -233,11 +239,11 @@ class StaticsInfeasibleError(PupperAnalysisError):
     """No unilateral contact forces inside the friction cones balance the robot.
 
     Attributes:
-        reason: The cause.
-        margin: Signed distance of the com's projection to the support polygon's edge, in metres
-            (negative: outside).
-        friction_needed: The least friction coefficient that would do, or None where none would.
-        feet: The feet concerned.
+        reason: Reason.
+        margin: Signed distance [m] between the projected CoM and the edge of the support polygon;
+            negative outside.
+        friction_needed: Minimum friction coefficient with a solution; None if there is none.
+        feet: Feet concerned.
     """
 
     def __init__(
@@ -258,10 +264,10 @@ class StaticsInfeasibleError(PupperAnalysisError):
 
 
 class OutputError(PupperAnalysisError):
-    """A file or folder cannot be written.
+    """File or folder that cannot be written.
 
     Attributes:
-        path: The file or folder.
+        path: File or folder.
     """
 
     def __init__(self, path: str | PathLike[str], problem: object) -> None:
@@ -271,11 +277,11 @@ class OutputError(PupperAnalysisError):
 
 
 class NoEquilibriumError(PupperAnalysisError):
-    """A servo-driven robot has no equilibrium near its stand.
+    """No static equilibrium of a servo-driven robot near its stand.
 
     Attributes:
-        share: Of the feed-forward, how much could be taken away before the equilibrium ended; None
-            where that is not how it was looked for.
+        share: Fraction of the feed-forward torque that could be removed before the equilibrium was
+            lost. None if the equilibrium was not computed by removing feed-forward.
     """
 
     def __init__(self, share: float | None, problem: Problem) -> None:
@@ -284,10 +290,10 @@ class NoEquilibriumError(PupperAnalysisError):
 
 
 class NotStandingError(PupperAnalysisError):
-    """A servo-driven robot does not stay up where its stand lets it come to rest.
+    """Servo-driven robot that does not remain standing at its computed equilibrium.
 
     Attributes:
-        problems: Why: ``failures`` of the ``SteadyState``.
+        problems: Reasons: ``failures`` of the ``SteadyState``.
     """
 
     def __init__(self, problems: tuple[Problem, ...]) -> None:
@@ -296,11 +302,11 @@ class NotStandingError(PupperAnalysisError):
 
 
 class NoStiffnessError(PupperAnalysisError):
-    """Servos of no stiffness carry a robot in its stand without feed-forward.
+    """No tested servo stiffness holds the stand without feed-forward.
 
     Attributes:
-        kp: The stiffest servos that were tried (N m/rad).
-        problem: Why it does not stand so with these.
+        kp: Largest tested stiffness [N m/rad].
+        problem: Reason of the failure at this stiffness.
     """
 
     def __init__(self, robot: str, kp: float, problem: Problem) -> None:
@@ -311,10 +317,10 @@ class NoStiffnessError(PupperAnalysisError):
 
 
 class NotSettlingError(PupperAnalysisError):
-    """Quantities that determine each other do not settle by repeated substitution.
+    """Fixed-point iteration of interdependent quantities that does not converge.
 
     Attributes:
-        change: How much they still change from round to round, in their unit.
+        change: Change in the last iteration, in the unit of the quantities.
     """
 
     def __init__(self, change: float, problem: Problem) -> None:
@@ -323,11 +329,11 @@ class NotSettlingError(PupperAnalysisError):
 
 
 class MissingPackageError(PupperAnalysisError):
-    """A package is not installed that only some users need.
+    """Optional package that is not installed.
 
     Attributes:
-        package: Its name.
-        extra: Which extra of ``pupper-analysis`` brings it.
+        package: Name of the package.
+        extra: Extra of ``pupper-analysis`` that installs the package.
     """
 
     def __init__(self, package: str, extra: str) -> None:
@@ -336,11 +342,11 @@ class MissingPackageError(PupperAnalysisError):
 
 
 class StudyError(PupperAnalysisError):
-    """A study cannot be run, gone on with or read.
+    """Study that cannot be run, resumed or read.
 
     Attributes:
-        folder: Its folder.
-        problem: What is wrong, and what would help.
+        folder: Folder of the study.
+        problem: Message text, with a remedy.
     """
 
     def __init__(self, folder: str | PathLike[str], problem: Problem) -> None:
@@ -350,12 +356,12 @@ class StudyError(PupperAnalysisError):
 
 
 class MeasurementError(PupperAnalysisError):
-    """Measurements of a robot (stands, a log) cannot be used.
+    """Measurements of a robot (stands, a log) that cannot be used.
 
     Attributes:
-        source: The file, or what stands for it.
-        problem: What is wrong, and what would be valid.
-        cause: The same, without its words where a diagnostic was given.
+        source: File, or a name that represents the measurements.
+        problem: Message text, with valid alternatives.
+        cause: Diagnostic of the problem.
     """
 
     def __init__(self, source: str | PathLike[str], problem: Problem) -> None:
@@ -367,10 +373,10 @@ class MeasurementError(PupperAnalysisError):
 
 
 class FitError(PupperAnalysisError):
-    """A fit to measurements cannot be made: they contradict the robot, or lead nowhere.
+    """Fit to measurements that failed: contradictory measurements, or no convergence.
 
     Attributes:
-        problem: What is wrong, and what would help.
+        problem: Message text, with a remedy.
     """
 
     def __init__(self, problem: Problem) -> None:

@@ -1,8 +1,8 @@
-"""The names that a package offers, from the stub beside it, each imported when it is first used.
+"""Lazy imports of the public names of a package, as listed in the stub beside its ``__init__.py``.
 
-``import pupper_analysis`` stays light, and type checkers read the very list that is used. (That is
-what the package ``lazy_loader`` does; but where nothing is installed, ``python -m pupper_analysis``
-must still be imported, to say what to do.)
+A name is imported at first use, so ``import pupper_analysis`` is fast. Type checkers read the same
+stub. The package ``lazy_loader`` does the same, but ``python -m pupper_analysis`` must be
+importable without installed dependencies, to print installation instructions.
 """
 
 from __future__ import annotations
@@ -18,57 +18,61 @@ from typing import Any
 def exports_of(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Returns the ``__getattr__``, ``__dir__`` and ``__all__`` of a package.
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with a stub.
+
+    The stub contains ``from .module import name as name``, or ``from . import module as module``.
+    For a module with another name, the stub contains ``from . import module as _module`` and ``name
+    = _module``. Names of a tool whose folder is missing are left out.
 
     Args:
-        package: Its ``__name__``.
-        file: Its ``__file__``, which has a stub beside it: lines ``from .module import name as
-            name``, or ``from . import module as module``; of a module with another name ``from .
-            import module as _module`` and ``name = _module``. What a tool offered is left out
-            where its folder is gone.
+        package: ``__name__`` of the package.
+        file: ``__file__`` of the package.
     """
     stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
     imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
-    homes = {
-        one.asname or one.name: (home, one.name)
+    sources = {
+        alias.asname or alias.name: (module, alias.name)
         for node in imports
-        for one in node.names
-        if (home := _home(package, Path(file).parent, node, one.name))
+        for alias in node.names
+        if (module := _find_module(package, Path(file).parent, node, alias.name))
     }
     for node in stub.body:
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Name):
             for target in node.targets:
-                if isinstance(target, ast.Name) and node.value.id in homes:
-                    homes[target.id] = homes[node.value.id]
-    homes = {name: home for name, home in homes.items() if not name.startswith("_")}
+                if isinstance(target, ast.Name) and node.value.id in sources:
+                    sources[target.id] = sources[node.value.id]
+    sources = {name: source for name, source in sources.items() if not name.startswith("_")}
 
-    def find(name: str) -> Any:
-        if name not in homes:
+    def get_attribute(name: str) -> Any:
+        if name not in sources:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        home, there = homes[name]
-        if home == package:  # a module in it; to ask itself would lead here again
-            return import_module(f"{package}.{there}")
-        found = _take(home, there)
-        setattr(sys.modules[package], name, found)  # and is asked for no more
-        return found
+        module, attribute = sources[name]
+        if module == package:  # a submodule; getattr of the package would call this function again
+            return import_module(f"{package}.{attribute}")
+        value = _import_name(module, attribute)
+        setattr(sys.modules[package], name, value)  # later accesses do not call this function
+        return value
 
-    return find, lambda: sorted([*vars(sys.modules[package]), *homes]), sorted(homes)
+    return get_attribute, lambda: sorted([*vars(sys.modules[package]), *sources]), sorted(sources)
 
 
-def _home(package: str, folder: Path, node: ast.ImportFrom, name: str) -> str:
-    """Returns the module from which a stub takes a name; empty if its tool is gone."""
+def _find_module(package: str, folder: Path, node: ast.ImportFrom, name: str) -> str:
+    """Return the module from which a stub imports a name; "" if the module is missing.
+
+    For a name from ``tools``, the folder of the tool must exist.
+    """
     parts = node.module.split(".") if node.module else []
-    above = package.split(".")[: len(package.split(".")) - node.level + 1]
-    place = folder.joinpath(*[".."] * (node.level - 1), *parts)
-    there = place.is_dir() or place.with_suffix(".py").is_file()
+    parents = package.split(".")[: len(package.split(".")) - node.level + 1]
+    path = folder.joinpath(*[".."] * (node.level - 1), *parts)
+    exists = path.is_dir() or path.with_suffix(".py").is_file()
     if parts[-1:] == ["tools"]:
-        there = (place / name).is_dir()
-    return ".".join([*above, *parts]) if there else ""
+        exists = (path / name).is_dir()
+    return ".".join([*parents, *parts]) if exists else ""
 
 
-def _take(home: str, name: str) -> Any:
-    """Returns what a module has under a name, or the module of that name in it."""
-    module = import_module(home)
+def _import_name(module_name: str, name: str) -> Any:
+    """Return an attribute of a module, or the submodule of that name."""
+    module = import_module(module_name)
     if not hasattr(module, name):
-        return import_module(f"{home}.{name}")
+        return import_module(f"{module_name}.{name}")
     return getattr(module, name)

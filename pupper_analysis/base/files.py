@@ -1,9 +1,10 @@
-"""The one module that writes files: whole or not at all, never over what must not be replaced.
+"""Atomic writing of output files, with protection of inputs and of other existing files.
 
-Nothing is written over what the run reads (`runs`), by whatever name; and without ``force`` over
-nothing but a result of the same kind (`kinds`). Files on their way are hidden beside their place
-until they are whole, and cleared if left there. Scratch in the system's temporary folder is no
-result, and does not go through here.
+All output files are written by this module (except for scratch files in the system's temporary
+folder). A file is written completely or not at all. A run never overwrites its inputs (`runs`).
+Without ``force``, a non-empty file is replaced only by a result of the same kind (`kinds`). New
+contents are first written to hidden temporary files in the same folder; files left by killed
+processes are removed later.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from pupper_analysis.base.runs import current_run
 
 
 @cache
-def _home() -> str:
-    """Returns what this machine's processes are numbered in, as another's tell nothing here."""
+def _machine_hash() -> str:
+    """Return a hash of host and process-ID namespace. Process IDs are unique only within both."""
     space = ""
     with suppress(OSError):
         space = Path("/proc/self/ns/pid").readlink().name
@@ -39,40 +40,41 @@ def _home() -> str:
 
 
 def hidden_token() -> str:
-    """Returns what the names of files on their way have: whose they are, and which."""
-    return f"pupper-{_home()}-{os.getpid():x}-{secrets.token_hex(4)}"
+    """Return the unique part of a temporary file name: machine, process and random number."""
+    return f"pupper-{_machine_hash()}-{os.getpid():x}-{secrets.token_hex(4)}"
 
 
-_LEFT: Final = re.compile(r"\..*pupper-([0-9a-f]{8})-([0-9a-f]+)-[0-9a-f]{8}\.\w+")
-"""Names of files on their way."""
+_TEMPORARY_NAME: Final = re.compile(r"\..*pupper-([0-9a-f]{8})-([0-9a-f]+)-[0-9a-f]{8}\.\w+")
+"""Pattern of the names of temporary files."""
 
-_cleared: Final[set[tuple[int, Path]]] = set()
-"""Folders that a process has cleared of what others left: once is enough."""
+_cleaned_folders: Final[set[tuple[int, Path]]] = set()
+"""Pairs (process ID, folder) of the folders that a process has cleaned; each is cleaned once."""
 
 
 def hidden_beside(target: Path) -> Path:
-    """Returns a name beside a file that nobody has taken, and that listings do not show.
+    """Return an unused name for a hidden temporary file in the folder of a file.
 
-    What processes left in that folder that were killed while they wrote is removed first.
+    Temporary files left in this folder by killed processes are removed first.
     """
     clear_left(target.parent)
     return target.parent / f".{hidden_token()}.tmp"
 
 
 def clear_left(folder: Path) -> None:
-    """Removes files on their way whose process is no more."""
-    if os.name != "posix" or (os.getpid(), folder) in _cleared:  # elsewhere, to ask is to kill
+    """Remove the temporary files in a folder whose process has ended; only on POSIX systems."""
+    # On other systems os.kill(pid, 0) may end the process.
+    if os.name != "posix" or (os.getpid(), folder) in _cleaned_folders:
         return
-    _cleared.add((os.getpid(), folder))
+    _cleaned_folders.add((os.getpid(), folder))
     with suppress(OSError):
         for entry in os.scandir(folder):
-            found = _LEFT.fullmatch(entry.name)
-            if found and found[1] == _home() and not _runs(int(found[2], 16)):
+            match = _TEMPORARY_NAME.fullmatch(entry.name)
+            if match and match[1] == _machine_hash() and not _is_running(int(match[2], 16)):
                 with suppress(OSError):
                     Path(entry.path).unlink()
 
 
-def _runs(process: int) -> bool:
+def _is_running(process: int) -> bool:
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):
@@ -83,65 +85,69 @@ def _runs(process: int) -> bool:
 
 
 def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) -> None:
-    """Makes a file that is on the disk, and not on its way to it, when the call returns.
+    """Create a file, and return after the content has reached the disk.
 
-    A rename may reach the disk before what was renamed does: after a power failure the file of
-    that name would be empty.
+    A later rename may reach the disk before unsynchronised content: after a power failure the
+    renamed file would be empty.
 
     Args:
-        path: Where nothing is yet.
-        data: Its content.
-        like: The file whose owner and mode it takes; by default those of any new file.
+        path: Path of the new file; must not exist.
+        data: Content.
+        like: Status of the file whose owner and mode are copied. By default, those of any new file.
 
     Raises:
-        OSError: If it cannot be made, or something is there.
+        OSError: If the file exists or cannot be created.
     """
-    # By hand, as tempfile ignores the umask.
+    # tempfile would ignore the umask.
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     with os.fdopen(handle, "wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
     if like is not None:
-        with suppress(OSError):  # another's file; nor can all file systems do it
+        with suppress(OSError):  # no permission, or not supported by the file system
             os.chown(path, like.st_uid, like.st_gid)
         path.chmod(stat.S_IMODE(like.st_mode))
 
 
 STANDARD_OUTPUT: Final = Path("-")
-"""Stands for standard output where a file is asked for; a file of that name needs its folder's."""
+"""Path that represents standard output. A file with this name must be given with its folder
+(``./-``)."""
 
 
 class ClosedOutput(io.StringIO):
-    """Stands for an output that was closed by who started the process: no result may go there."""
+    """Replacement for a standard output that the parent process has closed.
+
+    Writing a result to this output raises an error.
+    """
 
 
-_kept: list[TextIO] = []
-"""Standard output, while it is kept for a result."""
+_result_streams: list[TextIO] = []
+"""Stack of streams that receive results while ``results_on_standard_output`` is active."""
 
 
 @contextmanager
 def whole_file(path: Path, kind: Kind, *, force: bool = False) -> Iterator[io.BytesIO]:
-    """Yields a buffer that becomes the file's content if the block succeeds.
+    """Yield a buffer whose content is written to the file if the block succeeds.
 
-    A regular file is replaced in one step, its mode kept; a new one has the mode that the umask
-    gives. Links are followed. What is no regular file (a pipe, a device), and the file that
-    standard output goes to, is written to and stays what it is.
+    A regular file is replaced in one step, with its mode; a new file has the mode given by the
+    umask. Links are followed. A path that is no regular file (a pipe, a device), or that is the
+    target of standard output, is written to in place.
 
     Args:
-        path: The file to write; its folder is made if need be. ``-`` is standard output.
-        kind: What it is: without ``force`` it replaces nothing else.
-        force: Replace whatever is there, but for what the run reads.
+        path: Output file; missing folders are created. ``-`` is standard output.
+        kind: Kind of the output; see ``Kind`` for the existing files that may be replaced.
+        force: Whether to replace files of other kinds, except inputs of the run.
 
     Raises:
-        OutputError: If it cannot be written, or must not be.
+        OutputError: If the file cannot be written, or must not be replaced.
     """
     buffer = io.BytesIO()
     try:
         yield buffer
         try:
-            _write(Writing(path, buffer.getvalue(), kind, force=force))
-        except ValueError as error:  # of a path with a zero byte
+            _write_output(Writing(path, buffer.getvalue(), kind, force=force))
+        except ValueError as error:  # path with a zero byte
             raise OutputError(path, error) from error
     except BrokenPipeError:
         raise
@@ -150,29 +156,32 @@ def whole_file(path: Path, kind: Kind, *, force: bool = False) -> Iterator[io.By
 
 
 def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
-    """Finds out without writing that a file could not be written, or must not be.
+    """Raise an error if a file could not be written, or must not be replaced. Nothing is written.
+
+    An existing file is registered as an output of the run, which then must not read the file,
+    unless the kind is edited in place.
 
     Args:
-        path: The file; from here on the run may not read it, unless the kind is one to be edited.
-        kind: What is to be written there.
+        path: Output file.
+        kind: Kind of the output.
         force: As in ``whole_file``.
 
     Raises:
-        OutputError: If so.
+        OutputError: If the file cannot be written, or must not be replaced.
     """
     if path == STANDARD_OUTPUT:
-        _standard_output()
+        _result_stream()
         return
     try:
-        target, there = target_of(path)
-        if there is not None and stat.S_ISDIR(there.st_mode):
+        target, status = target_of(path)
+        if status is not None and stat.S_ISDIR(status.st_mode):
             raise OutputError(path, diagnose("output-is-a-folder"))
-        if there is not None and not os.access(target, os.W_OK):
+        if status is not None and not os.access(target, os.W_OK):
             raise OutputError(path, diagnose("output-not-writable"))
-        if there is None or is_replaceable(there):
+        if status is None or is_replaceable(status):
             check_folder(target.parent)
-        if there is not None:
-            _refuse_loss(path, target, there, kind, force=force)
+        if status is not None:
+            _check_replaceable(path, target, status, kind, force=force)
     except (OSError, ValueError) as error:
         raise OutputError(path, reason_of(error)) from error
     run = current_run()
@@ -180,25 +189,25 @@ def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
         run.expect(path)
 
 
-def _refuse_loss(
-    path: Path, target: Path, there: os.stat_result, kind: Kind, *, force: bool
+def _check_replaceable(
+    path: Path, target: Path, status: os.stat_result, kind: Kind, *, force: bool
 ) -> None:
-    """Refuses to replace what the run reads, and what is no result of that kind.
+    """Raise an error if an existing file must not be replaced.
 
     Args:
-        path: The file as it was named.
-        target: Where that leads to.
-        there: What is there.
-        kind: What is to be written.
+        path: Path as named by the user.
+        target: Path with links resolved.
+        status: Status of the existing file.
+        kind: Kind of the output.
         force: Whether files of other kinds may be replaced.
 
     Raises:
-        OutputError: If it would.
+        OutputError: If the run has read the file, or the kind does not permit the replacement.
     """
     run = current_run()
     if run is not None and not kind.edits:
-        run.refuse_input(path, (there.st_dev, there.st_ino))
-    if not (is_replaceable(there) and there.st_size):
+        run.refuse_input(path, (status.st_dev, status.st_ino))
+    if not (is_replaceable(status) and status.st_size):
         return
     force = force or (run is not None and run.force)
     with target.open("rb") as file:
@@ -214,13 +223,13 @@ def _refuse_loss(
 
 
 def check_folder(folder: Path) -> None:
-    """Finds out without writing that files could not be made in a folder, nor the folder itself.
+    """Raise an error if a folder is not writable, or could not be created. Nothing is written.
 
     Raises:
         OutputError: If so.
     """
     try:
-        existing = _nearest(folder)
+        existing = _nearest_existing(folder)
     except (OSError, ValueError) as error:
         raise OutputError(folder, reason_of(error)) from error
     if not existing.is_dir():
@@ -229,26 +238,26 @@ def check_folder(folder: Path) -> None:
         raise OutputError(folder, diagnose("folder-not-writable", folder=existing))
 
 
-def is_replaceable(there: os.stat_result) -> bool:
-    """Whether a file is one to be replaced: regular, and not where standard output goes to."""
-    if not stat.S_ISREG(there.st_mode):
+def is_replaceable(status: os.stat_result) -> bool:
+    """Return True if a file is regular and is not the target of standard output or error."""
+    if not stat.S_ISREG(status.st_mode):
         return False
-    return _standard_stream(there) is None
+    return _standard_stream(status) is None
 
 
 @contextmanager
 def results_on_standard_output() -> Iterator[None]:
-    """Keeps standard output for what is written to ``-``; all else goes to standard error."""
-    _kept.append(sys.stdout)
+    """Reserve standard output for results written to ``-``; other output goes to standard error."""
+    _result_streams.append(sys.stdout)
     try:
         with redirect_stdout(sys.stderr):
             yield
     finally:
-        _kept.pop()
+        _result_streams.pop()
 
 
-def _nearest(folder: Path) -> Path:
-    """Returns the innermost folder of a path that exists."""
+def _nearest_existing(folder: Path) -> Path:
+    """Return the innermost existing folder of a path."""
     for parent in (folder.absolute(), *folder.absolute().parents):
         with suppress(FileNotFoundError, NotADirectoryError):
             parent.stat()
@@ -257,7 +266,7 @@ def _nearest(folder: Path) -> Path:
 
 
 def target_of(path: Path) -> tuple[Path, os.stat_result | None]:
-    """Returns where a path leads to when its links are followed, and what is there."""
+    """Return a path with links resolved, and the status of the file there (None if missing)."""
     target = Path(os.path.realpath(path))
     try:
         return target, target.stat()
@@ -265,72 +274,72 @@ def target_of(path: Path) -> tuple[Path, os.stat_result | None]:
         return target, None
 
 
-def _standard_stream(there: os.stat_result) -> int | None:
-    """Returns the number of the standard stream that goes to this file."""
+def _standard_stream(status: os.stat_result) -> int | None:
+    """Return 1 or 2 if standard output or standard error is this file; None otherwise."""
     for number in (1, 2):
         with suppress(OSError):
-            if os.path.samestat(there, os.fstat(number)):
+            if os.path.samestat(status, os.fstat(number)):
                 return number
     return None
 
 
-def _write(writing: Writing) -> None:
+def _write_output(writing: Writing) -> None:
     path, data = writing.path, writing.content
     if path == STANDARD_OUTPUT:
-        _print(_standard_output(), data)
+        _write_bytes(_result_stream(), data)
         return
-    target, there = target_of(path)
-    if there is None or is_replaceable(there):
+    target, status = target_of(path)
+    if status is None or is_replaceable(status):
         write_all([writing])
         return
-    _refuse_loss(path, target, there, writing.kind, force=writing.force)
-    number = _standard_stream(there)
+    _check_replaceable(path, target, status, writing.kind, force=writing.force)
+    number = _standard_stream(status)
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
-    # Not O_CREAT: what has gone in the meantime is not made as a regular file.
+    # Without O_CREAT: a device or pipe that was removed meanwhile must not become a regular file.
     handle = os.dup(number) if number is not None else os.open(target, os.O_WRONLY)
     with os.fdopen(handle, "wb") as file:
         file.write(data)
 
 
-def _standard_output() -> TextIO:
-    """Returns where results go that are written to ``-``.
+def _result_stream() -> TextIO:
+    """Return the stream for results written to ``-``.
 
     Raises:
-        OutputError: If it is closed.
+        OutputError: If the stream is closed.
     """
-    stream: TextIO | None = _kept[-1] if _kept else sys.stdout
+    stream: TextIO | None = _result_streams[-1] if _result_streams else sys.stdout
     if stream is None or isinstance(stream, ClosedOutput):
         raise OutputError(STANDARD_OUTPUT, diagnose("standard-output-closed"))
     return stream
 
 
-def _print(stream: TextIO, data: bytes) -> None:
-    """Writes bytes to a stream of text, past its encoding where it has bytes below."""
+def _write_bytes(stream: TextIO, data: bytes) -> None:
+    """Write bytes to a text stream, without its encoding if the stream has a byte buffer."""
     stream.flush()
-    below = getattr(stream, "buffer", None)
-    if below is None:
+    buffer = getattr(stream, "buffer", None)
+    if buffer is None:
         stream.write(data.decode())
     else:
-        below.write(data)
+        buffer.write(data)
     stream.flush()
 
 
 def reason_of(error: Exception) -> object:
-    """Returns what an error of the operating system says, without its number and path."""
+    """Return the text of an operating system error without number and path, or the error itself."""
     return getattr(error, "strerror", None) or error
 
 
 @dataclass(frozen=True)
 class Writing:
-    """A file that is to be written.
+    """Request to write a file.
 
     Attributes:
-        path: The file; links are followed.
-        content: What it shall hold.
-        kind: What it is: without ``force`` it replaces nothing else.
-        before: What it is known to hold; None: whatever it holds, or nothing.
-        force: Replace whatever is there, but for what the run reads.
+        path: Output file; links are followed.
+        content: New content.
+        kind: Kind of the output; see ``Kind`` for the existing files that may be replaced.
+        before: Expected current content; None if any content, or no file, is accepted.
+        force: Whether to replace files of other kinds, except inputs of the run.
     """
 
     path: Path
@@ -341,64 +350,65 @@ class Writing:
 
 
 def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Path, ...]:
-    """Writes several files, or none of them.
+    """Write several files, or none of them.
 
-    All new contents are on the disk, under other names, before the first file is replaced; so is
-    what each file held, by a second name. Replacing is a rename per file then. If one of them
-    fails, or the process is interrupted, those before it are put back. Killed at any moment, each
-    file is the old one or the new one.
+    All new contents, and the old files under second names, are on disk before the first file is
+    replaced by a rename. If a replacement fails, or the process is interrupted, the earlier
+    replacements are undone. If the process is killed, each file has either the old or the new
+    content.
 
     Args:
-        writings: The files. They keep their modes; new ones have what the umask gives, and their
-            folders are made if need be.
-        backup: Keep what is there as ``NAME.bak`` (``NAME.bak2``, if that is taken).
+        writings: Files to write. Existing files keep their modes. New files get the mode given by
+            the umask; missing folders are created.
+        backup: Whether to copy each existing file to ``NAME.bak`` (``NAME.bak2`` etc. if the name
+            is taken).
 
     Returns:
-        The copies of the old files, if they were asked for.
+        Paths of the backup copies.
 
     Raises:
-        OutputError: If one cannot be written or must not be, is no regular file, or is not what it
-            was known to be. It names the file as it was given.
+        OutputError: If a file cannot be written, must not be replaced, is no regular file, or has
+            an unexpected content. The error contains the path as given.
     """
-    files = [_File(writing) for writing in writings]
-    kept: list[Path] = []
-    done = False
+    files = [_StagedFile(writing) for writing in writings]
+    copies: list[Path] = []
+    is_complete = False
     try:
         for file in files:
             file.stage()
         for file in files:
             file.keep()
             if backup and file.there is not None:
-                kept.append(file.backed_up())
+                copies.append(file.backed_up())
         for file in files:
             file.replace()
-        done = True
+        is_complete = True
         run = current_run()
         if run is not None:
             for file in files:
                 run.wrote(file.target, edited=file.writing.kind.edits)
     finally:
         try:
-            if not done:
-                _undo(files, kept)
+            if not is_complete:
+                _undo_replacements(files, copies)
         finally:
             for file in files:
                 file.clear()
-    _flush({file.target.parent for file in files})
-    return tuple(kept)
+    _sync_folders({file.target.parent for file in files})
+    return tuple(copies)
 
 
 @dataclass(eq=False)
-class _File:
-    """A file on its way.
+class _StagedFile:
+    """File during ``write_all``.
 
     Attributes:
-        writing: What is asked for.
-        target: Where the path leads to.
-        there: What is there; None: nothing.
-        new: The new content, under another name.
-        old: What was there, under another name.
-        stuck: Whether the old one could not be put back, and is to stay where it is kept.
+        writing: Request.
+        target: Path with links resolved.
+        there: Status of the existing file; None if there is none.
+        new: Temporary file with the new content.
+        old: Second name, or copy, of the existing file.
+        stuck: Whether restoring the old file failed, so that ``old`` must be kept.
     """
 
     writing: Writing
@@ -409,28 +419,28 @@ class _File:
     stuck: bool = False
 
     def stage(self) -> None:
-        """Writes the new content beside the file."""
+        """Check the target, and write the new content to a temporary file."""
         try:
             self.target, self.there = target_of(self.writing.path)
             if self.there is not None:
-                self._check(self.there)
-            self._compare()
+                self._check_target(self.there)
+            self._check_content()
             self.target.parent.mkdir(parents=True, exist_ok=True)
             self.new = hidden_beside(self.target)
             write_new(self.new, self.writing.content, like=self.there)
         except (OSError, ValueError) as error:
-            raise self._error(reason_of(error)) from error
+            raise self._make_error(reason_of(error)) from error
 
-    def _check(self, there: os.stat_result) -> None:
+    def _check_target(self, there: os.stat_result) -> None:
         if not is_replaceable(there):
-            raise self._error(diagnose("output-no-regular-file"))
+            raise self._make_error(diagnose("output-no-regular-file"))
         if not os.access(self.target, os.W_OK):
-            raise self._error(diagnose("output-not-writable"))
-        force = self.writing.force or self._holds(self.writing.content)
-        _refuse_loss(self.writing.path, self.target, there, self.writing.kind, force=force)
+            raise self._make_error(diagnose("output-not-writable"))
+        force = self.writing.force or self._has_content(self.writing.content)
+        _check_replaceable(self.writing.path, self.target, there, self.writing.kind, force=force)
 
-    def _holds(self, content: bytes) -> bool:
-        """Whether the file has that content, so that nothing is lost if it is written again."""
+    def _has_content(self, content: bytes) -> bool:
+        """Return True if the existing file already has this content, so that no data is lost."""
         there = self.there
         return (
             there is not None
@@ -438,26 +448,29 @@ class _File:
             and self.target.read_bytes() == content
         )
 
-    def _compare(self) -> None:
+    def _check_content(self) -> None:
         before = self.writing.before
         if before is not None and self.target.read_bytes() != before:
-            raise self._error(diagnose("output-changed-meanwhile"))
+            raise self._make_error(diagnose("output-changed-meanwhile"))
 
     def keep(self) -> None:
-        """Gives what is there a second name, so that no room is needed to put it back."""
+        """Link the existing file to a second name, so that restoring the file needs no disk space.
+
+        If the file system does not support hard links, the file is copied.
+        """
         if self.there is None:
             return
         self.old = hidden_beside(self.target)
         try:
             os.link(self.target, self.old)
-        except OSError:  # not all file systems can
+        except OSError:  # no hard links
             try:
                 write_new(self.old, self.target.read_bytes(), like=self.there)
             except OSError as error:
-                raise self._error(reason_of(error)) from error
+                raise self._make_error(reason_of(error)) from error
 
     def backed_up(self) -> Path:
-        """Copies what is there to a name that is not taken, and returns that."""
+        """Copy the existing file to an unused backup name, and return the path of the copy."""
         number = 1
         while True:
             path = self.target.with_name(f"{self.target.name}.bak{number if number > 1 else ''}")
@@ -468,23 +481,23 @@ class _File:
             except OSError as error:
                 path.unlink(missing_ok=True)
                 message = diagnose("copy-not-written", file=path.name, problem=reason_of(error))
-                raise self._error(message) from error
+                raise self._make_error(message) from error
             else:
                 if self.there is not None:
                     os.utime(path, ns=(self.there.st_atime_ns, self.there.st_mtime_ns))
                 return path
 
     def replace(self) -> None:
-        """Puts the new content in the file's place."""
+        """Replace the target by the new content."""
         assert self.new is not None
         try:
-            self._compare()
+            self._check_content()
             self.new.replace(self.target)
         except OSError as error:
-            raise self._error(reason_of(error)) from error
+            raise self._make_error(reason_of(error)) from error
 
     def put_back(self) -> None:
-        """Puts what was there in its place again, if the new content has taken it."""
+        """Restore the old file if the target has been replaced."""
         if self.new is None or self.new.exists():  # an interrupt may come right after the rename
             return
         if self.old is None:
@@ -496,21 +509,21 @@ class _File:
             self.stuck = True
 
     def clear(self) -> None:
-        """Removes what was written beside the file."""
+        """Remove the temporary files."""
         for path in (self.new, None if self.stuck else self.old):
             if path is not None:
                 with suppress(OSError):
                     path.unlink(missing_ok=True)
 
-    def _error(self, problem: object) -> OutputError:
+    def _make_error(self, problem: object) -> OutputError:
         return OutputError(self.writing.path, problem)
 
 
-def _undo(files: Sequence[_File], copies: Sequence[Path]) -> None:
-    """Puts back what was replaced, and removes the copies that were made of it.
+def _undo_replacements(files: Sequence[_StagedFile], copies: Sequence[Path]) -> None:
+    """Restore the replaced files, and remove the backup copies.
 
     Raises:
-        OutputError: If that fails; it tells where the old files are.
+        OutputError: If a file cannot be restored; the message contains the path of the old file.
     """
     for file in reversed(files):
         file.put_back()
@@ -522,8 +535,8 @@ def _undo(files: Sequence[_File], copies: Sequence[Path]) -> None:
         raise OutputError(stuck[0].writing.path, diagnose("files-not-put-back", kept=kept))
 
 
-def _flush(folders: set[Path]) -> None:
-    """Puts renames on the disk, where the system knows of that."""
+def _sync_folders(folders: set[Path]) -> None:
+    """Write the renames in these folders to disk, if the system supports this."""
     for folder in folders:
         with suppress(OSError):
             handle = os.open(folder, os.O_RDONLY)

@@ -1,4 +1,4 @@
-"""Dictionaries and arrays that cannot be written to."""
+"""Read-only dictionaries and arrays, for results and tasks."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ _V = TypeVar("_V")
 
 
 class FrozenDict(dict[_K, _V]):
-    """A dictionary that cannot be changed, and so can be hashed if its values can."""
+    """Read-only dictionary; hashable if all values are hashable."""
 
-    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+    def _raise_read_only(self, *_: Any, **__: Any) -> NoReturn:
         raise TypeError("it belongs to a result or a task, and cannot be changed: dict(it) copies")
 
-    __setitem__ = __delitem__ = clear = pop = popitem = setdefault = update = _refuse
-    __ior__ = _refuse
+    __setitem__ = __delitem__ = clear = pop = popitem = setdefault = update = _raise_read_only
+    __ior__ = _raise_read_only
 
     def __hash__(self) -> int:  # type: ignore[override]
         return hash(frozenset(self.items()))
@@ -27,15 +27,16 @@ class FrozenDict(dict[_K, _V]):
 
 
 def freeze(value: Any) -> Any:
-    """Returns an array or a dictionary that cannot be written to, with the same content.
+    """Return a read-only version of an array or a dictionary, with the same content.
 
-    Of an array that can be it is a view: whoever made it may go on with its own.
+    Other values are returned unchanged. A writeable array is returned as a read-only view: the
+    array itself stays writeable.
     """
     kind = type(value)
     if kind is float or kind is str:
         return value
     if kind is dict:
-        return FrozenDict({name: freeze(one) for name, one in value.items()})
+        return FrozenDict({name: freeze(item) for name, item in value.items()})
     numpy = sys.modules.get("numpy")  # without it there are no arrays, and it is slow to import
     if numpy is not None and kind is numpy.ndarray and value.flags.writeable:
         view = value.view()
@@ -45,11 +46,12 @@ def freeze(value: Any) -> Any:
 
 
 def freeze_arrays(arrays: Mapping[str, Any]) -> FrozenDict[str, Any]:
-    """Returns copies of arrays by names that many results may share: nobody can make them writable.
+    """Return read-only copies of named arrays. NumPy cannot make these writeable again.
 
-    Of what cannot be written to a view cannot be made writable either.
+    A view of a read-only array cannot be made writeable, so the result contains views of the
+    copies.
     """
-    copies = {name: one.copy() for name, one in arrays.items()}
-    for one in copies.values():
-        one.flags.writeable = False
-    return FrozenDict({name: one.view() for name, one in copies.items()})
+    copies = {name: array.copy() for name, array in arrays.items()}
+    for array in copies.values():
+        array.flags.writeable = False
+    return FrozenDict({name: array.view() for name, array in copies.items()})

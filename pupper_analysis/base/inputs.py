@@ -1,7 +1,11 @@
-"""Input files: the one door by which what a user gives comes in, within limits.
+"""Reading of input files, with limits of file type and size.
 
-Who reads a file by a library that opens it asks ``check_input`` before; all else comes through
-``read_input``. What is refused is an ``InputError``, which readers raise as their own.
+All input files are read by ``read_input``, or checked by ``check_input`` if a library opens the
+file. A rejected file raises an ``InputError``, which the readers of a file type convert to an error
+of their own.
+
+A model may also come from standard input. Relative paths in such a model, for example of meshes,
+are relative to the current folder.
 """
 
 from __future__ import annotations
@@ -19,77 +23,80 @@ from pupper_analysis.base.errors import ConfigurationError, InputError
 from pupper_analysis.base.files import reason_of
 from pupper_analysis.base.runs import note_input
 
-MOST_TEXT: Final = 20_000_000
-"""Bytes of a text that is read as a whole: a model, settings."""
+MAX_TEXT_BYTES: Final = 20_000_000
+"""Maximum size of a text file, such as a model or settings. Chosen, not tuned."""
 
-MOST_FILE: Final = 500_000_000
-"""Bytes of any other file that is: a mesh, a texture."""
+MAX_FILE_BYTES: Final = 500_000_000
+"""Maximum size of any other input file, such as a mesh or a texture. Chosen, not tuned."""
 
-_PART: Final = 1 << 20
-_LONGEST_KEY: Final = 500
+_CHUNK_BYTES: Final = 1 << 20
+"""Number of bytes per read operation."""
+
+_MAX_KEY_LENGTH: Final = 500
+"""Maximum number of characters of a TOML key. Error messages contain the key."""
 
 
 def check_input(path: Path, most: int, *, own: bool = False) -> None:
-    """Refuses what is no regular file, links followed, or larger than what is read.
+    """Raise an error unless the path is a regular file (links followed) of limited size.
 
-    Nothing is opened: who opens a pipe waits without end, and who opens a device may act on it.
+    The file is not opened: opening a pipe may block, and opening a device may trigger an action.
 
     Args:
         path: The file.
-        most: Bytes.
-        own: Whether it is one that the run goes on with, and writes again: all else that is read is
-            never written by the same run.
+        most: Maximum size [bytes].
+        own: Whether the run also writes this file. Other files are registered as inputs, which the
+            run must not write.
 
     Raises:
-        InputError: If so.
-        OutputError: If it is one that the run is to write.
+        InputError: If the file is missing, is no regular file, or is too large.
+        OutputError: If the run will write this file, unless ``own`` is set.
     """
     try:
-        there = path.stat()
+        status = path.stat()
     except (FileNotFoundError, NotADirectoryError, ValueError) as error:  # ValueError: a zero byte
         raise InputError(path, diagnose("no-such-file")) from error
     except OSError as error:
         raise InputError(path, diagnose("file-not-read", message=str(reason_of(error)))) from error
-    if stat.S_ISDIR(there.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise InputError(path, diagnose("file-is-folder"))
-    if not stat.S_ISREG(there.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise InputError(path, diagnose("file-not-regular"))
-    if there.st_size > most:
+    if status.st_size > most:
         raise InputError(path, diagnose("file-too-large", most=most / 1e6))
     if not own:
         note_input(path)
 
 
 def is_input(path: Path) -> bool:
-    """Says whether there is a regular file; a name that no file can have is that of none."""
+    """Return True if the path is a regular file; False for names that the system rejects."""
     try:
         return path.is_file()
-    except (OSError, ValueError):  # too long, say
+    except (OSError, ValueError):  # for example a name that is too long
         return False
 
 
 def read_input(path: Path, most: int, *, own: bool = False) -> bytes:
-    """Returns the content of a file that a user gave.
+    """Return the content of an input file.
 
     Args:
         path: The file.
-        most: Bytes that are read at most.
+        most: Maximum size [bytes].
         own: As in ``check_input``.
 
     Raises:
-        InputError: If it is no regular file, larger, or cannot be read.
-        OutputError: If it is one that the run is to write.
+        InputError: If the file is no regular file, is too large, or cannot be read.
+        OutputError: If the run will write this file, unless ``own`` is set.
     """
     check_input(path, most, own=own)
     try:
-        # Not blocking: a pipe may have taken its place.
+        # Non-blocking, because a pipe may have replaced the file since the check.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
         data = bytearray()
         with os.fdopen(handle, "rb") as file:
-            # In parts: asked for as much as may come, Python takes that much memory; and the size
-            # that was seen is none of files of the kernel's.
-            while len(data) <= most and (part := file.read(_PART)):
-                data += part
+            # In chunks: read(most) allocates the memory in advance, and the size reported for
+            # files of the kernel (/proc) is zero.
+            while len(data) <= most and (chunk := file.read(_CHUNK_BYTES)):
+                data += chunk
     except (OSError, ValueError) as error:
         raise InputError(path, diagnose("file-not-read", message=str(reason_of(error)))) from error
     if len(data) > most:
@@ -98,82 +105,84 @@ def read_input(path: Path, most: int, *, own: bool = False) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Returns a text that a user gave; see ``read_input`` and ``decode_input``."""
-    return decode_input(path, read_input(path, MOST_TEXT))
+    """Return the content of a text file (UTF-8); see ``read_input`` and ``decode_input``."""
+    return decode_input(path, read_input(path, MAX_TEXT_BYTES))
 
 
 def decode_input(path: Path, data: bytes) -> str:
-    """Returns a file's content as text.
+    """Decode the content of a file as UTF-8, with or without byte order mark.
 
     Raises:
-        InputError: If it is no UTF-8, with or without its mark; the error has the line.
+        InputError: If the content is not UTF-8, or contains zero bytes; with the line, if known.
     """
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(path, diagnose("encoded-in-utf-16"))
     if b"\0" in data:
-        raise InputError(path, diagnose("file-is-binary"), _line(data, data.index(b"\0")))
+        raise InputError(path, diagnose("file-is-binary"), _line_number(data, data.index(b"\0")))
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         problem = diagnose("not-utf-8", byte=data[error.start])
-        raise InputError(path, problem, _line(data, error.start)) from error
+        raise InputError(path, problem, _line_number(data, error.start)) from error
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
-    """Returns a TOML file's text, and its values.
+    """Return the text and the values of a TOML file.
 
     Raises:
-        InputError: If it cannot be read, or is no TOML; the error has the line.
+        InputError: If the file cannot be read, is no valid TOML (with the line, if known), or has a
+            key that is too long.
     """
-    text = decode_input(path, read_input(path, MOST_TEXT))
+    text = decode_input(path, read_input(path, MAX_TEXT_BYTES))
     try:
         values = tomllib.loads(text)
     except (ValueError, OverflowError, RecursionError) as error:
-        found = re.search(r"at line (\d+)", str(error))
+        match = re.search(r"at line (\d+)", str(error))
         problem = diagnose("not-toml", problem=" ".join(str(error).split()))
-        raise InputError(path, problem, int(found[1]) if found else None) from error
+        raise InputError(path, problem, int(match[1]) if match else None) from error
     tables: list[Any] = [values]
-    for table in tables:  # which grows: who refuses a key names it
+    for table in tables:  # the loop body appends nested tables; error messages contain the key
         if isinstance(table, dict):
             for key in table:
-                if len(key) > _LONGEST_KEY:
-                    message = diagnose("toml-key-too-long", begins=key[:40], most=_LONGEST_KEY)
+                if len(key) > _MAX_KEY_LENGTH:
+                    message = diagnose("toml-key-too-long", begins=key[:40], most=_MAX_KEY_LENGTH)
                     raise InputError(path, message)
         if isinstance(table, dict | list):
             tables += table.values() if isinstance(table, dict) else table
     return text, values
 
 
-def _line(data: bytes, at: int) -> int:
-    return data.count(b"\n", 0, at) + 1
+def _line_number(data: bytes, index: int) -> int:
+    return data.count(b"\n", 0, index) + 1
 
-
-# A model that comes from standard input has a name, but no file: what is relative in it, such as
-# the files of meshes, is relative to the current folder.
 
 STANDARD_INPUT: Final = Path("standard input")
-"""What it is called where a file's path would stand."""
+"""Path that represents standard input."""
 
-_held: list[bytes] = []
-"""What was read, while a command works on it: it can be read but once."""
+_held_content: list[bytes] = []
+"""Content of standard input, kept during a command, because standard input can be read only once.
+"""
 
 
 def hold_input(most: int) -> Path:
-    """Reads standard input, and keeps it under the name that is returned, until it is forgotten.
+    """Read standard input, and keep the content until ``forget_input``.
 
     Args:
-        most: Bytes that are read at most.
+        most: Maximum number of bytes to read.
+
+    Returns:
+        ``STANDARD_INPUT``, the path for ``read_content``.
 
     Raises:
-        ConfigurationError: If it was read already, or cannot be.
+        ConfigurationError: If standard input is already held, or cannot be read.
     """
-    if _held:
+    if _held_content:
         raise ConfigurationError("-", diagnose("standard-input-twice"))
     stream = getattr(sys.stdin, "buffer", None)
     try:
         if stream is None:
             raise OSError("there is none")
-        _held.append(stream.read(most))
+        _held_content.append(stream.read(most))
     except (OSError, ValueError) as error:
         unread = diagnose("standard-input-unread", message=str(error))
         raise ConfigurationError("-", unread) from error
@@ -181,23 +190,24 @@ def hold_input(most: int) -> Path:
 
 
 def forget_input() -> None:
-    """Lets go of what was held."""
-    _held.clear()
+    """Discard the content of standard input."""
+    _held_content.clear()
 
 
 def is_held(path: Path) -> bool:
-    """Says whether a path is that of the model from standard input."""
-    return path == STANDARD_INPUT and bool(_held)
+    """Return True if a path represents standard input and its content is held."""
+    return path == STANDARD_INPUT and bool(_held_content)
 
 
 def read_content(path: Path, most: int) -> bytes:
-    """Returns the bytes of a file, or of the model from standard input.
+    """Return the content of a file, or of the model from standard input.
 
     Raises:
-        InputError: If it is no regular file, has more bytes than ``most``, or cannot be read.
+        InputError: If the file is no regular file, has more than ``most`` bytes, or cannot be read.
+        OutputError: If the run will write this file.
     """
     if not is_held(path):
         return read_input(path, most)
-    if len(_held[0]) > most:
+    if len(_held_content[0]) > most:
         raise InputError(path, diagnose("file-too-large", most=most / 1e6))
-    return _held[0]
+    return _held_content[0]

@@ -1,4 +1,8 @@
-"""Kinds of results, and how a file of each is recognised: only such a file is replaced unasked."""
+"""Kinds of output files, with the tests that recognise existing files of each kind.
+
+Without ``force``, an output replaces an existing non-empty file only if ``Kind.owns`` recognises
+the file.
+"""
 
 from __future__ import annotations
 
@@ -11,122 +15,134 @@ from dataclasses import dataclass
 from typing import BinaryIO, Final
 
 GENERATOR: Final = "pupper-analysis"
-"""What results are marked with, before the version: JSON, pages and figures."""
+"""Name of the generator, written before the version in JSON, pages and figures."""
 
-HEAD: Final = 1 << 16
-"""Bytes at a file's beginning that are looked at: the columns of a hundred joints."""
+NUM_HEAD_BYTES: Final = 1 << 16
+"""Number of bytes read from the start of a file to recognise its kind. The header of a table with a
+hundred joints is shorter."""
 
-_MOST: Final = 1 << 24
-"""Bytes of a plan that are looked at; ten thousand stands of a hundred joints are fewer."""
+_MAX_PLAN_BYTES: Final = 1 << 24
+"""Maximum number of bytes read from a plan. Ten thousand stands of a hundred joints need fewer."""
 
 
-def _none(_file: BinaryIO) -> bool:
+def _match_none(_file: BinaryIO) -> bool:
     return False
 
 
-def _any(_file: BinaryIO) -> bool:
+def _match_any(_file: BinaryIO) -> bool:
     return True
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of result.
+    """Kind of output file.
 
     Attributes:
-        name: What it is called, in the catalogue's terms.
-        owns: Whether a file is such a result, and may be replaced by another; None: that is asked
-            for alone.
-        keeps: Whether a file holds what no run can make again: nothing replaces it.
-        edits: Whether it is read and written in place, on purpose.
+        name: Name, a term of the catalogue.
+        owns: Test of whether an existing file is of this kind and may be replaced. None if an
+            existing file is replaced only with ``force``.
+        keeps: Test of whether a file contains data that no run can compute again. Such a file is
+            never replaced.
+        edits: Whether the run edits an input file in place.
     """
 
     name: str
     owns: Callable[[BinaryIO], bool] | None = None
-    keeps: Callable[[BinaryIO], bool] = _none
+    keeps: Callable[[BinaryIO], bool] = _match_none
     edits: bool = False
 
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder of results.
+    """Output folder.
 
     Attributes:
-        files: {name: kind} of what it gets, as far as that is known before.
+        files: {name: kind} of the files in the folder whose names are known in advance.
     """
 
     files: Mapping[str, Kind]
 
 
 def begins(*marks: str) -> Callable[[BinaryIO], bool]:
-    """Returns what knows a file by what it begins with."""
-    known = tuple(mark.encode() for mark in marks)
-    return lambda file: file.read(max(map(len, known))).startswith(known)
+    """Return a test of whether a file starts with one of several texts."""
+    prefixes = tuple(mark.encode() for mark in marks)
+    return lambda file: file.read(max(map(len, prefixes))).startswith(prefixes)
 
 
 def _is_page(file: BinaryIO) -> bool:
-    return b'<meta name="generator" content="pupper_analysis ' in file.read(HEAD)
+    return b'<meta name="generator" content="pupper_analysis ' in file.read(NUM_HEAD_BYTES)
 
 
 def _is_picture(file: BinaryIO) -> bool:
-    head = file.read(HEAD)
+    head = file.read(NUM_HEAD_BYTES)
     return head.startswith(b"\x89PNG") and f"tEXtSoftware\0{GENERATOR} ".encode() in head
 
 
-def _plan_cells(file: BinaryIO) -> list[str] | None:
-    """Returns all that stands in a plan beside what it was written with; None of no plan."""
+def _read_measured_cells(file: BinaryIO) -> list[str] | None:
+    """Return the non-empty cells of a plan in columns that ``fit`` does not fill itself.
+
+    Returns:
+        The cells. None if the file is not a CSV file with the columns of a plan.
+    """
     try:
-        rows = list(csv.reader(io.StringIO(file.read(_MOST).decode("utf-8-sig"))))
+        rows = list(csv.reader(io.StringIO(file.read(_MAX_PLAN_BYTES).decode("utf-8-sig"))))
     except (ValueError, csv.Error):
         return None
-    head = rows[0] if rows else []
-    kinds = [re.split(r"[.\[]", name)[0].strip() for name in head]
-    if not {"command", "position"} <= set(kinds):
+    header = rows[0] if rows else []
+    columns = [re.split(r"[.\[]", name)[0].strip() for name in header]
+    if not {"command", "position"} <= set(columns):
         return None
     loads = ("added", "added_x", "added_y", "added_z")
-    written = ("stand", "swing", "from", "heading", "command", *loads)
+    prefilled = ("stand", "swing", "from", "heading", "command", *loads)
     return [
         cell.strip()
         for row in rows[1:]
-        for place, cell in enumerate(row)
-        if cell.strip() and (place >= len(kinds) or kinds[place] not in written)
+        for column, cell in enumerate(row)
+        if cell.strip() and (column >= len(columns) or columns[column] not in prefilled)
     ]
 
 
-def _is_plan(file: BinaryIO) -> bool:
-    return _plan_cells(file) == []
+def _is_empty_plan(file: BinaryIO) -> bool:
+    return _read_measured_cells(file) == []
 
 
-def _is_filled_in(file: BinaryIO) -> bool:
-    return bool(_plan_cells(file))
+def _has_measurements(file: BinaryIO) -> bool:
+    return bool(_read_measured_cells(file))
 
 
 RESULTS: Final = Kind("JSON result", begins(f'{{\n  "generator": "{GENERATOR} '))
 PAGE: Final = Kind("report page", _is_page)
 PICTURE: Final = Kind("figure", _is_picture)
 STAND_TABLE: Final = Kind("table of a stand", begins("joint,position (rad),torque (N m),"))
-PLAN: Final = Kind("plan of stands", _is_plan, keeps=_is_filled_in)
-RECORD: Final = Kind("table of stands", lambda file: _plan_cells(file) is not None, edits=True)
+PLAN: Final = Kind("plan of stands", _is_empty_plan, keeps=_has_measurements)
+RECORD: Final = Kind(
+    "table of stands", lambda file: _read_measured_cells(file) is not None, edits=True
+)
 OFFSETS: Final = Kind("table of offsets", begins("joint,offset_rad,offset_deg\n"))
 MODEL: Final = Kind("model")
-"""A model: people go on with it, so that it is replaced when it is asked for alone."""
+"""Model file. Users edit models, so an existing model is replaced only with ``force``."""
 
 
 def hash_of(content: bytes) -> str:
-    """Returns what a file that was written is known by while nobody has edited it."""
+    """Return the SHA-256 of a file content, to detect later changes by the user."""
     return hashlib.sha256(content).hexdigest()
 
 
 def made_model(known: str | None) -> Kind:
-    """Returns the kind of a model that has that hash if nobody has edited it; None: of any."""
+    """Return the kind of a generated model. Without ``force``, only an unedited file is replaced.
+
+    Args:
+        known: SHA-256 of the generated file. If None, the result is ``MODEL``.
+    """
     if known is None:
         return MODEL
     return Kind("model as a fit has written it", lambda file: hash_of(file.read()) == known)
 
 
-OWN: Final = Kind("model", _any)
-"""A file whose name follows from its content."""
-EDITED: Final = Kind("model", _any, edits=True)
-"""A file that was read, known for what it is, and is written in place."""
+OWN: Final = Kind("model", _match_any)
+"""Model file whose name is derived from the content, so that each existing file may be replaced."""
+EDITED: Final = Kind("model", _match_any, edits=True)
+"""Model file that the run reads and writes in place."""
 
 SAMPLES: Final = Kind("table of samples", begins("# Samples of a fitted robot."))
 FIT_FOLDER: Final = Folder(
@@ -136,4 +152,4 @@ FIT_FOLDER: Final = Folder(
         "samples.csv": SAMPLES,
     }
 )
-"""What ``fit -o`` writes beside models."""
+"""Files that ``fit -o`` writes in addition to models."""

@@ -1,4 +1,4 @@
-"""Where a result comes from: the command, the versions, the files that were read, and the date."""
+"""Provenance of a result: command, options, versions, hashes of the input files, and date."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from pupper_analysis.base.runs import current_run
 from pupper_analysis.base.units import units_of
 
 LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
-"""Whose versions results depend on."""
+"""Distributions that affect results, and whose versions are recorded."""
 
 
-_MOST_FILES = 12
-"""That are listed on a page: of a robot with meshes there may be a hundred."""
+_MAX_LISTED_FILES = 12
+"""Maximum number of input files listed on a page. A robot with meshes may have a hundred."""
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a result was made with.
+    """Command, environment and input files of a result.
 
     Attributes:
-        command: As it would be typed; empty in Python.
-        asked: {option that was given, as in ``payload_at``: its value}: numbers in SI units, texts
-            as they were typed. What a file of options gives is there, too.
-        date: When it was written (UTC, ISO 8601).
-        versions: {library, python, machine: its version, or kind}.
-        files: {file that was read: SHA-256 of its content}.
+        command: Command line, quoted for a shell; empty if the result was computed in Python.
+        asked: {option: value} of the options on the command line or in a file of options, for
+            example ``payload_at``. Numbers are in SI units, texts as typed.
+        date: Time of writing (UTC, ISO 8601).
+        versions: {library, ``python`` or ``machine``: version or processor type}.
+        files: {input file: SHA-256 of the content}.
     """
 
     command: str
@@ -48,32 +48,34 @@ class Provenance:
     files: dict[str, str]
 
     def lines(self) -> tuple[str, ...]:
-        """Returns it in a few lines: hashes by their first twelve digits, of the first files."""
+        """Return the provenance as lines of text, with short hashes of the first input files."""
         versions = ", ".join(f"{name} {version}" for name, version in self.versions.items())
         files = [f"{name} sha256:{digest[:12]}" for name, digest in self.files.items()]
-        more = len(files) - _MOST_FILES
-        files[_MOST_FILES:] = [f"... {more} more files: --json has them"] if more > 0 else []
+        num_omitted = len(files) - _MAX_LISTED_FILES
+        files[_MAX_LISTED_FILES:] = (
+            [f"... {num_omitted} more files: --json has them"] if num_omitted > 0 else []
+        )
         return tuple(line for line in (self.command, self.date, versions, *files) if line)
 
 
 @lru_cache(maxsize=1)
 def list_versions() -> dict[str, str]:
-    """Returns the versions of what results depend on; the processor's kind is one of them."""
-    found = {"machine": platform.machine(), "python": platform.python_version()}
+    """Return the versions of ``LIBRARIES``, the Python version and the processor type."""
+    versions = {"machine": platform.machine(), "python": platform.python_version()}
     for library in LIBRARIES:
         try:
-            found[library] = metadata.version(library)
+            versions[library] = metadata.version(library)
         except metadata.PackageNotFoundError:
-            found[library] = "unknown"
-    return found
+            versions[library] = "unknown"
+    return versions
 
 
 def find_provenance() -> Provenance:
-    """Returns where what is written now comes from; outside of a command without files."""
+    """Return the provenance of the current run; outside of a run, without command and files."""
     run = current_run()
     files = {}
     for name in sorted(run.inputs.values()) if run else ():
-        with suppress(OSError), Path(name).open("rb") as file:  # it may be gone meanwhile
+        with suppress(OSError), Path(name).open("rb") as file:  # the file may have been deleted
             files[name] = hashlib.file_digest(file, "sha256").hexdigest()
     return Provenance(
         command=shlex.join(run.command) if run else "",
@@ -85,31 +87,35 @@ def find_provenance() -> Provenance:
 
 
 def marked_json(content: object) -> str:
-    """Returns a result, or a mapping of results, as a JSON file that says what has made it.
+    """Return a result, or a mapping of results, as JSON with generator and provenance.
 
-    Its ``provenance`` has ``units``, too: of each field whose class states one, by its name.
+    The entry ``provenance`` also contains ``units``: {field: unit} of all fields whose class
+    specifies a unit.
 
     Raises:
         ConfigurationError: As ``to_json``.
     """
     from pupper_analysis import __version__
 
-    own = content if isinstance(content, Mapping) else to_plain(content)
-    stated: dict[str, set[str]] = {}
-    for kind in set(_kinds_in(content)):
-        for name, unit in units_of(kind).items():
-            stated.setdefault(name, set()).add(unit)
-    units = {name: " or ".join(sorted(found)) for name, found in sorted(stated.items())}
+    plain = content if isinstance(content, Mapping) else to_plain(content)
+    units_by_field: dict[str, set[str]] = {}
+    for result_type in set(_iter_result_types(content)):
+        for name, unit in units_of(result_type).items():
+            units_by_field.setdefault(name, set()).add(unit)
+    units = {
+        name: " or ".join(sorted(alternatives))
+        for name, alternatives in sorted(units_by_field.items())
+    }
     origin = {**to_plain(find_provenance()), "units": units}
     marks = {"generator": f"{GENERATOR} {__version__}", "provenance": origin}
-    return f"{to_json({**marks, **own})}\n"
+    return f"{to_json({**marks, **plain})}\n"
 
 
-def _kinds_in(content: object) -> Iterator[type]:
-    """Yields the class of each result in a result, or in a container of results."""
+def _iter_result_types(content: object) -> Iterator[type]:
+    """Yield the class of each dataclass in a result or a container; diagnostics are skipped."""
     if is_dataclass(content) and not isinstance(content, Diagnostic):
         yield type(content)
         content = to_plain(content)
-    inside = tuple(content.values()) if isinstance(content, Mapping) else content
-    for one in inside if isinstance(inside, list | tuple) else ():
-        yield from _kinds_in(one)
+    items = tuple(content.values()) if isinstance(content, Mapping) else content
+    for item in items if isinstance(items, list | tuple) else ():
+        yield from _iter_result_types(item)

@@ -1,4 +1,4 @@
-"""Results are dataclasses that turn into JSON."""
+"""Base classes of results, and their conversion to JSON, dictionaries and tables."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 def to_json(result: object) -> str:
-    """Returns a result, or a container of results, as indented JSON.
+    """Return a result, or a container of results, as indented JSON.
 
-    Arrays become lists; a number that is not finite becomes null.
+    Arrays become lists. Infinite values and NaN become null.
 
     Raises:
-        ConfigurationError: If something in it has no form in JSON, such as bytes.
+        ConfigurationError: If a value has no JSON equivalent, such as bytes.
     """
     options = (
         orjson.OPT_SERIALIZE_NUMPY
@@ -44,35 +44,37 @@ def to_json(result: object) -> str:
 
 
 def to_plain(value: Any) -> Any:
-    """Returns what JSON is made of in place of a value that it does not know."""
+    """Return the JSON-compatible equivalent of a value of another type.
+
+    Raises:
+        ConfigurationError: If the type is not supported.
+    """
     if isinstance(value, Diagnostic):
         return value.to_dict()
     if is_dataclass(value):
         names = [f.name for f in fields(value) if f.name[0] != "_"]
         return {name: getattr(value, name) for name in (*names, *getattr(value, "_reported", ()))}
-    if hasattr(value, "tolist"):  # an array that is not contiguous
+    if hasattr(value, "tolist"):  # array that is not contiguous
         return value.tolist()
-    if hasattr(value, "keys"):  # a mapping that is no dict
+    if hasattr(value, "keys"):  # mapping other than dict
         return dict(value)
-    if isinstance(value, float | PurePath):  # a number with a unit
+    if isinstance(value, float | PurePath):  # float: subclass with a unit
         return str(value) if isinstance(value, PurePath) else float(value)
     raise ConfigurationError("result", diagnose("no-json-of", type=type(value).__name__))
 
 
-_WIDTH = 220
-"""Characters of what a result's ``repr`` shows: two or three lines of a terminal."""
+_MAX_REPR_LENGTH = 220
+"""Maximum number of characters of the fields in ``repr``: two or three lines of a terminal."""
 
-_MOST_SHOWN = 3
-"""Numbers or names of a field that are shown one by one."""
+_MAX_SHOWN_ITEMS = 3
+"""Maximum number of items of a field that ``repr`` shows individually."""
 
 
 class Result:
-    """Base of the results.
+    """Base class of results. Fields cannot be modified in place.
 
-    Their ``repr`` is short: arrays and long lists are shown by their sizes. ``to_json`` has it all.
-    Nothing in them can be written to: other functions take them for checked.
-
-    JSON has their fields, and those properties that a class names in ``_reported``.
+    ``repr`` is short: long arrays and lists are represented by their sizes. ``to_json`` returns all
+    fields, and the properties that the class lists in ``_reported``.
     """
 
     _reported: ClassVar[tuple[str, ...]] = ()
@@ -82,43 +84,43 @@ class Result:
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
 
     def __post_init__(self) -> None:
-        own = vars(self)
-        for name, value in own.items():
+        attributes = vars(self)
+        for name, value in attributes.items():
             if type(value) is dict or (type(value) is np.ndarray and value.flags.writeable):
-                own[name] = freeze(value)
+                attributes[name] = freeze(value)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        Result.__post_init__(self)  # an array that was pickled can be written to
+        Result.__post_init__(self)  # unpickled arrays are writeable
 
     def __repr__(self) -> str:
-        shown = ", ".join(f"{name}={value}" for name, value in self._shown())
-        if len(shown) > _WIDTH:
-            shown = f"{shown[:_WIDTH].rpartition(', ')[0]}, ..."
-        return f"{type(self).__name__}({shown})"
+        text = ", ".join(f"{name}={value}" for name, value in self._format_fields())
+        if len(text) > _MAX_REPR_LENGTH:
+            text = f"{text[:_MAX_REPR_LENGTH].rpartition(', ')[0]}, ..."
+        return f"{type(self).__name__}({text})"
 
-    def _shown(self) -> list[tuple[str, str]]:
+    def _format_fields(self) -> list[tuple[str, str]]:
         return [(f.name, shorten(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
 
     def to_json(self) -> str:
-        """Returns the result as indented JSON."""
+        """Return the result as indented JSON."""
         return to_json(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns the result as plain dictionaries, lists and numbers."""
+        """Return the result as dictionaries, lists and numbers."""
         value: dict[str, Any] = orjson.loads(self.to_json())
         return value
 
 
 class Tabular(Result):
-    """Base of the results that are tables: one row per joint, sample, direction or finding."""
+    """Base class of results that are tables: one row per joint, sample, direction or finding."""
 
     def _columns(self) -> Mapping[str, ArrayLike | Iterable[object]]:
-        """Returns {column: its values}, all of one length."""
+        """Return {column: values}; all columns have the same length."""
         raise NotImplementedError
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Returns the table as a pandas ``DataFrame``; units are those of the fields.
+        """Return the table as a pandas ``DataFrame``, in the units of the fields.
 
         Raises:
             MissingPackageError: If pandas is not installed.
@@ -131,7 +133,7 @@ class Tabular(Result):
 
 
 def shorten(value: object) -> str:
-    """Returns a value in few words: numbers with 6 digits, what is long by its size."""
+    """Return a short text for a value: numbers with 6 digits, long containers by their sizes."""
     if isinstance(value, Enum):
         return repr(value.value)
     if isinstance(value, float):
@@ -139,16 +141,18 @@ def shorten(value: object) -> str:
     if isinstance(value, str):
         return repr(value if len(value) <= 60 else f"{value[:57]}...")
     if isinstance(value, np.ndarray):
-        if value.ndim == 1 and value.size <= _MOST_SHOWN:
+        if value.ndim == 1 and value.size <= _MAX_SHOWN_ITEMS:
             return f"[{', '.join(shorten(item) for item in value.tolist())}]"
         return f"<array {' x '.join(map(str, value.shape))}>"
     if isinstance(value, Mapping):
-        names = ", ".join(map(str, list(value)[:_MOST_SHOWN])) + (
-            ", ..." if len(value) > _MOST_SHOWN else ""
+        names = ", ".join(map(str, list(value)[:_MAX_SHOWN_ITEMS])) + (
+            ", ..." if len(value) > _MAX_SHOWN_ITEMS else ""
         )
         return f"<{len(value)}: {names}>" if value else "{}"
     if isinstance(value, tuple | list):
-        if len(value) <= _MOST_SHOWN and all(isinstance(item, str | float | int) for item in value):
+        if len(value) <= _MAX_SHOWN_ITEMS and all(
+            isinstance(item, str | float | int) for item in value
+        ):
             return f"({', '.join(shorten(item) for item in value)})"
         return f"<{len(value)} {type(value[0]).__name__}>"
     if isinstance(value, Result):

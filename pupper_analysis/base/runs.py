@@ -1,7 +1,7 @@
-"""What a run reads: none of it is ever written over by what the same run writes.
+"""Record of the files that a run reads and writes, so that no run overwrites its own input.
 
-A run is a command, or one call of a function that reads and writes. What a Python session has read
-before does not count: there the same file is converted, looked at and converted again on purpose.
+A run is a command, or one call of a function that reads and writes. The record ends with the run: a
+Python session may convert a file, inspect the result and convert the file again.
 """
 
 from __future__ import annotations
@@ -18,20 +18,22 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import OutputError
 
 Identity: TypeAlias = tuple[int, int]
-"""Device and number of a file: the same of all its names, links and hard links alike."""
+"""Device and inode number of a file, equal for all names, symbolic links and hard links of the
+file."""
 
 
 @dataclass
 class Run:
-    """What a run has read and is to write.
+    """Files that a run has read and will write.
 
     Attributes:
-        force: Whether files that are no results may be replaced; those that are read never are.
-        inputs: {file: the name by which it was read}.
-        outputs: {file that is there: the name by which it was named as an output}.
-        written: Files that the run has made; to read them again is no loss.
-        command: The words of the command that it is; none in Python.
-        asked: {option: its value}, of what was typed, or is in a file of options.
+        force: Whether existing files other than results may be replaced. Input files are never
+            replaced, unless the run edits them in place.
+        inputs: {file: name under which the file was read}.
+        outputs: {existing file: name under which the file will be written}.
+        written: Files that the run has written; reading these is permitted.
+        command: Words of the command line; empty in Python.
+        asked: {option: value} of the command line or of a file of options.
     """
 
     force: bool = False
@@ -42,83 +44,83 @@ class Run:
     asked: dict[str, Any] = field(default_factory=dict)
 
     def expect(self, path: Path) -> None:
-        """Remembers that a file is to be written, so that reading it ends the run.
+        """Register an output file. Reading this file later in the run raises an error.
 
         Raises:
-            OutputError: If it was read already.
+            OutputError: If the run has already read the file.
         """
-        there = identity_of(path)
-        if there is not None:
-            self.refuse_input(path, there)
-            self.outputs[there] = path
+        identity = identity_of(path)
+        if identity is not None:
+            self.refuse_input(path, identity)
+            self.outputs[identity] = path
 
-    def refuse_input(self, path: Path, there: Identity) -> None:
-        """Refuses to write to a file that was read.
+    def refuse_input(self, path: Path, identity: Identity) -> None:
+        """Raise an error if the run has read a file that it did not write itself.
 
         Raises:
-            OutputError: If it was.
+            OutputError: If so.
         """
-        if there in self.inputs and there not in self.written:
-            raise OutputError(path, diagnose("output-is-an-input", source=self.inputs[there]))
+        if identity in self.inputs and identity not in self.written:
+            raise OutputError(path, diagnose("output-is-an-input", source=self.inputs[identity]))
 
     def wrote(self, path: Path, *, edited: bool = False) -> None:
-        """Remembers a file that the run has made, or edited: then it stays one that is read."""
-        there = identity_of(path)
-        if there is None:
+        """Register a file that the run has written. A file that was edited remains an input."""
+        identity = identity_of(path)
+        if identity is None:
             return
         if edited:
-            self.inputs[there] = str(path)
-            self.written.discard(there)
+            self.inputs[identity] = str(path)
+            self.written.discard(identity)
         else:
-            self.written.add(there)
-        # Numbers of files that are gone are given to others.
+            self.written.add(identity)
+        # The file system reuses the inode numbers of deleted files.
         self.outputs = {
             known: name for known, name in self.outputs.items() if identity_of(name) == known
         }
 
 
-_now: Final[ContextVar[Run | None]] = ContextVar("run", default=None)
+_current_run: Final[ContextVar[Run | None]] = ContextVar("run", default=None)
 
 
 def current_run() -> Run | None:
-    """Returns the run that is going on; None outside of any."""
-    return _now.get()
+    """Return the current run; None outside of a run."""
+    return _current_run.get()
 
 
 @contextmanager
 def running() -> Iterator[Run]:
-    """Yields the run that is going on, or begins one."""
-    run = _now.get()
+    """Yield the current run. If there is none, start a run that ends with the block."""
+    run = _current_run.get()
     if run is not None:
         yield run
         return
-    token = _now.set(run := Run())
+    token = _current_run.set(run := Run())
     try:
         yield run
     finally:
-        _now.reset(token)
+        _current_run.reset(token)
 
 
 def note_input(path: str | os.PathLike[str]) -> None:
-    """Tells the run that a file is read; every reader does.
+    """Register an input file of the current run; called by each function that reads a file.
 
     Raises:
-        OutputError: If it is one that the run is to write: before any work, and not after it.
+        OutputError: If the run will write this file. The error is raised before any computation.
     """
-    run = _now.get()
+    run = _current_run.get()
     if run is None:
         return
-    there = identity_of(Path(path))
-    if there is None or there in run.written:
+    identity = identity_of(Path(path))
+    if identity is None or identity in run.written:
         return
-    run.inputs.setdefault(there, str(path))
-    if there in run.outputs:
-        run.refuse_input(run.outputs[there], there)
+    run.inputs.setdefault(identity, str(path))
+    if identity in run.outputs:
+        run.refuse_input(run.outputs[identity], identity)
 
 
 def identity_of(path: Path) -> Identity | None:
-    """Returns what a file is known by, whatever its name; None if there is none."""
+    """Return the identity of a file, with links followed; None if there is no file."""
     with suppress(OSError, ValueError):
-        there = path.stat()
-        return there.st_dev, there.st_ino
+        status = path.stat()
+        return status.st_dev, status.st_ino
     return None

@@ -1,13 +1,13 @@
-"""Which tools and formats there are: our own by their folders, others' by their entry points.
+"""Discovery of tools and formats: our own by folder, those of other distributions by entry point.
 
-A tool is a package that answers one question. Its docstring's first line says which, its
-``HEADING`` under which heading ``--help`` lists it; ``command.py`` has its ``command``,
-``document.py`` the pages of its results, ``words.toml`` its words; some have what others look for
-by its name: ``causes.py``, ``guard.py``, ``metrics.py``, ``modes.py``. None is imported here:
-whoever lists them reads these lines.
+A tool is a package that answers one question. The first line of its docstring is the question, and
+``HEADING`` selects the heading in ``--help``. ``command.py`` contains the command, ``document.py``
+the pages of the results, ``words.toml`` the texts. Optional modules that other packages find by
+name: ``causes.py``, ``guard.py``, ``metrics.py``, ``modes.py``. Discovery imports no tool; question
+and heading are read from the source text.
 
-A format is a package that reads model files: ``format.toml`` says which, ``reader.py`` reads them
-(`models.readers`), ``rules.toml`` has rules of the audit for it alone.
+A format is a package that reads model files. ``format.toml`` describes the format, ``reader.py``
+reads the files (`models.readers`), and ``rules.toml`` contains audit rules for this format.
 """
 
 from __future__ import annotations
@@ -22,26 +22,27 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 GROUP = "pupper_analysis.tools"
-"""The group of entry points by which a distribution offers tools: ``name = "its_package"``."""
+"""Group of entry points for tools of other distributions: ``name = "its_package"``."""
 
 FORMATS_GROUP = "pupper_analysis.formats"
-"""Likewise of formats."""
+"""Group of entry points for formats of other distributions: ``name = "its_package"``."""
 
-OWN = Path(__file__).parents[1] / "tools"
+_TOOLS_FOLDER = Path(__file__).parents[1] / "tools"
 
 HEADINGS = ("Files", "Stance", "Design", "Real robot", "Look", "Other tools")
-"""In the order in which ``--help`` has them; what states none of these is another tool."""
+"""Headings in the order of ``--help``. A tool with another heading, or none, is listed under the
+last."""
 
 _FIRST_LINE = re.compile(r'\A[rR]?"""(.+?)(?:"""|\n)')
 _HEADING = re.compile(r'^HEADING = "(.+)"$', re.MULTILINE)
 
 
 class Tool(NamedTuple):
-    """A tool.
+    """Package of a tool or a format.
 
     Attributes:
-        package: The name of its package.
-        folder: Where that is.
+        package: Name of the package.
+        folder: Folder of the package.
     """
 
     package: str
@@ -49,30 +50,30 @@ class Tool(NamedTuple):
 
     @property
     def question(self) -> str:
-        """The first line of its docstring: what its command does; empty if it has none."""
-        found = _FIRST_LINE.match(self._stated)
+        """First line of the docstring: the question that the command answers; may be empty."""
+        found = _FIRST_LINE.match(self._source_text)
         return found[1] if found else ""
 
     @property
     def heading(self) -> str:
-        """Under which of ``HEADINGS`` it is listed."""
-        found = _HEADING.search(self._stated)
+        """Heading in ``--help``, one of ``HEADINGS``."""
+        found = _HEADING.search(self._source_text)
         return found[1] if found and found[1] in HEADINGS else HEADINGS[-1]
 
     @property
-    def _stated(self) -> str:
+    def _source_text(self) -> str:
         return (self.folder / "__init__.py").read_text(encoding="utf-8")
 
 
 class Format(NamedTuple):
-    """A format of model files besides URDF and MJCF.
+    """Format of model files other than URDF and MJCF.
 
     Attributes:
-        name: What it is called, in lower case.
-        package: The name of the package that reads it.
-        folder: Where that is.
-        suffixes: How the names of its files end.
-        begins: How the files themselves begin, as far as that tells.
+        name: Name of the format, in lower case.
+        package: Name of the package that reads the format.
+        folder: Folder of the package.
+        suffixes: Suffixes of the file names.
+        begins: First bytes by which files can be recognised; may be empty.
     """
 
     name: str
@@ -83,83 +84,97 @@ class Format(NamedTuple):
 
 
 def own_tools() -> Mapping[str, Tool]:
-    """Returns {name: tool} of the tools of this package, by name."""
-    return _own("command.py")
+    """Return {name: tool} of the tools of this package, sorted by name."""
+    return _find_own("command.py")
 
 
 def other_tools() -> Mapping[str, Tool]:
-    """Returns {name: tool} of the tools of other distributions, by name; ours keep their names.
+    """Return {name: tool} of the tools of other distributions, sorted by name.
 
-    One whose package is not there, or is no folder, is left out.
+    Tools with the name of an own tool, and tools without a package folder, are left out.
     """
-    return _others(GROUP, "command.py")
+    return _find_others(GROUP, "command.py")
 
 
 def offering(module: str) -> Mapping[str, str]:
-    """Returns {tool: its package} of the tools that have a module of a name, our own first."""
+    """Return {tool: package} of all tools with a module of a given name, our own first."""
     tools = {**own_tools(), **other_tools()}
     return {
-        name: one.package for name, one in tools.items() if (one.folder / f"{module}.py").is_file()
+        name: tool.package
+        for name, tool in tools.items()
+        if (tool.folder / f"{module}.py").is_file()
     }
 
 
 def own_packages() -> Mapping[str, Tool]:
-    """Returns {name: package} of what in this package has words: tools and formats."""
-    return MappingProxyType({**own_tools(), **_own("format.toml")})
+    """Return {name: package} of the tools and formats of this package."""
+    return MappingProxyType({**own_tools(), **_find_own("format.toml")})
 
 
 def other_packages() -> Mapping[str, Tool]:
-    """Returns the same of other distributions."""
-    return MappingProxyType({**other_tools(), **_others(FORMATS_GROUP, "format.toml")})
+    """Return {name: package} of the tools and formats of other distributions."""
+    return MappingProxyType({**other_tools(), **_find_others(FORMATS_GROUP, "format.toml")})
 
 
 @cache
 def formats() -> Mapping[str, Format]:
-    """Returns {name: format} of all formats, our own before others'."""
-    found = {}
-    packages = {**_own("format.toml"), **_others(FORMATS_GROUP, "format.toml")}
-    for name, one in packages.items():
-        said = tomllib.loads((one.folder / "format.toml").read_text(encoding="utf-8"))
-        begins = tuple(text.encode() for text in said.get("begins", ()))
-        found[name] = Format(name, one.package, one.folder, tuple(said["suffixes"]), begins)
-    return MappingProxyType(found)
+    """Return {name: format} of all formats, our own first."""
+    by_name = {}
+    packages = {**_find_own("format.toml"), **_find_others(FORMATS_GROUP, "format.toml")}
+    for name, package in packages.items():
+        settings = tomllib.loads((package.folder / "format.toml").read_text(encoding="utf-8"))
+        begins = tuple(text.encode() for text in settings.get("begins", ()))
+        by_name[name] = Format(
+            name, package.package, package.folder, tuple(settings["suffixes"]), begins
+        )
+    return MappingProxyType(by_name)
 
 
 def format_of(path: Path) -> Format | None:
-    """Returns the format of a file by its name; None of a URDF's or an MJCF's."""
-    ending = path.suffix.lower()
-    if ending in _USUAL:
+    """Return the format of a file by its suffix; None for URDF, MJCF and unknown suffixes."""
+    suffix = path.suffix.lower()
+    if suffix in _COMMON_SUFFIXES:
         return None
-    return next((one for one in formats().values() if ending in one.suffixes), None)
+    return next(
+        (model_format for model_format in formats().values() if suffix in model_format.suffixes),
+        None,
+    )
 
 
 def format_begun(data: bytes) -> Format | None:
-    """Returns the format of what a file holds; None where it may be XML."""
+    """Return the format of a file by its first bytes; None for XML or unknown content."""
     if data.lstrip()[:1] == b"<":
         return None
-    return next((one for one in formats().values() if data.startswith(one.begins)), None)
+    return next(
+        (
+            model_format
+            for model_format in formats().values()
+            if data.startswith(model_format.begins)
+        ),
+        None,
+    )
 
 
-_USUAL = ("", ".urdf", ".xml", ".mjcf", ".xacro")
-"""What ends so is no other's: nobody is asked, which takes time."""
+_COMMON_SUFFIXES = ("", ".urdf", ".xml", ".mjcf", ".xacro")
+"""Suffixes of URDF and MJCF files. The list of formats, which takes time to load, is not needed."""
 
 
 @cache
-def _own(mark: str) -> Mapping[str, Tool]:
-    found = sorted(OWN.glob(f"*/{mark}"))
+def _find_own(mark: str) -> Mapping[str, Tool]:
+    paths = sorted(_TOOLS_FOLDER.glob(f"*/{mark}"))
     return MappingProxyType(
-        {path.parent.name: Tool(f"{GROUP}.{path.parent.name}", path.parent) for path in found}
+        {path.parent.name: Tool(f"{GROUP}.{path.parent.name}", path.parent) for path in paths}
     )
 
 
 @cache
-def _others(group: str, mark: str) -> Mapping[str, Tool]:
+def _find_others(group: str, mark: str) -> Mapping[str, Tool]:
     from importlib.metadata import entry_points  # takes 20 ms
 
-    found = {}
-    for point in sorted(entry_points(group=group), key=lambda point: point.name):
-        spec = find_spec(point.module)
-        places = spec.submodule_search_locations if spec else None
-        if places and point.name not in _own(mark):
-            found[point.name] = Tool(point.module, Path(next(iter(places))))
-    return MappingProxyType(found)
+    packages = {}
+    for entry_point in sorted(entry_points(group=group), key=lambda entry_point: entry_point.name):
+        spec = find_spec(entry_point.module)
+        locations = spec.submodule_search_locations if spec else None
+        if locations and entry_point.name not in _find_own(mark):
+            packages[entry_point.name] = Tool(entry_point.module, Path(next(iter(locations))))
+    return MappingProxyType(packages)

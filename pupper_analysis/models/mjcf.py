@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.inputs import MOST_FILE, read_content, read_input
+from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_content, read_input
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER, free_name
 
@@ -319,7 +319,7 @@ def _files(spec: mujoco.MjSpec) -> dict[str, bytes]:
         name = Path(file).name if spec.strippath else file
         place = Path(spec.modelfiledir) / folder / name
         if file and place.is_file():
-            contents[name] = read_input(place, MOST_FILE)
+            contents[name] = read_input(place, MAX_FILE_BYTES)
     return contents
 
 

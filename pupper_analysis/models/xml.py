@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError
-from pupper_analysis.base.inputs import MOST_TEXT, decode_input, read_content
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, decode_input, read_content
 from pupper_analysis.base.tools import format_begun
 from pupper_analysis.models.places import (
     Place,
@@ -22,7 +22,7 @@ from pupper_analysis.models.places import (
     refuse_input,
 )
 
-MAX_BYTES: Final = MOST_TEXT
+MAX_BYTES: Final = MAX_TEXT_BYTES
 """Largest file that is read."""
 
 MAX_DEPTH: Final = 250

@@ -1,7 +1,7 @@
-"""Facts as data: what was found, about what, with which numbers, from where; and their words.
+"""Diagnostics: facts as data, with a code, a subject, values with units, and sources.
 
-Whoever finds something makes a ``Diagnostic`` by ``diagnose``, with a code of the catalogue. Words,
-in English and in Simplified Chinese, are in ``catalogue/*.toml`` and nowhere else.
+A diagnostic is created by ``diagnose`` with a code of the catalogue. The texts, in English and
+Simplified Chinese, are in ``catalogue/*.toml``, and in the ``words.toml`` of tools and formats.
 """
 
 from pupper_analysis.base.diagnostics.catalogue import LANGUAGES as LANGUAGES

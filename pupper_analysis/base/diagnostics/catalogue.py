@@ -1,22 +1,21 @@
-"""The catalogue: all that a reader is shown, under keys, in each language.
+"""Catalogue of all texts for users, by key and language.
 
-Diagnostics: per code its severity and its words.
-
-A file a room: ``catalogue/statics.toml`` has what ``statics`` finds; what only a tool says is in
-its folder, in ``words.toml``. An entry is a table:
+Each TOML file contains the texts of one package: ``catalogue/statics.toml`` those of ``statics``.
+Texts of a tool are in ``words.toml`` in its folder. A diagnostic is a table:
 
     [effort-limit-differs]
     severity = "warning"
     en = "{subject}: the effort limit is {urdf} in the URDF, {mjcf} in the MJCF"
     zh = "..."
 
-``severity`` is ``note`` where it is left out, and ``group`` ``found`` for notes and ``wrong`` for
-all else. See ``templates`` for what may stand in braces.
+The default of ``severity`` is ``note``. The default of ``group`` is ``found`` for notes and
+``wrong`` for others. ``templates`` describes the syntax in braces.
 
-Other files have a line per entry, ``key = { en = "...", zh = "..." }``: ``terms.toml`` the words
-for kinds of things, such as ``joint``; ``texts.toml`` headings, labels and remarks of documents;
-``meanings.toml``, by class and field, what results have. A tool has such lines in tables
-``[texts]`` and ``[meanings]``. What another's tool does not say in a language is said in English.
+Three files have one line per entry, ``key = { en = "...", zh = "..." }``: ``terms.toml`` contains
+names of kinds of things, such as ``joint``; ``texts.toml`` headings, labels and remarks of
+documents; ``meanings.toml`` descriptions of fields of results, by class and field. A tool has such
+lines in the tables ``[texts]`` and ``[meanings]``. If a tool of another distribution lacks a
+language, the English text is used.
 """
 
 from __future__ import annotations
@@ -33,25 +32,25 @@ from pupper_analysis.base.tools import other_packages, own_packages
 
 LANGUAGES = ("en", "zh")
 
-_TABLE = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
-_LINE = re.compile(r'^"?([^"\n]+?)"? = (\{ en = .*\})$', re.MULTILINE)
-_TERMS, _TEXTS, _MEANINGS = "terms.toml", "texts.toml", "meanings.toml"
-LINED = (_TERMS, _TEXTS, _MEANINGS)
-"""Files with a line per entry."""
+_TABLE_HEADER = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
+_LINE_ENTRY = re.compile(r'^"?([^"\n]+?)"? = (\{ en = .*\})$', re.MULTILINE)
+_TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE = "terms.toml", "texts.toml", "meanings.toml"
+LINE_ENTRY_FILES = (_TERMS_FILE, _TEXTS_FILE, _MEANINGS_FILE)
+"""Files with one line per entry."""
 
-_FOLDER = Path(__file__).parent / "catalogue"
-_TABLES = {_TERMS: "terms", _TEXTS: "texts", _MEANINGS: "meanings"}
-"""{file: the table of a tool's words that has the like}."""
+_CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
+_TABLES_BY_FILE = {_TERMS_FILE: "terms", _TEXTS_FILE: "texts", _MEANINGS_FILE: "meanings"}
+"""{file: table with the same kind of entries in a tool's ``words.toml``}."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What the catalogue says of a code.
+    """Catalogue entry of a code.
 
     Attributes:
         severity: ``"error"``, ``"warning"`` or ``"note"``.
         group: ``"wrong"``, ``"assumed"`` or ``"found"``.
-        templates: {language: its words}.
+        templates: {language: template}.
     """
 
     severity: str
@@ -60,130 +59,137 @@ class Entry:
 
 
 def codes() -> Iterator[str]:
-    """Returns all codes, in no particular order."""
-    return iter(_tables())
+    """Return all codes of this package, in no particular order."""
+    return iter(_load_tables())
 
 
 @cache
 def entry(code: str) -> Entry:
-    """Returns what the catalogue says of a code.
+    """Return the catalogue entry of a code.
 
     Raises:
-        KeyError: If it has no such code.
+        KeyError: If the catalogue does not contain the code.
     """
-    tables = _tables() if code in _tables() else _others()
-    stated = tomllib.loads(tables[code])
-    severity = stated.get("severity", "note")
-    group = stated.get("group", "found" if severity == "note" else "wrong")
-    words = {language: stated.get(language, stated["en"]) for language in LANGUAGES}
-    return Entry(severity, group, MappingProxyType(words))
+    tables = _load_tables() if code in _load_tables() else _load_other_tables()
+    fields = tomllib.loads(tables[code])
+    severity = fields.get("severity", "note")
+    group = fields.get("group", "found" if severity == "note" else "wrong")
+    templates = {language: fields.get(language, fields["en"]) for language in LANGUAGES}
+    return Entry(severity, group, MappingProxyType(templates))
 
 
 def term(name: str, language: str) -> str:
-    """Returns a word for a kind of thing; the name itself where the catalogue has none."""
-    return _line(_TERMS, name)[language] if name in list_entries(_TERMS) else name
+    """Return a term in a language; the name itself if the catalogue does not contain the term."""
+    return _parse_entry(_TERMS_FILE, name)[language] if name in list_entries(_TERMS_FILE) else name
 
 
 def is_term(name: str) -> bool:
-    """Tells whether the catalogue has a word for a kind of thing."""
-    return name in list_entries(_TERMS)
+    """Return True if the catalogue contains a term."""
+    return name in list_entries(_TERMS_FILE)
 
 
 @cache
 def phrase(key: str, language: str) -> str:
-    """Returns the template of a text of documents and pages, or a term.
+    """Return the template of a text of documents and pages, or a term.
 
     Raises:
-        KeyError: If the catalogue has neither.
+        KeyError: If the catalogue contains neither.
     """
-    for file in (_TEXTS, _TERMS):
+    for file in (_TEXTS_FILE, _TERMS_FILE):
         if key in list_entries(file):
-            return _said(_line(file, key), language)
-    return _said(tomllib.loads(_others_lines(_TEXTS)[key])["entry"], language)
+            return _select_language(_parse_entry(file, key), language)
+    return _select_language(tomllib.loads(_load_other_entries(_TEXTS_FILE)[key])["entry"], language)
 
 
 def meaning(kind: type, field: str, language: str) -> str:
-    """Returns what a field of a result means, its unit included; empty if that is not said.
+    """Return the description of a field of a result, with its unit; "" if there is none.
 
     Args:
-        kind: The result's class.
-        field: A field of it, or of a class that it is one of.
-        language: In which language.
+        kind: Class of the result.
+        field: Field of the class, or of a base class.
+        language: ``"en"`` or ``"zh"``.
     """
     for owner in kind.__mro__:
         key = f"{owner.__name__}.{field}"
-        if key in list_entries(_MEANINGS):
-            return _line(_MEANINGS, key)[language]
-        ours = owner.__module__.startswith(f"{__name__.partition('.')[0]}.")
-        if not ours and key in _others_lines(_MEANINGS):
-            return _said(tomllib.loads(_others_lines(_MEANINGS)[key])["entry"], language)
+        if key in list_entries(_MEANINGS_FILE):
+            return _parse_entry(_MEANINGS_FILE, key)[language]
+        is_own = owner.__module__.startswith(f"{__name__.partition('.')[0]}.")
+        if not is_own and key in _load_other_entries(_MEANINGS_FILE):
+            return _select_language(
+                tomllib.loads(_load_other_entries(_MEANINGS_FILE)[key])["entry"], language
+            )
     return ""
 
 
 def word_files() -> Mapping[str, Path]:
-    """Returns {whose: file} of all words of this package: rooms, and tools that have their own."""
-    rooms = {path.stem: path for path in sorted(_FOLDER.glob("*.toml"))}
+    """Return {owner: file} of all texts of this package.
+
+    The owner is the name of the catalogue file, or "tools/NAME".
+    """
+    catalogues = {path.stem: path for path in sorted(_CATALOGUE_FOLDER.glob("*.toml"))}
     tools = {name: tool.folder / "words.toml" for name, tool in own_packages().items()}
-    return rooms | {f"tools/{name}": path for name, path in tools.items() if path.is_file()}
+    return catalogues | {f"tools/{name}": path for name, path in tools.items() if path.is_file()}
 
 
-def _said(words: Mapping[str, str], language: str) -> str:
+def _select_language(words: Mapping[str, str], language: str) -> str:
     return words.get(language) or words["en"]
 
 
 @cache
-def _tables_of(path: Path) -> Mapping[str, str]:
-    """Returns {header: its table's text} of a file."""
-    _, *parts = _TABLE.split(path.read_text(encoding="utf-8"))
+def _split_tables(path: Path) -> Mapping[str, str]:
+    """Return {header: text} of the tables of a file."""
+    _, *parts = _TABLE_HEADER.split(path.read_text(encoding="utf-8"))
     return MappingProxyType(dict(zip(parts[::2], parts[1::2], strict=True)))
 
 
 @cache
-def _others() -> Mapping[str, str]:
-    """Returns {code: its table's text} of what tools of other packages say."""
+def _load_other_tables() -> Mapping[str, str]:
+    """Return {code: text of its table} of tools and formats of other distributions."""
     paths = [tool.folder / "words.toml" for tool in other_packages().values()]
-    tables = [_tables_of(path) for path in paths if path.is_file()]
+    tables = [_split_tables(path) for path in paths if path.is_file()]
     return MappingProxyType({code: text for table in tables for code, text in table.items()})
 
 
 @cache
-def _others_lines(file: str) -> Mapping[str, str]:
-    """Returns {key: its entry as TOML} of other packages' tools."""
+def _load_other_entries(file: str) -> Mapping[str, str]:
+    """Return {key: entry as TOML} of tools and formats of other distributions."""
     paths = [tool.folder / "words.toml" for tool in other_packages().values()]
-    texts = [_tables_of(path).get(_TABLES[file], "") for path in paths if path.is_file()]
+    texts = [_split_tables(path).get(_TABLES_BY_FILE[file], "") for path in paths if path.is_file()]
     return MappingProxyType(
-        {key: f"entry = {line}" for text in texts for key, line in _LINE.findall(text)}
+        {key: f"entry = {line}" for text in texts for key, line in _LINE_ENTRY.findall(text)}
     )
 
 
 @cache
-def _tables() -> Mapping[str, str]:
-    """Returns {code: its table's text}.
+def _load_tables() -> Mapping[str, str]:
+    """Return {code: text of its table} of this package.
 
-    TOML is slow to read (1,000 entries take 50 ms, a tenth of a command's start), and a command
-    says a few things only: entries are distinguished by their headers and read when they are
-    needed.
+    Parsing all TOML takes 50 ms per 1,000 entries, a tenth of the start of a command, and a command
+    uses few entries. Therefore the files are only split at the table headers, and entries are
+    parsed on demand.
     """
     tables: dict[str, str] = {}
     for path in word_files().values():
-        if path.name not in LINED:
-            tables |= _tables_of(path)
-    for lined in _TABLES.values():
-        tables.pop(lined, None)
+        if path.name not in LINE_ENTRY_FILES:
+            tables |= _split_tables(path)
+    for table in _TABLES_BY_FILE.values():
+        tables.pop(table, None)
     return MappingProxyType(tables)
 
 
 @cache
 def list_entries(file: str) -> Mapping[str, str]:
-    """Returns {key: its entry as TOML} of a file with a line per entry, and of tools' lines."""
-    text = (_FOLDER / file).read_text(encoding="utf-8")
-    if file in _TABLES:
-        tools = [path for path in word_files().values() if path.name not in LINED]
-        text = "\n".join([text, *(_tables_of(one).get(_TABLES[file], "") for one in tools)])
-    return MappingProxyType(dict(_LINE.findall(text)))
+    """Return {key: entry as TOML} of a file with one line per entry, and of the tools' tables."""
+    text = (_CATALOGUE_FOLDER / file).read_text(encoding="utf-8")
+    if file in _TABLES_BY_FILE:
+        paths = [path for path in word_files().values() if path.name not in LINE_ENTRY_FILES]
+        text = "\n".join(
+            [text, *(_split_tables(path).get(_TABLES_BY_FILE[file], "") for path in paths)]
+        )
+    return MappingProxyType(dict(_LINE_ENTRY.findall(text)))
 
 
 @cache
-def _line(file: str, key: str) -> Mapping[str, str]:
-    words: dict[str, str] = tomllib.loads(f"entry = {list_entries(file)[key]}")["entry"]
-    return MappingProxyType(words)
+def _parse_entry(file: str, key: str) -> Mapping[str, str]:
+    texts: dict[str, str] = tomllib.loads(f"entry = {list_entries(file)[key]}")["entry"]
+    return MappingProxyType(texts)

@@ -1,4 +1,4 @@
-"""A fact: a stable code, its subject, its values with units, and where they come from."""
+"""``Diagnostic``: a stable code, a subject, values with units, and their sources."""
 
 from __future__ import annotations
 
@@ -21,43 +21,43 @@ from pupper_analysis.base.frozen import FrozenDict
 
 
 class Severity(StrEnum):
-    """How bad it is."""
+    """Severity of a diagnostic."""
 
     ERROR = "error"
-    """It is impossible, refused, or fails."""
+    """Impossible, rejected or failed."""
     WARNING = "warning"
-    """It is very likely not what is meant, or a verdict rests on it."""
+    """Very likely unintended, or a verdict depends on it."""
     NOTE = "note"
-    """Worth knowing."""
+    """Information."""
 
     @classmethod
     def _missing_(cls, value: object) -> Severity | None:
-        return cls.NOTE if value == "info" else None  # as audits, and configurations, had it before
+        return cls.NOTE if value == "info" else None  # name in older audits and configurations
 
     @property
     def rank(self) -> int:
-        """0 for the worst."""
+        """Rank of the severity: 0 for errors."""
         return list(Severity).index(self)
 
 
 class Group(StrEnum):
-    """What a reader has to do with it; in the order in which it is shown."""
+    """Action that a diagnostic requires of the user; in display order."""
 
     WRONG = "wrong"
-    """To be mended."""
+    """Must be repaired."""
     ASSUMED = "assumed"
-    """Made up or altered by the package, for want of it in the files: to be checked."""
+    """Added or modified by the package, because the files do not specify it: must be checked."""
     FOUND = "found"
-    """Read from the files: to be known."""
+    """Read from the files: for information."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """What a diagnostic is about.
+    """Subject of a diagnostic.
 
     Attributes:
-        kind: A term: ``"joint"``, ``"link"``, ``"geom"``, ``"foot"``, ``"file"`` ...
-        name: Its name.
+        kind: Term: ``"joint"``, ``"link"``, ``"geom"``, ``"foot"``, ``"file"`` ...
+        name: Name of the subject.
     """
 
     kind: str
@@ -69,13 +69,13 @@ class Subject:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a value is stated.
+    """Location of a value in a file.
 
     Attributes:
         file: The file.
-        line: Its line, from 1; None where the file as a whole is meant.
-        element: The element, such as ``"joint/limit"``; "" where that is not known.
-        attribute: Its attribute; "" for all of it.
+        line: Line number, from 1; None for the whole file or if unknown.
+        element: Element, such as ``"joint/limit"``; "" if unknown.
+        attribute: Attribute; "" for the whole element.
     """
 
     file: str
@@ -89,16 +89,16 @@ class Source:
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One fact that is reported.
+    """Reported fact.
 
-    ``str`` says it in English. Two are equal if code, subject, values and sources are.
+    ``str`` returns the English text. Diagnostics are compared by all fields.
 
     Attributes:
-        code: Its entry of the catalogue, such as ``"mesh-missing"``. Codes stay as they are.
-        severity: The catalogue's, or a lesser one where the case is less bad.
-        subject: What it is about; None where that is the whole robot or task.
-        values: {name: number with a unit, name, word, or several of them, or another diagnostic}.
-        sources: Where its values are stated.
+        code: Key of the catalogue entry, such as ``"mesh-missing"``. Codes are stable.
+        severity: Severity of the catalogue, or a lower one in less severe cases.
+        subject: Subject; None for the whole robot or task.
+        values: {name: number with unit, name, term, tuple of such values, or another diagnostic}.
+        sources: Locations of the values.
     """
 
     code: str
@@ -109,11 +109,11 @@ class Diagnostic:
 
     @property
     def group(self) -> Group:
-        """What a reader has to do with it."""
+        """Action that the diagnostic requires of the user."""
         return Group(entry(self.code).group)
 
     def text(self, language: str = "en") -> str:
-        """Returns it in words.
+        """Return the text in a language.
 
         Args:
             language: ``"en"`` or ``"zh"``.
@@ -127,21 +127,23 @@ class Diagnostic:
         return self.text()
 
     def with_names(self, change: Callable[[str], str]) -> Diagnostic:
-        """Returns it with other names: of files that are shown under the name that is known.
+        """Return a copy with changed names of subject, values and source files.
 
         Args:
-            change: Returns the name, or the text, that is shown for one; terms stay.
+            change: Function that returns the new name or text. Terms and phrases are not changed.
         """
         subject = self.subject
         return replace(
             self,
             subject=None if subject is None else Subject(subject.kind, change(subject.name)),
-            values=FrozenDict({name: _named(one, change) for name, one in self.values.items()}),
-            sources=tuple(replace(one, file=change(one.file)) for one in self.sources),
+            values=FrozenDict(
+                {name: _change_names(value, change) for name, value in self.values.items()}
+            ),
+            sources=tuple(replace(source, file=change(source.file)) for source in self.sources),
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns it as JSON has it: its fields, and its English words as ``message``."""
+        """Return the fields for JSON, with the English text as ``message``."""
         return {
             "code": self.code,
             "severity": self.severity.value,
@@ -165,7 +167,7 @@ Value: TypeAlias = (
     | tuple["Value", ...]
     | None
 )
-"""What a diagnostic may carry: lists are tuples."""
+"""Types of the values of a diagnostic; lists are stored as tuples."""
 
 
 def diagnose(
@@ -177,18 +179,18 @@ def diagnose(
     severity: Severity | None = None,
     **values: object,
 ) -> Diagnostic:
-    """Makes a diagnostic of a code of the catalogue.
+    """Create a diagnostic with a code of the catalogue.
 
     Args:
-        code: The catalogue's.
-        subject: What it is about, as (kind, name).
-        sources: Where its values are stated; a file may be given by its path.
-        severity: If less bad than the catalogue says.
-        **values: What the words need, and what a program may want to know. Numbers of numpy become
-            Python's, lists tuples.
+        code: Key of the catalogue entry.
+        subject: Subject, or (kind, name).
+        sources: Locations of the values. A path represents the whole file.
+        severity: Severity, if it differs from that of the catalogue.
+        **values: Values for the text, and for programs that read the diagnostic. NumPy numbers
+            become Python numbers, iterables become tuples.
 
     Raises:
-        KeyError: If the catalogue has no such code.
+        KeyError: If the catalogue does not contain the code.
     """
     if isinstance(subject, tuple):
         subject = Subject(*subject)
@@ -200,28 +202,29 @@ def diagnose(
         code,
         severity or Severity(entry(code).severity),
         subject,
-        FrozenDict({name: _plain(value) for name, value in values.items()}),
+        FrozenDict({name: _to_value(value) for name, value in values.items()}),
         tuple(sources),
     )
 
 
 def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Returns diagnostics in the order in which they are shown, each once.
+    """Return the diagnostics without duplicates, sorted by group, then by severity.
 
-    What is wrong first, then what was assumed, then what was found; of each the worst first.
+    The order of the groups is: wrong, assumed, found.
     """
     order = list(Group)
     return tuple(
         sorted(
             dict.fromkeys(diagnostics),
-            key=lambda one: (order.index(one.group), one.severity.rank),
+            key=lambda diagnostic: (order.index(diagnostic.group), diagnostic.severity.rank),
         )
     )
 
 
-def _named(value: Value, change: Callable[[str], str]) -> Value:
+def _change_names(value: Value, change: Callable[[str], str]) -> Value:
+    """Return a value of a diagnostic with changed names; see ``Diagnostic.with_names``."""
     if isinstance(value, tuple):
-        return tuple(_named(one, change) for one in value)
+        return tuple(_change_names(item, change) for item in value)
     if isinstance(value, Diagnostic):
         return value.with_names(change)
     if isinstance(value, Term | Phrase) or not isinstance(value, str):
@@ -229,9 +232,9 @@ def _named(value: Value, change: Callable[[str], str]) -> Value:
     return change(value)
 
 
-def _plain(value: Any) -> Any:
-    """Returns a value as a diagnostic carries it."""
-    if hasattr(value, "tolist"):  # numpy's float64 is a float, too
+def _to_value(value: Any) -> Any:
+    """Convert a value to a type that a diagnostic can store."""
+    if hasattr(value, "tolist"):  # NumPy array or scalar
         value = value.tolist()
     if value is None or isinstance(
         value, bool | int | float | Quantity | Vector | Diagnostic | Term | Phrase
@@ -240,5 +243,5 @@ def _plain(value: Any) -> Any:
     if isinstance(value, str | PathLike):
         return to_unicode(str(value))
     if isinstance(value, Iterable):
-        return tuple(_plain(one) for one in value)
+        return tuple(_to_value(item) for item in value)
     raise TypeError(f"{type(value).__name__} is no value of a diagnostic")

@@ -1,21 +1,22 @@
-"""What diagnostics carry, numbers with units and words; and the templates that are filled with it.
+"""Values of diagnostics (numbers with units, terms, phrases), and templates for their texts.
 
-In a template may stand
+Syntax of a template:
 
-- ``{mass}``, ``{mass:.3g}``: a value, as by ``format_number``; a ``Quantity`` comes with its
-  unit, an angle with deg; ``{gap:mm:.1f}`` shows it in another one (mm, deg, g, ms, %),
-  ``{at:read:.3g}`` in deg of rad, mm of m, ``{at:stated}`` in the SI unit that files have;
-  ``{gap::.1f}`` has the number alone;
+- ``{mass}``, ``{mass:.3g}``: a value; a float is formatted by ``format_number``. A ``Quantity`` is
+  formatted with its unit, angles in deg. ``{gap:mm:.1f}`` selects another unit (mm, deg, g, ms, %),
+  ``{at:read:.3g}`` deg for rad and mm for m, ``{at:stated}`` the SI unit. ``{gap::.1f}`` omits the
+  unit;
 - ``{name!r}``: a text in quotes;
-- ``{names}``: several, with commas between them, at most eight; ``{names:3}`` at most three. What
-  is left out is counted: "a, b, c and 2 more". ``{parts:;}`` has semicolons, ``{ways:or}`` " or ",
-  ``{both:and}`` " and "; ``{masses:3|.2f}`` gives the format of each;
-- ``{subject}``: "joint FL_knee", ``{subject!r}``: "joint 'FL_knee'"; ``{name}``: its name alone;
-- ``{count|foot|feet}``: a word that depends on a number: the first for 1;
-- ``[limit? beyond {limit}]``: words that stand only where a value is (not None, empty or false);
-  ``[!limit? ...]`` where it is not. They are not nested.
+- ``{names}``: a tuple, separated by commas, with at most eight items (nine if there are nine);
+  ``{names:3}`` with at most three. The omitted items are counted: "a, b, c and 2 more". The
+  separator is ";" in ``{parts:;}``, " or " in ``{ways:or}``, " and " in ``{both:and}``;
+  ``{masses:3|.2f}`` sets the format of each item;
+- ``{subject}``: "joint FL_knee", ``{subject!r}``: "joint 'FL_knee'"; ``{name}``: the name alone;
+- ``{count|foot|feet}``: the first word if the number (or the number of items) is 1, or the second;
+- ``[limit? beyond {limit}]``: text that is included only if the value is true (not None, empty,
+  zero or false); ``[!limit? ...]`` only if the value is false. Such texts cannot be nested.
 
-Words in values (``Term``, another ``Diagnostic``) are said in the same language.
+Values of type ``Term``, ``Phrase`` or ``Diagnostic`` are written in the language of the text.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from typing import Any
 from pupper_analysis.base.diagnostics.catalogue import term
 from pupper_analysis.base.units import READ_IN
 
-_SHOWN_IN = {
+_UNIT_FACTORS = {
     **{(of, shown): factor for si, (factor, shown) in READ_IN.items() for of in (si, "rad or m")},
     ("m/s", "mm/s"): 1e3,
     ("rad", "degrees"): math.degrees(1.0),
@@ -42,13 +43,13 @@ _SHOWN_IN = {
     ("m^3", "litres"): 1e3,
     ("1", "%"): 1e2,
 }
-"""{(SI unit, unit that is shown): factor}."""
+"""{(SI unit, displayed unit): factor}."""
 
 
 def format_number(value: float, spec: str) -> str:
-    """Formats a number as people write it: by a ``g`` without an exponent, from 1e-6 to 1e9.
+    """Format a number; the format ``g`` gets no exponent between 1e-6 and 1e9.
 
-    A ``%`` after the ``g`` shows hundredths: 0.039 by ``".2g%"`` is ``"3.9 %"``.
+    With ``g%`` the number is shown in percent: 0.039 by ``".2g%"`` is ``"3.9 %"``.
     """
     if spec.endswith("g%"):
         return f"{format_number(100 * value, spec[:-1])} %"
@@ -60,10 +61,10 @@ def format_number(value: float, spec: str) -> str:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number with its unit.
+    """Number with a unit.
 
     Attributes:
-        value: In SI units.
+        value: Number in SI units.
         unit: ``"kg"``, ``"N m"``, ``"rad"`` ...; ``"1"`` for a ratio.
     """
 
@@ -74,23 +75,24 @@ class Quantity:
         object.__setattr__(self, "value", float(self.value))
 
     def __format__(self, spec: str) -> str:
-        """Returns digits and unit: by ``"mm:.1f"`` in mm, by ``".3g"`` in the unit it has.
+        """Return number and unit in a format such as ``"mm:.1f"`` or ``".3g"``.
 
-        By ``":.3g"`` the digits alone, where the unit is said once for several.
+        The first form converts to mm. The second uses deg for angles, and the SI unit otherwise.
+        ``":.3g"`` omits the unit.
         """
         shown, colon, digits = spec.rpartition(":")
-        alone = bool(colon and not shown)
-        if not colon and (self.unit, digits) in _SHOWN_IN:
+        omit_unit = bool(colon and not shown)
+        if not colon and (self.unit, digits) in _UNIT_FACTORS:
             shown, digits = digits, ""
         elif shown == "read":
             shown = READ_IN.get(self.unit, (1.0, self.unit))[1]
-        elif not shown:  # so that "g" are grams of a mass, and Python's format of all else
+        elif not shown:  # no unit: for example "g" with a unit other than kg is a number format
             shown = "deg" if self.unit == "rad" else self.unit
         elif shown == "stated":
             shown = self.unit
-        factor = 1.0 if shown == self.unit else _SHOWN_IN[self.unit, shown]
+        factor = 1.0 if shown == self.unit else _UNIT_FACTORS[self.unit, shown]
         number = format_number(factor * self.value, digits or ".4g")
-        return number if alone else _with_unit(number, shown)
+        return number if omit_unit else _with_unit(number, shown)
 
     def __str__(self) -> str:
         return format(self, "")
@@ -101,8 +103,8 @@ class Vector:
     """Several numbers with one unit.
 
     Attributes:
-        values: In SI units.
-        unit: Of each; ``"1"`` where they have none.
+        values: Numbers in SI units.
+        unit: Common unit; ``"1"`` without unit.
     """
 
     values: tuple[float, ...]
@@ -113,16 +115,16 @@ class Vector:
 
     @staticmethod
     def rounded(values: Iterable[float], unit: str = "1") -> Vector:
-        """Returns a vector of numbers rounded to 1e-9: what is beyond says nothing to a reader."""
+        """Return a vector of numbers rounded to 1e-9, so that rounding errors are not displayed."""
         return Vector(tuple(round(float(value), 9) for value in values), unit)
 
     def __format__(self, spec: str) -> str:
-        """Returns the numbers in brackets, by default with 6 digits, and the unit.
+        """Return the numbers in parentheses, by default with 6 digits, and the unit.
 
-        By ``":.3g"`` the numbers alone, by ``"mm:.1f"`` in mm.
+        ``":.3g"`` omits the unit; ``"mm:.1f"`` converts to mm.
         """
         shown, colon, digits = spec.rpartition(":")
-        factor = _SHOWN_IN[self.unit, shown] if shown else 1.0
+        factor = _UNIT_FACTORS[self.unit, shown] if shown else 1.0
         numbers = ", ".join(
             format_number(factor * value + 0.0, digits or ".6g") for value in self.values
         )
@@ -137,20 +139,23 @@ class Vector:
 
 
 def _with_unit(number: str, unit: str) -> str:
-    """Returns digits and their unit; a degree's sign is set close."""
+    """Return a number followed by its unit, without a space before a degree sign."""
     return number if unit == "1" else f"{number}{unit}" if unit == "°" else f"{number} {unit}"
 
 
 class Term(str):
-    """A word of the catalogue's terms, such as ``joint``, said in the reader's language."""
+    """Key of a term of the catalogue, such as ``joint``, written in the language of the text."""
 
     __slots__ = ()
 
 
 class Phrase(str):
-    """Words that are made elsewhere, as a stand's task says what it asks for: in both languages.
+    """Text in both languages that other code has formed, for example the description of a task.
 
-    It is its English; ``chinese`` is the same in Simplified Chinese.
+    The string value is the English text.
+
+    Attributes:
+        chinese: Text in Simplified Chinese.
     """
 
     __slots__ = ("chinese",)
@@ -158,17 +163,17 @@ class Phrase(str):
     chinese: str
 
     def __new__(cls, english: str, chinese: str) -> Phrase:
-        """Returns the phrase."""
+        """Create a phrase from both texts."""
         phrase = super().__new__(cls, english)
         phrase.chinese = chinese
         return phrase
 
     def __reduce__(self) -> tuple[type[Phrase], tuple[str, str]]:
-        """Tells what it is made of, when it is copied or pickled."""
+        """Return the constructor and its arguments, for copying and pickling."""
         return Phrase, (str(self), self.chinese)
 
     def text(self, language: str = "en") -> str:
-        """Returns its words in ``"en"`` or ``"zh"``."""
+        """Return the text in ``"en"`` or ``"zh"``."""
         return self.chinese if language == "zh" else str(self)
 
 
@@ -176,47 +181,47 @@ UNLIMITED = Term("unlimited")
 
 
 def describe_bound(value: float, unit: str) -> Quantity | Term:
-    """Returns a limit with its unit, or that there is none."""
+    """Return a limit with its unit, or the term "unlimited" if the limit is not finite."""
     return Quantity(value, unit) if math.isfinite(value) else UNLIMITED
 
 
 def to_unicode(text: str) -> str:
-    """Returns a text as Unicode has it: other bytes of a file's name become hexadecimal."""
+    """Return a text that can be encoded as UTF-8; undecodable bytes become hexadecimal escapes."""
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-_OPTIONAL = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
-_LIST = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
+_OPTIONAL_TEXT = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
+_LIST_FORMAT = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
 
-_MOST_NAMES = 8
-"""Names in a list: a page of names hides what is said of them."""
+_MAX_LISTED_ITEMS = 8
+"""Default of the maximum number of items in a list. Longer lists hide the rest of the message."""
 
-_BETWEEN = {
+_SEPARATORS = {
     "en": {",": ", ", ";": "; ", "or": " or ", ",or": ", or ", "and": " and "},
     "zh": {",": "、", ";": "；", "or": "或", ",or": "，或 ", "and": "和"},  # noqa: RUF001
 }
-_MORE = {"en": "{listed} and {left} more", "zh": "{listed}，另有 {left} 个"}  # noqa: RUF001
+_OMITTED_ITEMS = {"en": "{listed} and {left} more", "zh": "{listed}，另有 {left} 个"}  # noqa: RUF001
 
 
 def fill_template(template: str, values: Mapping[str, Any], language: str) -> str:
-    """Returns a template with its values.
+    """Return the text of a template with its values.
 
     Args:
-        template: The template.
+        template: Template.
         values: {name: value}.
         language: ``"en"`` or ``"zh"``.
 
     Raises:
-        KeyError: If a value is missing.
+        KeyError: If a value of an included part is missing.
     """
-    whole = _OPTIONAL.sub(
-        lambda part: part[3] if bool(values.get(part[2])) != bool(part[1]) else "", template
+    included = _OPTIONAL_TEXT.sub(
+        lambda match: match[3] if bool(values.get(match[2])) != bool(match[1]) else "", template
     )
-    return _Filler(language).vformat(whole, (), values)
+    return _TemplateFormatter(language).vformat(included, (), values)
 
 
-class _Filler(Formatter):
-    """Python's formatter, with lists, words that depend on numbers, and a language."""
+class _TemplateFormatter(Formatter):
+    """String formatter for the template syntax of this module, in one language."""
 
     def __init__(self, language: str) -> None:
         self.language = language
@@ -225,36 +230,49 @@ class _Filler(Formatter):
         name, *forms = field_name.split("|")
         value = kwargs[name]
         if forms:
-            one, many = forms
+            singular, plural = forms
             count = value if isinstance(value, int | float) else len(value)
-            return (one if count == 1 else many), name
+            return (singular if count == 1 else plural), name
         return value, name
 
     def convert_field(self, value: Any, conversion: str | None) -> Any:
         if conversion == "r" and isinstance(value, tuple):
-            return tuple(repr(one) for one in value)
+            return tuple(repr(item) for item in value)
         if conversion == "r" and hasattr(value, "kind"):
             return f"{term(value.kind, self.language)} {value.name!r}"
         return super().convert_field(value, conversion)
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if isinstance(value, tuple):
-            return self._listed(value, format_spec)
+            return self._format_list(value, format_spec)
         if isinstance(value, Term):
             return term(str(value), self.language)
-        if hasattr(value, "text"):  # another diagnostic, or a phrase
+        if hasattr(value, "text"):  # diagnostic or phrase
             return str(value.text(self.language))
-        if hasattr(value, "kind"):  # a subject
+        if hasattr(value, "kind"):  # subject
             return f"{term(value.kind, self.language)} {value.name}"
         write = format_number if isinstance(value, float) else format
         return write(value, format_spec)
 
-    def _listed(self, values: tuple[Any, ...], spec: str) -> str:
-        found = _LIST.match(spec)
-        if found is None:
+    def _format_list(self, values: tuple[Any, ...], spec: str) -> str:
+        """Return the items of a tuple, separated as specified; omitted items are counted."""
+        match = _LIST_FORMAT.match(spec)
+        if match is None:
             raise ValueError(f"{spec!r} is no format of a list")
-        mark, most, each = found[1] or ",", int(found[2] or _MOST_NAMES), found[3] or ""
-        shown = values if len(values) <= most + 1 else values[:most]  # "and 1 more" saves nothing
-        listed = _BETWEEN[self.language][mark].join(self.format_field(one, each) for one in shown)
-        left = len(values) - len(shown)
-        return _MORE[self.language].format(listed=listed, left=left) if left else listed
+        separator, max_items, item_format = (
+            match[1] or ",",
+            int(match[2] or _MAX_LISTED_ITEMS),
+            match[3] or "",
+        )
+        shown = (
+            values if len(values) <= max_items + 1 else values[:max_items]
+        )  # "and 1 more" is not shorter
+        text = _SEPARATORS[self.language][separator].join(
+            self.format_field(item, item_format) for item in shown
+        )
+        num_omitted = len(values) - len(shown)
+        return (
+            _OMITTED_ITEMS[self.language].format(listed=text, left=num_omitted)
+            if num_omitted
+            else text
+        )

@@ -15,7 +15,7 @@ from lxml import etree
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
 from pupper_analysis.base.files import whole_file
-from pupper_analysis.base.inputs import MOST_TEXT, is_input, read_input, read_toml
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, is_input, read_input, read_toml
 from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.tools import offering
 from pupper_analysis.models.loading import kind_of
@@ -98,7 +98,9 @@ def is_part(path: Path) -> bool:
     try:
         # Neither entities nor the network: what stands in a repository may be anybody's.
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
-        return bool(etree.fromstring(read_input(path, MOST_TEXT), parser).tag == "mujocoinclude")
+        return bool(
+            etree.fromstring(read_input(path, MAX_TEXT_BYTES), parser).tag == "mujocoinclude"
+        )
     except (etree.XMLSyntaxError, InputError):
         return False  # what is wrong with it is said when it is checked
 

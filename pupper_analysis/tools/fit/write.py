@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError
 from pupper_analysis.base.files import Writing, write_all
-from pupper_analysis.base.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import FIT_FOLDER
 from pupper_analysis.base.provenance import marked_json
 from pupper_analysis.robot.robot import Robot
@@ -294,7 +294,7 @@ def write_fit(
 def _made_before(folder: Path) -> dict[str, str]:
     """Returns {place: hash} of the models that a fit has written to that folder."""
     try:
-        found = orjson.loads(read_input(folder / "fit.json", MOST_TEXT, own=True))
+        found = orjson.loads(read_input(folder / "fit.json", MAX_TEXT_BYTES, own=True))
         return {str(place): str(known) for place, known in found["files"].items()}
     except (InputError, ValueError, TypeError, KeyError, AttributeError):
         return {}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import BinaryIO, Final
 
-from pupper_analysis.base.kinds import HEAD, Kind
+from pupper_analysis.base.kinds import NUM_HEAD_BYTES, Kind
 
 
 def _is_path_table(file: BinaryIO) -> bool:
-    head, _, _ = file.read(HEAD).partition(b"\n")
+    head, _, _ = file.read(NUM_HEAD_BYTES).partition(b"\n")
     columns = head.decode(errors="replace").split(",")
     return columns[0] == "time (s)" and all(
         one.startswith(("q ", "tau ")) for one in columns[1:]

@@ -23,7 +23,7 @@ from pupper_analysis.base.errors import (
     StudyError,
 )
 from pupper_analysis.base.files import Writing, whole_file, write_all
-from pupper_analysis.base.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED, MODEL, OWN
 from pupper_analysis.tools.study.design import ENDS, Row
 
@@ -104,7 +104,7 @@ class Store:
         """
         path = self.folder / "study.json"
         try:
-            found: dict[str, Any] = orjson.loads(read_input(path, MOST_TEXT, own=True))
+            found: dict[str, Any] = orjson.loads(read_input(path, MAX_TEXT_BYTES, own=True))
         except InputError as error:
             finding = error.cause
             if finding.code == "no-such-file":

@@ -17,7 +17,7 @@ from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.base.files import Writing, write_all
-from pupper_analysis.base.inputs import MOST_FILE, read_input
+from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
 from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.description import Description
@@ -203,7 +203,7 @@ def _contents(
         name = element.get("filename") or ""
         file = urdf.resolve_mesh(name) if name else None
         if file is not None:
-            element.set("filename", _place(taken, file, read_input(file, MOST_FILE)))
+            element.set("filename", _place(taken, file, read_input(file, MAX_FILE_BYTES)))
     name = description.name.replace("/", "_")
     yield Path(f"{name}.urdf"), to_text(urdf.root).encode()
     yield Path(f"{name}.xml"), _mjcf_text(description, partial(_place, taken)).encode()
@@ -247,7 +247,7 @@ def _mjcf_text(description: Description, place: Any) -> str:
         if file is None:
             return name
         full = str(file.absolute())
-        named[full] = place(file, read_input(file, MOST_FILE))
+        named[full] = place(file, read_input(file, MAX_FILE_BYTES))
         return full
 
     for element in (*spec.meshes, *spec.hfields, *spec.skins):

@@ -14,7 +14,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, OutputError
 from pupper_analysis.base.files import Writing, write_all
-from pupper_analysis.base.inputs import MOST_FILE, MOST_TEXT, read_input
+from pupper_analysis.base.inputs import MAX_FILE_BYTES, MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
@@ -200,7 +200,7 @@ def _after(plan: Plan, tolerances: Tolerances) -> FilesCompared:
     """
     documents = {**plan.urdf, **plan.mjcf}
     contents = {
-        place: documents[file].rendered() if file in documents else read_input(file, MOST_FILE)
+        place: documents[file].rendered() if file in documents else read_input(file, MAX_FILE_BYTES)
         for copies in plan.copies
         for file, place in copies.places.items()
     }
@@ -239,7 +239,7 @@ def refuse_uncommitted(path: Path) -> None:
     if not _asked(here, "ls-files", "-z", "--", f":(literal){path.name}"):
         return
     committed = _asked(here, "cat-file", "blob", f"HEAD:./{path.name}")
-    content = read_input(path, MOST_TEXT)
+    content = read_input(path, MAX_TEXT_BYTES)
     if committed is None or content.replace(b"\r\n", b"\n") != committed.replace(b"\r\n", b"\n"):
         raise OutputError(path, diagnose("uncommitted-changes"))
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.base.files import Writing
-from pupper_analysis.base.inputs import MOST_FILE, read_input
+from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
 from pupper_analysis.base.kinds import hash_of, made_model
 from pupper_analysis.base.runs import note_input, running
 from pupper_analysis.models.attributes import BY_KIND
@@ -187,7 +187,9 @@ def write_numbers(
         mjcf=None if mjcf_path is None else places[mjcf_path],
         edits=edits_of(documents.values()),
         contents={
-            place: documents[file].rendered() if file in documents else read_input(file, MOST_FILE)
+            place: documents[file].rendered()
+            if file in documents
+            else read_input(file, MAX_FILE_BYTES)
             for copies in layout
             for file, place in copies.places.items()
         },

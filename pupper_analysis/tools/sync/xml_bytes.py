@@ -10,7 +10,7 @@ from typing import Final
 from xml.parsers import expat
 from xml.sax.saxutils import escape
 
-from pupper_analysis.base.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 
 _ATTRIBUTE: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 
@@ -121,7 +121,7 @@ class XmlDocument:
 
 def read_document(path: Path) -> XmlDocument:
     """Reads a file of XML that is known to be well-formed UTF-8."""
-    data = read_input(path, MOST_TEXT)
+    data = read_input(path, MAX_TEXT_BYTES)
     parser = expat.ParserCreate("utf-8")
     stack: list[Element] = []
     elements: list[Element] = []

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
-from pupper_analysis.base.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.judge import remarks_of_files
 from pupper_analysis.robot.robot import Robot
@@ -348,7 +348,7 @@ def measured_intervals(
         ModelError: If it is no fit's, or has nothing of what can be varied.
     """
     try:
-        data = orjson.loads(read_input(Path(path), MOST_TEXT))
+        data = orjson.loads(read_input(Path(path), MAX_TEXT_BYTES))
     except InputError as error:
         raise ModelError(error.path, error.cause) from error
     except orjson.JSONDecodeError as error:

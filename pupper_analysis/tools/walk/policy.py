@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, MissingPackageError, ModelError
-from pupper_analysis.base.inputs import MOST_FILE, is_input, read_input, read_toml
+from pupper_analysis.base.inputs import MAX_FILE_BYTES, is_input, read_input, read_toml
 from pupper_analysis.models.places import Place, refuse_file, refuse_input
 from pupper_analysis.tools.contract.facts import Request
 from pupper_analysis.tools.contract.readers import (
@@ -339,7 +339,7 @@ def read_rtneural(path: Path) -> dict[str, Any]:
         ModelError: If it cannot be read, or has no list of layers.
     """
     try:
-        values = orjson.loads(read_input(path, MOST_FILE))
+        values = orjson.loads(read_input(path, MAX_FILE_BYTES))
     except InputError as error:
         raise refuse_input(path, error) from error
     except orjson.JSONDecodeError as error:

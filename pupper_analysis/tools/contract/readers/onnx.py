@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
-from pupper_analysis.base.inputs import MOST_FILE, read_input
+from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
 from pupper_analysis.models.places import Place, refuse_input
 from pupper_analysis.tools.contract.facts import Node, Request, Role, Source, Statement, scalar
 from pupper_analysis.tools.contract.readers.tables import of_table
@@ -47,7 +47,7 @@ def read_onnx(path: Path) -> OnnxFile:
         ModelError: If it cannot be read, or is no ONNX file.
     """
     try:
-        model = gather_fields(memoryview(read_input(path, MOST_FILE)))
+        model = gather_fields(memoryview(read_input(path, MAX_FILE_BYTES)))
         entries = [gather_fields(one) for one in model.get(_METADATA, ())]
         metadata = {text_of(one, 1): text_of(one, 2) for one in entries}
         graph = gather_fields(model[_GRAPH][0]) if _GRAPH in model else {}
