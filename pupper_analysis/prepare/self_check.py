@@ -51,7 +51,7 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.fall import body_moved, nudge_velocity
+from pupper_analysis.robot.fall import InitialHeight, body_moved, nudge_velocity
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servo_gains
 from pupper_analysis.simulation.verify import JOINT_TOLERANCE, dry_friction, torque_scale
@@ -263,8 +263,9 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     moved, sticks = np.abs(data.qpos[places] - qpos[-robot.nu :]), np.zeros(robot.nu)
     error, collapses, alike = None, not float(moved.max()) <= LEFT, True
     if robot.floating:
-        kept = float(start.subtree_com[bare.base][2]), bare.ground or 0.0
-        motion = body_moved(model, start, data, bare.base, SETTLING + NUDGED, kept)
+        com = float(start.subtree_com[bare.base][2])
+        predicted = InitialHeight(com, 0.0, bare.ground or 0.0)
+        motion = body_moved(model, start, data, bare.base, SETTLING + NUDGED, predicted)
         error, collapses = motion.end_height - motion.height, motion.collapses
         alike = abs(error) <= SAME_HEIGHT * motion.height
     else:  # where it may stick after a nudge

@@ -124,6 +124,9 @@ def lines_to_read(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]
     return first, tuple(line for line, less in zip(lines, quiet, strict=True) if less)
 
 
+_LEAST_DROP = 1e-3
+"""Clearance at reset (m) above which the line of a file's own run states it."""
+
 _ALWAYS_SAID = ("servos-given", "own-run", "own-run-diverges")
 """Codes of lines that are read first, whatever they say."""
 
@@ -226,6 +229,7 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
             place=run.gone,
             duration=Quantity(run.duration, "s"),
             height=Quantity(run.height, "m"),
+            drop=Quantity(run.clearance, "m") if run.clearance > _LEAST_DROP else None,
             end=Quantity(run.end_height, "m"),
             lean=Quantity(run.lean, "rad"),
             away=Quantity(run.away, "m"),

@@ -1,7 +1,10 @@
-"""What a fall is: of a robot that was seen to move.
+"""Detect whether a simulated robot has fallen, sunk, been thrown up, or left its place.
 
-Lengths are measured at a centre of mass, and against how high that is above what carries it: where
-a file puts its base's frame (on the ground, below it) says nothing of how large a robot is.
+Heights are those of the robot's centre of mass (CoM) above the ground that carries it. The height
+of the base frame is not used, because a file may place that frame anywhere.
+
+Each reference is taken at reset, before the motion that it judges. The initial height is the CoM
+height at reset minus the clearance of the robot's lowest point at reset.
 """
 
 from __future__ import annotations
@@ -49,8 +52,18 @@ NUDGE = 1e-3
 """Greatest speed in a nudge, of each coordinate (m/s, rad/s). Equilibria that shake to pieces at
 the next touch have basins of 1e-7, and survive 1e-9; those that stand forget 1e-2."""
 
-_DROP = 1.0
-"""s in which what hangs in the air has touched the ground: 5 m."""
+MAX_CLEARANCE = 5.0
+"""Longest vertical distance (m) over which the ground below a robot is searched. Chosen, not tuned:
+a free fall over 5 m takes 1 s."""
+
+_SEARCH_MARGIN = 0.05
+"""Longest step (m) of that search, and contact margin with which it is made."""
+
+_CONTACT_DISTANCE = 1e-6
+"""Distance from the ground (m) at which that search ends."""
+
+_MIN_UPWARD_NORMAL = 0.1
+"""Least vertical component of the unit normal of a contact with the ground; a wall has less."""
 
 
 _LOST = (
@@ -76,15 +89,19 @@ def own_seconds(model: mujoco.MjModel) -> float:
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """What became of a robot that was to stay where it was.
+    """Motion of a robot that is expected to stay in place, from reset to the end of a simulation.
 
     Attributes:
-        duration: Of the simulation (s).
-        height: Which its centre of mass was to keep, above what carries it (m).
-        end_height: Which that has at the end (m).
-        lean: Angle between the base's verticals at both ends (rad).
-        away: How far the centre of mass has travelled, as seen from above (m).
-        diverged: Whether MuJoCo began anew, as it does where numbers are no longer any.
+        duration: Simulated time (s).
+        height: CoM height above the ground at reset, minus ``clearance`` (m).
+        end_height: CoM height above the ground at the end (m).
+        lean: Angle between the base's vertical axis at reset and at the end (rad).
+        away: Horizontal distance of the CoM at the end from the CoM at reset (m).
+        diverged: Whether MuJoCo reset the state because it was no longer finite.
+        clearance: Vertical distance of the robot's lowest point from the ground at reset (m);
+            negative if it penetrates the ground.
+        lies: Whether the robot ends on its base or hips, or on no end of a limb. Then the drop by
+            ``clearance`` counts as lost height.
     """
 
     duration: float
@@ -93,18 +110,23 @@ class BodyMotion:
     lean: float
     away: float
     diverged: bool
+    clearance: float = 0.0
+    lies: bool = False
 
     @property
     def collapses(self) -> bool:
-        """Whether it has fallen, sunk, left its place or diverged."""
-        lost = self.height - self.end_height
-        return self.diverged or has_collapsed(self.lean, lost, self.away, self.height)
+        """Whether the robot has fallen over, sunk, been thrown up, left its place, or diverged."""
+        return self.diverged or self._has_collapsed(self.away)
 
     @property
     def gone(self) -> bool:
-        """Whether it has left the place where it stood, and that is all."""
-        stands = not has_collapsed(self.lean, self.height - self.end_height, 0.0, self.height)
-        return self.collapses and not self.diverged and stands
+        """Whether the robot has left its place, but has neither fallen, sunk nor diverged."""
+        return self.collapses and not self.diverged and not self._has_collapsed(0.0)
+
+    def _has_collapsed(self, away: float) -> bool:
+        """Evaluate ``has_collapsed`` for a horizontal distance (m)."""
+        size = self.height + max(self.clearance, 0.0) if self.lies else self.height
+        return has_collapsed(self.lean, size - self.end_height, away, size)
 
 
 def own_motion(
@@ -130,6 +152,7 @@ def own_motion(
         What became of the robot, and the data at the end.
     """
     seconds, before, runs = own_seconds(model), _placed(model, start), []
+    initial = initial_height(model, start, base, ground)
     for sign in (1.0, -1.0, 0.0):
         data, diverged = copy.copy(start), False
         data.qvel[:] += sign * nudge_velocity(model)
@@ -137,9 +160,9 @@ def own_motion(
             advance(data, seconds)
         except mujoco.FatalError:  # a contact of shapes without directions, say
             diverged = True
-        kept = _height_to_keep(model, start, data, base, ground)
-        moved = body_moved(model, before, data, base, seconds, kept)
-        runs.append((replace(moved, diverged=moved.diverged or diverged), data))
+        moved = body_moved(model, before, data, base, seconds, initial)
+        lies = _lies(model, data, base)
+        runs.append((replace(moved, diverged=moved.diverged or diverged, lies=lies), data))
         if runs[-1][0].collapses:
             return runs[-1]
     return runs[0]
@@ -183,57 +206,108 @@ def body_moved(
     end: mujoco.MjData,
     base: int,
     seconds: float,
-    kept: tuple[float, float],
+    initial: InitialHeight,
 ) -> BodyMotion:
-    """Returns what became of a robot in a simulation.
+    """Compute the motion of a robot's base and CoM between two states.
 
     Args:
-        model: MuJoCo's model.
-        start: Of the simulation.
-        end: Of the simulation.
-        base: The base's body.
-        seconds: How long it was to take.
-        kept: The height of its centre of mass that it was to keep, and that of what carries it (m).
+        model: MuJoCo model.
+        start: State at reset.
+        end: State at the end of the simulation.
+        base: Body index of the base.
+        seconds: Simulated time (s).
+        initial: Heights at reset.
     """
     first, last = (_placed(model, data) for data in (start, end))
     there, here = first.subtree_com[base], last.subtree_com[base]
-    height, floor = kept
     return BodyMotion(
         duration=seconds,
-        height=height - floor,
-        end_height=float(here[2]) - floor,
+        height=initial.com - initial.clearance - initial.ground,
+        end_height=float(here[2]) - initial.ground,
+        clearance=initial.clearance,
         lean=lean_between(first.xmat[base].reshape(3, 3), last.xmat[base].reshape(3, 3)),
         away=horizontal_distance(there, here),
         diverged=began_anew(end),
     )
 
 
-def _height_to_keep(
-    model: mujoco.MjModel, start: mujoco.MjData, end: mujoco.MjData, base: int, ground: float
-) -> tuple[float, float]:
-    """Returns the height of a centre of mass that a simulation is to keep, and of what carries it.
+@dataclass(frozen=True)
+class InitialHeight:
+    """Heights of a robot at reset, expressed in the world frame.
 
-    Many keyframes are in the air, to be dropped from: what is lost until the robot first touches
-    the world is none, unless it ends lying on its base or on what joins its legs to it, or stands
-    on no end of a limb.
+    Attributes:
+        com: CoM height at reset (m).
+        clearance: Vertical distance of the robot's lowest point from the ground (m); 0 if there is
+            no ground within ``MAX_CLEARANCE`` below it.
+        ground: Height of the ground below that point (m).
+    """
+
+    com: float
+    clearance: float
+    ground: float
+
+
+def initial_height(
+    model: mujoco.MjModel, start: mujoco.MjData, base: int, ground: float
+) -> InitialHeight:
+    """Measure the CoM height and the clearance of the lowest point at reset; nothing is simulated.
+
+    The robot is moved downward in a copy of the state, by ``min(distance / normal_z)`` over the
+    contacts with fixed geoms that MuJoCo finds within ``_SEARCH_MARGIN``, and by that margin if it
+    finds none. A motion of that length penetrates no convex geom. The search ends at a distance of
+    ``_CONTACT_DISTANCE``.
 
     Args:
-        model: MuJoCo's model.
-        start: Of the simulation; it stays as it is, and its commands are kept up.
-        end: Of the simulation.
-        base: The base's body.
-        ground: Of what carries it (m), where it touches nothing in time.
+        model: MuJoCo model. Its option ``o_margin`` is changed during the call.
+        start: State at reset; it is not changed.
+        base: Body index of the base.
+        ground: Height of the ground (m) that is returned if no ground is found.
     """
     trial = _placed(model, start)
-    height, lies = float(trial.subtree_com[base][2]), _lies(model, end, base)
-    for _ in range(round(_DROP / model.opt.timestep)):
-        mujoco.mj_step(model, trial)
-        touching = _world_contacts(model, trial)
-        if touching.any():
-            carrier = float(trial.contact.pos[touching, 2].min())
-            landed = height if lies else min(height, float(trial.subtree_com[base][2]))
-            return landed, carrier
-    return height, ground
+    com, clearance = float(trial.subtree_com[base][2]), 0.0
+    flags, margin = model.opt.enableflags, float(model.opt.o_margin)
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
+    model.opt.o_margin = _SEARCH_MARGIN
+    try:
+        while clearance < MAX_CLEARANCE:
+            mujoco.mj_collision(model, trial)
+            distance, height = _distance_above_ground(model, trial, base)
+            if distance < _CONTACT_DISTANCE:
+                clearance += distance if clearance == 0.0 else 0.0
+                return InitialHeight(com, clearance, height)
+            clearance += distance
+            for positions in (trial.xpos, trial.xipos, trial.geom_xpos):
+                moving = model.body_weldid != 0
+                rows = moving[model.geom_bodyid] if positions is trial.geom_xpos else moving
+                positions[rows, 2] -= distance
+    finally:
+        model.opt.enableflags, model.opt.o_margin = flags, margin
+    return InitialHeight(com, 0.0, ground)
+
+
+def _distance_above_ground(
+    model: mujoco.MjModel, data: mujoco.MjData, base: int
+) -> tuple[float, float]:
+    """Return the vertical distance of a robot from fixed geoms, and the ground height there (m).
+
+    The distance is at most ``_SEARCH_MARGIN``, and negative if the robot penetrates the ground.
+    """
+    geoms = data.contact.geom.reshape(-1, 2)
+    bodies = model.geom_bodyid[geoms]
+    fixed = model.body_weldid[bodies] == 0
+    robot = model.body_rootid[bodies] == model.body_rootid[base]
+    below = fixed.any(axis=1) & (robot & ~fixed).any(axis=1)
+    # The normal points from the first geom to the second.
+    upward = data.contact.frame.reshape(-1, 9)[:, 2] * np.where(fixed[:, 0], 1.0, -1.0)
+    below &= upward > _MIN_UPWARD_NORMAL
+    if not below.any():
+        return _SEARCH_MARGIN, 0.0
+    gaps, normals = data.contact.dist[below], upward[below]
+    distances = np.where(gaps > 0, gaps / normals, gaps * normals)
+    lowest = int(distances.argmin())
+    # A contact point is midway between the two surfaces.
+    height = float(data.contact.pos[below][lowest, 2] - distances[lowest] / 2)
+    return min(float(distances[lowest]), _SEARCH_MARGIN), height
 
 
 def _world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.bool_]:
