@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 import math
-import re
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Final
 
@@ -52,21 +51,17 @@ class Position(float):
         return found
 
 
-_UNIT: Final = (
-    r"(kg m\^2|N m s/rad|N m/rad|N s/m|N/m|N m|N s|rad\^2/s\^2|m/rad|(?:rad|m)/s(?:\^2)?"
-    r"|1/s|rad|kg|m|s|N|W)"
-)
-_STATED: Final = re.compile(rf"(?:^|[(:)] ?){_UNIT}(?=[.,;)}}]| \()|, {_UNIT}(?=\))")
+DIMENSIONLESS: Final = "1"
+"""Unit in the metadata of a field that is a plain number: a ratio, a direction, a count."""
 
 
 @cache
 def units_of(kind: type) -> dict[str, str]:
-    """Returns {field: its unit} of a class, as far as its docstring states one: ``(N m)``."""
-    _, _, stated = (inspect.getdoc(kind) or "").partition("Attributes:\n")
-    field = r"^    (\w+): (?:\([\w, ]*,[\w ]*\) )?(.*(?:\n {6}.*)*)"  # less the shape of an array
-    found = {}
-    for name, text in re.findall(field, stated, re.MULTILINE):
-        units = dict.fromkeys(m[1] or m[2] for m in _STATED.finditer(" ".join(text.split())))
-        if units:
-            found[name] = " or ".join(units)
-    return found
+    """Return {field: unit} of a dataclass: the ``unit`` of the metadata of each field.
+
+    Fields without a unit and dimensionless fields are left out.
+    """
+    if not is_dataclass(kind):
+        return {}
+    stated = {field.name: field.metadata.get("unit", DIMENSIONLESS) for field in fields(kind)}
+    return {name: unit for name, unit in stated.items() if unit != DIMENSIONLESS}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 
@@ -48,7 +48,7 @@ class EffortStatement(Result):
     attribute: str
     stated: tuple[float, float]
     factor: float
-    lower: float
+    lower: float = field(metadata={"unit": "N m"})
     upper: float
 
     @staticmethod
@@ -89,7 +89,7 @@ class EffortLimit(Result):
     """
 
     joint: str
-    lower: float
+    lower: float = field(metadata={"unit": "N m"})
     upper: float
     origin: EffortStatement | None
     stated: tuple[EffortStatement, ...]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import mujoco
@@ -124,8 +124,8 @@ class MadeServo:
     """
 
     joint: str
-    kp: float
-    kd: float
+    kp: float = field(metadata={"unit": "N m/rad"})
+    kd: float = field(metadata={"unit": "N m s/rad"})
     instead_of: Drive
 
 

@@ -6,7 +6,7 @@ Facts, with names and numbers; ``prepare`` finds them, ``simulation/verdict.py``
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from pupper_analysis.base.diagnostics import Diagnostic
@@ -35,8 +35,8 @@ class ServosUsed:
     """
 
     source: ServoSource
-    kp: tuple[float, float]
-    kd: tuple[float, float]
+    kp: tuple[float, float] = field(metadata={"unit": "N m/rad"})
+    kd: tuple[float, float] = field(metadata={"unit": "N m s/rad"})
     made: tuple[MadeServo, ...] = ()
 
     @property
@@ -86,9 +86,9 @@ class JointOff:
     """
 
     joint: str
-    off: float
+    off: float = field(metadata={"unit": "rad or m"})
     drive: Drive
-    commanded: float | None = None
+    commanded: float | None = field(default=None, metadata={"unit": "rad or m"})
 
     @property
     def commanded_away(self) -> bool:
@@ -139,7 +139,7 @@ class OwnRun(BodyMotion):
     """
 
     imported: bool = False
-    timestep: float | None = None
+    timestep: float | None = field(default=None, metadata={"unit": "s"})
     keyframe: str = ""
     commands: OwnCommands = OwnCommands.STATED
     limp: bool = False
@@ -194,10 +194,10 @@ class PublishedRun:
     """
 
     feedforward: bool
-    duration: float
+    duration: float = field(metadata={"unit": "s"})
     torque_error: float
-    height_error: float | None
-    joint_error: float
+    height_error: float | None = field(metadata={"unit": "m"})
+    joint_error: float = field(metadata={"unit": "rad"})
     collapses: bool
     differs: bool
     imported: bool = False

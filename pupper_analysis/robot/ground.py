@@ -69,9 +69,9 @@ class Ground:
         heights: {foot: height of the step under it, above the plane (m)}.
     """
 
-    slope: float = _LEVEL
-    uphill: float = _LEVEL
-    heights: Mapping[str, float] = field(default_factory=FrozenDict)
+    slope: float = field(default=_LEVEL, metadata={"unit": "rad"})
+    uphill: float = field(default=_LEVEL, metadata={"unit": "rad"})
+    heights: Mapping[str, float] = field(default_factory=FrozenDict, metadata={"unit": "m"})
     _planes: Mapping[str, Plane] = field(
         default_factory=FrozenDict, init=False, repr=False, compare=False
     )

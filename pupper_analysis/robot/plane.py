@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -32,7 +32,7 @@ class Plane:
         friction: Coefficient of what touches it; that of the ground by default.
     """
 
-    point: Point
+    point: Point = field(metadata={"unit": "m"})
     normal: Point
     friction: float | None = None
 
@@ -90,8 +90,8 @@ class Slope:
         friction: Coefficient of what touches it; that of the ground by default.
     """
 
-    angle: float
-    uphill: float = 0.0
+    angle: float = field(metadata={"unit": "rad"})
+    uphill: float = field(default=0.0, metadata={"unit": "rad"})
     friction: float | None = None
 
     def __post_init__(self) -> None:
@@ -131,9 +131,9 @@ class Bar:
         friction: Coefficient of what touches it; that of the ground by default.
     """
 
-    point: Point
+    point: Point = field(metadata={"unit": "m"})
     direction: Point
-    radius: float
+    radius: float = field(metadata={"unit": "m"})
     friction: float | None = None
 
     def __post_init__(self) -> None:
@@ -214,11 +214,11 @@ class Contact:
     """
 
     plane: Plane | Slope | Bar
-    place: Point | None = None
-    offset: Point = (0.0, 0.0, 0.0)
-    radius: float | None = None
-    force: float | None = None
-    grip: float | None = None
+    place: Point | None = field(default=None, metadata={"unit": "m"})
+    offset: Point = field(default=(0.0, 0.0, 0.0), metadata={"unit": "m"})
+    radius: float | None = field(default=None, metadata={"unit": "m"})
+    force: float | None = field(default=None, metadata={"unit": "N"})
+    grip: float | None = field(default=None, metadata={"unit": "N"})
 
     def __post_init__(self) -> None:
         check_type("plane", self.plane, Plane | Slope | Bar)
@@ -303,8 +303,8 @@ class Weld:
 
     plane: ClassVar[None] = None
     turns: ClassVar[bool] = False
-    place: Point | None = None
-    offset: Point = (0.0, 0.0, 0.0)
+    place: Point | None = field(default=None, metadata={"unit": "m"})
+    offset: Point = field(default=(0.0, 0.0, 0.0), metadata={"unit": "m"})
 
     def __post_init__(self) -> None:
         if self.place is not None:

@@ -6,7 +6,7 @@ First the derivative of a step by the state, then its spectrum.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mujoco
@@ -158,8 +158,8 @@ class Mode(Result):
     growth: float
     frequency: float
     damping_ratio: float
-    time_constant: float
-    doubling_time: float | None
+    time_constant: float = field(metadata={"unit": "s"})
+    doubling_time: float | None = field(metadata={"unit": "s"})
     joints: tuple[str, ...]
     freed: bool = False
 
@@ -197,11 +197,11 @@ class Stability(Result):
             slips, and what its iterations leave is no mode: only a simulation shows.
     """
 
-    timestep: float
+    timestep: float = field(metadata={"unit": "s"})
     radius: float
     unstable: tuple[Mode, ...]
     least_damped: Mode | None
-    speed: float
+    speed: float = field(metadata={"unit": "m/s or rad/s"})
     sticks: bool
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import reprlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mujoco
@@ -48,7 +48,7 @@ class Tool(Result):
 
     name: str
     link: str
-    offset: Array
+    offset: Array = field(metadata={"unit": "m"})
     chain: tuple[str, ...]
 
     def moved(self, way: ArrayLike) -> Tool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -221,10 +221,10 @@ class SimulationSettings(Result):
 
     feedforward: bool
     integrator: str
-    timestep: float
-    duration: float
-    kp: Array
-    kd: Array
+    timestep: float = field(metadata={"unit": "s"})
+    duration: float = field(metadata={"unit": "s"})
+    kp: Array = field(metadata={"unit": "N m/rad"})
+    kd: Array = field(metadata={"unit": "N m s/rad"})
 
 
 _SAMPLE_TIME = 0.02  # s between the states that are looked at

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -154,12 +154,12 @@ class Nudge(Result):
         decayed: Whether the motion ``left`` is less, or nothing to speak of.
     """
 
-    speed: float
-    time: float
-    duration: float
-    motion: float
+    speed: float = field(metadata={"unit": "m/s or rad/s"})
+    time: float = field(metadata={"unit": "s"})
+    duration: float = field(metadata={"unit": "s"})
+    motion: float = field(metadata={"unit": "m/s or rad/s"})
     left: float
-    moved: float
+    moved: float = field(metadata={"unit": "rad or m"})
     farthest: float
     decayed: bool
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import mujoco
@@ -99,10 +99,10 @@ class NudgeTrial(Result):
     held: bool
     failure: Failure | None
     where: tuple[str, ...]
-    time: float | None
+    time: float | None = field(metadata={"unit": "s"})
     fell: int
     nudges: int
-    duration: float
+    duration: float = field(metadata={"unit": "s"})
 
 
 def simulate_nudges(

@@ -6,7 +6,7 @@ One function makes it, ``judge_stance``; whatever prints, draws or exits by it h
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity
@@ -119,7 +119,7 @@ class Verdict(Result):
     code: VerdictCode
     asked: Asked
     passed: bool
-    seconds: float
+    seconds: float = field(metadata={"unit": "s"})
     with_feedforward: Ending
     commands_alone: Ending | None = None
     torque_error: float = math.nan
@@ -130,7 +130,7 @@ class Verdict(Result):
     servos: ServosUsed
     own: OwnRun | None = None
     published: Published | None = None
-    doubling_time: float
+    doubling_time: float = field(metadata={"unit": "s"})
     converted: str = ""
     remarks: tuple[Diagnostic, ...] = ()
 

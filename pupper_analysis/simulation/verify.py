@@ -6,7 +6,7 @@ First the stand itself by MuJoCo's kinematics and dynamics.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -145,26 +145,26 @@ class StandVerification(Outcome, SimulationSettings, Tabular):
     """
 
     stays: bool
-    base_height: float
-    height_deviation: float
-    height_drift: float
-    height_loss: float
-    servo_sag: float
-    contact_sag: float
-    tilt: float
-    foot_slip: dict[str, float]
-    joint_error: float
-    joint_positions: Array
-    joint_torques: Array
-    predicted_torques: Array
-    foot_forces: dict[str, Array]
-    predicted_forces: dict[str, Array]
-    mujoco_residual: float
+    base_height: float = field(metadata={"unit": "m"})
+    height_deviation: float = field(metadata={"unit": "m"})
+    height_drift: float = field(metadata={"unit": "m/s"})
+    height_loss: float = field(metadata={"unit": "m"})
+    servo_sag: float = field(metadata={"unit": "m"})
+    contact_sag: float = field(metadata={"unit": "m"})
+    tilt: float = field(metadata={"unit": "rad"})
+    foot_slip: dict[str, float] = field(metadata={"unit": "m"})
+    joint_error: float = field(metadata={"unit": "rad"})
+    joint_positions: Array = field(metadata={"unit": "rad or m"})
+    joint_torques: Array = field(metadata={"unit": "N m"})
+    predicted_torques: Array = field(metadata={"unit": "N m"})
+    foot_forces: dict[str, Array] = field(metadata={"unit": "N"})
+    predicted_forces: dict[str, Array] = field(metadata={"unit": "N"})
+    mujoco_residual: float = field(metadata={"unit": "N or N m"})
     stability: Stability
     nudge: Nudge | None
-    time: Array
-    height: Array
-    motion_time: Array
+    time: Array = field(metadata={"unit": "s"})
+    height: Array = field(metadata={"unit": "m"})
+    motion_time: Array = field(metadata={"unit": "s"})
     motion: Array
 
     def _columns(self) -> dict[str, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bisect
 import functools
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import coal  # comes with pin
@@ -36,7 +36,7 @@ class Clearance(Result):
         links: The two links, or the one that is nearest to the ground.
     """
 
-    distance: float
+    distance: float = field(metadata={"unit": "m"})
     links: tuple[str, ...]
 
 

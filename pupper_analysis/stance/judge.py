@@ -68,16 +68,16 @@ class Stand(Tabular):
 
     task: StandTask
     qpos: Array
-    foot_targets: dict[str, Array] = field(default_factory=dict)
-    depths: dict[str, float] = field(default_factory=dict)
+    foot_targets: dict[str, Array] = field(default_factory=dict, metadata={"unit": "m"})
+    depths: dict[str, float] = field(default_factory=dict, metadata={"unit": "m"})
     stance_feet: tuple[str, ...] = ()
     normals: dict[str, Array] = field(default_factory=dict)
-    contact_points: dict[str, Array] = field(default_factory=dict)
-    foot_error: float = 0.0
-    orientation_error: float = 0.0
-    height_error: float = 0.0
-    com_error: float = 0.0
-    com_margin: float = math.inf
+    contact_points: dict[str, Array] = field(default_factory=dict, metadata={"unit": "m"})
+    foot_error: float = field(default=0.0, metadata={"unit": "m or rad"})
+    orientation_error: float = field(default=0.0, metadata={"unit": "rad"})
+    height_error: float = field(default=0.0, metadata={"unit": "m"})
+    com_error: float = field(default=0.0, metadata={"unit": "m"})
+    com_margin: float = field(default=math.inf, metadata={"unit": "m"})
     ground_clearance: Clearance | None = None
     self_clearance: Clearance | None = None
     iterations: int = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -48,7 +48,7 @@ class Posture(Result):
     """
 
     joint_names: tuple[str, ...]
-    qpos: Array
+    qpos: Array = field(metadata={"unit": "rad"})
     source: PostureSource
     keyframe: str
     given: tuple[str, ...]

@@ -65,23 +65,23 @@ class StandTask:
             knee; the robot's ``home`` by default.
     """
 
-    height: float | None = None
-    roll: float = 0.0
-    pitch: float = 0.0
-    yaw: float = 0.0
-    offset: Point | None = None
-    feet: Mapping[str, Point] = field(default_factory=FrozenDict)
-    foot_offsets: Mapping[str, Point] = field(default_factory=FrozenDict)
-    swing: Mapping[str, float] = field(default_factory=FrozenDict)
+    height: float | None = field(default=None, metadata={"unit": "m"})
+    roll: float = field(default=0.0, metadata={"unit": "rad"})
+    pitch: float = field(default=0.0, metadata={"unit": "rad"})
+    yaw: float = field(default=0.0, metadata={"unit": "rad"})
+    offset: Point | None = field(default=None, metadata={"unit": "m"})
+    feet: Mapping[str, Point] = field(default_factory=FrozenDict, metadata={"unit": "m"})
+    foot_offsets: Mapping[str, Point] = field(default_factory=FrozenDict, metadata={"unit": "m"})
+    swing: Mapping[str, float] = field(default_factory=FrozenDict, metadata={"unit": "m"})
     ground: Ground = field(default_factory=Ground)
     contacts: Mapping[str, Contact | Weld] = field(default_factory=FrozenDict)
-    com: str | Point | None = None
-    com_margin: float = 0.0
-    joint_margin: float = 0.0
-    ground_clearance: float = 0.0
-    self_clearance: float | None = None
-    posture: Mapping[str, float] = field(default_factory=FrozenDict)
-    ik_seed: Sequence[float] | None = None
+    com: str | Point | None = field(default=None, metadata={"unit": "m"})
+    com_margin: float = field(default=0.0, metadata={"unit": "m"})
+    joint_margin: float = field(default=0.0, metadata={"unit": "rad"})
+    ground_clearance: float = field(default=0.0, metadata={"unit": "m"})
+    self_clearance: float | None = field(default=None, metadata={"unit": "m"})
+    posture: Mapping[str, float] = field(default_factory=FrozenDict, metadata={"unit": "rad or m"})
+    ik_seed: Sequence[float] | None = field(default=None, metadata={"unit": "rad"})
 
     def __post_init__(self) -> None:
         for entry in _OWN:

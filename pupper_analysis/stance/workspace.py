@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -49,8 +49,8 @@ class Interval(Result):
         high: The greatest (m, or rad).
     """
 
-    low: float
-    high: float
+    low: float = field(metadata={"unit": "m"})
+    high: float = field(metadata={"unit": "m"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class BaseWorkspace(Result):
 
     name: str
     start: Stand
-    intervals: dict[str, Interval]
+    intervals: dict[str, Interval] = field(metadata={"unit": "m or rad"})
 
 
 @check_arguments

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -38,8 +38,8 @@ class FootLoad(Result):
         friction_utilisation: Tangential force / (friction coefficient x normal force).
     """
 
-    force: Array
-    centre_of_pressure: Array
+    force: Array = field(metadata={"unit": "N"})
+    centre_of_pressure: Array = field(metadata={"unit": "m"})
     friction_utilisation: float
 
 
@@ -147,13 +147,13 @@ class Equilibrium(Tabular):
     """
 
     joint_names: tuple[str, ...]
-    joint_torques: Array
+    joint_torques: Array = field(metadata={"unit": "N m"})
     motor_utilisation: Array
-    contact_forces: dict[str, Array]
-    contact_points: dict[str, Array]
+    contact_forces: dict[str, Array] = field(metadata={"unit": "N"})
+    contact_points: dict[str, Array] = field(metadata={"unit": "m"})
     friction_utilisation: dict[str, float]
-    residual_force: float
-    residual_torque: float
+    residual_force: float = field(metadata={"unit": "N"})
+    residual_torque: float = field(metadata={"unit": "N m"})
 
     def _columns(self) -> dict[str, ArrayLike]:
         return {
@@ -180,10 +180,10 @@ class GravityCompensation(Equilibrium):
     """
 
     foot_loads: FootLoads
-    base_wrench: Array
-    weld_wrenches: Mapping[str, Array]
-    center_of_mass: Array
-    com_margin: float | None
+    base_wrench: Array = field(metadata={"unit": "N or N m"})
+    weld_wrenches: Mapping[str, Array] = field(metadata={"unit": "N or N m"})
+    center_of_mass: Array = field(metadata={"unit": "m"})
+    com_margin: float | None = field(metadata={"unit": "m"})
 
 
 @check_arguments

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -56,10 +56,10 @@ class Repair(Result):
 
     link: str
     body: str
-    mass: float
-    moments: tuple[float, float, float]
-    new_mass: float
-    new_moments: tuple[float, float, float]
+    mass: float = field(metadata={"unit": "kg"})
+    moments: tuple[float, float, float] = field(metadata={"unit": "kg m^2"})
+    new_mass: float = field(metadata={"unit": "kg"})
+    new_moments: tuple[float, float, float] = field(metadata={"unit": "kg m^2"})
 
     @property
     def diagnostic(self) -> Diagnostic:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -370,20 +370,20 @@ class SteadyState(Result):
 
     feet: Feet
     qpos: Array
-    base_height: float
-    height_loss: float
-    servo_sag: float
-    contact_sag: float
-    joint_torques: Array
+    base_height: float = field(metadata={"unit": "m"})
+    height_loss: float = field(metadata={"unit": "m"})
+    servo_sag: float = field(metadata={"unit": "m"})
+    contact_sag: float = field(metadata={"unit": "m"})
+    joint_torques: Array = field(metadata={"unit": "N m"})
     stance_feet: tuple[str, ...]
-    contact_forces: dict[str, Array]
-    foot_creep: dict[str, float]
-    height_drift: float
-    residual: float
-    stiffness: float
+    contact_forces: dict[str, Array] = field(metadata={"unit": "N"})
+    foot_creep: dict[str, float] = field(metadata={"unit": "m/s"})
+    height_drift: float = field(metadata={"unit": "m/s"})
+    residual: float = field(metadata={"unit": "N or m"})
+    stiffness: float = field(metadata={"unit": "rad^2/s^2"})
     stable: bool
     release_margin: float
-    lasts: float
+    lasts: float = field(metadata={"unit": "s"})
     failures: tuple[Diagnostic, ...]
 
 

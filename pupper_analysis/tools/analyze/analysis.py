@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,13 +56,13 @@ class JointSummary(Result):
     name: str
     motion: str
     axis: Array
-    lower: float
-    upper: float
-    effort: float
-    velocity: float
-    armature: float
-    damping: float
-    friction: float
+    lower: float = field(metadata={"unit": "rad"})
+    upper: float = field(metadata={"unit": "rad"})
+    effort: float = field(metadata={"unit": "N m"})
+    velocity: float = field(metadata={"unit": "rad/s"})
+    armature: float = field(metadata={"unit": "kg m^2"})
+    damping: float = field(metadata={"unit": "N m s/rad"})
+    friction: float = field(metadata={"unit": "N m"})
     effort_origin: EffortStatement | None
 
     @property
@@ -112,8 +112,8 @@ class FootJacobian(Result):
     """
 
     joints: tuple[str, ...]
-    matrix: Array
-    singular_values: Array
+    matrix: Array = field(metadata={"unit": "m/rad"})
+    singular_values: Array = field(metadata={"unit": "m/rad"})
     condition: float
 
 
@@ -154,17 +154,17 @@ class Analysis(Result):
     nq: int
     nv: int
     nu: int
-    total_mass: float
-    link_masses: dict[str, float]
-    center_of_mass: Array
-    thigh_length: float | None
-    calf_length: float | None
+    total_mass: float = field(metadata={"unit": "kg"})
+    link_masses: dict[str, float] = field(metadata={"unit": "kg"})
+    center_of_mass: Array = field(metadata={"unit": "m"})
+    thigh_length: float | None = field(metadata={"unit": "m"})
+    calf_length: float | None = field(metadata={"unit": "m"})
     joints: tuple[JointSummary, ...]
     notes: tuple[Diagnostic, ...]
     stand: Stand
     statics: GravityCompensation
     min_max_torque: GravityCompensation
-    hanging_torques: Array
+    hanging_torques: Array = field(metadata={"unit": "N m"})
     foot_jacobians: dict[str, FootJacobian]
     verification: StandVerification
     sagging: StandVerification

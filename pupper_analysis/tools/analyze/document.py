@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -397,13 +397,13 @@ class ComparisonRow(Result):
 
     name: str
     base: str
-    total_mass: float
+    total_mass: float = field(metadata={"unit": "kg"})
     mass_ratio: float | None
     thigh_ratio: float | None
-    height: float
-    peak_torque: float
+    height: float = field(metadata={"unit": "m"})
+    peak_torque: float = field(metadata={"unit": "N m"})
     peak_utilisation: float
-    servo_sag: float
+    servo_sag: float = field(metadata={"unit": "m"})
     stands_without: bool
     verified: bool
     converted: str = ""

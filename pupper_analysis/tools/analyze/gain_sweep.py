@@ -8,7 +8,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,14 +67,14 @@ class GainSweep(Tabular):
         integrator: MuJoCo's integrator.
     """
 
-    kp: Array
-    kd: Array
-    height_deviation: Array
+    kp: Array = field(metadata={"unit": "N m/rad"})
+    kd: Array = field(metadata={"unit": "N m s/rad"})
+    height_deviation: Array = field(metadata={"unit": "m"})
     fell: NDArray[np.bool_]
     lasts: NDArray[np.bool_]
-    amplitude: float
+    amplitude: float = field(metadata={"unit": "N"})
     frequency: float
-    duration: float
+    duration: float = field(metadata={"unit": "s"})
     integrator: str
 
     def _columns(self) -> dict[str, ArrayLike]:

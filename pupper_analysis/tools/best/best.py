@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from numpy.typing import ArrayLike
 
@@ -41,11 +41,11 @@ class BestStance(Result):
 
     objective: Objective
     stand: Stand
-    value: float
+    value: float = field(metadata={"unit": "m or kg"})
     nominal_value: float
     nominal: Stand
     payload: PayloadLimit | None
-    coordinates: dict[str, float]
+    coordinates: dict[str, float] = field(metadata={"unit": "m or rad"})
     bounds: dict[str, Interval]
     evaluations: int
 

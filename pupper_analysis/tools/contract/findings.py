@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
@@ -93,8 +93,8 @@ class Pose(Result):
     """
 
     source: str
-    height: float
-    sag: float | None
+    height: float = field(metadata={"unit": "m"})
+    sag: float | None = field(metadata={"unit": "m"})
     utilisation: float | None
     stays: bool | None
     problem: Diagnostic | None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -109,8 +109,8 @@ class ModelDiff(Result):
     new: str
     same: bool
     changes: tuple[ModelChange, ...]
-    mass: tuple[float, float]
-    torques: dict[str, tuple[float, float]]
+    mass: tuple[float, float] = field(metadata={"unit": "kg"})
+    torques: dict[str, tuple[float, float]] = field(metadata={"unit": "N m"})
     deviations: dict[str, float]
     residual: dict[str, float]
     complete: bool

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import ClassVar
 
@@ -190,13 +190,13 @@ class MotionFit(Fit):
     """
 
     seconds: float
-    held_out: float
-    held_out_before: float
-    fitted: float
-    fitted_before: float
-    repeatability: float
-    by_joint: Mapping[str, float]
-    encoder_noise: Mapping[str, float]
+    held_out: float = field(metadata={"unit": "rad"})
+    held_out_before: float = field(metadata={"unit": "rad"})
+    fitted: float = field(metadata={"unit": "rad"})
+    fitted_before: float = field(metadata={"unit": "rad"})
+    repeatability: float = field(metadata={"unit": "rad"})
+    by_joint: Mapping[str, float] = field(metadata={"unit": "rad"})
+    encoder_noise: Mapping[str, float] = field(metadata={"unit": "rad"})
 
     @property
     def excess(self) -> float:

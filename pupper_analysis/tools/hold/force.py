@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +46,13 @@ class ToolForce(Tabular):
     """
 
     directions: Array
-    forces: Array
+    forces: Array = field(metadata={"unit": "N"})
     joints: tuple[str, ...]
-    weakest: float
+    weakest: float = field(metadata={"unit": "N"})
     weakest_direction: Array
     weakest_joint: str
-    angles: Array
-    horizontal: Array
+    angles: Array = field(metadata={"unit": "rad"})
+    horizontal: Array = field(metadata={"unit": "N"})
     sagittal: Array
     frontal: Array
 

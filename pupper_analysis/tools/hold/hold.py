@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,8 +60,8 @@ class ReachLoad(Tabular):
         utilisation: (n,) of the motor that is nearest to its limit; 0 where none has one.
     """
 
-    distances: Array
-    heights: Array
+    distances: Array = field(metadata={"unit": "m"})
+    heights: Array = field(metadata={"unit": "m"})
     utilisation: Array
 
     def _columns(self) -> dict[str, ArrayLike]:
@@ -123,13 +123,13 @@ class ToolPayload(Result):
         posture: (nu,) that posture (rad, m).
     """
 
-    mass: float
+    mass: float = field(metadata={"unit": "kg"})
     joint: str
-    servos: float
+    servos: float = field(metadata={"unit": "kg"})
     servo: str
-    somewhere: float
+    somewhere: float = field(metadata={"unit": "kg"})
     weakest: str
-    posture: Array
+    posture: Array = field(metadata={"unit": "rad or m"})
 
 
 @check_arguments
@@ -285,21 +285,21 @@ class Hold(Tabular):
     name: str
     hangs: bool
     posture: Posture
-    units: tuple[str, ...]
+    units: tuple[str, ...] = field(metadata={"unit": "rad"})
     tool: Tool
-    tool_position: Array
-    limits: Array
+    tool_position: Array = field(metadata={"unit": "m"})
+    limits: Array = field(metadata={"unit": "N m"})
     limit_origins: tuple[EffortStatement | None, ...]
     statics: GravityCompensation
     verification: StandVerification
     sagging: StandVerification
     settled: SteadyState | None
     unsettled: Diagnostic | None
-    tool_sag: Array | None
+    tool_sag: Array | None = field(metadata={"unit": "m"})
     simulated_tool_sag: Array
     verdict: Verdict
     worst: WorstPostures
-    carried: float
+    carried: float = field(metadata={"unit": "kg"})
     payload: ToolPayload
     payload_trial: StandVerification | None
     force: ToolForce

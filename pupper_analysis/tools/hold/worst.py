@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -176,9 +176,9 @@ class WorstPostures(Tabular):
     """
 
     joint_names: tuple[str, ...]
-    joint_torques: Array
-    postures: Array
-    limits: Array
+    joint_torques: Array = field(metadata={"unit": "N m or N"})
+    postures: Array = field(metadata={"unit": "rad or m"})
+    limits: Array = field(metadata={"unit": "N m or N"})
     utilisation: Array
     endless: Diagnostic | None
     still: tuple[str, ...]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import mujoco
 import numpy as np
@@ -44,9 +44,9 @@ class InverseDynamics(Equilibrium):
             positive inside; None without contacts, minus infinity where it is not a number.
     """
 
-    contact_moments: dict[str, Array]
-    zero_moment_point: Array
-    zmp_margin: float | None
+    contact_moments: dict[str, Array] = field(metadata={"unit": "N m"})
+    zero_moment_point: Array = field(metadata={"unit": "m"})
+    zmp_margin: float | None = field(metadata={"unit": "m"})
 
 
 @check_arguments

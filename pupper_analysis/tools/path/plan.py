@@ -9,7 +9,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -168,23 +168,23 @@ class StancePath(Tabular):
     stances: tuple[Stand, ...]
     joint_names: tuple[str, ...]
     feet: tuple[str, ...]
-    time: Array
+    time: Array = field(metadata={"unit": "s"})
     qpos: Array
     qvel: Array
     qacc: Array
-    torques: Array
+    torques: Array = field(metadata={"unit": "N m"})
     stance_feet: NDArray[np.bool_]
-    forces: Array
-    moments: Array
-    loads: Array
+    forces: Array = field(metadata={"unit": "N"})
+    moments: Array = field(metadata={"unit": "N m"})
+    loads: Array = field(metadata={"unit": "N"})
     friction_utilisation: Array
-    zero_moment_point: Array
-    zmp_margin: Array
-    clearance: Array
-    com_margin: Array
+    zero_moment_point: Array = field(metadata={"unit": "m"})
+    zmp_margin: Array = field(metadata={"unit": "m"})
+    clearance: Array = field(metadata={"unit": "m"})
+    com_margin: Array = field(metadata={"unit": "m"})
     peak_utilisation: float
     peak_joint: str
-    peak_time: float
+    peak_time: float = field(metadata={"unit": "s"})
     peak_speed_utilisation: float
     fastest_joint: str
 

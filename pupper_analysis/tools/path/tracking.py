@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -347,14 +347,14 @@ class PathTracking(Result):
     passed: bool
     failures: tuple[Diagnostic, ...]
     integrator: str
-    timestep: float
-    kp: Array
-    kd: Array
-    joint_error: float
-    height_error: float
-    orientation_error: float
+    timestep: float = field(metadata={"unit": "s"})
+    kp: Array = field(metadata={"unit": "N m/rad"})
+    kd: Array = field(metadata={"unit": "N m s/rad"})
+    joint_error: float = field(metadata={"unit": "rad"})
+    height_error: float = field(metadata={"unit": "m"})
+    orientation_error: float = field(metadata={"unit": "rad"})
     torque_error: float
-    foot_slip: dict[str, float]
+    foot_slip: dict[str, float] = field(metadata={"unit": "m"})
 
 
 @check_arguments

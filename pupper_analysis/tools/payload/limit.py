@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -42,7 +42,7 @@ class PayloadTrial(NudgeTrial):
         mass: Of the payload (kg).
     """
 
-    mass: float
+    mass: float = field(metadata={"unit": "kg"})
 
 
 @check_arguments
@@ -123,7 +123,7 @@ class Bound(Result):
         where: The motors, joints, feet or bodies concerned.
     """
 
-    mass: float
+    mass: float = field(metadata={"unit": "kg"})
     failure: Failure
     where: tuple[str, ...]
 
@@ -161,19 +161,19 @@ class PayloadLimit(Result):
     """
 
     name: str
-    mass: float
+    mass: float = field(metadata={"unit": "kg"})
     binding: str
     stance: Bound
     motors: Bound
     servos: Bound
     simulation: Bound
-    point: Array
+    point: Array = field(metadata={"unit": "m"})
     link: str
     unlimited: tuple[str, ...]
     stand: Stand
-    offset: Array
-    joint_torques: Array
-    contact_forces: dict[str, Array]
+    offset: Array = field(metadata={"unit": "m"})
+    joint_torques: Array = field(metadata={"unit": "N m"})
+    contact_forces: dict[str, Array] = field(metadata={"unit": "N"})
     verdict: Verdict
     trial: PayloadTrial | None
     continuous: tuple[str, ...] = ()

@@ -67,8 +67,8 @@ class Pushed(SimulationSettings):
         pulse: How long the push lasts (s).
     """
 
-    point: Array
-    pulse: float
+    point: Array = field(metadata={"unit": "m"})
+    pulse: float = field(metadata={"unit": "s"})
 
 
 @dataclass(eq=False)
@@ -320,10 +320,10 @@ class PushTrial(Pushed):
 
     recovered: bool
     failure: Diagnostic | None
-    impulse: float
-    direction: float
-    velocity_step: float
-    motion_time: Array
+    impulse: float = field(metadata={"unit": "N s"})
+    direction: float = field(metadata={"unit": "rad"})
+    velocity_step: float = field(metadata={"unit": "m/s"})
+    motion_time: Array = field(metadata={"unit": "s"})
     motion: Array
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -126,17 +126,17 @@ class PushRecovery(Pushed, Tabular):
             stands, as predicted or not.
     """
 
-    directions: Array
-    impulses: Array
-    velocity_steps: Array
+    directions: Array = field(metadata={"unit": "rad"})
+    impulses: Array = field(metadata={"unit": "N s"})
+    velocity_steps: Array = field(metadata={"unit": "m/s"})
     failures: tuple[Diagnostic, ...]
-    bisected: Array
-    tipping_estimate: Array
-    weakest_direction: float
-    weakest_impulse: float
+    bisected: Array = field(metadata={"unit": "N s"})
+    tipping_estimate: Array = field(metadata={"unit": "N s"})
+    weakest_direction: float = field(metadata={"unit": "rad"})
+    weakest_impulse: float = field(metadata={"unit": "N s"})
     weakest_failure: Diagnostic
-    mass: float
-    resolution: float
+    mass: float = field(metadata={"unit": "kg"})
+    resolution: float = field(metadata={"unit": "N s"})
     rollouts: int
     unpushed: tuple[Diagnostic, ...]
 

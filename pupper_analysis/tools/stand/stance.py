@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,8 +58,8 @@ class Stance(Tabular):
     """
 
     name: str
-    joint_positions: Array
-    limits: Array
+    joint_positions: Array = field(metadata={"unit": "rad"})
+    limits: Array = field(metadata={"unit": "N m"})
     limit_origins: tuple[EffortStatement | None, ...]
     stand: Stand
     statics: GravityCompensation
@@ -70,7 +70,7 @@ class Stance(Tabular):
     settled: SteadyState | None
     unsettled: Diagnostic | None
     presses: tuple[LargestPress, ...]
-    minimum_stiffness: float | None
+    minimum_stiffness: float | None = field(metadata={"unit": "N m/rad"})
 
     def _columns(self) -> dict[str, ArrayLike]:
         return {
@@ -177,7 +177,7 @@ class LargestPress(Result):
     """
 
     hand: str
-    force: float
+    force: float = field(metadata={"unit": "N"})
 
 
 def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
@@ -225,7 +225,7 @@ class Preparation(Result):
     """
 
     name: str
-    mass: float
+    mass: float = field(metadata={"unit": "kg"})
     floating: bool
     joints: tuple[str, ...]
     feet: tuple[str, ...]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -94,20 +94,20 @@ class Contract:
 
     terms: tuple[Term, ...]
     joints: tuple[str, ...]
-    default: Array
+    default: Array = field(metadata={"unit": "rad"})
     action_scale: Array
-    lower: Array
-    upper: Array
-    kp: Array | None
-    kd: Array | None
+    lower: Array = field(metadata={"unit": "rad"})
+    upper: Array = field(metadata={"unit": "rad"})
+    kp: Array | None = field(metadata={"unit": "N m/rad"})
+    kd: Array | None = field(metadata={"unit": "N m s/rad"})
     rate: float
-    latency: float
+    latency: float = field(metadata={"unit": "s"})
     clip: float
     history: int
     newest_first: bool
     layout: str
     phase_rate: float
-    phase_offsets: Array
+    phase_offsets: Array = field(metadata={"unit": "rad"})
     signs: Array
     sources: Mapping[str, str]
 

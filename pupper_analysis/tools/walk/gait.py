@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import mujoco
@@ -84,30 +84,30 @@ class Gait(Result):
         torques: (k, nu) the motors' torques at these (N m).
     """
 
-    command: Array
+    command: Array = field(metadata={"unit": "m/s or rad/s"})
     seed: int
     fall: Diagnostic | None
-    duration: float
-    velocity: Array
-    turning: float
+    duration: float = field(metadata={"unit": "s"})
+    velocity: Array = field(metadata={"unit": "m/s"})
+    turning: float = field(metadata={"unit": "rad/s"})
     tracks: bool
-    torque_rms: Array
-    torque_peak: Array
+    torque_rms: Array = field(metadata={"unit": "N m"})
+    torque_peak: Array = field(metadata={"unit": "N m"})
     at_limit: Array
-    speed_peak: Array
-    power: float
+    speed_peak: Array = field(metadata={"unit": "rad/s"})
+    power: float = field(metadata={"unit": "W"})
     transport: float | None
     duty: Mapping[str, float]
     touching: tuple[str, ...]
-    static: Array | None
-    roll: float
-    pitch: float
-    bounce: float
+    static: Array | None = field(metadata={"unit": "N m"})
+    roll: float = field(metadata={"unit": "rad"})
+    pitch: float = field(metadata={"unit": "rad"})
+    bounce: float = field(metadata={"unit": "m"})
     margin: float
-    motion_time: Array
+    motion_time: Array = field(metadata={"unit": "s"})
     motion: Array
-    torque_time: Array
-    torques: Array
+    torque_time: Array = field(metadata={"unit": "s"})
+    torques: Array = field(metadata={"unit": "N m"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,13 +133,13 @@ class Walk(Result):
     policy: str
     contract: Contract
     joints: tuple[str, ...]
-    limits: Array
-    mass: float
+    limits: Array = field(metadata={"unit": "N m"})
+    mass: float = field(metadata={"unit": "kg"})
     gaits: tuple[Gait, ...]
     integrator: str
-    timestep: float
+    timestep: float = field(metadata={"unit": "s"})
     rate: float
-    warm_up: float
+    warm_up: float = field(metadata={"unit": "s"})
     remarks: tuple[Diagnostic, ...]
 
     @property

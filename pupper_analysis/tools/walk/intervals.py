@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -192,9 +192,9 @@ class TrackedIntervals(Result):
     """
 
     name: str
-    mass: float
+    mass: float = field(metadata={"unit": "kg"})
     policy: str
-    command: Array
+    command: Array = field(metadata={"unit": "m/s or rad/s"})
     asked: int
     seeds: tuple[int, ...]
     intervals: tuple[TrackedInterval, ...]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import permutations
 from typing import ClassVar
 
@@ -66,7 +66,7 @@ class Candidate(Result):
     flipped: tuple[str, ...]
     tracked: int
     fallen: int
-    torque: float
+    torque: float = field(metadata={"unit": "N m"})
     error: float
     cost: float
 
@@ -89,7 +89,7 @@ class Orders(Result):
 
     name: str
     policy: str
-    commands: Array
+    commands: Array = field(metadata={"unit": "m/s or rad/s"})
     candidates: tuple[Candidate, ...]
     stated: int
     lead: float | None

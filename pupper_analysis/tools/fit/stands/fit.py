@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -55,7 +55,7 @@ class JointResidual(Result):
 
     stand: str
     joint: str
-    off: float
+    off: float = field(metadata={"unit": "rad"})
     deviations: float
 
 
@@ -77,10 +77,10 @@ class StandFit(Fit):
     """
 
     stands: int
-    total_mass: Estimate
-    com: tuple[Estimate, ...]
+    total_mass: Estimate = field(metadata={"unit": "kg"})
+    com: tuple[Estimate, ...] = field(metadata={"unit": "m"})
     kp_factor: Estimate | None
-    weight: float | None
+    weight: float | None = field(metadata={"unit": "kg"})
     residuals: Mapping[str, float]
     joint_residuals: tuple[JointResidual, ...]
     noise: Mapping[str, float]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
@@ -67,10 +67,10 @@ class PlannedStand(Result):
 
     name: str
     swing: tuple[str, ...]
-    command: Mapping[str, float]
+    command: Mapping[str, float] = field(metadata={"unit": "rad"})
     utilisation: float | None
-    heading: float = 0.0
-    added: float = 0.0
+    heading: float = field(default=0.0, metadata={"unit": "rad"})
+    added: float = field(default=0.0, metadata={"unit": "kg"})
 
 
 @dataclass(frozen=True, eq=False)
