@@ -52,16 +52,19 @@ class Position(float):
 
 
 DIMENSIONLESS: Final = "1"
-"""Unit in the metadata of a field that is a plain number: a ratio, a direction, a count."""
+"""Unit in the metadata of a field that is a ratio, a direction or a count."""
+
+VARIES: Final = "varies"
+"""Unit in the metadata of a field whose unit another field, or the key of the value, states."""
 
 
 @cache
 def units_of(kind: type) -> dict[str, str]:
-    """Return {field: unit} of a dataclass: the ``unit`` of the metadata of each field.
+    """Return {field: unit} of a dataclass, from ``field(metadata={"unit": ...})``.
 
-    Fields without a unit and dimensionless fields are left out.
+    Fields without a unit, dimensionless fields and fields whose unit varies are left out.
     """
     if not is_dataclass(kind):
         return {}
     stated = {field.name: field.metadata.get("unit", DIMENSIONLESS) for field in fields(kind)}
-    return {name: unit for name, unit in stated.items() if unit != DIMENSIONLESS}
+    return {name: unit for name, unit in stated.items() if unit not in {DIMENSIONLESS, VARIES}}

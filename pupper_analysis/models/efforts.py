@@ -46,10 +46,10 @@ class EffortStatement(Result):
     element: str
     name: str
     attribute: str
-    stated: tuple[float, float]
-    factor: float
+    stated: tuple[float, float] = field(metadata={"unit": "varies"})
+    factor: float = field(metadata={"unit": "varies"})
     lower: float = field(metadata={"unit": "N m"})
-    upper: float
+    upper: float = field(metadata={"unit": "N m"})
 
     @staticmethod
     def of(
@@ -90,7 +90,7 @@ class EffortLimit(Result):
 
     joint: str
     lower: float = field(metadata={"unit": "N m"})
-    upper: float
+    upper: float = field(metadata={"unit": "N m"})
     origin: EffortStatement | None
     stated: tuple[EffortStatement, ...]
 

@@ -114,7 +114,7 @@ class Cause:
     code: str
     elements: tuple[str, ...]
     line: int | None = None
-    remaining: float | None = None
+    remaining: float | None = field(default=None, metadata={"unit": "1"})
     difference: Diagnostic | None = None
 
 
@@ -195,7 +195,7 @@ class PublishedRun:
 
     feedforward: bool
     duration: float = field(metadata={"unit": "s"})
-    torque_error: float
+    torque_error: float = field(metadata={"unit": "1"})
     height_error: float | None = field(metadata={"unit": "m"})
     joint_error: float = field(metadata={"unit": "rad"})
     collapses: bool

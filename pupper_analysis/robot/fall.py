@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -104,11 +104,11 @@ class BodyMotion:
             ``clearance`` counts as lost height.
     """
 
-    duration: float
-    height: float
-    end_height: float
-    lean: float
-    away: float
+    duration: float = field(metadata={"unit": "s"})
+    height: float = field(metadata={"unit": "m"})
+    end_height: float = field(metadata={"unit": "m"})
+    lean: float = field(metadata={"unit": "rad"})
+    away: float = field(metadata={"unit": "m"})
     diverged: bool
     clearance: float = 0.0
     lies: bool = False

@@ -34,7 +34,7 @@ class Plane:
 
     point: Point = field(metadata={"unit": "m"})
     normal: Point
-    friction: float | None = None
+    friction: float | None = field(default=None, metadata={"unit": "1"})
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", _point("plane.point", self.point))
@@ -92,7 +92,7 @@ class Slope:
 
     angle: float = field(metadata={"unit": "rad"})
     uphill: float = field(default=0.0, metadata={"unit": "rad"})
-    friction: float | None = None
+    friction: float | None = field(default=None, metadata={"unit": "1"})
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angle", _between("slope.angle", self.angle, math.pi, "rad"))
@@ -134,7 +134,7 @@ class Bar:
     point: Point = field(metadata={"unit": "m"})
     direction: Point
     radius: float = field(metadata={"unit": "m"})
-    friction: float | None = None
+    friction: float | None = field(default=None, metadata={"unit": "1"})
 
     def __post_init__(self) -> None:
         radius = check_length("bar.radius", self.radius)

@@ -155,9 +155,9 @@ class Mode(Result):
             damps it till then.
     """
 
-    growth: float
-    frequency: float
-    damping_ratio: float
+    growth: float = field(metadata={"unit": "1"})
+    frequency: float = field(metadata={"unit": "Hz"})
+    damping_ratio: float = field(metadata={"unit": "1"})
     time_constant: float = field(metadata={"unit": "s"})
     doubling_time: float | None = field(metadata={"unit": "s"})
     joints: tuple[str, ...]
@@ -198,7 +198,7 @@ class Stability(Result):
     """
 
     timestep: float = field(metadata={"unit": "s"})
-    radius: float
+    radius: float = field(metadata={"unit": "1"})
     unstable: tuple[Mode, ...]
     least_damped: Mode | None
     speed: float = field(metadata={"unit": "m/s or rad/s"})

@@ -158,9 +158,9 @@ class Nudge(Result):
     time: float = field(metadata={"unit": "s"})
     duration: float = field(metadata={"unit": "s"})
     motion: float = field(metadata={"unit": "m/s or rad/s"})
-    left: float
+    left: float = field(metadata={"unit": "m/s or rad/s"})
     moved: float = field(metadata={"unit": "rad or m"})
-    farthest: float
+    farthest: float = field(metadata={"unit": "rad or m"})
     decayed: bool
 
     @property

@@ -81,10 +81,10 @@ class Outcome:
 
     passed: bool
     failures: tuple[Diagnostic, ...]
-    duration: float
+    duration: float = field(metadata={"unit": "s"})
     collapses: bool = False
-    torque_error: float = math.nan
-    force_error: float | None = None
+    torque_error: float = field(default=math.nan, metadata={"unit": "1"})
+    force_error: float | None = field(default=None, metadata={"unit": "1"})
     stability: Stability | None = None
 
 
@@ -122,8 +122,8 @@ class Verdict(Result):
     seconds: float = field(metadata={"unit": "s"})
     with_feedforward: Ending
     commands_alone: Ending | None = None
-    torque_error: float = math.nan
-    force_error: float | None = math.nan
+    torque_error: float = field(default=math.nan, metadata={"unit": "1"})
+    force_error: float | None = field(default=math.nan, metadata={"unit": "1"})
     failures: tuple[Diagnostic, ...] = ()
     failures_alone: tuple[Diagnostic, ...] = ()
     overloaded: tuple[str, ...]

@@ -165,7 +165,7 @@ class StandVerification(Outcome, SimulationSettings, Tabular):
     time: Array = field(metadata={"unit": "s"})
     height: Array = field(metadata={"unit": "m"})
     motion_time: Array = field(metadata={"unit": "s"})
-    motion: Array
+    motion: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
 
     def _columns(self) -> dict[str, Array]:
         return {"time": self.time, "height": self.height}

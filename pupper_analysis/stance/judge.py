@@ -67,11 +67,11 @@ class Stand(Tabular):
     """
 
     task: StandTask
-    qpos: Array
+    qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
     foot_targets: dict[str, Array] = field(default_factory=dict, metadata={"unit": "m"})
     depths: dict[str, float] = field(default_factory=dict, metadata={"unit": "m"})
     stance_feet: tuple[str, ...] = ()
-    normals: dict[str, Array] = field(default_factory=dict)
+    normals: dict[str, Array] = field(default_factory=dict, metadata={"unit": "1"})
     contact_points: dict[str, Array] = field(default_factory=dict, metadata={"unit": "m"})
     foot_error: float = field(default=0.0, metadata={"unit": "m or rad"})
     orientation_error: float = field(default=0.0, metadata={"unit": "rad"})

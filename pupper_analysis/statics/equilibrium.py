@@ -40,7 +40,7 @@ class FootLoad(Result):
 
     force: Array = field(metadata={"unit": "N"})
     centre_of_pressure: Array = field(metadata={"unit": "m"})
-    friction_utilisation: float
+    friction_utilisation: float = field(metadata={"unit": "1"})
 
 
 def sliding_share(
@@ -148,10 +148,10 @@ class Equilibrium(Tabular):
 
     joint_names: tuple[str, ...]
     joint_torques: Array = field(metadata={"unit": "N m"})
-    motor_utilisation: Array
+    motor_utilisation: Array = field(metadata={"unit": "1"})
     contact_forces: dict[str, Array] = field(metadata={"unit": "N"})
     contact_points: dict[str, Array] = field(metadata={"unit": "m"})
-    friction_utilisation: dict[str, float]
+    friction_utilisation: dict[str, float] = field(metadata={"unit": "1"})
     residual_force: float = field(metadata={"unit": "N"})
     residual_torque: float = field(metadata={"unit": "N m"})
 

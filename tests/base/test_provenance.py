@@ -11,7 +11,6 @@ import mujoco
 import pytest
 from PIL import Image
 
-from pupper_analysis.base.units import units_of
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -38,21 +37,3 @@ def test_json_page_markdown_and_pictures_say_where_they_come_from(tmp_path: Path
         assert found["command"] in shown
         assert f"own.urdf sha256:{digest[:12]}" in shown
         assert f"mujoco {mujoco.__version__}" in shown
-
-
-def test_units_of_a_class_are_those_of_its_docstring() -> None:
-    class Shown:
-        """Of a class of results.
-
-        Attributes:
-            matrix: (3, m) in world axes: velocity per joint velocity (m/rad).
-            loops: How far they are open in it (m, rad); None
-                without any.
-            gains: {joint: N m/rad}.
-            time: s.
-            moment: (m,) about the com, in the mean (kg m^2); as m says.
-            count: How many there are (at most 3 m, by the way).
-        """
-
-    units = {"matrix": "m/rad", "loops": "m or rad", "gains": "N m/rad", "time": "s"}
-    assert units_of(Shown) == {**units, "moment": "kg m^2"}

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -325,9 +325,9 @@ class FilesCompared(Tabular):
     notes: tuple[Diagnostic, ...]
     differences: tuple[Difference, ...]
     causes: tuple[PatternCause, ...]
-    deviations: dict[str, float]
-    residual: dict[str, float]
-    explained: float
+    deviations: dict[str, float] = field(metadata={"unit": "1"})
+    residual: dict[str, float] = field(metadata={"unit": "1"})
+    explained: float = field(metadata={"unit": "1"})
     complete: bool
     mount: Diagnostic | None
     objections: tuple[Diagnostic, ...]

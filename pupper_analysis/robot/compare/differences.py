@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -104,9 +104,9 @@ class Effect(Result):
             differences cancel.
     """
 
-    deviation: float
-    relative: float
-    share: float
+    deviation: float = field(metadata={"unit": "varies"})
+    relative: float = field(metadata={"unit": "1"})
+    share: float = field(metadata={"unit": "1"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,8 +254,8 @@ class Explanation(Result):
     """
 
     differences: tuple[Difference, ...]
-    deviations: dict[str, float]
-    residual: dict[str, float]
+    deviations: dict[str, float] = field(metadata={"unit": "1"})
+    residual: dict[str, float] = field(metadata={"unit": "1"})
     complete: bool
     notes: tuple[Diagnostic, ...]
 

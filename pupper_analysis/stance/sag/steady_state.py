@@ -369,7 +369,7 @@ class SteadyState(Result):
     """
 
     feet: Feet
-    qpos: Array
+    qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
     base_height: float = field(metadata={"unit": "m"})
     height_loss: float = field(metadata={"unit": "m"})
     servo_sag: float = field(metadata={"unit": "m"})
@@ -382,7 +382,7 @@ class SteadyState(Result):
     residual: float = field(metadata={"unit": "N or m"})
     stiffness: float = field(metadata={"unit": "rad^2/s^2"})
     stable: bool
-    release_margin: float
+    release_margin: float = field(metadata={"unit": "1"})
     lasts: float = field(metadata={"unit": "s"})
     failures: tuple[Diagnostic, ...]
 

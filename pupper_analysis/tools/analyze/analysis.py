@@ -55,7 +55,7 @@ class JointSummary(Result):
 
     name: str
     motion: str
-    axis: Array
+    axis: Array = field(metadata={"unit": "1"})
     lower: float = field(metadata={"unit": "rad"})
     upper: float = field(metadata={"unit": "rad"})
     effort: float = field(metadata={"unit": "N m"})
@@ -114,7 +114,7 @@ class FootJacobian(Result):
     joints: tuple[str, ...]
     matrix: Array = field(metadata={"unit": "m/rad"})
     singular_values: Array = field(metadata={"unit": "m/rad"})
-    condition: float
+    condition: float = field(metadata={"unit": "1"})
 
 
 @dataclass(frozen=True, eq=False)

@@ -398,11 +398,11 @@ class ComparisonRow(Result):
     name: str
     base: str
     total_mass: float = field(metadata={"unit": "kg"})
-    mass_ratio: float | None
-    thigh_ratio: float | None
+    mass_ratio: float | None = field(metadata={"unit": "1"})
+    thigh_ratio: float | None = field(metadata={"unit": "1"})
     height: float = field(metadata={"unit": "m"})
     peak_torque: float = field(metadata={"unit": "N m"})
-    peak_utilisation: float
+    peak_utilisation: float = field(metadata={"unit": "1"})
     servo_sag: float = field(metadata={"unit": "m"})
     stands_without: bool
     verified: bool

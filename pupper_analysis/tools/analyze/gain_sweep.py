@@ -73,7 +73,7 @@ class GainSweep(Tabular):
     fell: NDArray[np.bool_]
     lasts: NDArray[np.bool_]
     amplitude: float = field(metadata={"unit": "N"})
-    frequency: float
+    frequency: float = field(metadata={"unit": "Hz"})
     duration: float = field(metadata={"unit": "s"})
     integrator: str
 

@@ -42,7 +42,7 @@ class BestStance(Result):
     objective: Objective
     stand: Stand
     value: float = field(metadata={"unit": "m or kg"})
-    nominal_value: float
+    nominal_value: float = field(metadata={"unit": "m or kg"})
     nominal: Stand
     payload: PayloadLimit | None
     coordinates: dict[str, float] = field(metadata={"unit": "m or rad"})

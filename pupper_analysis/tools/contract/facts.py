@@ -134,7 +134,7 @@ class Fact(Result):
     source: str
     joint: str
     quantity: str
-    value: float | None
+    value: float | None = field(metadata={"unit": "varies"})
     unit: str
     place: str
     expression: str

@@ -63,7 +63,7 @@ class Disagreement(Result):
     slip: str
     joints: tuple[str, ...]
     sources: tuple[str, ...]
-    values: tuple[float | None, ...]
+    values: tuple[float | None, ...] = field(metadata={"unit": "varies"})
     unit: str
     severity: Severity
     diagnostic: Diagnostic
@@ -95,7 +95,7 @@ class Pose(Result):
     source: str
     height: float = field(metadata={"unit": "m"})
     sag: float | None = field(metadata={"unit": "m"})
-    utilisation: float | None
+    utilisation: float | None = field(metadata={"unit": "1"})
     stays: bool | None
     problem: Diagnostic | None
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 import copy
 import io
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import mujoco
@@ -534,13 +534,13 @@ class QuantityCheck(Result):
 
     name: str
     unit: str
-    scale: float
-    deviation: float
-    relative: float
+    scale: float = field(metadata={"unit": "varies"})
+    deviation: float = field(metadata={"unit": "varies"})
+    relative: float = field(metadata={"unit": "1"})
     between: tuple[str, str]
     whose: str
     where: str
-    edges: dict[str, float]
+    edges: dict[str, float] = field(metadata={"unit": "1"})
     passed: bool
 
 
@@ -559,7 +559,7 @@ class CrossCheck(Result):
     """
 
     passed: bool
-    tolerance: float
+    tolerance: float = field(metadata={"unit": "1"})
     configurations: int
     seed: int
     quantities: tuple[QuantityCheck, ...]

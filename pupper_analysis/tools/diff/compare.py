@@ -111,8 +111,8 @@ class ModelDiff(Result):
     changes: tuple[ModelChange, ...]
     mass: tuple[float, float] = field(metadata={"unit": "kg"})
     torques: dict[str, tuple[float, float]] = field(metadata={"unit": "N m"})
-    deviations: dict[str, float]
-    residual: dict[str, float]
+    deviations: dict[str, float] = field(metadata={"unit": "1"})
+    residual: dict[str, float] = field(metadata={"unit": "1"})
     complete: bool
     combined: tuple[Diagnostic, ...]
     notes: tuple[Diagnostic, ...]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,12 +123,12 @@ class Posterior:
     """
 
     parameters: tuple[Parameter, ...]
-    mean: Array
-    covariance: Array
-    information: Array
-    precision: Array
-    chi2: float
-    moved: Array
+    mean: Array = field(metadata={"unit": "varies"})
+    covariance: Array = field(metadata={"unit": "varies"})
+    information: Array = field(metadata={"unit": "1"})
+    precision: Array = field(metadata={"unit": "1"})
+    chi2: float = field(metadata={"unit": "1"})
+    moved: Array = field(metadata={"unit": "1"})
     rows: int
 
     @staticmethod

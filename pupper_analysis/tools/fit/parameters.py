@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -117,8 +117,8 @@ class Parameter:
     kind: str
     subject: str
     component: str
-    stated: float
-    width: float
+    stated: float = field(metadata={"unit": "varies"})
+    width: float = field(metadata={"unit": "varies"})
 
     @property
     def name(self) -> str:

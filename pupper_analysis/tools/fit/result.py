@@ -64,11 +64,11 @@ class Estimate(Result):
     subject: str
     component: str
     unit: str
-    stated: float
-    mean: float
-    std: float
-    low: float
-    high: float
+    stated: float = field(metadata={"unit": "varies"})
+    mean: float = field(metadata={"unit": "varies"})
+    std: float = field(metadata={"unit": "varies"})
+    low: float = field(metadata={"unit": "varies"})
+    high: float = field(metadata={"unit": "varies"})
     determined: Determined
 
 
@@ -189,7 +189,7 @@ class MotionFit(Fit):
         encoder_noise: {joint: noise of its encoder (rad)}.
     """
 
-    seconds: float
+    seconds: float = field(metadata={"unit": "s"})
     held_out: float = field(metadata={"unit": "rad"})
     held_out_before: float = field(metadata={"unit": "rad"})
     fitted: float = field(metadata={"unit": "rad"})

@@ -45,16 +45,16 @@ class ToolForce(Tabular):
         frontal: (n,) in that of y and z.
     """
 
-    directions: Array
+    directions: Array = field(metadata={"unit": "1"})
     forces: Array = field(metadata={"unit": "N"})
     joints: tuple[str, ...]
     weakest: float = field(metadata={"unit": "N"})
-    weakest_direction: Array
+    weakest_direction: Array = field(metadata={"unit": "1"})
     weakest_joint: str
     angles: Array = field(metadata={"unit": "rad"})
     horizontal: Array = field(metadata={"unit": "N"})
-    sagittal: Array
-    frontal: Array
+    sagittal: Array = field(metadata={"unit": "N"})
+    frontal: Array = field(metadata={"unit": "N"})
 
     def _columns(self) -> dict[str, object]:  # type: ignore[override]  # one is a list of tuples
         return {

@@ -62,7 +62,7 @@ class ReachLoad(Tabular):
 
     distances: Array = field(metadata={"unit": "m"})
     heights: Array = field(metadata={"unit": "m"})
-    utilisation: Array
+    utilisation: Array = field(metadata={"unit": "1"})
 
     def _columns(self) -> dict[str, ArrayLike]:
         return {
@@ -296,7 +296,7 @@ class Hold(Tabular):
     settled: SteadyState | None
     unsettled: Diagnostic | None
     tool_sag: Array | None = field(metadata={"unit": "m"})
-    simulated_tool_sag: Array
+    simulated_tool_sag: Array = field(metadata={"unit": "m"})
     verdict: Verdict
     worst: WorstPostures
     carried: float = field(metadata={"unit": "kg"})

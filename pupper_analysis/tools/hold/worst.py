@@ -179,7 +179,7 @@ class WorstPostures(Tabular):
     joint_torques: Array = field(metadata={"unit": "N m or N"})
     postures: Array = field(metadata={"unit": "rad or m"})
     limits: Array = field(metadata={"unit": "N m or N"})
-    utilisation: Array
+    utilisation: Array = field(metadata={"unit": "1"})
     endless: Diagnostic | None
     still: tuple[str, ...]
 

@@ -169,23 +169,23 @@ class StancePath(Tabular):
     joint_names: tuple[str, ...]
     feet: tuple[str, ...]
     time: Array = field(metadata={"unit": "s"})
-    qpos: Array
-    qvel: Array
-    qacc: Array
+    qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
+    qvel: Array = field(metadata={"unit": "m/s and rad/s"})
+    qacc: Array = field(metadata={"unit": "m/s^2 and rad/s^2"})
     torques: Array = field(metadata={"unit": "N m"})
     stance_feet: NDArray[np.bool_]
     forces: Array = field(metadata={"unit": "N"})
     moments: Array = field(metadata={"unit": "N m"})
     loads: Array = field(metadata={"unit": "N"})
-    friction_utilisation: Array
+    friction_utilisation: Array = field(metadata={"unit": "1"})
     zero_moment_point: Array = field(metadata={"unit": "m"})
     zmp_margin: Array = field(metadata={"unit": "m"})
     clearance: Array = field(metadata={"unit": "m"})
     com_margin: Array = field(metadata={"unit": "m"})
-    peak_utilisation: float
+    peak_utilisation: float = field(metadata={"unit": "1"})
     peak_joint: str
     peak_time: float = field(metadata={"unit": "s"})
-    peak_speed_utilisation: float
+    peak_speed_utilisation: float = field(metadata={"unit": "1"})
     fastest_joint: str
 
     def _columns(self) -> dict[str, Array]:

@@ -353,7 +353,7 @@ class PathTracking(Result):
     joint_error: float = field(metadata={"unit": "rad"})
     height_error: float = field(metadata={"unit": "m"})
     orientation_error: float = field(metadata={"unit": "rad"})
-    torque_error: float
+    torque_error: float = field(metadata={"unit": "1"})
     foot_slip: dict[str, float] = field(metadata={"unit": "m"})
 
 

@@ -324,7 +324,7 @@ class PushTrial(Pushed):
     direction: float = field(metadata={"unit": "rad"})
     velocity_step: float = field(metadata={"unit": "m/s"})
     motion_time: Array = field(metadata={"unit": "s"})
-    motion: Array
+    motion: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
 
 
 @check_arguments

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +50,7 @@ class Failures(Result):
     kind: str
     metric: str | None
     designs: int
-    share: float
+    share: float = field(metadata={"unit": "1"})
     reason: str
     diagnostic: Diagnostic | None
 
@@ -74,12 +74,12 @@ class MetricSummary(Result):
 
     metric: str
     unit: str
-    least: float
-    median: float
-    greatest: float
+    least: float = field(metadata={"unit": "varies"})
+    median: float = field(metadata={"unit": "varies"})
+    greatest: float = field(metadata={"unit": "varies"})
     designs: int
-    alone: dict[str, float]
-    interaction: float | None
+    alone: dict[str, float] = field(metadata={"unit": "1"})
+    interaction: float | None = field(metadata={"unit": "1"})
 
 
 @dataclass(frozen=True, eq=False)

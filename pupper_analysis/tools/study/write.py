@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -64,9 +64,9 @@ class WrittenDesign(Result):
     urdf: Path
     mjcf: Path
     stance: Path
-    numbers: Mapping[str, float]
-    measured: Mapping[str, float]
-    found: Mapping[str, float]
+    numbers: Mapping[str, float] = field(metadata={"unit": "varies"})
+    measured: Mapping[str, float] = field(metadata={"unit": "varies"})
+    found: Mapping[str, float] = field(metadata={"unit": "varies"})
     command: str
     failures: tuple[Diagnostic, ...]
 

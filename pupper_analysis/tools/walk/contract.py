@@ -64,7 +64,7 @@ class Term:
     """
 
     name: str
-    scale: Array | float = 1.0
+    scale: Array | float = field(default=1.0, metadata={"unit": "1"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,20 +95,20 @@ class Contract:
     terms: tuple[Term, ...]
     joints: tuple[str, ...]
     default: Array = field(metadata={"unit": "rad"})
-    action_scale: Array
+    action_scale: Array = field(metadata={"unit": "rad"})
     lower: Array = field(metadata={"unit": "rad"})
     upper: Array = field(metadata={"unit": "rad"})
     kp: Array | None = field(metadata={"unit": "N m/rad"})
     kd: Array | None = field(metadata={"unit": "N m s/rad"})
-    rate: float
+    rate: float = field(metadata={"unit": "Hz"})
     latency: float = field(metadata={"unit": "s"})
-    clip: float
+    clip: float = field(metadata={"unit": "1"})
     history: int
     newest_first: bool
     layout: str
-    phase_rate: float
+    phase_rate: float = field(metadata={"unit": "Hz"})
     phase_offsets: Array = field(metadata={"unit": "rad"})
-    signs: Array
+    signs: Array = field(metadata={"unit": "1"})
     sources: Mapping[str, str]
 
     @property

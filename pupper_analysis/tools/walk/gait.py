@@ -93,19 +93,19 @@ class Gait(Result):
     tracks: bool
     torque_rms: Array = field(metadata={"unit": "N m"})
     torque_peak: Array = field(metadata={"unit": "N m"})
-    at_limit: Array
+    at_limit: Array = field(metadata={"unit": "1"})
     speed_peak: Array = field(metadata={"unit": "rad/s"})
     power: float = field(metadata={"unit": "W"})
-    transport: float | None
-    duty: Mapping[str, float]
+    transport: float | None = field(metadata={"unit": "1"})
+    duty: Mapping[str, float] = field(metadata={"unit": "1"})
     touching: tuple[str, ...]
     static: Array | None = field(metadata={"unit": "N m"})
     roll: float = field(metadata={"unit": "rad"})
     pitch: float = field(metadata={"unit": "rad"})
     bounce: float = field(metadata={"unit": "m"})
-    margin: float
+    margin: float = field(metadata={"unit": "1"})
     motion_time: Array = field(metadata={"unit": "s"})
-    motion: Array
+    motion: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
     torque_time: Array = field(metadata={"unit": "s"})
     torques: Array = field(metadata={"unit": "N m"})
 
@@ -138,7 +138,7 @@ class Walk(Result):
     gaits: tuple[Gait, ...]
     integrator: str
     timestep: float = field(metadata={"unit": "s"})
-    rate: float
+    rate: float = field(metadata={"unit": "Hz"})
     warm_up: float = field(metadata={"unit": "s"})
     remarks: tuple[Diagnostic, ...]
 

@@ -152,12 +152,12 @@ class TrackedInterval(Result):
 
     quantity: str
     unit: str
-    nominal: float
-    least: Array
-    most: Array
-    below: Array
-    above: Array
-    measured: tuple[float, float] | None = None
+    nominal: float = field(metadata={"unit": "varies"})
+    least: Array = field(metadata={"unit": "varies"})
+    most: Array = field(metadata={"unit": "varies"})
+    below: Array = field(metadata={"unit": "varies"})
+    above: Array = field(metadata={"unit": "varies"})
+    measured: tuple[float, float] | None = field(default=None, metadata={"unit": "varies"})
     _reported: ClassVar[tuple[str, ...]] = ("common", "inside")
 
     @property
@@ -199,7 +199,7 @@ class TrackedIntervals(Result):
     seeds: tuple[int, ...]
     intervals: tuple[TrackedInterval, ...]
     rollouts: int
-    seconds: float
+    seconds: float = field(metadata={"unit": "s"})
     remarks: tuple[Diagnostic, ...]
     _reported: ClassVar[tuple[str, ...]] = ("passed",)
 

@@ -67,8 +67,8 @@ class Candidate(Result):
     tracked: int
     fallen: int
     torque: float = field(metadata={"unit": "N m"})
-    error: float
-    cost: float
+    error: float = field(metadata={"unit": "1"})
+    cost: float = field(metadata={"unit": "N m"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +92,8 @@ class Orders(Result):
     commands: Array = field(metadata={"unit": "m/s or rad/s"})
     candidates: tuple[Candidate, ...]
     stated: int
-    lead: float | None
-    seconds: float
+    lead: float | None = field(metadata={"unit": "1"})
+    seconds: float = field(metadata={"unit": "s"})
     _reported: ClassVar[tuple[str, ...]] = ("passed", "determined", "alike")
 
     @property

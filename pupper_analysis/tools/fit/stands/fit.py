@@ -56,7 +56,7 @@ class JointResidual(Result):
     stand: str
     joint: str
     off: float = field(metadata={"unit": "rad"})
-    deviations: float
+    deviations: float = field(metadata={"unit": "1"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +81,9 @@ class StandFit(Fit):
     com: tuple[Estimate, ...] = field(metadata={"unit": "m"})
     kp_factor: Estimate | None
     weight: float | None = field(metadata={"unit": "kg"})
-    residuals: Mapping[str, float]
+    residuals: Mapping[str, float] = field(metadata={"unit": "1"})
     joint_residuals: tuple[JointResidual, ...]
-    noise: Mapping[str, float]
+    noise: Mapping[str, float] = field(metadata={"unit": "rad or m"})
 
 
 def _joint_residuals(

@@ -68,7 +68,7 @@ class PlannedStand(Result):
     name: str
     swing: tuple[str, ...]
     command: Mapping[str, float] = field(metadata={"unit": "rad"})
-    utilisation: float | None
+    utilisation: float | None = field(metadata={"unit": "1"})
     heading: float = field(default=0.0, metadata={"unit": "rad"})
     added: float = field(default=0.0, metadata={"unit": "kg"})
 

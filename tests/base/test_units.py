@@ -1,0 +1,87 @@
+"""Units of the published numbers: field metadata, independent of docstrings."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pkgutil
+import re
+import sys
+from dataclasses import Field, dataclass, field, fields, is_dataclass
+
+import pupper_analysis as pa
+from pupper_analysis.base.provenance import marked_json
+from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import DIMENSIONLESS, VARIES, units_of
+
+NUMERIC = re.compile(r"\b(float|Array|NDArray\[np\.float64\]|Position)\b")
+"""Annotation of a field with measured or computed numbers; integers are counts and indices."""
+
+_SYMBOL = r"(kg|N|m|s|rad|W|Hz|1)(\^2)?"
+UNIT = re.compile(rf"{_SYMBOL}( {_SYMBOL})*(/{_SYMBOL})?( \(quaternion\))?")
+"""Unit as results write it: "N m s/rad", "rad^2/s^2"."""
+
+
+def list_published_classes() -> list[type]:
+    """Return each result class, and each dataclass that the fields of a result class name."""
+    dataclasses: dict[str, list[type]] = {}
+    for module in pkgutil.walk_packages(pa.__path__, "pupper_analysis."):
+        if not module.name.endswith("__main__"):
+            for kind in vars(importlib.import_module(module.name)).values():
+                if isinstance(kind, type) and is_dataclass(kind) and kind.__module__ == module.name:
+                    dataclasses.setdefault(kind.__name__, []).append(kind)
+    kinds = [kind for same in dataclasses.values() for kind in same if issubclass(kind, Result)]
+    for kind in kinds:  # grows while it is read
+        for published in published_fields(kind):
+            for name in re.findall(r"\w+", str(published.type)):
+                meant = vars(sys.modules[kind.__module__]).get(name)
+                found = dataclasses.get(name, ()) if meant is None else (meant,)
+                kinds += [each for each in found if is_dataclass(each) and each not in kinds]
+    return kinds
+
+
+def published_fields(kind: type) -> list[Field[object]]:
+    """Return the fields of a class that JSON contains."""
+    return [each for each in fields(kind) if not each.name.startswith("_")]
+
+
+def test_each_published_number_states_a_unit_or_is_dimensionless() -> None:
+    kinds = list_published_classes()
+    assert len(kinds) > 100
+    without = [
+        f"{kind.__module__}.{kind.__qualname__}.{each.name}"
+        for kind in kinds
+        for each in published_fields(kind)
+        if NUMERIC.search(str(each.type)) and "unit" not in each.metadata
+    ]
+    assert without == []
+
+
+def test_units_are_written_in_one_form() -> None:
+    for kind in list_published_classes():
+        for each in published_fields(kind):
+            unit = each.metadata.get("unit", DIMENSIONLESS)
+            for part in re.split(r" or | and |, ", unit):
+                assert part == VARIES or UNIT.fullmatch(part), (kind, each.name, unit)
+
+
+def test_units_stay_if_a_docstring_is_reworded() -> None:
+    @dataclass(frozen=True)
+    class Load(Result):
+        """Load of a motor, in a docstring without units."""
+
+        torque: float = field(metadata={"unit": "N m"})
+        share: float = field(metadata={"unit": DIMENSIONLESS})
+        name: str = ""
+
+    assert units_of(Load) == {"torque": "N m"}
+    written = json.loads(marked_json({"load": Load(1.0, 0.5)}))
+    assert written["provenance"]["units"] == {"torque": "N m"}
+
+
+def test_units_of_a_base_class_are_those_of_its_subclass() -> None:
+    from pupper_analysis.statics.equilibrium import Equilibrium, GravityCompensation
+
+    inherited = units_of(Equilibrium)
+    assert inherited["joint_torques"] == "N m"
+    assert inherited.items() <= units_of(GravityCompensation).items()
