@@ -1,4 +1,7 @@
-"""Units in which numbers may be given: by option, by prior, by the header of a file's column."""
+"""Units: accepted units of input values, and the units of the fields of results.
+
+Inputs are options, priors of a fit and column headers of measurement files.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,10 @@ from functools import cache
 from typing import Final
 
 EARTH = 9.81
-"""Gravity (m/s^2), as MuJoCo has it by default, and Pinocchio for each URDF."""
+"""Gravitational acceleration [m/s^2]: the default of MuJoCo and of Pinocchio's URDF import."""
 
 DOWN = (0.0, 0.0, -EARTH)
-"""The same in the world's axes."""
+"""Gravitational acceleration, shape (3,) [m/s^2], expressed in the world frame."""
 
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -27,28 +30,28 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "mass": {"kg": 1.0, "g": 1e-3},
     "torque": {"N m": 1.0, "Nm": 1.0, "N*m": 1.0, "mN m": 1e-3, "mNm": 1e-3, "N": 1.0},
-    # Kitchen scales show mass.
+    # Kitchen scales show kilograms: 1 kg is the weight of 1 kg on Earth.
     "force": {"N": 1.0, "g": 9.80665e-3, "kg": 9.80665},
 }  # fmt: skip
-"""{quantity: {unit: its size in SI}}; the first of each is meant where none is said."""
+"""{quantity: {unit: factor to SI}}. The first unit applies if a value has no unit."""
 
 READ_IN: Final[Mapping[str, tuple[float, str]]] = {
     "rad": (math.degrees(1.0), "deg"),
     "m": (1e3, "mm"),
 }
-"""{SI unit of a position: what it is multiplied by to be read, and the unit that is read}."""
+"""{SI unit of a joint position: (factor, printed unit)}; printed value = factor x SI value."""
 
 
 class Position(float):
-    """Where a joint is to be, with its unit; ``"rad or m"`` where it was given without one."""
+    """Requested joint position with its unit; ``"rad or m"`` if the user typed no unit."""
 
     unit: str
 
     def __new__(cls, value: float, unit: str = "rad or m") -> Position:
-        """Returns the position."""
-        found = super().__new__(cls, value)
-        found.unit = unit
-        return found
+        """Return the position ``value`` [rad or m] with the unit ``unit``."""
+        position = super().__new__(cls, value)
+        position.unit = unit
+        return position
 
 
 DIMENSIONLESS: Final = "1"

@@ -110,7 +110,7 @@ class BodyMotion:
     lean: float = field(metadata={"unit": "rad"})
     away: float = field(metadata={"unit": "m"})
     diverged: bool
-    clearance: float = 0.0
+    clearance: float = field(default=0.0, metadata={"unit": "m"})
     lies: bool = False
 
     @property
