@@ -1,8 +1,18 @@
-"""Contact forces in friction cones that balance a robot: a second-order cone programme."""
+"""Solve for contact forces in friction cones that keep a robot in static equilibrium.
+
+Input: the linear balance equations of a robot (`Balance`), friction coefficients, and a criterion.
+Output: one vector of contact forces that satisfies balance and friction, or None if none exists.
+
+The balance of the base, ``base_rows @ f = base_load``, is eliminated first: ``f = particular +
+free @ z`` with ``free`` a basis of the null space, so that balance holds to rounding for every z.
+If the optimum without cones already satisfies them, it is returned (LAPACK). Otherwise z is the
+solution of a second-order cone program, which Clarabel solves.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,116 +25,183 @@ from scipy.linalg import lapack
 Array = NDArray[np.float64]
 
 BALANCE_TOLERANCE = 1e-9
-"""Residual of the static balance that counts as zero, relative to the weight."""
+"""Largest norm of the residual of the base's balance that counts as zero, relative to the norm of
+the base load (N and N m mixed). Chosen, not tuned; agreement between engines is tested to
+it."""
 
 
-_INSIDE = 1e-6
-"""The cones are narrowed by this much for the solver, so that its rounding stays inside them."""
+_CONE_MARGIN = 1e-6
+"""Relative reduction of the friction coefficients (and of grip limits) in the cone program, so that
+the solver's rounding stays inside the true cones."""
 
 
-_TANGENTIAL = 1e3
-"""Weight of tangential forces against normal ones, for the minimum-tangential distribution."""
+_TANGENTIAL_WEIGHT = 1e3
+"""Weight of tangential force components relative to normal components in `TangentialMetric`.
+Chosen: large enough that normal forces matter only where tangential forces are equal."""
 
 
 _PEAK_SLACK = 1e-7
-"""How much above the least peak the second search may be: ten times the first one's rounding."""
+"""Relative amount by which the second program of `Balance.min_max_torque` may exceed the minimum
+peak that the first program found: ten times the rounding of the first program."""
 
 
-_INDEPENDENT = 1e-8
-"""Reciprocal condition from which on rows count as independent. Four feet in a square have 1e-2;
-below it singular values decide, slowly."""
+_MIN_RECIPROCAL_CONDITION = 1e-8
+"""Smallest reciprocal condition number at which rows count as independent. Four feet in a square
+have 1e-2. Below this bound the slower singular value decomposition is used."""
 
 _UP = np.array([0.0, 0.0, 1.0])
 
 
+def split_force(force: Sequence[float], normal: Sequence[float]) -> tuple[float, float]:
+    """Split a contact force into its normal component and the norm of its tangential part.
+
+    Args:
+        force: Three components [N].
+        normal: Unit vector out of the ground, in the same frame.
+
+    Returns:
+        Normal component, positive if the contact presses [N]; tangential norm [N].
+    """
+    (x, y, z), (a, b, c) = force, normal
+    pressing = x * a + y * b + z * c
+    return pressing, math.hypot(x - pressing * a, y - pressing * b, z - pressing * c)
+
+
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,).
+    """Equations of static equilibrium with n contacts, w welds and g grips.
 
-    Wrenches of welds come after these, (6 w,), and are in no cone; and then the forces of grips,
-    (3 g,), each of which is at most ``grips``.
+    The unknown vector f contains the contact forces (3 n,), then the wrenches of welds (6 w,), then
+    the forces of grips (3 g,), all in world axes [N, N m]. Equilibrium means
+
+        base_load = base_rows @ f            (satisfied to rounding)
+        joint_load = joint_rows @ f + tau    (defines the motor torques tau)
+
+    with contact forces in their friction cones and the norm of each grip force at most ``grips``.
+    Weld wrenches are unbounded. Below, ``size`` is 3 n + 6 w + 3 g.
+
+    Attributes:
+        base_rows: Shape (k, size); rows of the transposed Jacobian that belong to the base, and one
+            row per stated normal force.
+        base_load: Shape (k,) [N, N m]; generalised force on the base, and the stated forces.
+        joint_rows: Shape (nu, size); rows of the transposed Jacobian that belong to the joints.
+        joint_load: Shape (nu,) [N m]; motor torques without contact forces.
+        normals: Shape (n, 3); unit vectors out of the ground, in the world frame.
+        grips: Shape (g,) [N]; upper bounds of the norms of grip forces.
     """
 
-    base: Array
-    weight: Array
-    joints: Array
-    torques: Array
+    base_rows: Array
+    base_load: Array
+    joint_rows: Array
+    joint_load: Array
     normals: Array
     grips: Array = field(default_factory=lambda: np.zeros(0))
 
     def minimum_tangential(self, friction: Array | None, metric: TangentialMetric) -> Array | None:
-        """Returns the least tangential f (3 n,), or None if there is none.
+        """Compute the forces with the smallest norm in a tangential metric.
 
         Args:
-            friction: (n,) coefficients.
-            metric: By what "least" is measured.
+            friction: Shape (n,); friction coefficients. None removes cones and unilateral limits.
+            metric: Weighted norm that is minimised.
+
+        Returns:
+            Forces, shape (size,) [N, N m], or None if no forces satisfy balance and friction.
         """
-        forces = metric.shortest(self.base, self.weight)
+        forces = metric.shortest(self.base_rows, self.base_load)
         if forces is not None:
-            held = friction is None or self._violation(forces, friction) <= 0
-            if held and self._balances(forces):
+            feasible = friction is None or self._largest_violation(forces, friction) <= 0
+            if feasible and self._is_balanced(forces):
                 return forces
-        return self.solve(friction, metric, np.zeros(self.base.shape[1]))
+        return self.solve(friction, metric, np.zeros(self.base_rows.shape[1]))
 
-    def pressing(self) -> Array | None:
-        """Returns the f (3 n + 6 w + 3 g,) of least |tau| that only presses; None if there is none.
+    def solve_normal_only(self) -> Array | None:
+        """Compute contact forces without tangential components, beside welds or grips.
 
-        Beside a weld, which takes what is left, that is what lasts: no force along a plane, so that
-        nothing creeps, and along normals those that spare the motors. Beside grips alone, no weld,
-        they are as equal as may be: to spare motors a sole would stand on its edge.
+        A weld or a grip carries the rest of the load, so contacts need no tangential force, and
+        MuJoCo's regularised friction does not creep. With a weld the motor torques |tau| are
+        minimised. With grips alone the norm of all forces is minimised, since minimum torque would
+        put the load on the edge of a sole.
+
+        Returns:
+            Forces, shape (size,) [N, N m], or None if no such forces exist.
         """
-        count, size = len(self.normals), self.base.shape[1]
-        along = np.zeros((size, size - 2 * count))
-        along[: 3 * count, :count] = linalg.block_diag(*self.normals[:, :, None])
-        along[3 * count :, count:] = np.eye(size - 3 * count)
-        own = replace(
+        count, size = len(self.normals), self.base_rows.shape[1]
+        # Columns: n normal directions, then the unchanged columns of welds and grips.
+        directions = np.zeros((size, size - 2 * count))
+        directions[: 3 * count, :count] = linalg.block_diag(*self.normals[:, :, None])
+        directions[3 * count :, count:] = np.eye(size - 3 * count)
+        reduced = replace(
             self,
-            base=self.base @ along,
-            joints=self.joints @ along,
+            base_rows=self.base_rows @ directions,
+            joint_rows=self.joint_rows @ directions,
             normals=np.zeros((0, 3)),
         )
-        welded = size > 3 * (count + len(self.grips))
-        if not welded:
-            own = replace(own, joints=np.eye(size - 2 * count), torques=np.zeros(size - 2 * count))
-        found, nothing = own._without_cones(own.joints, own.torques), np.zeros(0)
-        if found is not None and min([*found[:count], -own._violation(found, nothing)]) < 0:
-            particular, free = own._by_singular_values
-            bounds = -free[:count], particular[:count]
-            cost, target = own.joints @ free, own.torques - own.joints @ particular
-            least = own._solve_cones(particular, free, cost, target, nothing, bounds)
-            found = None if least is None else particular + free @ least
-            tiny = BALANCE_TOLERANCE * float(np.linalg.norm(self.weight))
-            if found is not None and self.grips.size and found[:count].min(initial=0.0) < -tiny:
-                return None  # beside grips alone there need be none
-        return None if found is None else along @ found
+        has_welds = size > 3 * (count + len(self.grips))
+        if not has_welds:
+            unknowns = size - 2 * count
+            reduced = replace(reduced, joint_rows=np.eye(unknowns), joint_load=np.zeros(unknowns))
+        found, no_friction = (
+            reduced._solve_linear(reduced.joint_rows, reduced.joint_load),
+            np.zeros(0),
+        )
+        if (
+            found is not None
+            and min([*found[:count], -reduced._largest_violation(found, no_friction)]) < 0
+        ):
+            particular, free = reduced._particular_and_null_space
+            bounds = -free[:count], particular[:count]  # normal forces >= 0
+            cost, target = (
+                reduced.joint_rows @ free,
+                reduced.joint_load - reduced.joint_rows @ particular,
+            )
+            coordinates = reduced._minimize_squares(
+                particular, free, cost, target, no_friction, bounds
+            )
+            found = None if coordinates is None else particular + free @ coordinates
+            rounding = BALANCE_TOLERANCE * float(np.linalg.norm(self.base_load))
+            if found is not None and self.grips.size and found[:count].min(initial=0) < -rounding:
+                return None  # with grips alone, balance without tangential forces may not exist
+        return None if found is None else directions @ found
 
     def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
-        """Returns the f (3 n,) of least peak |tau| / limit, or None if there is none.
+        """Compute the forces with the smallest peak utilisation max |tau| / limit.
 
-        A motor without a limit, or with none of its own strength (0), does not count, but where no
-        motor has a limit all count alike.
-        """
-        rated = np.isfinite(limits) & (limits > 0)
-        share = np.where(rated, 1 / np.where(rated, limits, 1.0), 0.0) if rated.any() else None
-        share = np.ones(len(limits)) if share is None else share
-        cost, target = share[:, None] * self.joints, share * self.torques
-        return self.solve(friction, cost, target, peak=True)
-
-    def farthest(self, linear: Array, friction: Array, rows: Array, most: Array) -> Array | None:
-        """Returns the f (3 n,) in the cones of greatest linear f, or None if there is none.
+        Motors without a finite, positive limit are ignored. If no motor has such a limit, the peak
+        torque is minimised instead.
 
         Args:
-            linear: (3 n,).
-            friction: (n,) coefficients.
-            rows: (k, 3 n) of what is bounded, rows f <= most.
-            most: (k,) these bounds.
+            friction: Shape (n,); friction coefficients. None removes cones and unilateral limits.
+            limits: Shape (nu,) [N m]; effort limits.
+
+        Returns:
+            Forces, shape (size,) [N, N m], or None if no forces satisfy balance and friction.
         """
-        particular, free = self._by_singular_values
-        if not self._balances(particular):
+        rated = np.isfinite(limits) & (limits > 0)
+        weights = np.where(rated, 1 / np.where(rated, limits, 1.0), 0.0) if rated.any() else None
+        weights = np.ones(len(limits)) if weights is None else weights
+        cost, target = weights[:, None] * self.joint_rows, weights * self.joint_load
+        return self.solve(friction, cost, target, peak=True)
+
+    def maximize(self, linear: Array, friction: Array, rows: Array, upper: Array) -> Array | None:
+        """Compute the forces that maximise a linear function within the friction cones.
+
+        Args:
+            linear: Shape (size,); coefficients of the maximised function ``linear @ f``.
+            friction: Shape (n,); friction coefficients.
+            rows: Shape (m, size); coefficients of the inequality ``rows @ f <= upper``.
+            upper: Shape (m,); upper bounds.
+
+        Returns:
+            Forces, shape (size,) [N, N m], or None if no forces satisfy balance and friction.
+        """
+        particular, free = self._particular_and_null_space
+        if not self._is_balanced(particular):
             return None
-        bounds = rows @ free, most - rows @ particular
+        bounds = rows @ free, upper - rows @ particular
         quadratic = np.zeros((free.shape[1],) * 2)
-        found = self._conic(particular, free, quadratic, -linear @ free, friction, bounds)
+        found = self._solve_cone_program(
+            particular, free, quadratic, -linear @ free, friction, bounds
+        )
         return None if found is None else particular + free @ found
 
     def solve(
@@ -135,129 +212,142 @@ class Balance:
         *,
         peak: bool = False,
     ) -> Array | None:
-        """Returns the f (3 n,) with the least |cost f - target|, or None if there is none.
+        """Compute the forces with the smallest residual |cost @ f - target|.
 
         Args:
-            friction: (n,) coefficients; None if feet are held to the ground and may pull and slip.
-            cost: (m, 3 n), or what multiplies as such a matrix does.
-            target: (m,).
-            peak: The least greatest element comes first.
+            friction: Shape (n,); friction coefficients. None removes cones and unilateral limits:
+                feet may pull and slip.
+            cost: Shape (m, size), or an operator with the same product.
+            target: Shape (m,).
+            peak: Minimise the largest absolute element of the residual first, then the norm. Has no
+                effect if ``friction`` is None.
+
+        Returns:
+            Forces, shape (size,) [N, N m], or None if no forces satisfy balance and friction.
         """
         if not peak or friction is None:
-            forces = self._without_cones(cost, target)
-            if forces is None or friction is None or self._violation(forces, friction) <= 0:
+            forces = self._solve_linear(cost, target)
+            if forces is None or friction is None or self._largest_violation(forces, friction) <= 0:
                 return forces
-        particular, free = self._by_singular_values
-        if not self._balances(particular):
+        particular, free = self._particular_and_null_space
+        if not self._is_balanced(particular):
             return None
         cost, target = cost @ free, target - cost @ particular
-        search = self._solve_peak if peak else self._solve_cones
-        coordinates = search(particular, free, cost, target, friction)
+        minimize = self._minimize_peak if peak else self._minimize_squares
+        coordinates = minimize(particular, free, cost, target, friction)
         return None if coordinates is None else particular + free @ coordinates
 
-    def _without_cones(self, cost: Array | TangentialMetric, target: Array) -> Array | None:
-        """Returns the f (3 n,) that balances with the least |cost f - target|; see ``solve``."""
+    def _solve_linear(self, cost: Array | TangentialMetric, target: Array) -> Array | None:
+        """Minimise |cost @ f - target| subject to balance alone, without cones."""
         if isinstance(cost, np.ndarray):
-            forces = self._by_one_decomposition(cost, target)
-            if forces is not None and self._balances(forces):
+            forces = self._solve_by_gqr(cost, target)
+            if forces is not None and self._is_balanced(forces):
                 return forces
-        particular, free = self._by_singular_values
-        if not self._balances(particular):
+        particular, free = self._particular_and_null_space
+        if not self._is_balanced(particular):
             return None
-        best = np.linalg.lstsq(cost @ free, target - cost @ particular)[0]
-        return particular + free @ best  # f = particular + free z
+        coordinates = np.linalg.lstsq(cost @ free, target - cost @ particular)[0]
+        return particular + free @ coordinates
 
-    def _by_one_decomposition(self, cost: Array, target: Array) -> Array | None:
-        """Does so where but one f has the least, by rows that are independent; None elsewhere.
+    def _solve_by_gqr(self, cost: Array, target: Array) -> Array | None:
+        """Minimise |cost @ f - target| subject to balance by LAPACK's ``gglse``.
 
-        A third of the time of singular values, which then decide.
+        Takes a third of the time of the singular value decomposition. Returns None if the balance
+        rows are dependent, or the minimum is not unique.
         """
-        count, size = self.base.shape
+        count, size = self.base_rows.shape
         if not count < size <= count + len(cost):
             return None
-        free, triangle, _, forces, _ = lapack.dgglse(cost, self.base, target, self.weight)
+        free, triangle, _, forces, _ = lapack.dgglse(cost, self.base_rows, target, self.base_load)
         left = size - count
         conditions = lapack.dtrcon(triangle[:, left:])[0], lapack.dtrcon(free[:left, :left])[0]
-        found: Array | None = forces if min(conditions) > _INDEPENDENT else None
+        found: Array | None = forces if min(conditions) > _MIN_RECIPROCAL_CONDITION else None
         return found
 
     @cached_property
-    def _by_singular_values(self) -> tuple[Array, Array]:
-        """The shortest f (3 n,) that balances, or nearly, and a basis of those that do nothing."""
-        left, sizes, right = np.linalg.svd(self.base)
+    def _particular_and_null_space(self) -> tuple[Array, Array]:
+        """Least-squares solution of balance, shape (size,), and a null space basis of its rows."""
+        left, sizes, right = np.linalg.svd(self.base_rows)
         rank = int((sizes > 1e-12 * sizes[0]).sum())
-        particular: Array = (left[:, :rank].T @ self.weight / sizes[:rank]) @ right[:rank]
+        particular: Array = (left[:, :rank].T @ self.base_load / sizes[:rank]) @ right[:rank]
         return particular, right[rank:].T
 
     def normal_forces(self, forces: Array) -> Array:
-        """Returns the normal parts (n,) of forces (3 n,)."""
-        parts: Array = (self._of_contacts(forces) * self.normals).sum(axis=1)
+        """Return the normal components, shape (n,) [N], of forces of shape (size,)."""
+        parts: Array = (self._contact_part(forces) * self.normals).sum(axis=1)
         return parts
 
-    def _of_contacts(self, forces: Array) -> Array:
-        """Returns the contacts' part (n, 3) of forces (3 n + 6 w,)."""
+    def _contact_part(self, forces: Array) -> Array:
+        """Return the contact forces, shape (n, 3) [N], of forces of shape (size,)."""
         return forces[: self.normals.size].reshape(-1, 3)
 
-    def _balances(self, forces: Array) -> bool:
-        error = math.hypot(*(self.base @ forces - self.weight).tolist())
-        return error < BALANCE_TOLERANCE * math.hypot(*self.weight.tolist())
+    def _is_balanced(self, forces: Array) -> bool:
+        error = math.hypot(*(self.base_rows @ forces - self.base_load).tolist())
+        return error < BALANCE_TOLERANCE * math.hypot(*self.base_load.tolist())
 
-    def _violation(self, forces: Array, friction: Array) -> float:
-        """Returns the largest tangential force beyond its cone (N); negative inside all."""
+    def _largest_violation(self, forces: Array, friction: Array) -> float:
+        """Return the largest force beyond its friction cone or grip limit [N].
+
+        Negative if all forces are strictly inside; NaN if a force is NaN.
+        """
         excess = []
-        for (x, y, z), (a, b, c), coefficient in zip(
-            self._of_contacts(forces).tolist(),
+        for force, normal, coefficient in zip(
+            self._contact_part(forces).tolist(),
             self.normals.tolist(),
             friction.tolist(),
             strict=True,
         ):
-            pressing = x * a + y * b + z * c
-            sliding = math.hypot(x - pressing * a, y - pressing * b, z - pressing * c)
-            excess.append(sliding - coefficient * pressing)
-        gripping = forces[len(forces) - 3 * len(self.grips) :].reshape(-1, 3)
-        held = zip(gripping.tolist(), self.grips.tolist(), strict=True)
-        excess += [math.hypot(*force) - most for force, most in held]
+            pressing, tangential = split_force(force, normal)
+            excess.append(tangential - coefficient * pressing)
+        grip_forces = forces[len(forces) - 3 * len(self.grips) :].reshape(-1, 3)
+        pairs = zip(grip_forces.tolist(), self.grips.tolist(), strict=True)
+        excess += [math.hypot(*force) - limit for force, limit in pairs]
         return _nan_or_max(excess)
 
-    def _cones(self, friction: Array) -> Array:
-        """Returns rows (4 n + 4 g, 3 n + 6 w + 3 g): per foot (mu f_n, f_t), per grip (0, f)."""
+    def _cone_rows(self, friction: Array) -> Array:
+        """Return the rows of all cones, shape (4 n + 4 g, size).
+
+        Four rows per contact: mu f_n and the tangential force; four per grip: zero and the force.
+        """
         normals, count = self.normals, len(self.normals)
-        rows, each = np.zeros((count, 4, count, 3)), np.arange(count)
-        rows[each, 0, each] = (friction * (1 - _INSIDE))[:, None] * normals
-        rows[each, 1:, each] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+        rows, index = np.zeros((count, 4, count, 3)), np.arange(count)
+        rows[index, 0, index] = (friction * (1 - _CONE_MARGIN))[:, None] * normals
+        rows[index, 1:, index] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         cones: Array = rows.reshape(4 * count, 3 * count)
-        others = self.base.shape[1] - 3 * count
+        others = self.base_rows.shape[1] - 3 * count
         if not others:
             return cones
-        held = np.kron(np.eye(len(self.grips)), np.eye(4, 3, k=-1))
-        left = np.zeros((len(held), 3 * count + others - held.shape[1]))
-        free = np.zeros((4 * count, others))
-        return np.vstack([np.hstack([cones, free]), np.hstack([left, held])])
+        grips = np.kron(np.eye(len(self.grips)), np.eye(4, 3, k=-1))
+        before_grips = np.zeros((len(grips), 3 * count + others - grips.shape[1]))
+        beside_contacts = np.zeros((4 * count, others))
+        return np.vstack([np.hstack([cones, beside_contacts]), np.hstack([before_grips, grips])])
 
-    def _solve_peak(
+    def _minimize_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
     ) -> Array | None:
-        """Minimises the greatest |cost z - target|, then their squares, in the cones."""
+        """Minimise max |cost @ z - target|, then the squares, with the forces in the cones."""
         size = len(target)
         scale = float(np.abs(cost @ np.linalg.lstsq(cost, target)[0] - target).max(initial=0.0))
         scale = max(scale, float(np.abs(target).max(initial=0.0)), 1e-300)
-        # Variables: z and the peak, which bounds every element from both sides.
+        # Variables: z, and the scaled peak, which bounds each residual from both sides.
         above = np.column_stack([cost, -np.full(size, scale)])
         below = np.column_stack([-cost, -np.full(size, scale)])
         bounds = (np.concatenate([above, below]), np.concatenate([target, -target]))
         wide = np.column_stack([free, np.zeros(len(free))])
         peak = np.zeros(free.shape[1] + 1)
         peak[-1] = 1.0
-        found = self._conic(particular, wide, np.zeros((len(peak),) * 2), peak, friction, bounds)
+        found = self._solve_cone_program(
+            particular, wide, np.zeros((len(peak),) * 2), peak, friction, bounds
+        )
         if found is None:
             return None
-        least = float(np.abs(cost @ found[:-1] - target).max(initial=0.0))
-        room = np.full(2 * size, least * (1 + _PEAK_SLACK))
-        bounds = (np.concatenate([cost, -cost]), np.concatenate([target, -target]) + room)
-        again = self._solve_cones(particular, free, cost, target, friction, bounds)
-        return found[:-1] if again is None else again
+        minimum_peak = float(np.abs(cost @ found[:-1] - target).max(initial=0.0))
+        slack = np.full(2 * size, minimum_peak * (1 + _PEAK_SLACK))
+        bounds = (np.concatenate([cost, -cost]), np.concatenate([target, -target]) + slack)
+        refined = self._minimize_squares(particular, free, cost, target, friction, bounds)
+        return found[:-1] if refined is None else refined
 
-    def _solve_cones(
+    def _minimize_squares(
         self,
         particular: Array,
         free: Array,
@@ -266,13 +356,15 @@ class Balance:
         friction: Array,
         bounds: tuple[Array, Array] | None = None,
     ) -> Array | None:
-        """Minimises |cost z - target|^2 over the z with particular + free z in the cones."""
+        """Minimise |cost @ z - target|^2 with the forces in the cones, and A z <= b."""
         quadratic = cost.T @ cost
-        # Where legs are singular some forces cost no torque: the smallest of those.
+        # In singular leg configurations some forces need no torque: select the smallest of them.
         quadratic += 1e-10 * np.trace(quadratic) * np.eye(len(quadratic))
-        return self._conic(particular, free, quadratic, -cost.T @ target, friction, bounds)
+        return self._solve_cone_program(
+            particular, free, quadratic, -cost.T @ target, friction, bounds
+        )
 
-    def _conic(
+    def _solve_cone_program(
         self,
         particular: Array,
         free: Array,
@@ -281,15 +373,16 @@ class Balance:
         friction: Array,
         bounds: tuple[Array, Array] | None,
     ) -> Array | None:
-        """Minimises z^T quadratic z / 2 + linear z, particular + free z in the cones.
+        """Minimise z^T quadratic z / 2 + linear z with ``particular + free @ z`` in the cones.
 
-        ``bounds`` are rows A and b of A z <= b.
+        ``bounds`` contains A and b of the inequality A z <= b. Returns None if the problem is
+        infeasible, or the solution violates a cone by more than 1e-9 of the weight.
         """
-        scale = np.linalg.norm(self.weight[:3]) or 1.0  # nothing to carry: a robot in free fall
-        rows = self._cones(friction)
-        most = np.zeros(len(rows))
-        most[4 * len(self.normals) :: 4] = self.grips * (1 - _INSIDE)
-        matrix, right = [-rows @ free], [(rows @ particular + most) / scale]
+        scale = np.linalg.norm(self.base_load[:3]) or 1.0  # a robot in free fall has no weight
+        rows = self._cone_rows(friction)
+        constants = np.zeros(len(rows))
+        constants[4 * len(self.normals) :: 4] = self.grips * (1 - _CONE_MARGIN)
+        matrix, right = [-rows @ free], [(rows @ particular + constants) / scale]
         cones: list[object] = [clarabel.SecondOrderConeT(4)] * (len(rows) // 4)
         if bounds is not None:
             matrix.insert(0, bounds[0])
@@ -299,87 +392,93 @@ class Balance:
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
         solver = clarabel.DefaultSolver(
-            _sparse(np.triu(quadratic)),
+            _to_csc(np.triu(quadratic)),
             linear / scale,
-            _sparse(np.concatenate(matrix)),
+            _to_csc(np.concatenate(matrix)),
             np.concatenate(right),
             cones,
             settings,
         )
         coordinates = np.array(solver.solve().x) * scale
         if not np.abs(coordinates).max(initial=0.0) < 1e9 * scale:
-            return None  # the certificate of an infeasible problem
-        # RelativeError the answer itself, not the solver's opinion of it.
-        excess = self._violation(particular + free @ coordinates, friction)
+            return None  # Clarabel returned a certificate of infeasibility, not a solution
+        # Check the solution itself instead of the solver's status.
+        excess = self._largest_violation(particular + free @ coordinates, friction)
         return coordinates if excess <= 1e-9 * scale else None
 
 
 class TangentialMetric:
-    """The (3 n, 3 n) matrix whose product with f shall be short: tangential forces weigh more.
+    """Weighting matrix W of shape (size, size) that makes |W f| a norm of tangential forces.
+
+    For a contact, W multiplies the normal component by 1 and the tangential components by
+    1000 / sqrt(viscosity). Components of welds and grips are multiplied by 1. The matrix is never
+    formed; the class implements the products with W and with its inverse.
 
     Args:
-        normals: (n, 3).
-        grip: (n,) the feet's viscosities, relative to each other; by default they are alike.
+        normals: Shape (n, 3); unit vectors out of the ground.
+        grip: Shape (n,); viscosities of the contacts, relative to each other. Equal by default.
     """
 
     def __init__(self, normals: Array, grip: Array | None = None) -> None:
-        alike = np.ones(len(normals))
+        equal = np.ones(len(normals))
         self._normals = normals
-        self._weights = (_TANGENTIAL / np.sqrt(alike if grip is None else grip))[:, None]
-        self._diagonal: Array | None = None  # where the ground is level, the matrix has no more
+        self._weights = (_TANGENTIAL_WEIGHT / np.sqrt(equal if grip is None else grip))[:, None]
+        self._diagonal: Array | None = None  # W is diagonal on level ground
         if (normals == _UP).all():
             scale = np.ones((len(normals), 3))
             scale[:, :2] = self._weights
             self._diagonal = scale.ravel()
 
     def __matmul__(self, forces: Array) -> Array:
-        if len(forces) > self._normals.size:  # what welds and grips do counts as normal forces do
-            own, others = np.split(forces, [self._normals.size])
-            return np.concatenate([self @ own, others])
+        if len(forces) > self._normals.size:
+            contacts, others = np.split(forces, [self._normals.size])
+            return np.concatenate([self @ contacts, others])
         if self._diagonal is not None:
             return (self._diagonal * forces.T).T
-        return self._times(self._weights, forces)
+        return self._scale_tangential(self._weights, forces)
 
-    def _undone(self, forces: Array) -> Array:
-        """Returns the product with the inverse."""
+    def _apply_inverse(self, forces: Array) -> Array:
         if len(forces) > self._normals.size:
-            own, others = np.split(forces, [self._normals.size])
-            return np.concatenate([self._undone(own), others])
+            contacts, others = np.split(forces, [self._normals.size])
+            return np.concatenate([self._apply_inverse(contacts), others])
         if self._diagonal is not None:
             return (forces.T / self._diagonal).T
-        return self._times(1 / self._weights, forces)
+        return self._scale_tangential(1 / self._weights, forces)
 
-    def _times(self, weights: Array, forces: Array) -> Array:
+    def _scale_tangential(self, weights: Array, forces: Array) -> Array:
         columns = forces.reshape(len(self._normals), 3, -1)
         normals = self._normals[:, :, None]
-        along = normals * (normals * columns).sum(axis=1, keepdims=True)
-        product: Array = along + weights[:, :, None] * (columns - along)
+        along_normals = normals * (normals * columns).sum(axis=1, keepdims=True)
+        product: Array = along_normals + weights[:, :, None] * (columns - along_normals)
         return product.reshape(forces.shape)
 
     def shortest(self, rows: Array, right: Array) -> Array | None:
-        """Returns the f (3 n,) of rows f = right with the shortest product with this matrix W.
+        """Solve ``rows @ f = right`` for the f with the smallest |W f|.
 
-        That is W^-1 u, u being the shortest with rows W^-1 u = right: no square of W's condition.
-        None if the rows are dependent, or nearly so.
+        With u the minimum-norm solution of (rows W^-1) u = right, f = W^-1 u. This form avoids
+        W^T W, which would square the condition number of W.
+
+        Returns:
+            Shape (size,), or None if the rows are dependent or nearly dependent.
         """
         count, size = rows.shape
         if size < count:
             return None
-        wanted = np.zeros(size)
-        wanted[:count] = right
-        triangle, found, _ = lapack.dgels(self._undone(rows.T).T, wanted)
-        if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < _INDEPENDENT:
+        padded = np.zeros(size)
+        padded[:count] = right
+        triangle, found, _ = lapack.dgels(self._apply_inverse(rows.T).T, padded)
+        if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < _MIN_RECIPROCAL_CONDITION:
             return None
-        return self._undone(found.ravel())
+        return self._apply_inverse(found.ravel())
 
 
-def _sparse(matrix: Array) -> sparse.csc_matrix:
-    """Returns a matrix as Clarabel takes it: a third of the time that SciPy's own way takes."""
+def _to_csc(matrix: Array) -> sparse.csc_matrix:
+    """Convert to SciPy's CSC format, in a third of the time of its constructor for arrays."""
     by_column = matrix.T
     columns, rows = np.nonzero(by_column)
     ends = np.searchsorted(columns, np.arange(len(by_column) + 1))
-    given = by_column[columns, rows], rows.astype(np.int32), ends.astype(np.int32)
-    return sparse.csc_matrix(given, shape=matrix.shape)
+    parts = by_column[columns, rows], rows.astype(np.int32), ends.astype(np.int32)
+    return sparse.csc_matrix(parts, shape=matrix.shape)
 
 
 def _nan_or_max(values: list[float]) -> float:

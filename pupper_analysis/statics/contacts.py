@@ -1,4 +1,8 @@
-"""The contacts that carry: which feet, where they touch, which way the ground is, its friction."""
+"""Contacts of a robot with the ground: positions, normals, friction, and their Jacobian.
+
+`make_contacts` validates the contacts that a caller requests. `Contacts.jacobian` and
+`Contacts.balance` provide the equations of static equilibrium that `cone_program.Balance` solves.
+"""
 
 from __future__ import annotations
 
@@ -27,21 +31,24 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Contacts of a robot with the ground, wherever the robot is.
+    """Contacts of a robot with the ground, independent of the configuration.
 
     Attributes:
-        nv: The robot's degrees of freedom.
-        free: Those of its base.
-        feet: The n feet that carry.
-        normals: (n, 3) out of the ground, unit vectors in the world.
-        friction: (n,) coefficients.
-        offsets: (n, 3) from each foot's centre to its contact, in the world (m).
-        soles: {foot of the robot: which of ``feet``, its contact points, carry}.
-        welds: {what is fixed in the world: a contact point on it; None of the base}.
-        stated: (k, n) which contacts press together with a force that is stated, and (k,) these
-            forces, in weights; None if none is.
-        weight: The robot's, with which these count (N).
-        grips: (g,) what the last of ``welds`` hold at most (N), by a force alone.
+        nv: Number of degrees of freedom of the robot.
+        free: Number of degrees of freedom of its base.
+        feet: Names of the n contact points that carry load.
+        normals: Shape (n, 3); unit vectors out of the ground, in the world frame.
+        friction: Shape (n,); friction coefficients.
+        offsets: Shape (n, 3) [m]; from the centre of each contact point's sphere to the contact, in
+            the world frame.
+        soles: For each foot of the robot, the names in ``feet`` that belong to it.
+        welds: For each welded or gripping part, a contact point on it; None for the base. The last
+            len(``grips``) entries are grips.
+        stated: Contact forces that the task states: shape (k, n), 1.0 where a contact belongs to a
+            group, and shape (k,), the total normal force of each group in units of the robot's
+            weight. None if the task states no force.
+        weight: Weight of the robot [N], the unit of ``stated``.
+        grips: Shape (g,) [N]; upper bound of the force of each grip.
     """
 
     nv: int
@@ -58,29 +65,31 @@ class Contacts:
 
     @functools.cached_property
     def level(self) -> bool:
-        """Whether the ground is level under all feet."""
+        """True if all normals point upward (within `BALANCE_TOLERANCE`)."""
         return bool(np.abs(self.normals - UP).max(initial=0.0) < BALANCE_TOLERANCE)
 
     def com_margin(self, place: Array, config: Configuration, points: Array) -> float:
-        """Returns the distance (m) of a place from the edge of where a com is in balance.
+        """Compute the horizontal distance from a point to the edge of the support region.
+
+        The support region contains the horizontal CoM positions for which contact forces exist.
 
         Args:
-            place: (2,) or (3,), seen from above (m).
-            config: Where the robot is.
-            points: (n, 3) where the contacts are (m).
+            place: Shape (2,) or (3,) [m]; the CoM or zero-moment point in the world frame.
+            config: State of the robot, for the positions of grips.
+            points: Shape (n, 3) [m]; positions of the contacts in the world frame.
 
         Returns:
-            The distance; positive inside; minus infinity if the place is not a number; infinite
-            with a weld, which holds any.
+            Distance [m]: positive inside, negative outside. Minus infinity if ``place`` is not
+            finite. Infinity if a part is welded, since a weld holds any CoM.
         """
         if len(self.welds) > len(self.grips):
             return math.inf
         x, y, *_ = place.tolist()
         grips = None
         if self.welds:
-            at = config.foot_places([str(point) for point in self.welds.values()])
-            grips = np.column_stack([at, self.grips / self.weight])
-        if self.level and self.stated is None and grips is None:  # as a rule: nothing else is asked
+            grip_points = config.foot_places([str(point) for point in self.welds.values()])
+            grips = np.column_stack([grip_points, self.grips / self.weight])
+        if self.level and self.stated is None and grips is None:  # the usual case, without a cache
             corners = tuple([(a, b) for a, b, _ in points.tolist()])
         else:
             friction = self.friction.tolist()
@@ -89,33 +98,38 @@ class Contacts:
 
     @functools.cached_property
     def metric(self) -> TangentialMetric:
-        """What forces are least by where all feet are as viscous."""
+        """Tangential metric for contacts of equal viscosity."""
         return TangentialMetric(self.normals)
 
     @functools.cached_property
     def directions(self) -> dict[str, Array]:
-        """{foot: its row of ``normals``}."""
+        """Normal of each contact point, shape (3,)."""
         return dict(zip(self.feet, self.normals, strict=True))
 
     @functools.cached_property
     def coefficients(self) -> dict[str, float]:
-        """{foot: its coefficient of friction}."""
+        """Friction coefficient of each contact point."""
         return dict(zip(self.feet, self.friction.tolist(), strict=True))
 
     def points(self, config: Configuration) -> Array:
-        """Returns where they are (n, 3) in a configuration, in the world (m)."""
+        """Return the contact positions, shape (n, 3) [m], in the world frame."""
         return config.foot_places(self.feet) + self.offsets
 
     def jacobian(self, config: Configuration) -> Array:
-        """Returns J^T (nv, 3 n + 6 w): what generalised force their forces make.
+        """Compute the transposed contact Jacobian.
 
-        And the wrenches of welds, force and moment in world axes.
+        Returns:
+            Shape (nv, 3 n + 6 w + 3 g). The product with contact forces [N], weld wrenches [N, N m]
+            and grip forces [N], all in world axes, is the generalised force dual to ``qvel``.
         """
-        pushed = (self._moved @ config.foot_twists(self.feet).reshape(-1, self.nv)).T
-        return np.hstack([pushed, *self.weld_columns(config).values()]) if self.welds else pushed
+        twists = config.foot_twists(self.feet).reshape(-1, self.nv)
+        contacts = (self._twist_to_velocity @ twists).T
+        if not self.welds:
+            return contacts
+        return np.hstack([contacts, *self.weld_columns(config).values()])
 
     def weld_columns(self, config: Configuration) -> dict[str, Array]:
-        """Returns {what is welded: (nv, 6) what its wrench makes; of a grip (nv, 3)}."""
+        """Compute the transposed Jacobian of each weld, (nv, 6), and of each grip, (nv, 3)."""
         base = np.eye(6, self.nv)
         base[3:, 3:6] = config.base_rotation()
         sizes = [6] * (len(self.welds) - len(self.grips)) + [3] * len(self.grips)
@@ -125,34 +139,35 @@ class Contacts:
         }
 
     @functools.cached_property
-    def _moved(self) -> Array:
-        """The matrix (3 n, 6 n) from the twists of feet to the velocities of their contacts."""
+    def _twist_to_velocity(self) -> Array:
+        """Matrix from the twists of contact spheres to contact velocities, shape (3 n, 6 n)."""
         count = len(self.feet)
-        moved = np.zeros((count, 3, count, 6))
-        each = np.arange(count)
-        moved[each, :, each, :3] = np.eye(3)
-        moved[each, :, each, 3:] = -cross_matrices(self.offsets)
-        return moved.reshape(3 * count, 6 * count)
+        matrix = np.zeros((count, 3, count, 6))
+        index = np.arange(count)
+        matrix[index, :, index, :3] = np.eye(3)
+        matrix[index, :, index, 3:] = -cross_matrices(self.offsets)
+        return matrix.reshape(3 * count, 6 * count)
 
     def balance(self, transposed: Array, load: Array) -> Balance:
-        """Returns the equations of balance.
+        """Return the equations of equilibrium between a load, contacts and motors.
 
         Args:
-            transposed: (nv, 3 n) see ``jacobian``.
-            load: (nv,) what motors and contacts must add up to (N, N m).
+            transposed: Transposed contact Jacobian, as returned by ``jacobian``.
+            load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce.
         """
-        base, weight = transposed[: self.free], load[: self.free]
+        base, base_load = transposed[: self.free], load[: self.free]
         if self.stated is not None:
-            together, shares = self.stated
-            rows = np.zeros((len(shares), transposed.shape[1]))
-            along = together[:, :, None] * self.normals
-            rows[:, : self.normals.size] = along.reshape(len(rows), -1)
-            base, weight = np.vstack([base, rows]), np.concatenate([weight, self.weight * shares])
+            groups, forces = self.stated
+            rows = np.zeros((len(forces), transposed.shape[1]))
+            normals = groups[:, :, None] * self.normals
+            rows[:, : self.normals.size] = normals.reshape(len(rows), -1)
+            base = np.vstack([base, rows])
+            base_load = np.concatenate([base_load, self.weight * forces])
         return Balance(
-            base=base,
-            weight=weight,
-            joints=transposed[self.free :],
-            torques=load[self.free :],
+            base_rows=base,
+            base_load=base_load,
+            joint_rows=transposed[self.free :],
+            joint_load=load[self.free :],
             normals=self.normals,
             grips=self.grips,
         )
@@ -165,28 +180,32 @@ def make_contacts(
     normals: Mapping[str, ArrayLike] | None,
     depths: Mapping[str, float] | None,
 ) -> Contacts:
-    """Checks what ``gravity_compensation`` is given of contacts; its docstring tells what that is.
+    """Validate the contact arguments of ``gravity_compensation``.
+
+    See ``gravity_compensation`` for the arguments. Contacts with default arguments are cached per
+    robot.
 
     Raises:
         UnknownNameError: If a foot is unknown.
-        ConfigurationError: If a friction coefficient or a normal is no such thing, a foot is named
-            twice, or a robot with a fixed base is given contacts.
+        ConfigurationError: If a friction coefficient is not in [0, `MOST_FRICTION`], a normal is
+            not a direction, a foot is named twice, the ground's friction is unknown, or a robot
+            with a fixed base has contacts.
     """
     feet = tuple(robot.bearing if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
-        return robot.once(_usual, feet)
-    return _contacts(robot, feet, friction, normals, depths)
+        return robot.once(_make_default_contacts, feet)
+    return _make_contacts(robot, feet, friction, normals, depths)
 
 
-def _usual(robot: Robot, feet: tuple[str, ...]) -> Contacts:
-    """Returns the contacts of feet on level ground, which depend on the robot alone."""
-    made = _contacts(robot, feet, None, None, None)
-    for array in (made.normals, made.friction, made.offsets):
+def _make_default_contacts(robot: Robot, feet: tuple[str, ...]) -> Contacts:
+    """Create read-only contacts on level ground with the friction of MuJoCo's model."""
+    contacts = _make_contacts(robot, feet, None, None, None)
+    for array in (contacts.normals, contacts.friction, contacts.offsets):
         array.flags.writeable = False
-    return made
+    return contacts
 
 
-def _contacts(
+def _make_contacts(
     robot: Robot,
     feet: tuple[str, ...],
     friction: float | Mapping[str, float] | None,
@@ -202,16 +221,16 @@ def _contacts(
         raise ConfigurationError("contacts", problem)
     grips = np.array([*robot.grips.values()])
     if not feet:
-        nothing = np.zeros((0, 3))
-        free, none = robot.nv - robot.nu, np.zeros(0)
-        bare = Contacts(robot.nv, free, feet, nothing, none, nothing, {}, robot.welds)
-        return replace(bare, weight=robot.weight, grips=grips)
-    for given in (normals, depths, friction):
-        for foot in given if isinstance(given, Mapping) else ():
+        empty = np.zeros((0, 3))
+        free, no_friction = robot.nv - robot.nu, np.zeros(0)
+        contacts = Contacts(robot.nv, free, feet, empty, no_friction, empty, {}, robot.welds)
+        return replace(contacts, weight=robot.weight, grips=grips)
+    for values in (normals, depths, friction):
+        for foot in values if isinstance(values, Mapping) else ():
             robot.check_foot(foot)
-    out = np.array(
+    unit_normals = np.array(
         [
-            UP if normals is None or foot not in normals else _normal(foot, normals[foot])
+            UP if normals is None or foot not in normals else _to_unit_vector(foot, normals[foot])
             for foot in feet
         ]
     )
@@ -223,10 +242,12 @@ def _contacts(
         nv=robot.nv,
         free=robot.nv - robot.nu,
         feet=feet,
-        normals=out,
-        friction=np.array([_friction(robot, foot, friction) for foot in feet]),
-        offsets=contact_offset(radii, out, [(depths or {}).get(foot, 0.0) for foot in feet]),
-        soles={foot: own for foot, own in soles.items() if own},
+        normals=unit_normals,
+        friction=np.array([_friction_of(robot, foot, friction) for foot in feet]),
+        offsets=contact_offset(
+            radii, unit_normals, [(depths or {}).get(foot, 0.0) for foot in feet]
+        ),
+        soles={foot: names for foot, names in soles.items() if names},
         welds=robot.welds,
         stated=stated_forces(robot, feet),
         weight=robot.weight if robot.touching else 0.0,
@@ -235,23 +256,35 @@ def _contacts(
 
 
 def stated_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | None:
-    """Returns the forces that contacts are to press with, if some are stated; see ``Contacts``."""
-    forces = {name: one.force for name, one in robot.touching.items() if one.force is not None}
+    """Return the normal forces that the task states, in the format of `Contacts.stated`."""
+    forces = {
+        name: contact.force for name, contact in robot.touching.items() if contact.force is not None
+    }
     rows = {name: [float(point in robot.feet[name]) for point in feet] for name in forces}
-    pressing = [name for name in forces if any(rows[name])]
-    if not pressing:
+    names = [name for name in forces if any(rows[name])]
+    if not names:
         return None
-    given = np.array([forces[name] for name in pressing])
-    return np.array([rows[name] for name in pressing]), given / robot.weight
+    newtons = np.array([forces[name] for name in names])
+    return np.array([rows[name] for name in names]), newtons / robot.weight
 
 
 def gripped_places(robot: Robot, places: Mapping[str, Array]) -> Array | None:
-    """Returns where grips are and what they hold (g, 4) (m, weights), of {point: (3,)}; or None."""
-    held = [(*places[robot.feet[of][0]], grip / robot.weight) for of, grip in robot.grips.items()]
-    return np.array(held) if held else None
+    """Return position and force limit of each grip, or None without grips.
+
+    Args:
+        robot: Robot with grips.
+        places: Position of each contact point, shape (3,) [m], in the world frame.
+
+    Returns:
+        Shape (g, 4): position [m] and force limit in units of the robot's weight.
+    """
+    rows = [
+        (*places[robot.feet[foot][0]], limit / robot.weight) for foot, limit in robot.grips.items()
+    ]
+    return np.array(rows) if rows else None
 
 
-def _normal(foot: str, normal: ArrayLike) -> Array:
+def _to_unit_vector(foot: str, normal: ArrayLike) -> Array:
     vector = real_array("normals", normal)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         problem = diagnose("normal-not-a-direction", subject=("foot", foot), given=repr(normal))
@@ -260,7 +293,7 @@ def _normal(foot: str, normal: ArrayLike) -> Array:
     return unit
 
 
-def _friction(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:
+def _friction_of(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:
     if friction is None:
         if foot not in robot.contacts:
             raise ConfigurationError("friction", diagnose("ground-missing", robot=robot.name))

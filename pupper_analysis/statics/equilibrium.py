@@ -1,7 +1,9 @@
-"""What the motors hold: gravity compensation of a standing, or hanging, robot.
+"""Gravity compensation: motor torques and contact forces of a robot in static equilibrium.
 
-And what the ground does to each foot; or why no contact forces hold it: motors, friction, or feet
-that would have to pull.
+`gravity_compensation` solves g(q) = J^T f + S^T tau for contact forces f in friction cones and
+motor torques tau. If no such forces exist, the raised `StaticsInfeasibleError` states the reason:
+friction too low, a foot that would have to pull, the centre of mass outside the support region, a
+grip too weak, or a stated contact force out of reach.
 """
 
 from __future__ import annotations
@@ -22,7 +24,12 @@ from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, TangentialMetric
+from pupper_analysis.statics.cone_program import (
+    BALANCE_TOLERANCE,
+    Balance,
+    TangentialMetric,
+    split_force,
+)
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 
 Array = NDArray[np.float64]
@@ -43,27 +50,32 @@ class FootLoad(Result):
     friction_utilisation: float = field(metadata={"unit": "1"})
 
 
-def sliding_share(
+def friction_utilisation_of(
     force: Sequence[float], normal: Sequence[float], friction: float, tiny: float
 ) -> float:
-    """Returns tangential force / (friction x normal force), 0 where the former is ``tiny`` (N)."""
-    (x, y, z), (a, b, c) = force, normal
-    pressing = x * a + y * b + z * c
-    tangential = math.hypot(x - pressing * a, y - pressing * b, z - pressing * c)
+    """Compute the friction utilisation: tangential force / (friction x normal force).
+
+    Args:
+        force: Three components [N].
+        normal: Unit vector out of the ground, in the same frame.
+        friction: Friction coefficient.
+        tiny: Tangential force [N] below which the utilisation is 0.
+    """
+    pressing, tangential = split_force(force, normal)
     return 0.0 if tangential < tiny else tangential / (friction * pressing)
 
 
 class FootLoads(Mapping[str, FootLoad]):
-    """{foot: its load}, added up when it is asked for: who looks for torques needs none.
+    """Load of each foot, summed over its contact points when the foot is accessed.
 
     Args:
-        feet: {foot: its contact points that carry}.
-        normals: {contact point: (3,) out of the ground}.
-        friction: {contact point: its coefficient}.
-        forces: {contact point: (3,) of the ground, in world axes (N)}.
-        points: {contact point: (3,) in the world (m)}.
-        sliding: {contact point: see ``sliding_share``}.
-        tiny: Tangential force that counts as none (N).
+        feet: Contact points of each foot that carry load.
+        normals: Unit normal of each contact point, shape (3,), out of the ground.
+        friction: Friction coefficient of each contact point.
+        forces: Force of the ground on each contact point, shape (3,) [N], in world axes.
+        points: Position of each contact point, shape (3,) [m], in the world frame.
+        sliding: Friction utilisation of each contact point.
+        tiny: Tangential force [N] below which the friction utilisation of a foot is 0.
     """
 
     def __init__(
@@ -86,44 +98,50 @@ class FootLoads(Mapping[str, FootLoad]):
         return len(self._feet)
 
     def __getitem__(self, foot: str) -> FootLoad:
-        own, forces, points = self._feet[foot], self._forces, self._points
-        if len(own) == 1:
-            return FootLoad(forces[own[0]], points[own[0]], self._sliding[own[0]])
-        total: Array = np.sum([forces[point] for point in own], axis=0)
+        names, forces, points = self._feet[foot], self._forces, self._points
+        if len(names) == 1:
+            return FootLoad(forces[names[0]], points[names[0]], self._sliding[names[0]])
+        total: Array = np.sum([forces[point] for point in names], axis=0)
         normals = self._normals
-        pressing = np.array([max(0.0, float(forces[point] @ normals[point])) for point in own])
-        places = np.array([points[point] for point in own])
-        weights = pressing / pressing.sum() if pressing.any() else np.full(len(own), 1 / len(own))
-        least = min(self._friction[point] for point in own)
-        share = sliding_share(total.tolist(), normals[own[0]].tolist(), least, self._tiny)
-        return FootLoad(total, weights @ places, share)
+        pressing = np.array([max(0.0, float(forces[point] @ normals[point])) for point in names])
+        positions = np.array([points[point] for point in names])
+        count = len(names)
+        weights = pressing / pressing.sum() if pressing.any() else np.full(count, 1 / count)
+        friction = min(self._friction[point] for point in names)
+        utilisation = friction_utilisation_of(
+            total.tolist(), normals[names[0]].tolist(), friction, self._tiny
+        )
+        return FootLoad(total, weights @ positions, utilisation)
 
 
-_LIGHTEST = 1e-3
-"""Share of the largest force below which a foot's viscosity is not looked at."""
+_MIN_LOAD_RATIO = 1e-3
+"""Smallest normal force, relative to the largest force component, for which a contact's viscosity
+is evaluated. Smaller normal forces are replaced by this bound, since the viscosity of an unloaded
+contact is zero. Chosen, not tuned."""
 
 
-_MAX_ITERATIONS = 50
+_MAX_VISCOSITY_ITERATIONS = 50
+"""Upper bound of the fixed-point iterations of ``_iterate_viscosities``. Chosen, not tuned."""
 
 
 class ForceDistribution(StrEnum):
-    """Which of the feasible contact forces is meant, where balance leaves a choice.
+    """Criterion that selects contact forces if balance does not determine them.
 
-    MIN_TANGENTIAL has the least tangential forces, and of those that remain the least sum of
-    squared normal forces: how the feet share the load on ground that is equally soft under each.
-    These are what MuJoCo holds for good, because its regularised friction lets feet creep against
-    each other until no tangential force is left that they can get rid of: none on level ground and
-    steps, and on a slope those with which all feet creep down it together. (The least sum of
-    f_t^2 / c, with c the viscosity of ``GroundLaw``: its optimality condition is
-    f_t = c (v + omega x r).) It is what to send to a robot or a simulator.
-    Beside a weld, which bears whatever is left, no contact needs a tangential force, and none
-    lasts: contacts press along their normals alone, with what costs the least sum of squared motor
-    torques, or with the force that is stated.
-    MIN_TORQUE has the least sum of squared motor torques, and so the least heat. It needs feet
-    that press against each other for good, which a simulator's creeping friction does not bear.
-    MIN_MAX_TORQUE has the least peak motor utilisation (peak torque, where no motor has an effort
-    limit), and of those the least sum of squared utilisations: whether the motors can hold it at
-    all.
+    MIN_TANGENTIAL minimises the tangential forces, then the sum of squared normal forces. MuJoCo
+    sustains these forces without creep: its regularised friction lets feet creep until tangential
+    forces that act against each other have vanished. On level ground and steps no tangential force
+    remains; on a slope all feet creep downhill together. The criterion is the minimum of
+    sum f_t^2 / c, with c the viscosity of `GroundLaw`; its optimality condition is
+    f_t = c (v + omega x r). Use these torques for a robot or a simulator.
+    Beside a weld, contacts have no tangential force: the weld carries the rest of the load. The
+    normal forces minimise the sum of squared motor torques, or equal the stated forces.
+
+    MIN_TORQUE minimises the sum of squared motor torques, and so the copper losses. Its tangential
+    forces are not sustained by the creeping friction of a simulator.
+
+    MIN_MAX_TORQUE minimises the largest motor utilisation (the largest torque if no motor has an
+    effort limit), then the sum of squared utilisations. It determines whether the motors can hold
+    the configuration at all.
     """
 
     MIN_TANGENTIAL = "minimum tangential"
@@ -196,34 +214,35 @@ def gravity_compensation(
     depths: Mapping[str, float] | None = None,
     distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
 ) -> GravityCompensation:
-    """Computes motor torques and contact forces that hold a robot still.
+    """Compute motor torques and contact forces in static equilibrium.
 
-    With S selecting the joints and J the Jacobians of the contact points, balance means
-    g(q) = J^T f + S^T tau, with g less what springs and gravity compensation of the MJCF do
-    (``Configuration.load``). Its six base rows fix the total wrench of the contact forces f; among
-    the f inside the friction cones that give it, ``distribution`` chooses one. (Without contacts
-    the base is held from outside, and tau is the joint part of g.)
+    Solves g(q) = J^T f + S^T tau, where S selects the actuated joints, J is the Jacobian of the
+    contact points, and g contains gravity minus the springs and the gravity compensation of the
+    MJCF (`Configuration.load`). The six base rows determine the total wrench of the contact forces
+    f; ``distribution`` selects one f in the friction cones. Without contacts, an external wrench
+    holds the base, and tau is the joint part of g.
 
-    The problem is a second-order cone programme in the coordinates of the null space of the base
-    rows, so that balance holds to rounding whatever the solver's tolerance.
+    The solver is a second-order cone program in null-space coordinates of the base rows, so balance
+    holds to rounding, independent of the solver's tolerance (see `statics.cone_program`).
 
     Args:
-        config: Where the robot is. Its velocity does not matter.
-        contacts: The feet that carry; all by default, none for a fixed base.
-        friction: Friction coefficient, for all or per foot; by default that of MuJoCo's contact.
-        normals: Per foot, the direction (3,) in the world out of the ground; up where not given.
-        depths: Per foot, how deep it has sunk into the ground (m), 0 where not given. The force
-            acts half way, as MuJoCo has it.
-        distribution: Which of the feasible forces: by default those that last.
+        config: State of the robot. The velocity is ignored.
+        contacts: Feet that carry load. Default: all feet; none for a fixed base.
+        friction: Friction coefficient, for all feet or per foot. Default: MuJoCo's contact.
+        normals: Per foot, a direction out of the ground, shape (3,), in the world frame. Default:
+            upward.
+        depths: Per foot, penetration into the ground [m]. Default: 0. As in MuJoCo, the force acts
+            at half the depth.
+        distribution: Selection among feasible forces. Default: minimum tangential forces.
 
     Returns:
-        The equilibrium.
+        Motor torques, contact forces, utilisations and residuals.
 
     Raises:
         UnknownNameError: If a foot is unknown.
-        ConfigurationError: If a friction coefficient, a normal or ``distribution`` is no such
-            thing, or a robot with a fixed base is given contacts.
-        StaticsInfeasibleError: If no forces do; it says why.
+        ConfigurationError: If a friction coefficient, a normal or ``distribution`` is invalid, or a
+            robot with a fixed base has contacts.
+        StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     carrying = make_contacts(config.robot, contacts, friction, normals, depths)
     return balance_load(config, config.load(), carrying, distribution=distribution)
@@ -239,86 +258,84 @@ def balance_load(
     tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
     held: bool = False,
 ) -> GravityCompensation:
-    """Balances any generalised force, as ``gravity_compensation`` balances gravity.
+    """Compute motor torques and contact forces that balance a generalised force.
 
-    With M qacc + h for g it is inverse dynamics (``pupper_analysis.tools.path.dynamics``).
+    With ``load`` = M qacc + h this is inverse dynamics (`pupper_analysis.tools.path.dynamics`).
 
     Args:
-        config: Where the robot is.
-        load: (nv,) what motors and contacts must add up to (N, N m).
-        carrying: The contacts that carry.
-        point: (3,) whose vertical projection must be inside the support polygon: the com, as at
-            rest, if not given; the zero-moment point in motion (m). ``com_margin`` is this point's.
-        distribution: As in ``gravity_compensation``.
-        tipping: What it is called if ``point`` is outside the polygon.
-        held: Let feet pull and slip, as if they were held to the ground: what the motion would
-            need, feasible or not.
+        config: State of the robot.
+        load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce.
+        carrying: Contacts that carry load.
+        point: Shape (3,) [m]; zero-moment point of a motion. Default: the centre of mass, which is
+            the zero-moment point at rest. ``com_margin`` of the result refers to this point.
+        distribution: Selection among feasible forces, as in ``gravity_compensation``.
+        tipping: Reason in the error if ``point`` is outside the support region.
+        held: Remove friction cones and unilateral limits, as if feet were glued to the ground.
 
     Raises:
-        UnknownNameError: As ``gravity_compensation``; so are the other two.
-        ConfigurationError: Likewise.
-        StaticsInfeasibleError: Likewise.
+        ConfigurationError: If ``distribution`` is unknown, or closed loops are open.
+        StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
-    robot, wanted = config.robot, to_distribution(distribution)
+    robot, criterion = config.robot, to_distribution(distribution)
     if not (carrying.feet or carrying.welds):
         check_loops(config, load)
-        borne = config.by_motors(load)
-        return _result(config, borne, borne, carrying, np.zeros(0))
-    given, contacts = load, carrying.jacobian(config)
+        motor_load = config.by_motors(load)
+        return _make_result(config, motor_load, motor_load, carrying, np.zeros(0))
+    full_load, contacts = load, carrying.jacobian(config)
     load, transposed = config.by_motors(load), config.by_motors(contacts)
     problem = carrying.balance(transposed, load)
-    limits = None if held else carrying.friction
-    if wanted is ForceDistribution.MIN_MAX_TORQUE:
-        forces = problem.min_max_torque(limits, robot.effort_limits)
-    elif wanted is ForceDistribution.MIN_TORQUE:
-        forces = problem.solve(limits, problem.joints, problem.torques)
+    friction = None if held else carrying.friction
+    if criterion is ForceDistribution.MIN_MAX_TORQUE:
+        forces = problem.min_max_torque(friction, robot.effort_limits)
+    elif criterion is ForceDistribution.MIN_TORQUE:
+        forces = problem.solve(friction, problem.joint_rows, problem.joint_load)
     else:
-        forces = _lasting(robot, problem, carrying, limits)
+        forces = _solve_minimum_tangential(robot, problem, carrying, friction)
     if forces is None:
         point = config.center_of_mass() if point is None else point
         raise explain_infeasibility(config, point, problem, carrying, tipping)
     if robot.closure is not None:
-        check_loops(config, given - contacts @ forces)
-    left = load - transposed @ forces
-    return _result(config, left, load, carrying, forces, point)
+        check_loops(config, full_load - contacts @ forces)
+    remainder = load - transposed @ forces
+    return _make_result(config, remainder, load, carrying, forces, point)
 
 
 def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple[Array, Array]:
-    """Balances several generalised forces, as ``balance_load`` does, and tells no more than how.
+    """Compute minimum-tangential contact forces and torques for several generalised forces.
 
     Args:
-        config: Where the robot, a tree, is.
-        loads: (k, nv) what motors and contacts must add up to (N, N m).
-        carrying: The contacts that carry.
+        config: State of a robot without closed loops.
+        loads: Shape (k, nv) [N, N m]; generalised forces that motors and contacts must produce.
+        carrying: Contacts that carry load.
 
     Returns:
-        The contact forces that last (k, n, 3) (N), in the world, and torques (k, nu) (N m).
+        Contact forces, shape (k, n, 3) [N], in world axes; torques, shape (k, nu) [N m].
 
     Raises:
-        StaticsInfeasibleError: If no forces do; it says why.
+        StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     transposed = config.by_motors(carrying.jacobian(config))
     forces, torques = [], []
     for load in map(config.by_motors, loads):
         problem = carrying.balance(transposed, load)
-        found = _lasting(config.robot, problem, carrying, carrying.friction)
+        found = _solve_minimum_tangential(config.robot, problem, carrying, carrying.friction)
         if found is None:
             com, tipping = config.center_of_mass(), Infeasibility.COM_OUTSIDE
             raise explain_infeasibility(config, com, problem, carrying, tipping)
         forces.append(found[: carrying.normals.size].reshape(-1, 3))
-        torques.append(problem.torques - problem.joints @ found)
+        torques.append(problem.joint_load - problem.joint_rows @ found)
     return np.array(forces), np.array(torques)
 
 
 def check_loops(config: Configuration, left: Array) -> None:
-    """Checks that closed loops and couplings of joints are closed, but for what they give way.
+    """Check that closed loops and joint couplings are closed, up to their compliance.
 
     Args:
-        config: Where the robot is.
-        left: (nv,) what contacts leave to motors and loops (N, N m).
+        config: State of the robot.
+        left: Shape (nv,) [N, N m]; load minus contact forces, carried by motors and loops.
 
     Raises:
-        ConfigurationError: If they are open.
+        ConfigurationError: If a loop or coupling is open.
     """
     closure, robot = config.robot.closure, config.robot
     if closure is not None:
@@ -326,10 +343,10 @@ def check_loops(config: Configuration, left: Array) -> None:
 
 
 def to_distribution(value: str) -> ForceDistribution:
-    """Returns the distribution of a name.
+    """Convert the name of a distribution, for example "minimum torque".
 
     Raises:
-        ConfigurationError: If it is none.
+        ConfigurationError: If the name is unknown.
     """
     try:
         return ForceDistribution(value)
@@ -339,39 +356,46 @@ def to_distribution(value: str) -> ForceDistribution:
         raise ConfigurationError("distribution", problem) from error
 
 
-def _lasting(
+def _solve_minimum_tangential(
     robot: Robot,
     problem: Balance,
     carrying: Contacts,
     friction: Array | None,
 ) -> Array | None:
-    """Finds the minimum-tangential forces (3 n,): those that last; see ``_creeping``."""
+    """Compute the forces of `ForceDistribution.MIN_TANGENTIAL`, or None if infeasible."""
     if carrying.welds:
-        pressing = problem.pressing()
-        if pressing is not None or not carrying.grips.size:
-            return pressing
+        normal_only = problem.solve_normal_only()
+        if normal_only is not None or not carrying.grips.size:
+            return normal_only
         return problem.minimum_tangential(friction, carrying.metric)
     forces = problem.minimum_tangential(friction, carrying.metric)
     if forces is None or friction is None or not robot.contacts:
         return forces
-    return _creeping(robot, problem, forces, carrying)
+    return _iterate_viscosities(robot, problem, forces, carrying)
 
 
-def _creeping(robot: Robot, problem: Balance, forces: Array, carrying: Contacts) -> Array | None:
-    """Finds the minimum-tangential forces (3 n,) for the viscosities that they themselves give."""
+def _iterate_viscosities(
+    robot: Robot, problem: Balance, forces: Array, carrying: Contacts
+) -> Array | None:
+    """Repeat the minimum-tangential solution with viscosities of the previous normal forces.
+
+    Stops when no force component changes by more than `BALANCE_TOLERANCE` times the largest one,
+    after `_MAX_VISCOSITY_ITERATIONS`, or if a contact has no viscosity. On level ground the
+    viscosities have no influence, and ``forces`` are returned.
+    """
     if carrying.level:
-        return forces  # nothing creeps
+        return forces
     friction = carrying.friction
     scale = np.abs(forces).max()
     laws = [GroundLaw.of(robot, foot) for foot in carrying.feet]
-    for _ in range(_MAX_ITERATIONS):
-        loads = np.maximum(problem.normal_forces(forces), _LIGHTEST * scale)
-        grip = np.array(
+    for _ in range(_MAX_VISCOSITY_ITERATIONS):
+        loads = np.maximum(problem.normal_forces(forces), _MIN_LOAD_RATIO * scale)
+        viscosities = np.array(
             [law.viscosity(law.depth(load)) for law, load in zip(laws, loads, strict=True)]
         )
-        if not grip.all():
-            return forces  # without friction there is no creep
-        metric = TangentialMetric(carrying.normals, grip / grip.mean())
+        if not viscosities.all():
+            return forces
+        metric = TangentialMetric(carrying.normals, viscosities / viscosities.mean())
         found = problem.minimum_tangential(friction, metric)
         if found is None or np.abs(found - forces).max() < BALANCE_TOLERANCE * scale:
             return found
@@ -380,69 +404,80 @@ def _creeping(robot: Robot, problem: Balance, forces: Array, carrying: Contacts)
 
 
 def utilise(robot: Robot, torques: Array) -> Array:
-    """Returns torques (..., nu) in parts of what each motor can give, absolute.
+    """Compute the utilisation |torque| / effort limit.
 
-    Infinite where that is nothing, and not a number if nothing is asked of it.
+    Args:
+        robot: Robot with effort limits, shape (nu,) [N m].
+        torques: Shape (..., nu) [N m].
+
+    Returns:
+        Shape (..., nu). For a limit of zero: infinite, or NaN if the torque is zero too.
     """
-    limits, asked = robot.effort_limits, np.abs(torques)
-    # As a rule none is nothing, and to keep NumPy silent takes longer than to divide.
-    if robot.once(_all_are_strong):
-        return asked / limits
+    limits, magnitudes = robot.effort_limits, np.abs(torques)
+    # `errstate` takes longer than the division, and is needed only if a limit is zero.
+    if robot.once(_has_only_nonzero_limits):
+        return magnitudes / limits
     with np.errstate(divide="ignore", invalid="ignore"):
-        return asked / limits
+        return magnitudes / limits
 
 
-def _all_are_strong(robot: Robot) -> bool:
+def _has_only_nonzero_limits(robot: Robot) -> bool:
     return bool(robot.effort_limits.all())
 
 
-_UNWELDED = FrozenDict[str, Array]()
+_NO_WELDS = FrozenDict[str, Array]()
 
 
-def _result(
+def _make_result(
     config: Configuration,
-    left: Array,
+    remainder: Array,
     load: Array,
     carrying: Contacts,
     forces: Array,
     point: Array | None = None,
 ) -> GravityCompensation:
-    """Combines what the contacts' forces (3 n + 6 w,) leave of a load to the motors.
+    """Create the result from a load and the solved forces.
 
-    Without contacts, what is left on the base is what holds it from outside.
+    Args:
+        config: State of the robot.
+        remainder: Shape (nv,) [N, N m]; load minus the generalised force of ``forces``.
+        load: Shape (nv,) [N, N m]. Without contacts, its base part is the external base wrench.
+        carrying: Contacts that carry load.
+        forces: Contact forces, weld wrenches and grip forces, as in `Balance`.
+        point: Shape (3,) [m]; zero-moment point. Default: the centre of mass.
     """
     robot, free = config.robot, carrying.free
-    torques = left[free:].copy()
-    held = not (carrying.feet or carrying.welds)
-    base_wrench = load[:free] if held else np.zeros(free)
-    unbalanced = [0.0] * free if held else left[:free].tolist()
-    wrenches: Mapping[str, Array] = _UNWELDED
+    torques = remainder[free:].copy()
+    is_hanging = not (carrying.feet or carrying.welds)
+    base_wrench = load[:free] if is_hanging else np.zeros(free)
+    unbalanced = [0.0] * free if is_hanging else remainder[:free].tolist()
+    wrenches: Mapping[str, Array] = _NO_WELDS
     if carrying.welds:
-        borne = forces[carrying.normals.size :]
-        fixed = borne[: borne.size - 3 * len(carrying.grips)].reshape(-1, 6)
-        pulls = borne[fixed.size :].reshape(-1, 3)
-        rows = np.vstack([fixed, np.hstack([pulls, 0.0 * pulls])])
+        weld_part = forces[carrying.normals.size :]
+        welds = weld_part[: weld_part.size - 3 * len(carrying.grips)].reshape(-1, 6)
+        grips = weld_part[welds.size :].reshape(-1, 3)
+        rows = np.vstack([welds, np.hstack([grips, 0.0 * grips])])
         rows.setflags(write=False)
         wrenches = FrozenDict(zip(carrying.welds, rows, strict=True))
         forces = forces[: carrying.normals.size]
     forces = forces.reshape(-1, 3)
     utilisation = utilise(robot, torques)
     if robot.closure is not None:
-        utilisation[robot.closure.following] = 0.0  # whatever the URDF says of their motors
+        utilisation[robot.closure.following] = 0.0  # dependent joints have no motor of their own
     tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
-    places = carrying.points(config)
+    positions = carrying.points(config)
     com = config.center_of_mass()
-    for own in (torques, base_wrench, utilisation, com, forces, places):  # rows are shared
-        own.setflags(write=False)
+    for array in (torques, base_wrench, utilisation, com, forces, positions):  # results share rows
+        array.setflags(write=False)
     per_foot = FrozenDict(zip(carrying.feet, forces, strict=True))
-    points = FrozenDict(zip(carrying.feet, places, strict=True))
+    points = FrozenDict(zip(carrying.feet, positions, strict=True))
     contacts = forces.tolist(), carrying.normals.tolist(), carrying.friction.tolist()
-    shares = [
-        sliding_share(force, normal, grip, tiny)
-        for force, normal, grip in zip(*contacts, strict=True)
+    ratios = [
+        friction_utilisation_of(force, normal, friction, tiny)
+        for force, normal, friction in zip(*contacts, strict=True)
     ]
-    sliding = FrozenDict(zip(carrying.feet, shares, strict=True))
-    over = com if point is None else point
+    sliding = FrozenDict(zip(carrying.feet, ratios, strict=True))
+    zero_moment_point = com if point is None else point
     return GravityCompensation(
         joint_names=robot.joint_names,
         joint_torques=torques,
@@ -462,14 +497,16 @@ def _result(
         base_wrench=base_wrench,
         weld_wrenches=wrenches,
         center_of_mass=com,
-        com_margin=None if held else carrying.com_margin(over, config, places),
+        com_margin=None
+        if is_hanging
+        else carrying.com_margin(zero_moment_point, config, positions),
         residual_force=math.hypot(*unbalanced[:3]),
         residual_torque=math.hypot(*unbalanced[3:]),
     )
 
 
-_NO_SLIDING = 1e4
-"""A friction coefficient that stands for a foot that cannot slide."""
+_UNLIMITED_FRICTION = 1e4
+"""Friction coefficient (and factor of grip limits) that represents a contact that cannot slide."""
 
 
 def explain_infeasibility(
@@ -479,26 +516,37 @@ def explain_infeasibility(
     carrying: Contacts,
     tipping: Infeasibility,
 ) -> StaticsInfeasibleError:
-    """Finds out why no forces do; see ``balance_load``."""
-    if (stated := _tell_stated(problem, carrying)) is not None:
-        return stated
-    if (weak := _tell_weak_grip(problem, carrying)) is not None:
-        return weak
+    """Determine why no feasible forces exist.
+
+    The causes are tested in this order: a stated force out of reach, grips too weak, friction too
+    low, the centre of mass outside the support region, feet that would have to pull.
+
+    Args:
+        config: State of the robot.
+        point: Shape (3,) [m]; centre of mass or zero-moment point.
+        problem: Equations of balance.
+        carrying: Contacts that carry load.
+        tipping: Reason in the error if ``point`` is outside the support region.
+    """
+    if (error := _explain_stated_force(problem, carrying)) is not None:
+        return error
+    if (error := _explain_weak_grip(problem, carrying)) is not None:
+        return error
     feet, friction = carrying.feet, float(carrying.friction.min(initial=math.inf))
     margin = carrying.com_margin(point, config, carrying.points(config))
-    even = carrying.metric
-    if problem.minimum_tangential(np.full(len(feet), _NO_SLIDING), even) is not None:
-        high = _least(
-            lambda mu: problem.minimum_tangential(np.full(len(feet), mu), even) is not None
+    metric = carrying.metric
+    if problem.minimum_tangential(np.full(len(feet), _UNLIMITED_FRICTION), metric) is not None:
+        needed = _find_threshold(
+            lambda mu: problem.minimum_tangential(np.full(len(feet), mu), metric) is not None
         )
         return StaticsInfeasibleError(
             Infeasibility.FRICTION,
-            diagnose("friction-too-low", least=friction, needed=_up(high)),
+            diagnose("friction-too-low", least=friction, needed=_round_up(needed)),
             margin=margin,
-            friction_needed=high,
+            friction_needed=needed,
             feet=feet,
         )
-    bilateral = np.linalg.lstsq(problem.base, problem.weight, rcond=1e-12)[0]
+    bilateral = np.linalg.lstsq(problem.base_rows, problem.base_load, rcond=1e-12)[0]
     bilateral = bilateral[: carrying.normals.size].reshape(-1, 3)
     pulls = {
         foot: float(force @ normal)
@@ -517,81 +565,111 @@ def explain_infeasibility(
     return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=margin, feet=pulls or feet)
 
 
-def _least(holds: Callable[[float], bool]) -> float:
-    """Returns from which number on something holds, which it does at ``_NO_SLIDING``."""
-    low, high = 0.0, _NO_SLIDING
+def _find_threshold(holds: Callable[[float], bool]) -> float:
+    """Find the smallest number for which a condition holds, to a relative tolerance of 1e-6.
+
+    The condition must be monotone, and hold at `_UNLIMITED_FRICTION`. Numbers below 1e-6 are not
+    resolved. Bisection, with geometric means above zero.
+    """
+    low, high = 0.0, _UNLIMITED_FRICTION
     while high - low > 1e-6 * high and high >= 1e-6:
         middle = (low * high) ** 0.5 if low > 0 else high / 2
         low, high = (low, middle) if holds(middle) else (middle, high)
     return high
 
 
-def _up(least: float) -> float:
-    """Returns what is stated of a least number: typed back, it is no less."""
-    return math.ceil(1e3 * least) / 1e3
+def _round_up(minimum: float) -> float:
+    """Round up to three decimals, so that the printed minimum suffices if it is typed back."""
+    return math.ceil(1e3 * minimum) / 1e3
 
 
-def _tell_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
-    """Returns that grips are too weak, all in the same proportion, if that is why."""
+def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
+    """Return an error if scaling all grip limits by one factor makes balance possible."""
 
-    def holds(times: float) -> bool:
-        stronger = replace(problem, grips=times * problem.grips)
+    def holds(factor: float) -> bool:
+        stronger = replace(problem, grips=factor * problem.grips)
         return stronger.minimum_tangential(carrying.friction, carrying.metric) is not None
 
-    if not carrying.grips.size or not holds(_NO_SLIDING):
+    if not carrying.grips.size or not holds(_UNLIMITED_FRICTION):
         return None
-    names, times = [*carrying.welds][-len(carrying.grips) :], _least(holds)
+    names, factor = [*carrying.welds][-len(carrying.grips) :], _find_threshold(holds)
     needed = [
-        diagnose("grip-needs", name=name, force=Quantity(_up(times * grip), "N"))
+        diagnose("grip-needs", name=name, force=Quantity(_round_up(factor * grip), "N"))
         for name, grip in zip(names, carrying.grips.tolist(), strict=True)
     ]
     detail = diagnose("grip-too-weak", grips=needed)
     return StaticsInfeasibleError(Infeasibility.GRIP, detail, margin=math.nan, feet=tuple(names))
 
 
-def _tell_stated(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
-    """Returns that a force which is stated is out of reach, and which is not, if that is why."""
+def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
+    """Return an error with the feasible range if a stated contact force is out of this range.
+
+    None if no force is stated, the load cannot be balanced without the stated forces, or each
+    stated force is feasible alone.
+    """
     if carrying.stated is None:
         return None
     free, size = carrying.free, carrying.normals.size
-    loose = replace(problem, base=problem.base[:free], weight=problem.weight[:free])
-    most = np.array([_HARDEST * carrying.weight])
-    if loose.minimum_tangential(carrying.friction, carrying.metric) is None:
+    unstated = replace(
+        problem, base_rows=problem.base_rows[:free], base_load=problem.base_load[:free]
+    )
+    upper = np.array([_MAX_TOTAL_NORMAL_FORCE * carrying.weight])
+    if unstated.minimum_tangential(carrying.friction, carrying.metric) is None:
         return None
-    for pressing, together, force in zip(
-        problem.base[free:, :size], carrying.stated[0], problem.weight[free:], strict=True
+    total_normal = carrying.normals.reshape(1, -1)
+    for row, group, force in zip(
+        problem.base_rows[free:, :size],
+        carrying.stated[0],
+        problem.base_load[free:],
+        strict=True,
     ):
-        ends = [
-            loose.farthest(way * pressing, carrying.friction, carrying.normals.reshape(1, -1), most)
-            for way in (-1, 1)
+        extremes = [
+            unstated.maximize(sign * row, carrying.friction, total_normal, upper)
+            for sign in (-1, 1)
         ]
-        low, high = (math.nan if end is None else float(pressing @ end) for end in ends)
+        low, high = (math.nan if end is None else float(row @ end) for end in extremes)
         if force > high or force < low:
-            feet = tuple(foot for foot, own in zip(carrying.feet, together, strict=True) if own)
+            feet = tuple(foot for foot, member in zip(carrying.feet, group, strict=True) if member)
             detail = diagnose(
                 "stated-force-out-of-reach",
                 feet=feet,
                 force=Quantity(force, "N"),
-                least=Quantity(_up(max(low - 1e-6, 0.0)), "N"),  # rounding
-                most=Quantity(-_up((_EDGE - 1) * high), "N"),
+                least=Quantity(_round_up(max(low - 1e-6, 0.0)), "N"),  # rounding
+                most=Quantity(-_round_up((_REPORTED_FORCE_MARGIN - 1) * high), "N"),
             )
             return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=math.nan, feet=feet)
     return None
 
 
-_EDGE = 1e-3
-"""Share of a stated force that is left, as corners of where a com is in balance are so near."""
+_REPORTED_FORCE_MARGIN = 1e-3
+"""Relative reduction of the largest feasible force in a message. The support region is a polygon
+inside the true region (`support_corners`), so the exact limit would be refused if typed back."""
 
-_HARDEST = 10.0
-"""Weights with which contacts may press in all where a stated force is out of reach."""
+_MAX_TOTAL_NORMAL_FORCE = 10.0
+"""Upper bound of the sum of normal forces, in units of the robot's weight, while the feasible range
+of a stated force is computed. Chosen: legs do not press harder."""
 
-IDLE = 1e-9
-"""N m/kg: what bears less of a mass has no lever to it but rounding."""
+MIN_TORQUE_PER_MASS = 1e-9
+"""Torque per payload mass [N m/kg] below which a motor's lever arm is rounding."""
 
 
 def borne_by_motors(torques: Array, rates: Array, limits: Array) -> float:
-    """Returns the greatest mass m with |torques + m rates| <= limits; 0 if none has (kg, N m)."""
-    rates = np.where(np.abs(rates) > IDLE, rates, 0.0)
+    """Compute the mass at which the first motor reaches its limit: torques + m rates = +-limits.
+
+    Of the two limits of a motor, the limit in the direction of ``rates`` counts. A motor whose
+    torque does not depend on the mass is ignored, even if it exceeds its limit.
+
+    Args:
+        torques: Shape (nu,) [N m]; motor torques without payload.
+        rates: Shape (nu,) [N m/kg]; torque per payload mass. Values below `MIN_TORQUE_PER_MASS`
+            are zero.
+        limits: Shape (nu,) [N m]; effort limits.
+
+    Returns:
+        Mass [kg]; 0 if a motor is already beyond the limit that counts, infinite if no motor limits
+        the mass.
+    """
+    rates = np.where(np.abs(rates) > MIN_TORQUE_PER_MASS, rates, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         room = (np.copysign(limits, rates) - torques) / rates
     return float(np.min(np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)))

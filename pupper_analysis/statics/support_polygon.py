@@ -1,4 +1,9 @@
-"""The support polygon, and what is inside it; on several planes, where a com is in balance."""
+"""Support polygon and support region: horizontal CoM positions that allow equilibrium.
+
+On contacts of one plane the region is the convex hull of the contact points, seen from above. On
+contacts of several planes, with grips or with stated contact forces, it is the projection of all
+CoM positions for which contact forces in the friction cones exist (`support_corners`).
+"""
 
 from __future__ import annotations
 
@@ -17,23 +22,23 @@ Corner = tuple[float, float]
 
 
 def com_margin(com: Array, points: Mapping[str, Array]) -> float:
-    """Returns the distance (m) from a com's projection to the edge of the support polygon.
+    """Compute the distance from the projected CoM to the edge of the support polygon.
 
     Args:
-        com: (3,) centre of mass (m).
-        points: The contact points {foot: (3,)} (m); the polygon is the convex hull of their
-            vertical projection.
+        com: Shape (3,) [m]; centre of mass in the world frame.
+        points: Contact point of each foot, shape (3,) [m]. The polygon is the convex hull of their
+            vertical projections.
 
     Returns:
-        The distance; positive inside, negative outside; minus infinity if the point is not a
-        number, as the zero-moment point of feet that would have to pull.
+        Distance [m]: positive inside, negative outside. Minus infinity if ``com`` is not finite,
+        for example the zero-moment point of feet that would have to pull.
     """
     x, y, *_ = com.tolist()
     return margin_of_place((x, y), tuple([_corner(point) for point in points.values()]))
 
 
 def margin_of_place(place: Corner, points: tuple[Corner, ...]) -> float:
-    """Returns ``com_margin`` of a place (x, y) and the places of contacts, seen from above (m)."""
+    """Compute ``com_margin`` [m] for a horizontal position and horizontal contact positions [m]."""
     if not math.isfinite(place[0]) or not math.isfinite(place[1]):
         return -math.inf
     inside = _depth_inside(place, points)
@@ -53,34 +58,39 @@ def _corner(point: Array) -> Corner:
 
 
 def _depth_inside(place: Corner, points: tuple[Corner, ...]) -> float | None:
-    """Returns the distance (m) of a place from the edge of points' convex hull, if it is inside.
+    """Compute the distance from an inner point to the edge of the convex hull [m].
 
-    Both are seen from above. The usual case without shapely's objects: None says nothing.
+    Avoids shapely objects in the usual case. None if the point is not strictly inside, or the hull
+    has no area.
     """
-    ring = _ring(points)
-    if len(ring) < 3:
+    sides = _hull_sides(points)
+    if len(sides) < 3:
         return None
     x, y = place
-    least = min(
+    depth = min(
         [
             (along_x * (y - y0) - along_y * (x - x0)) / length
-            for x0, y0, along_x, along_y, length in ring
+            for x0, y0, along_x, along_y, length in sides
         ]
     )
-    return least if least > 0 else None
+    return depth if depth > 0 else None
 
 
-@functools.lru_cache(maxsize=64)  # feet stay in place, as a rule, where many stands are solved
-def _ring(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
-    """Returns the sides of points' convex hull: corner, way to the next, length (m).
+@functools.lru_cache(maxsize=64)  # successive stands usually keep their feet in place
+def _hull_sides(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
+    """Compute the sides of the convex hull, counter-clockwise.
 
-    Source: Andrew, "Another efficient algorithm for convex hulls in two dimensions", 1979.
+    Monotone chain algorithm (Andrew 1979, "Another efficient algorithm for convex hulls in two
+    dimensions").
+
+    Returns:
+        For each side: corner (x, y), vector to the next corner (x, y), length [m].
     """
     corners = sorted(points)
     rings: list[list[Corner]] = []
-    for way in (corners, corners[::-1]):  # the lower half from left to right, the upper one back
+    for direction in (corners, corners[::-1]):  # lower half from left to right, then upper half
         half: list[Corner] = []
-        for x, y in way:
+        for x, y in direction:
             while len(half) > 1:
                 (x0, y0), (x1, y1) = half[-2:]
                 if (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0:
@@ -96,12 +106,12 @@ def _ring(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
 
 
 SIDES = 48
-"""Directions in which the end of balance is looked for: a circle's area is found to 0.3 %, from
-inside."""
+"""Number of directions in which the boundary of the support region is computed. A regular polygon
+with 48 corners has 0.3 % less area than its circumscribed circle."""
 
-_SQUEEZE = 10.0
-"""Weights with which contacts may press in all: between steep walls a grip carries whatever is put
-anywhere, and no legs press so."""
+_MAX_TOTAL_NORMAL_FORCE = 10.0
+"""Upper bound of the sum of normal forces, in units of the robot's weight. Between steep walls
+unbounded forces would balance any CoM position. Chosen: legs do not press harder."""
 
 
 def support_corners(
@@ -111,76 +121,98 @@ def support_corners(
     stated: tuple[Array, Array] | None = None,
     grips: Array | None = None,
 ) -> tuple[Corner, ...]:
-    """Returns corners (x, y) of where a com is in balance on contacts, seen from above (m).
+    """Compute corners of the support region, seen from above.
 
-    On contacts of one plane that is the convex hull of their projection, whatever their friction,
-    which is asked about elsewhere. On several it is the projection of all coms for which there are
-    forces f_i in the friction cones that carry the weight: sum f_i = m g e_z and
-    sum p_i x f_i = m g com x e_z. The set is convex (Bretl and Lall, "Testing static equilibrium
-    for legged robots", 2008), and its ends are found by cone programmes.
+    On contacts of one plane the region is the convex hull of the contact points, independent of
+    friction (gravity along the plane is not checked here). Otherwise the region contains all CoM
+    positions for which forces f_i in the friction cones exist with
+
+        sum f_i = m g e_z,    sum p_i x f_i = m g com x e_z.
+
+    This set is convex (Bretl and Lall 2008, "Testing static equilibrium for legged robots"). Its
+    extreme points in `SIDES` directions are solutions of cone programs.
 
     Args:
-        points: (n, 3) contact points (m).
-        normals: (n, 3) out of the ground.
-        friction: (n,) coefficients; empty if they are not known.
-        stated: (k, n) which contacts press together with a force that is stated, and (k,) these
-            forces, in weights; None if none is.
-        grips: (g, 4) where something is gripped (m), and up to which force (weights).
+        points: Shape (n, 3) [m]; contact points in the world frame.
+        normals: Shape (n, 3); unit vectors out of the ground.
+        friction: Shape (n,); friction coefficients, or empty if unknown.
+        stated: Stated contact forces, as in `Contacts.stated`; None without.
+        grips: Shape (g, 4): position [m] and force limit in units of the weight; None without.
 
     Returns:
-        The corners; those of the contact points' projection if nothing is in balance.
+        Corners (x, y) [m]. The projected contact points if no CoM position allows equilibrium.
     """
-    alike = bool((np.abs(normals - normals[:1]) < _ALIKE).all())
-    found = None
-    if grips is not None or (len(friction) and not (alike and stated is None)):
-        together = () if stated is None else tuple(one.tobytes() for one in stated)
-        held = b"" if grips is None else grips.tobytes()
-        found = _balanced(points.tobytes(), normals.tobytes(), tuple(friction), together, held)
-    return found or tuple([(x, y) for x, y, _ in points.tolist()])
+    is_one_plane = bool((np.abs(normals - normals[:1]) < _NORMAL_TOLERANCE).all())
+    corners = None
+    if grips is not None or (len(friction) and not (is_one_plane and stated is None)):
+        stated_key = () if stated is None else tuple(array.tobytes() for array in stated)
+        grip_key = b"" if grips is None else grips.tobytes()
+        corners = _compute_region(
+            points.tobytes(), normals.tobytes(), tuple(friction), stated_key, grip_key
+        )
+    return corners or tuple([(x, y) for x, y, _ in points.tolist()])
 
 
-_ALIKE = 1e-12
-"""Normals that differ by no more are one plane's."""
+_NORMAL_TOLERANCE = 1e-12
+"""Largest difference between components of normals that belong to one plane (rounding)."""
 
 
-@functools.lru_cache(maxsize=64)  # a stand's feet stay in place while its com is looked for
-def _balanced(
+@functools.lru_cache(maxsize=64)  # a stand's feet stay in place while its CoM position is searched
+def _compute_region(
     points: bytes,
     normals: bytes,
     friction: tuple[float, ...],
     stated: tuple[bytes, ...],
     grips: bytes,
 ) -> tuple[Corner, ...]:
-    """Returns the ends of balance in ``SIDES`` directions; none if there is no balance."""
-    places, out = (np.frombuffer(one).reshape(-1, 3) for one in (points, normals))
-    held, count = np.frombuffer(grips).reshape(-1, 4), len(places)
-    places = np.vstack([places, held[:, :3]])
-    moments = cross_matrices(places).transpose(1, 0, 2).reshape(3, 3 * len(places))
-    rows = np.vstack([np.tile(np.eye(3), len(places)), moments[2:]])
-    nothing, after = np.zeros((0, 3 * len(places))), np.zeros(3 * len(held))
-    weight = np.array([0.0, 0.0, 1.0, 0.0])
+    """Compute extreme CoM positions in `SIDES` directions; empty without equilibrium.
+
+    Arguments are those of ``support_corners``, arrays as bytes, so that results can be cached.
+    """
+    positions, unit_normals = (np.frombuffer(data).reshape(-1, 3) for data in (points, normals))
+    grip_rows, count = np.frombuffer(grips).reshape(-1, 4), len(positions)
+    positions = np.vstack([positions, grip_rows[:, :3]])
+    moments = cross_matrices(positions).transpose(1, 0, 2).reshape(3, 3 * len(positions))
+    # Forces in units of the weight: their sum is (0, 0, 1), their moment about z is zero.
+    rows = np.vstack([np.tile(np.eye(3), len(positions)), moments[2:]])
+    load = np.array([0.0, 0.0, 1.0, 0.0])
+    no_joints, no_grips = np.zeros((0, 3 * len(positions))), np.zeros(3 * len(grip_rows))
     if stated:
-        pressed, shares = (np.frombuffer(one) for one in stated)
-        more = pressed.reshape(-1, count)[:, :, None] * out
-        more = np.hstack([more.reshape(len(shares), -1), np.tile(after, (len(shares), 1))])
-        rows = np.vstack([rows, more])
-        weight = np.concatenate([weight, shares])
-    problem = Balance(rows, weight, nothing, np.zeros(0), out, held[:, 3])
-    pressing = np.concatenate([out.ravel(), after])[None]
-    com = np.vstack([-moments[1], moments[0]])  # of which the weight has the moment
+        groups, totals = (np.frombuffer(data) for data in stated)
+        stated_rows = (groups.reshape(-1, count)[:, :, None] * unit_normals).reshape(
+            len(totals), -1
+        )
+        stated_rows = np.hstack([stated_rows, np.tile(no_grips, (len(totals), 1))])
+        rows = np.vstack([rows, stated_rows])
+        load = np.concatenate([load, totals])
+    problem = Balance(rows, load, no_joints, np.zeros(0), unit_normals, grip_rows[:, 3])
+    total_normal = np.concatenate([unit_normals.ravel(), no_grips])[None]
+    limit = np.array([_MAX_TOTAL_NORMAL_FORCE])
+    forces_to_com = np.vstack(
+        [-moments[1], moments[0]]
+    )  # com x e_z equals the moment of the forces
     corners = []
     for angle in 2 * math.pi / SIDES * np.arange(SIDES):
-        towards = np.array([math.cos(angle), math.sin(angle)])
-        forces = problem.farthest(towards @ com, np.array(friction), pressing, np.array([_SQUEEZE]))
+        direction = np.array([math.cos(angle), math.sin(angle)])
+        forces = problem.maximize(
+            direction @ forces_to_com, np.array(friction), total_normal, limit
+        )
         if forces is None:
             return ()
-        x, y = (com @ forces).tolist()
+        x, y = (forces_to_com @ forces).tolist()
         corners.append((x, y))
     return tuple(corners)
 
 
 def support_polygon(contacts: Array) -> Array:
-    """Returns the corners (n, 2) of the convex hull of contact points (k, 3), counter-clockwise."""
+    """Compute the corners of the convex hull of contact points, seen from above.
+
+    Args:
+        contacts: Shape (k, 3) [m].
+
+    Returns:
+        Shape (n, 2) [m], counter-clockwise.
+    """
     import shapely  # slow to import
 
     hull = shapely.MultiPoint(contacts[:, :2]).convex_hull
@@ -190,18 +222,20 @@ def support_polygon(contacts: Array) -> Array:
 
 
 def polygon_sides(contacts: Array, count: int = 0) -> Array:
-    """Returns the support polygon as (k, 3): a x + b y + c is the distance inside each side (m).
-
-    A contact that moves may come to be inside the polygon of the others, and a side is lost: then
-    the last one is there again, so that there are always as many.
+    """Compute the line equations of the sides of the support polygon.
 
     Args:
-        contacts: (k, 2) or (k, 3) contact points, or other corners (m).
-        count: How many rows there are; k by default.
+        contacts: Shape (k, 2) or (k, 3) [m]; contact points or other corners.
+        count: Number of returned rows; k by default.
+
+    Returns:
+        Shape (count, 3): (a, b, c), so that a x + b y + c is the distance [m] from the side to the
+        point (x, y), positive inside. If the polygon has fewer sides (a moving contact can enter
+        the polygon of the other contacts), the last row is repeated.
     """
-    ring = _ring(tuple([_corner(point) for point in contacts]))
-    sides = [
+    sides = _hull_sides(tuple([_corner(point) for point in contacts]))
+    rows = [
         [-along_y / length, along_x / length, (along_y * x - along_x * y) / length]
-        for x, y, along_x, along_y, length in ring
+        for x, y, along_x, along_y, length in sides
     ]
-    return np.array(sides + sides[-1:] * ((count or len(contacts)) - len(sides)))
+    return np.array(rows + rows[-1:] * ((count or len(contacts)) - len(rows)))

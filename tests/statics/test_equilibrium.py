@@ -633,7 +633,7 @@ def test_least_torques_are_found_in_the_null_space(feet: int, torqueless: int) -
     joints -= joints @ idle @ idle.T
     weight, torques = random.normal(size=6), random.normal(size=12)
     problem = Balance(base, weight, joints, torques, np.tile(UP, (feet, 1)))
-    found = problem.solve(None, problem.joints, problem.torques)
+    found = problem.solve(None, problem.joint_rows, problem.joint_load)
     particular = np.linalg.pinv(base) @ weight
     best = np.linalg.pinv(joints @ free, rcond=1e-10) @ (torques - joints @ particular)
     np.testing.assert_allclose(found, particular + free @ best, rtol=0, atol=1e-11)

@@ -35,7 +35,7 @@ from pupper_analysis.stance.posture import (
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.statics.equilibrium import (
-    IDLE,
+    MIN_TORQUE_PER_MASS,
     GravityCompensation,
     borne_by_motors,
     gravity_compensation,
@@ -222,7 +222,7 @@ def servo_payload(
     stable = 1 / softening if softening > _SOFTENS / robot.total_mass else math.inf
     lead = command_lead(config.by_motors(config.load()), gains)
     borne = config.by_motors(tool.load_per_mass(config))
-    rates = command_lead(np.where(np.abs(borne) > IDLE, borne, 0.0), gains)
+    rates = command_lead(np.where(np.abs(borne) > MIN_TORQUE_PER_MASS, borne, 0.0), gains)
     low, high = command_ranges(robot).T - posture.qpos
     with np.errstate(divide="ignore", invalid="ignore"):
         room = (np.where(rates > 0, high, low) - lead) / rates

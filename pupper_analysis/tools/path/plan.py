@@ -25,7 +25,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
-from pupper_analysis.statics.equilibrium import sliding_share
+from pupper_analysis.statics.equilibrium import friction_utilisation_of
 from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.path.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_jerk, path_geometry
@@ -85,7 +85,7 @@ def path_effort(
     forces, points = mean([part.contact_forces for _, part in parts]), whole.contact_points
     nothing = BALANCE_TOLERANCE * float(np.linalg.norm(forces, axis=1).sum())
     using = [
-        sliding_share(
+        friction_utilisation_of(
             force, stand.normals[foot].tolist(), robot.contacts[foot].sliding_friction, nothing
         )
         if foot in points

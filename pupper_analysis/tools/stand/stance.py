@@ -197,14 +197,14 @@ def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
     config, limits = Configuration(robot, stand.qpos), robot.effort_limits
     load, transposed = (config.by_motors(one) for one in (config.load(), carrying.jacobian(config)))
     problem, rated = carrying.balance(transposed, load), np.isfinite(limits)
-    joints, torques = problem.joints[rated], problem.torques[rated]
+    joints, torques = problem.joint_rows[rated], problem.joint_load[rated]
     most = np.concatenate([limits[rated] + torques, limits[rated] - torques])
     found = []
     for hand in robot.hands:
         own = np.array([[point in robot.feet[hand]] for point in carrying.feet])
         linear = (own * problem.normals).ravel()
         rows = np.concatenate([joints, -joints])
-        forces = problem.farthest(linear, carrying.friction, rows, most)
+        forces = problem.maximize(linear, carrying.friction, rows, most)
         if forces is not None:
             found.append(LargestPress(hand, float(linear @ forces)))
     return tuple(found)
