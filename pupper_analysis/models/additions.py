@@ -1,8 +1,7 @@
-"""What a robot is given that its files do not have, before it is simulated: entry by entry.
+"""Additions to a published robot for simulation: floor, contacts, spheres, servos, start pose.
 
-A floor, how contacts hold, balls for round meshes, servos, a start pose. Each entry says why it is
-there, and is put into MuJoCo's editable model in memory, or into a new file, by the same verb: what
-is simulated is what is written.
+Each addition has a reason, and calls a method of the same name of the editable MuJoCo spec
+(`SpecTree`) or of a new MJCF file. The simulated model and the written file therefore agree.
 """
 
 from __future__ import annotations
@@ -14,19 +13,20 @@ from typing import ClassVar, Final
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.attributes import Number
 
-GRIP: Final[Mapping[str, Number]] = {"cone": "elliptic", "impratio": 100.0}
-"""How contacts hold: friction a hundred times as stiff as the ground, on a cone that is round. With
-MuJoCo's defaults (a pyramid, 1) feet creep: Go2 by 58 mm/s on a slope of 17 degrees, so by 0.35; a
-pyramid with an impratio of 10 shakes. The models of MuJoCo Menagerie have the same."""
+STIFF_FRICTION_OPTIONS: Final[Mapping[str, Number]] = {"cone": "elliptic", "impratio": 100.0}
+"""Options for contacts without creep: elliptic cone, friction 100 times as stiff as the normal
+direction, as in MuJoCo Menagerie. With MuJoCo's defaults (pyramidal cone, impratio 1) feet creep:
+Go2 by 58 mm/s on a slope of 17 degrees (slope 0.35). A pyramidal cone with impratio 10 oscillates.
+"""
 
 
 @dataclass(frozen=True)
 class Addition:
-    """Something that is added, by a verb that an MJCF has in memory (`SpecTree`) and as a new file.
+    """Addition to a model, applied by a method of `SpecTree` or of a new MJCF file.
 
     Attributes:
-        verb: Of its kind: what is called with all that an addition says but for its reason.
-        reason: Why, as it is reported.
+        verb: Name of the method. Its arguments are the fields of the addition except the reason.
+        reason: Reported reason.
     """
 
     verb: ClassVar[str]
@@ -34,23 +34,23 @@ class Addition:
     reason: Diagnostic
 
     def put(self, model: object) -> None:
-        """Puts it into a model."""
-        getattr(model, self.verb)(*(getattr(self, one.name) for one in fields(self)[1:]))
+        """Apply the addition to a model."""
+        getattr(model, self.verb)(*(getattr(self, argument.name) for argument in fields(self)[1:]))
 
 
 @dataclass(frozen=True)
 class Floor(Addition):
-    """A plane at z = 0 with MuJoCo's own contact."""
+    """Plane at z = 0 with MuJoCo's default contact parameters."""
 
     verb = "add_floor"
 
 
 @dataclass(frozen=True)
 class Options(Addition):
-    """How MuJoCo solves and steps.
+    """MuJoCo options.
 
     Attributes:
-        values: {attribute of ``<option>``: its value}.
+        values: {attribute of ``<option>``: value}.
     """
 
     verb = "set_options"
@@ -60,14 +60,14 @@ class Options(Addition):
 
 @dataclass(frozen=True)
 class Ball(Addition):
-    """A sphere that touches in a mesh's place.
+    """Collision sphere that replaces the contact of a mesh.
 
     Attributes:
-        name: The geom's.
-        body: What it belongs to.
-        radius: m.
-        place: (3,) in the body's frame (m).
-        like: The geom whose contact parameters it has; None: MuJoCo's own.
+        name: Name of the geom.
+        body: Body of the geom.
+        radius: Radius [m].
+        place: Centre (3,) [m] in the frame of the body.
+        like: Geom whose contact parameters are copied; None for MuJoCo's defaults.
     """
 
     verb = "add_ball"
@@ -81,10 +81,10 @@ class Ball(Addition):
 
 @dataclass(frozen=True)
 class Untouching(Addition):
-    """Shapes that are left out of contact.
+    """Geoms whose contacts are disabled.
 
     Attributes:
-        geoms: Their names.
+        geoms: Names of the geoms.
     """
 
     verb = "turn_off_contact"
@@ -94,11 +94,11 @@ class Untouching(Addition):
 
 @dataclass(frozen=True)
 class Apart(Addition):
-    """Two bodies that do not touch each other.
+    """Contact exclusion of two bodies.
 
     Attributes:
-        one: A body.
-        two: The other one.
+        one: First body.
+        two: Second body.
     """
 
     verb = "exclude_contact"
@@ -109,13 +109,13 @@ class Apart(Addition):
 
 @dataclass(frozen=True)
 class Servo(Addition):
-    """A position servo.
+    """Position servo.
 
     Attributes:
-        joint: What it drives.
-        kp: N m/rad, N/m.
-        kd: N m s/rad, N s/m.
-        limits: The least and the greatest that it can give (N m, N); None: any.
+        joint: Joint that the servo drives.
+        kp: Stiffness [N m/rad, N/m].
+        kd: Damping [N m s/rad, N s/m].
+        limits: Lower and upper bound of the torque or force [N m, N]; None if unlimited.
     """
 
     verb = "add_position_servo"
@@ -128,11 +128,11 @@ class Servo(Addition):
 
 @dataclass(frozen=True)
 class Start(Addition):
-    """The pose to start from, as the robot rests in it.
+    """Keyframe of the initial pose at rest.
 
     Attributes:
-        qpos: (nq,) of MuJoCo's model (m, rad).
-        ctrl: (nu,) what its servos are commanded there, in their order; empty: nothing is.
+        qpos: Configuration (nq,) of MuJoCo's model [m, rad].
+        ctrl: Controls (nu,) in the order of the actuators; empty if none are commanded.
     """
 
     verb = "set_home"
@@ -141,7 +141,7 @@ class Start(Addition):
     ctrl: tuple[float, ...] = ()
 
 
-def put_all(added: Iterable[Addition], model: object) -> None:
-    """Puts things into a model (`SpecTree`, or a new file), in their order."""
-    for each in added:
-        each.put(model)
+def put_all(additions: Iterable[Addition], model: object) -> None:
+    """Apply additions to a model (`SpecTree`, or a new file), in the given order."""
+    for addition in additions:
+        addition.put(model)

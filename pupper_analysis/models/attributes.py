@@ -1,7 +1,7 @@
-"""The numbers of joints and of what touches: what each is called in the files and in the engines.
+"""Table of the joint and contact parameters: names in URDF, MJCF, Pinocchio and MuJoCo.
 
-Reading, audit, comparison, `sync` and conversion go through this one table;
-`docs/explanation/architecture.md` shows how to add a row.
+Reading, audit, comparison, `sync` and conversion use this table. `docs/explanation/architecture.md`
+shows how to add a row.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointAttribute:
-    """A number of a hinge or a slide.
+    """Scalar parameter of a hinge or slide.
 
     Attributes:
-        kind: What a difference in it is called; a term of the catalogue.
-        field: The attribute of `multibody.TreeJoint`; "" of what no tree of joints has.
-        units: Its unit for a hinge, and for a slide.
-        tolerance: Of `Tolerances`.
+        kind: Name of a difference in this parameter; a term of the catalogue.
+        field: Field of `multibody.TreeJoint`; "" if there is none.
+        units: Unit for a hinge, and for a slide.
+        tolerance: Field of `Tolerances`.
         relative: Whether the tolerance is relative.
-        felt: Whether forward dynamics depend on it.
-        unstated: What it is where a file does not state it.
-        urdf: The element below ``<joint>`` and its attribute; None where a URDF has no words.
-        mjcf: The attributes of an MJCF's joint, or its actuators, any of which states it, its own
-            first; none where an MJCF has no words.
-        pinocchio: The vector of Pinocchio's model, one entry per velocity; "" if there is none.
-        mujoco: The array of MuJoCo's model, one entry per velocity; "" if there is none.
-        of_joints: The one with an entry per joint, of what has none per velocity.
-        resists: Whether it resists motion, whatever a motor does.
-        signed: Whether it can be negative.
+        felt: Whether forward dynamics depend on the parameter.
+        unstated: Default if a file does not specify the parameter.
+        urdf: Child element of ``<joint>`` and its attribute; None if URDF lacks the parameter.
+        mjcf: Attributes of a joint or actuator in an MJCF, any of which sets the parameter; the
+            joint's own attribute first. Empty if MJCF lacks the parameter.
+        pinocchio: Vector (nv,) of Pinocchio's model; "" if there is none.
+        mujoco: Array (nv,) of MuJoCo's model; "" if there is none.
+        of_joints: Array (njnt,) of MuJoCo's model, for parameters without an array (nv,).
+        resists: Whether the parameter resists motion independently of the motor.
+        signed: Whether the value may be negative.
     """
 
     kind: str
@@ -54,28 +54,33 @@ class JointAttribute:
     signed: bool = False
 
     def unit(self, slides: bool) -> str:
-        """Returns its unit, of a joint that slides or turns."""
+        """Return the unit for a slide or a hinge."""
         return self.units[slides]
 
     def compiled(self, model: MjModel, joint: int) -> float:
-        """Returns what MuJoCo makes of it at a joint (its id), which it has an array for."""
+        """Return the value in a compiled MuJoCo model. The parameter must have an array of MuJoCo.
+
+        Args:
+            model: Compiled model.
+            joint: Id of the joint.
+        """
         if self.mujoco:
             return float(getattr(model, self.mujoco)[model.jnt_dofadr[joint]])
         return float(getattr(model, self.of_joints)[joint])
 
     @property
     def in_both(self) -> bool:
-        """Whether both formats can state it."""
+        """Whether both URDF and MJCF can specify the parameter."""
         return self.urdf is not None and bool(self.mjcf)
 
 
-_ANGLE, _FORCE = ("rad", "m"), ("N m", "N")
+_POSITION_UNITS, _FORCE_UNITS = ("rad", "m"), ("N m", "N")
 
 JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "lower limit",
         "lower",
-        _ANGLE,
+        _POSITION_UNITS,
         "limit",
         relative=False,
         signed=True,
@@ -86,7 +91,7 @@ JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "upper limit",
         "upper",
-        _ANGLE,
+        _POSITION_UNITS,
         "limit",
         relative=False,
         signed=True,
@@ -97,7 +102,7 @@ JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "effort",
         "effort",
-        _FORCE,
+        _FORCE_UNITS,
         "effort",
         unstated=math.inf,
         urdf=("limit", "effort"),
@@ -128,7 +133,7 @@ JOINT_ATTRIBUTES: Final = (
     JointAttribute(
         "friction",
         "friction",
-        _FORCE,
+        _FORCE_UNITS,
         "friction",
         urdf=("dynamics", "friction"),
         mjcf=("frictionloss",),
@@ -158,39 +163,41 @@ JOINT_ATTRIBUTES: Final = (
         resists=True,
     ),
 )
-"""All of them, in the order in which they are compared."""
+"""All parameters, in the order of comparison."""
 
 BY_KIND: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {attribute.kind: attribute for attribute in JOINT_ATTRIBUTES}
 )
-"""{kind: attribute}."""
+"""{kind: parameter}."""
 
 BY_MJCF: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {word: attribute for attribute in JOINT_ATTRIBUTES for word in attribute.mjcf}
 )
-"""{an MJCF's word: the attribute}; both ends of a ``range`` have one word, and the upper counts."""
+"""{attribute in an MJCF: parameter}. ``range`` sets both limits; the entry is the upper limit."""
 
-IN_A_TREE: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.field)
-"""What a tree of joints has, as `parameters` states it."""
+TREE_ATTRIBUTES: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.field)
+"""Parameters with a field in `multibody.TreeJoint`."""
 
-PASSIVE: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.resists)
-"""What resists a joint's motion, whatever its motor does."""
+PASSIVE_ATTRIBUTES: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.resists)
+"""Parameters that resist the motion of a joint independently of the motor."""
 
-COMPILED: Final = tuple(one for one in JOINT_ATTRIBUTES if one.mujoco or one.of_joints)
-"""What MuJoCo has an array for: an MJCF's joint states it by a word of that attribute."""
+COMPILED_ATTRIBUTES: Final = tuple(
+    attribute for attribute in JOINT_ATTRIBUTES if attribute.mujoco or attribute.of_joints
+)
+"""Parameters with an array in MuJoCo's model."""
 
 
 @dataclass(frozen=True)
 class ElementAttribute:
-    """A number of an MJCF that a URDF has none of, and no tree of joints.
+    """Parameter of an MJCF that has no counterpart in a URDF or in a tree of joints.
 
     Attributes:
-        element: Its element's tag, or section: ``geom``, ``pair``, ``option``, ``key``, ``joint``,
-            ``actuator``, ``tendon`` or ``equality``.
-        word: The element's attribute; a change is called so, too.
-        mujoco: MuJoCo's array, with a row for each element, or for each velocity of a joint
-            (``dof_``); of an option the attribute of ``opt``.
-        unit: Of its numbers, where they have one in common.
+        element: Tag or section: ``geom``, ``pair``, ``option``, ``key``, ``joint``, ``actuator``,
+            ``tendon`` or ``equality``.
+        word: Attribute of the element; also the name of a change of this parameter.
+        mujoco: MuJoCo's array with a row per element, or per degree of freedom of a joint
+            (``dof_``). For an option, the attribute of ``model.opt``.
+        unit: Common unit of the values; "" if there is none.
     """
 
     element: str
@@ -199,30 +206,30 @@ class ElementAttribute:
     unit: str = ""
 
 
-_CONTACT: Final = ("solref", "solimp", "margin", "gap")
-_UNITS: Final = {"margin": "m", "gap": "m", "timestep": "s", "gravity": "m/s^2"}
-_OF_GEOMS: Final = (
-    "friction", "condim", *_CONTACT, "contype", "conaffinity", "priority", "solmix", "adhesion",
-    "surfacevel",
+_CONTACT_WORDS: Final = ("solref", "solimp", "margin", "gap")
+_UNITS_BY_WORD: Final = {"margin": "m", "gap": "m", "timestep": "s", "gravity": "m/s^2"}
+_GEOM_WORDS: Final = (
+    "friction", "condim", *_CONTACT_WORDS, "contype", "conaffinity", "priority", "solmix",
+    "adhesion", "surfacevel",
 )  # fmt: skip
-_OF_PAIRS: Final = ("friction", "solreffriction", *_CONTACT, "adhesion")
-_OF_OPTIONS: Final = (
+_PAIR_WORDS: Final = ("friction", "solreffriction", *_CONTACT_WORDS, "adhesion")
+_OPTION_WORDS: Final = (
     "timestep", "integrator", "cone", "solver", "jacobian", "impratio", "iterations", "tolerance",
     "ls_iterations", "ls_tolerance", "noslip_iterations", "noslip_tolerance", "ccd_iterations",
     "ccd_tolerance", "sdf_initpoints", "sdf_iterations", "sleep_tolerance", "magnetic", "o_margin",
     "o_solref", "o_solimp", "o_friction", "disableactuator",
 )  # fmt: skip
-_OF_KEYS: Final = ("qpos", "qvel", "act", "ctrl", "mpos", "mquat", "plastic", "time")
+_KEY_WORDS: Final = ("qpos", "qvel", "act", "ctrl", "mpos", "mquat", "plastic", "time")
 
-_LIMITS: Final = ("solreflimit", "solimplimit", "solreffriction", "solimpfriction", "margin")
-_OF_CONSTRAINTS: Final = {
+_LIMIT_WORDS: Final = ("solreflimit", "solimplimit", "solreffriction", "solimpfriction", "margin")
+_CONSTRAINT_WORDS: Final = {
     "joint": zip(
-        (*_LIMITS, "actuatorgravcomp"),
+        (*_LIMIT_WORDS, "actuatorgravcomp"),
         ("jnt_solref", "jnt_solimp", "dof_solref", "dof_solimp", "jnt_margin", "jnt_actgravcomp"),
         strict=True,
     ),
     "tendon": zip(
-        (*_LIMITS, "actuatorfrcrange"),
+        (*_LIMIT_WORDS, "actuatorfrcrange"),
         ("tendon_solref_lim", "tendon_solimp_lim", "tendon_solref_fri", "tendon_solimp_fri",
          "tendon_margin", "tendon_actfrcrange"),
         strict=True,
@@ -236,32 +243,42 @@ _OF_CONSTRAINTS: Final = {
 }  # fmt: skip
 
 ELEMENT_ATTRIBUTES: Final = (
-    *(ElementAttribute("geom", word, f"geom_{word}", _UNITS.get(word, "")) for word in _OF_GEOMS),
+    *(
+        ElementAttribute("geom", word, f"geom_{word}", _UNITS_BY_WORD.get(word, ""))
+        for word in _GEOM_WORDS
+    ),
     ElementAttribute("pair", "condim", "pair_dim"),
-    *(ElementAttribute("pair", word, f"pair_{word}", _UNITS.get(word, "")) for word in _OF_PAIRS),
-    *(ElementAttribute("option", word, word, _UNITS.get(word, "")) for word in _OF_OPTIONS),
-    *(ElementAttribute("key", word, f"key_{word}") for word in _OF_KEYS),
-    *(ElementAttribute(kind, *both) for kind, rows in _OF_CONSTRAINTS.items() for both in rows),
+    *(
+        ElementAttribute("pair", word, f"pair_{word}", _UNITS_BY_WORD.get(word, ""))
+        for word in _PAIR_WORDS
+    ),
+    *(
+        ElementAttribute("option", word, word, _UNITS_BY_WORD.get(word, ""))
+        for word in _OPTION_WORDS
+    ),
+    *(ElementAttribute("key", word, f"key_{word}") for word in _KEY_WORDS),
+    *(ElementAttribute(kind, *both) for kind, rows in _CONSTRAINT_WORDS.items() for both in rows),
 )
-"""What decides how a robot touches the world, how MuJoCo steps, where it begins, how stiff limits
-and loops are, and what motors do between command and force.
+"""Parameters of contacts, integration, solver, keyframes, limits, loops and actuator dynamics.
 
-Gravity and the medium are compared with what acts on the robot; shapes and flags are described by
-`robot_model.elements`."""
+Gravity and medium are compared with the external forces; shapes and flags by
+`robot.compare.mjcf_only`.
+"""
 
-# Names and numbers of what an MJCF is given, in memory or in a new file.
+# Names and values of additions to an MJCF, in memory or in a new file.
 
 Number = float | str
-"""A number, or as it is written in another file."""
+"""Number, or the text of a number in another file."""
 
-FLOOR: Final = "floor"
-"""What a floor that is added, and its material, are called."""
+FLOOR_NAME: Final = "floor"
+"""Name of an added floor, and of its material."""
 
-HOME: Final = "home"
-"""What the keyframe to start from is called."""
+HOME_KEYFRAME: Final = "home"
+"""Name of the keyframe of the initial pose."""
 
-COUPLING_TIME: Final = 5e-3
-"""Time constant of couplings (s): MuJoCo's own, 20 ms, lets fingers of grammes open far."""
+COUPLING_TIME_CONSTANT: Final = 5e-3
+"""Time constant of joint couplings [s]. With MuJoCo's default, 20 ms, fingers with a mass of grams
+open far."""
 
 IMU_SENSORS: Final = ("gyro", "accelerometer")
-"""The sensors of an IMU: their elements in an MJCF, and what they are called."""
+"""Sensors of an IMU: elements in an MJCF, also used as names."""

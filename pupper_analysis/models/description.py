@@ -1,4 +1,4 @@
-"""The two model files of a robot, as text and spec."""
+"""``Description``: URDF and MJCF of a robot, with contact points, frames and additions."""
 
 from __future__ import annotations
 
@@ -16,37 +16,36 @@ from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 ModelTree = UrdfTree | SpecTree
-"""The links and joints of a URDF, or the bodies and joints of an MJCF: who changes both files of a
-robot writes the change once, and does it to each tree in turn."""
+"""Links and joints of a URDF, or bodies and joints of an MJCF. A change of both files is written
+once, and applied to each tree."""
 
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """A robot's URDF and MJCF.
+    """URDF and MJCF of a robot.
 
     Attributes:
-        name: The robot's name.
-        urdf: The URDF's text.
-        urdf_source: The file it came from.
-        mjcf: The MJCF's spec, not to be changed (take ``mjcf.copy()``). In copies it is read
-            again from what MuJoCo writes of it, all digits kept.
-        mjcf_source: The file it came from.
-        contact_points: For each contact point, the URDF's link and the MJCF's site, body or geom. A
-            foot that is a sphere has one, of its own name.
-        frames: Likewise for further frames that both files have.
-        feet: {foot with more than one contact point: their names}.
-        foot_geoms: {contact point: the MJCF's geom that touches there, and its radius (m)}, where
-            that is no sphere around the point: 0 for the corner of a box.
-        nominal: {joint: position (rad)} at which the feet are where they stand by default; zero
-            where not given.
-        made_frames: The frames of contact points that neither file has.
-        added: What ``mjcf`` has for a simulation that the file does not, each with its reason; a
-            file that is written is given the same.
-        made_servos: The servos in ``mjcf`` that the file does not have.
-        efforts: {joint: what its motor can give}, of motors that were replaced by servos: what
-            their own attributes stated is not in ``mjcf`` any more.
-        converted: ``"urdf"`` or ``"mjcf"``: the model that was made of the other one in memory, as
-            it has no file; empty if both have one.
+        name: Name of the robot.
+        urdf: Text of the URDF.
+        urdf_source: File of the URDF.
+        mjcf: Spec of the MJCF; must not be modified (use ``mjcf.copy()``). A pickled copy is parsed
+            from XML with all digits.
+        mjcf_source: File of the MJCF.
+        contact_points: {contact point: (link in the URDF, site, body or geom in the MJCF)}. A
+            spherical foot has a single contact point, with the name of the foot.
+        frames: {frame: (name in the URDF, name in the MJCF)} of further frames in both files.
+        feet: {foot: contact points} of the feet with more than one contact point.
+        foot_geoms: {contact point: (geom in the MJCF, radius [m])} of contact points that are not
+            the centre of a sphere. The radius of a corner of a box is 0.
+        nominal: {joint: position [rad, m]} of the nominal stand; missing joints are at zero.
+        made_frames: Contact points without a frame in either file.
+        added: Additions to ``mjcf`` for simulation, each with its reason. Files that are written
+            get the same additions.
+        made_servos: Servos in ``mjcf`` that the file does not contain.
+        efforts: {joint: effort limit} of motors that were replaced by servos, whose own attributes
+            are no longer in ``mjcf``.
+        converted: ``"urdf"`` or ``"mjcf"`` if this model has no file and was generated from the
+            other; "" if both have files.
     """
 
     name: str
@@ -65,18 +64,18 @@ class Description:
     efforts: Mapping[str, EffortLimit] = field(default_factory=dict)
     converted: str = ""
 
-    def given(self, *added: Addition) -> Description:
-        """Returns a description whose MJCF is given something for its simulation."""
+    def given(self, *additions: Addition) -> Description:
+        """Return a description whose MJCF has further additions."""
         spec = self.mjcf.copy()
-        put_all(added, SpecTree(spec))
-        return replace(self, mjcf=spec, added=(*self.added, *added))
+        put_all(additions, SpecTree(spec))
+        return replace(self, mjcf=spec, added=(*self.added, *additions))
 
     def replaced_soles(self) -> tuple[Diagnostic, ...]:
-        """Tells on how many balls it stands in the place of its soles, if it does."""
-        balls = [one for one in self.added if isinstance(one, Ball)]
+        """Report the number of spheres that replace the soles, if any."""
+        balls = [addition for addition in self.added if isinstance(addition, Ball)]
         count = sum(ball.reason.code == "balls-for-soles" for ball in balls)
         return (diagnose("on-balls-for-soles", count=count),) if count else ()
 
     def trees(self) -> tuple[UrdfTree, SpecTree]:
-        """Returns both files' links and joints, to be changed: they are its own no more."""
+        """Return copies of the trees of both files, which the caller may modify."""
         return UrdfTree.of(self.urdf), SpecTree(self.mjcf.copy())

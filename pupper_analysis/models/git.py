@@ -1,8 +1,8 @@
-"""What git has of files, read without running anything that a repository brings along.
+"""Reading of files from git without executing any program that the repository configures.
 
-A repository may be somebody else's. Its configuration and attributes can name programs: filters,
-hooks, a file system monitor, the transport of objects that are not there. So only git's plumbing is
-asked, which applies no filter, and whatever could start a program is switched off for it.
+A repository may come from an untrusted source. Its configuration and attributes can name programs:
+filters, hooks, a file system monitor, the transport of missing objects. Therefore callers use
+plumbing commands, which apply no filters, with the options and the environment below.
 """
 
 from __future__ import annotations
@@ -14,23 +14,32 @@ from pathlib import Path
 
 from pupper_analysis.models.xml import LFS_POINTER
 
-SAFE = ("-c", "core.fsmonitor=false", "-c", f"core.hooksPath={os.devnull}")
+SAFE_OPTIONS = ("-c", "core.fsmonitor=false", "-c", f"core.hooksPath={os.devnull}")
+"""Options of git that disable the file system monitor and hooks."""
 
-ENVIRONMENT = {
+SAFE_ENVIRONMENT = {
     "GIT_ALLOW_PROTOCOL": "none",  # objects that a partial clone lacks are not fetched
     "GIT_NO_LAZY_FETCH": "1",
-    "GIT_OPTIONAL_LOCKS": "0",  # nothing is written, so no hook is told of it
+    "GIT_OPTIONAL_LOCKS": "0",  # git writes nothing, so no hook is started
     "GIT_TERMINAL_PROMPT": "0",
 }
+"""Environment variables that disable network access, optional writes and prompts of git."""
 
 
-_LARGEST_POINTER = 1024
-"""Bytes. Source: Git LFS specification, "Pointer files must be less than 1024 bytes in size"."""
+_MAX_POINTER_BYTES = 1024
+"""Exclusive upper bound of the size of a pointer file. Source: Git LFS specification, "Pointer
+files must be less than 1024 bytes in size"."""
 
 
 @dataclass(frozen=True)
 class GitEntry:
-    """A file in a tree or in the index."""
+    """File in a tree or in the index of git.
+
+    Attributes:
+        mode: File mode, octal.
+        object: Hash of the object.
+        path: Path in the repository.
+    """
 
     mode: str
     object: str
@@ -38,8 +47,8 @@ class GitEntry:
 
 
 def pointed_file(blob: bytes) -> str | None:
-    """Returns the SHA-256 of the file that a pointer of Git LFS stands for; None if it is none."""
-    if not blob.startswith(LFS_POINTER) or len(blob) >= _LARGEST_POINTER:
+    """Return the SHA-256 of the file that a Git LFS pointer represents, or None if it is none."""
+    if not blob.startswith(LFS_POINTER) or len(blob) >= _MAX_POINTER_BYTES:
         return None
     for line in blob.decode(errors="replace").splitlines():
         if line.startswith("oid sha256:"):
@@ -47,25 +56,30 @@ def pointed_file(blob: bytes) -> str | None:
     return None
 
 
-def git_entries(listed: bytes | None) -> list[GitEntry] | None:
-    """Returns the entries of ``ls-tree -z`` or ``ls-files --stage -z``."""
-    if listed is None:
+def git_entries(output: bytes | None) -> list[GitEntry] | None:
+    """Parse the output of ``ls-tree -z`` or ``ls-files --stage -z``; None if the output is None."""
+    if output is None:
         return None
     entries = []
-    for line in filter(None, listed.decode(errors="surrogateescape").split("\0")):
-        facts, _, path = line.partition("\t")
-        # A tree has mode, kind, object; the index mode, object, stage.
-        mode, *others = facts.split()
-        entries.append(GitEntry(mode, max(others, key=len), path))
+    for line in filter(None, output.decode(errors="surrogateescape").split("\0")):
+        fields, _, path = line.partition("\t")
+        # Fields of a tree: mode, kind, object. Fields of the index: mode, object, stage.
+        mode, *hash_and_kind = fields.split()
+        entries.append(GitEntry(mode, max(hash_and_kind, key=len), path))
     return entries
 
 
 def run_git(command: list[str], folder: Path | None = None) -> subprocess.CompletedProcess[bytes]:
-    """Runs git, and starts no program of the repository's."""
+    """Run git with ``SAFE_ENVIRONMENT``, without standard input, and capture the output.
+
+    Args:
+        command: Words of the command, with ``SAFE_OPTIONS``.
+        folder: Working folder; by default the current folder.
+    """
     return subprocess.run(
         command,
         cwd=folder,
-        env=os.environ | ENVIRONMENT,
+        env=os.environ | SAFE_ENVIRONMENT,
         stdin=subprocess.DEVNULL,
         capture_output=True,
         check=False,

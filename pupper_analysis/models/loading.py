@@ -1,6 +1,6 @@
-"""Reads anybody's URDF or MJCF: what is malformed is refused with its file and line.
+"""Reading of any URDF or MJCF; malformed files raise an error with file and line.
 
-Formats besides these two have readers in other packages, found by `base.tools.formats`.
+Other formats have readers in packages of their own, found by `base.tools.formats`.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from pupper_analysis.base.runs import note_input
 from pupper_analysis.base.tools import format_of
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
 from pupper_analysis.models.places import NO_LINE, Place, refusal_at
-from pupper_analysis.models.published import XACRO, expand_xacro, find_file
+from pupper_analysis.models.published import XACRO_SUFFIX, expand_xacro, find_file
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
 from pupper_analysis.models.xml import parse_file_text, parse_xml
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a check of a file yields.
+class CheckFinding:
+    """Finding of a check of a file.
 
     Attributes:
-        kind: The tag of the element at fault.
-        name: Its name; "" where the file as a whole is at fault.
-        message: What is wrong with it.
-        child: A path below the element, for the line.
-        place: Where it is, if the element cannot be found by its name.
-        severity: If less bad than the rule says.
+        kind: Tag of the element at fault.
+        name: Name of the element; "" for the whole file.
+        message: Description of the problem.
+        child: Path below the element, for the line number.
+        place: Location, if the element cannot be found by its name.
+        severity: Severity, if lower than that of the rule.
     """
 
     kind: str
@@ -45,64 +45,68 @@ class Found:
     severity: Severity | None = None
 
 
-Check = Callable[[Any], Iterator[Found]]
-"""Takes a ``RobotModel`` (a ``UrdfModel`` and the like, if it is for that format alone)."""
+Check = Callable[[Any], Iterator[CheckFinding]]
+"""Audit check of a ``RobotModel``, or of the subclass of one format."""
 
 
 class ModelFile(Protocol):
-    """A file that was read."""
+    """Model file in memory."""
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Path of the file."""
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Finds an element; see `UrdfFile.place`."""
+        """Find the location of an element; see `UrdfFile.place`."""
 
 
 class Reader(Protocol):
-    """What the module ``reader`` of a format's package has."""
+    """Interface of the module ``reader`` of a format."""
 
     CHECKS: Mapping[str, Check]
-    """{rule of the audit, its own or one of ours: what looks for it besides ours}."""
+    """{audit rule, of the format or of this package: additional check}."""
 
     def read_file(self, path: Path) -> ModelFile:
-        """Reads a file."""
+        """Read a file."""
 
     def read_model(self, file: Any) -> RobotModel:
-        """Returns the robot that a file states."""
+        """Return the robot that a file specifies."""
 
     def read_as_urdf(self, path: Path) -> UrdfFile:
-        """Reads a file as a URDF of the same numbers; its ``stands_for`` names the format."""
+        """Convert a file to a URDF with the same values; ``stands_for`` is the format."""
 
     def read_as_mjcf(self, path: Path) -> MjcfFile:
-        """Reads a file as an MJCF of the same numbers, likewise."""
+        """Convert a file to an MJCF with the same values; ``stands_for`` is the format."""
 
 
 def reader_of(path: Path) -> Reader | None:
-    """Returns who reads a file, by its name; None of a URDF's or an MJCF's."""
-    found = format_of(path)
-    return None if found is None else cast(Reader, import_module(f"{found.package}.reader"))
+    """Return the reader for a file by its suffix; None for URDF, MJCF and unknown suffixes."""
+    model_format = format_of(path)
+    return (
+        None
+        if model_format is None
+        else cast(Reader, import_module(f"{model_format.package}.reader"))
+    )
 
 
 def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile | MjcfFile:
-    """Reads a URDF or an MJCF; the root element tells which it is.
+    """Read a URDF or an MJCF; the root element determines the format.
 
-    A xacro file is expanded, if that package is installed: its elements have no lines then.
-
-    An MJCF that MuJoCo parses but does not compile is returned, too, with its ``refusal``.
+    A xacro file is expanded if the package xacro is installed; its elements have no line numbers.
+    An MJCF that MuJoCo parses but does not compile is also returned, with the error in ``refusal``.
 
     Args:
         path: The file, or ``robot_descriptions:NAME``.
-        packages: Folders of packages, for a URDF's ``package://``.
+        packages: Folders of ROS packages, for ``package://`` in a URDF.
 
     Raises:
-        ModelError: If it cannot be loaded; one line that tells where and why.
+        ModelError: If the file cannot be loaded. The message is a single line with location and
+            reason.
     """
     check_type("path", path, str | Path)
     path = find_file(path)
     note_input(path)
-    if path.suffix == XACRO:
+    if path.suffix == XACRO_SUFFIX:
         text = expand_xacro(path)
         root = parse_file_text(path, text)
         for element in root.iter():
@@ -117,9 +121,10 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
 
 
 def kind_of(path: Path) -> str | None:
-    """Returns ``urdf`` or ``mjcf``; None of what is neither, or a part that other files include.
+    """Return ``"urdf"`` or ``"mjcf"`` for a file that describes a robot; None for other files.
 
-    An MJCF counts if it has a body of its own: a scene has but a floor around a robot's file.
+    A URDF must have a link, unless its suffix is ``.urdf``. An MJCF must have a body of its own: a
+    scene, which only includes the robot, does not count.
     """
     if path.suffix.lower() == ".urdf":
         return "urdf"

@@ -38,7 +38,7 @@ from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.xml import (
     MAX_DEPTH,
     MAX_ELEMENTS,
-    NUMBER,
+    NUMBER_PATTERN,
     parse_xml,
 )
 
@@ -372,7 +372,7 @@ def _refuse_formats(path: Path, element: etree._Element) -> None:
 def _product(text: str) -> int:
     # MuJoCo reads 0x10, too.
     words = text.split()
-    numbers = [abs(float(word)) for word in words if NUMBER.fullmatch(word)]
+    numbers = [abs(float(word)) for word in words if NUMBER_PATTERN.fullmatch(word)]
     numbers += [float(int(word, 16)) for word in words if _HEXADECIMAL.fullmatch(word)]
     product = math.prod(max(number, 1.0) for number in numbers)
     return int(min(product, 1e18))

@@ -1,4 +1,4 @@
-"""Where something stands in a model file, and refusals that say so."""
+"""Locations in model files, and errors that contain them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Place:
-    """Where something stands.
+    """Location in a model file.
 
     Attributes:
         file: The file.
-        line: Its line, from 1; None where the file as a whole is meant, or has no lines.
-        element: What a file without lines calls it; None in other files.
+        line: Line number, from 1; None for the whole file, or in files without lines.
+        element: Path of the element in files without lines; None in other files.
     """
 
     file: Path
@@ -34,76 +34,76 @@ class Place:
 
     @property
     def within(self) -> str:
-        """Where in the file: ``":7"``, ``":</Robot/base>"``, or "" for all of it."""
+        """Location within the file: ``":7"``, ``":</Robot/base>"``, or "" for the whole file."""
         if self.element is not None:
             return f":<{self.element}>"
         return "" if self.line is None else f":{self.line}"
 
     @property
     def path(self) -> str:
-        """The whole path, and the line: by it a CI service finds the file."""
+        """Full path with line or element; CI services find the file by this text."""
         return f"{self.file}{self.within}"
 
     @property
     def source(self) -> Source:
-        """The same, as a diagnostic has it."""
+        """The location as the source of a diagnostic."""
         return Source(str(self.file), self.line, self.element or "")
 
 
 def innermost_element(element: T, path: str | None, child: Callable[[T, str], T | None]) -> T:
-    """Returns the innermost element that exists on a path below one.
+    """Return the innermost existing element on a path of tags.
 
     Args:
-        element: Where the path begins.
-        path: Tags, such as ``"inertial/mass"``; None for the element itself.
-        child: Returns an element's first child of a tag; None where it has none.
+        element: Start of the path.
+        path: Tags, such as ``"inertial/mass"``; None for ``element`` itself.
+        child: Function that returns the first child with a tag, or None.
     """
     for tag in path.split("/") if path else ():
-        below = child(element, tag)
-        if below is None:
+        found = child(element, tag)
+        if found is None:
             break
-        element = below
+        element = found
     return element
 
 
 def quote_short(value: str) -> str:
-    """Quotes a value; of a long one, its first 37 characters."""
+    """Quote a value; if it has more than 40 characters, only the first 37."""
     return repr(value if len(value) <= 40 else value[:37] + "...")
 
 
 NO_LINE: Final = 65535
-"""lxml is not sure of this line, and those after it; so it stands for no line at all."""
+"""Largest line number of lxml. Elements with this number have an unknown line."""
 
 
 def line_of(element: etree._Element) -> int | None:
-    """Returns an element's line, where it is known."""
+    """Return the line of an element; None if unknown."""
     line = element.sourceline
     return line if line is not None and line < NO_LINE else None
 
 
 def refusal_at(path: Path, element: etree._Element, problem: Diagnostic) -> ModelError:
-    """Returns the error that tells an element's file and line, and what is wrong with it."""
+    """Return the error for a problem of an element, with file and line."""
     return refuse_file(Place(path, line_of(element)), problem)
 
 
 def refuse_file(place: Place, problem: Diagnostic) -> ModelError:
-    """Returns the error that tells what is wrong with a file, or in a line of it."""
+    """Return the error for a problem of a file, or of a location in it."""
     sources = problem.sources or (place.source,)
     name = source_name(place.file, place.line) + (place.within if place.element is not None else "")
     return ModelError(name, replace(problem, sources=sources))
 
 
 def refuse_input(path: Path, error: InputError) -> ModelError:
-    """Returns the error that tells why a model's file did not come in."""
+    """Return the error for a model file that cannot be read."""
     return refuse_file(Place(path, error.line), error.cause)
 
 
 def source_name(path: Path, line: int | None = None) -> str:
-    """Names a file, and a line of it, on one line of text."""
+    """Return a printable name of a file, followed by the line number if given."""
     name = str(path) if str(path).isprintable() else repr(str(path))
     return name if line is None else f"{name}:{line}"
 
 
 def one_line(text: object) -> str:
-    """Makes one line of a text of several."""
+    """Return a text with all white space replaced by single spaces."""
     return " ".join(str(text).split())

@@ -1,7 +1,6 @@
-"""Models as they are published: by a description's name in robot_descriptions, or as xacro.
+"""Published models: names of ``robot_descriptions``, xacro files, and Git LFS pointers.
 
-Both packages are optional, and nothing is downloaded here. Files that a model names are found in
-the folders of ROS packages.
+The packages ``robot_descriptions`` and ``xacro`` are optional. Nothing is downloaded.
 """
 
 from __future__ import annotations
@@ -22,10 +21,9 @@ from pupper_analysis.models.xml import LFS_POINTER
 
 
 def existing_file(path: Path) -> Path | None:
-    """Returns the path if there is such a file, which counts as read then.
+    """Return the path if the file exists, and register the file as an input of the run.
 
-    The name may be any text of a model file. A pointer that Git LFS leaves in place of a file is
-    none.
+    The name may be any text of a model file. A Git LFS pointer counts as missing.
     """
     try:
         if not path.is_file() or is_pointer(path):
@@ -37,9 +35,9 @@ def existing_file(path: Path) -> Path | None:
 
 
 def is_pointer(path: Path) -> bool:
-    """Says whether a file is a pointer of Git LFS, whose content was not brought along.
+    """Return True if a file is a Git LFS pointer without its content.
 
-    What is no regular file is not opened: a pipe would wait for ever.
+    Only regular files are opened, because reading a pipe may block.
     """
     try:
         if not path.is_file():
@@ -51,79 +49,79 @@ def is_pointer(path: Path) -> bool:
 
 
 def folders_of_package(folder: Path, package: str) -> Iterator[Path]:
-    """Yields the folders of that package that are a folder or stand in it."""
+    """Yield the folder itself and its subfolder, if they have the name of a ROS package."""
     if folder.name == package:
         yield folder
     if package not in ("", ".", "..") and (folder / package).is_dir():
         yield folder / package
 
 
-SCHEME: Final = "robot_descriptions:"
-"""How the name of a description begins: ``robot_descriptions:go2_mj_description``."""
+DESCRIPTION_PREFIX: Final = "robot_descriptions:"
+"""Prefix of the name of a description, as in ``robot_descriptions:go2_mj_description``."""
 
-_NAME: Final = re.compile(r"[a-z0-9_]+")
+_DESCRIPTION_NAME: Final = re.compile(r"[a-z0-9_]+")
 
-XACRO: Final = ".xacro"
-"""How the name of a file ends that is to be expanded."""
+XACRO_SUFFIX: Final = ".xacro"
+"""Suffix of xacro files."""
 
 
 class _NotCachedError(Exception):
-    """A repository is not in the cache."""
+    """Repository that is not in the local cache of ``robot_descriptions``."""
 
 
 def find_file(model: str | Path) -> Path:
-    """Returns the file that a model is given by: a path, or the name of a description.
+    """Return the file of a model, given as a path or as the name of a description.
 
     Raises:
-        ModelError: If the package of descriptions is not installed, has none of that name, or its
-            cache has not got the files.
+        ModelError: If ``robot_descriptions`` is not installed, has no such description, or if its
+            cache does not contain the files.
     """
     word = str(model)
-    if not word.startswith(SCHEME):
+    if not word.startswith(DESCRIPTION_PREFIX):
         return Path(model)
-    name = word.removeprefix(SCHEME)
+    name = word.removeprefix(DESCRIPTION_PREFIX)
     try:
         cache = importlib.import_module("robot_descriptions._cache")
     except ImportError as error:
         raise ModelError(word, diagnose("descriptions-not-installed")) from error
-    if not _NAME.fullmatch(name):
+    if not _DESCRIPTION_NAME.fullmatch(name):
         raise ModelError(word, diagnose("no-such-description", name=name))
-    description = _from_cache(word, name, cache)
+    description = _import_cached_description(word, name, cache)
     for attribute in ("MJCF_PATH", "URDF_PATH", "XACRO_PATH"):
         if hasattr(description, attribute):
             return Path(getattr(description, attribute))
     raise ModelError(word, diagnose("description-without-file", name=name))
 
 
-def _from_cache(word: str, name: str, cache: ModuleType) -> ModuleType:
-    """Imports a description, which clones its repository if it is let."""
+def _import_cached_description(source: str, name: str, cache: ModuleType) -> ModuleType:
+    """Import a description without downloading: its clone function only returns cached folders."""
 
-    def cached(repository: str, commit: str | None = None) -> str:
+    def find_in_cache(repository: str, commit: str | None = None) -> str:
         del commit
-        known = importlib.import_module("robot_descriptions._repositories").REPOSITORIES
+        repositories = importlib.import_module("robot_descriptions._repositories").REPOSITORIES
         default = Path.home() / ".cache" / "robot_descriptions"
         root = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", default)).expanduser()
-        folder = root / known[repository].cache_path
+        folder = root / repositories[repository].cache_path
         if not folder.is_dir():
             raise _NotCachedError
         return str(folder)
 
-    clone, cache.clone_to_cache = cache.clone_to_cache, cached  # type: ignore[attr-defined]
+    clone, cache.clone_to_cache = cache.clone_to_cache, find_in_cache  # type: ignore[attr-defined]
     try:
         return importlib.import_module(f"robot_descriptions.{name}")
     except ModuleNotFoundError as error:
-        raise ModelError(word, diagnose("no-such-description", name=name)) from error
+        raise ModelError(source, diagnose("no-such-description", name=name)) from error
     except _NotCachedError as error:
-        raise ModelError(word, diagnose("description-not-cached", name=name)) from error
+        raise ModelError(source, diagnose("description-not-cached", name=name)) from error
     finally:
         cache.clone_to_cache = clone  # type: ignore[attr-defined]
 
 
 def expand_xacro(path: Path) -> str:
-    """Returns the URDF that a xacro file expands to, with its arguments' defaults.
+    """Return the URDF text of a xacro file, with the default values of its arguments.
 
     Raises:
-        ModelError: If xacro is not installed, or refuses the file.
+        ModelError: If xacro is not installed, or the expansion fails.
     """
     try:
         xacro = importlib.import_module("xacro")
@@ -131,11 +129,11 @@ def expand_xacro(path: Path) -> str:
         raise refuse_file(Place(path), diagnose("file-is-xacro")) from error
     if not path.is_file():
         raise refuse_file(Place(path), diagnose("file-not-read", message="no such file"))
-    # It lists what is included by all files that are expanded, one after another.
+    # xacro appends the included files of each expansion to a global list.
     before = len(getattr(xacro, "all_includes", ()))
     try:
         text = str(xacro.process_file(str(path)).toxml())
-    except Exception as error:  # whatever a macro's Python raises
+    except Exception as error:  # Python code in a macro may raise any exception
         problem = diagnose("xacro-not-expanded", message=one_line(error))
         raise refuse_file(Place(path), problem) from error
     for name in getattr(xacro, "all_includes", ())[before:]:

@@ -1,81 +1,92 @@
-"""What names of links and joints say: which are each other's mirror image, which are of legs."""
+"""Left-right symmetry of joints and links, derived from their names."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
 
-_SIDES = (
+_SIDE_WORDS = (
     *(("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT")),
     *(("FL", "FR"), ("RL", "RR"), ("HL", "HR"), ("BL", "BR"), ("LF", "RF"), ("LH", "RH")),
     *(("fl", "fr"), ("rl", "rr"), ("hl", "hr"), ("bl", "br"), ("lf", "rf"), ("lh", "rh")),
     *(("L", "R"), ("l", "r")),
 )
-_OPPOSITE_SIDE = {a: b for left, right in _SIDES for a, b in ((left, right), (right, left))}
-_WORD = re.compile("left|right|Left|Right|LEFT|RIGHT")
+_OPPOSITE_SIDE = {a: b for left, right in _SIDE_WORDS for a, b in ((left, right), (right, left))}
+_FULL_WORD = re.compile("left|right|Left|Right|LEFT|RIGHT")
 _SIDE_PATTERN = re.compile(
     rf"(?<![A-Za-z])({'|'.join(sorted(_OPPOSITE_SIDE, key=len, reverse=True))})(?![A-Za-z])"
     "|^[LR](?=[A-Z][a-z])"
 )
 
-NOT_MIRRORED = re.compile("gripper|finger|camera|imu|sensor", re.IGNORECASE)
-"""Parts that are mounted as they are, or turned, on both sides."""
+ASYMMETRIC_PART_NAME = re.compile("gripper|finger|camera|imu|sensor", re.IGNORECASE)
+"""Names of parts that are not mounted as mirror images of each other."""
 
 
-OF_LEGS = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
-"""In names of joints that are not those of an arm or a hand, whose base is bolted down."""
+LEG_JOINT_NAME = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
+"""Names of leg joints. Joints of arms and hands, whose base is bolted down, do not match."""
 
-DRIVE = 0.02
-"""Relative: published motors of one kind are stated alike to the digit."""
+_MOTOR_PARAMETER_RTOL = 0.02
+"""Relative tolerance for equal motor parameters. In published models, motors of one type have
+identical values."""
 
-ALIKE = 3
-"""Pairs that agree for each one that does not: where motors were identified one by one, none do."""
+_MIN_EQUAL_PAIRS_PER_UNEQUAL = 3
+"""Minimum ratio of equal to unequal pairs for a model with one set of values per motor type. If
+each motor was identified individually, no pair is equal."""
 
-ANY_MOTOR = 20.0
-"""Times: what no two motors of one place of two legs differ by. Identified one by one, those of
-five published robots differ by 13 in armature."""
+_MAX_MOTOR_RATIO = 20.0
+"""Lower bound of the ratio between left and right value of an error, if motors were identified
+individually. In five published robots, individually identified armatures differ by a factor of at
+most 13."""
 
 
 def mirror_name(name: str) -> str:
-    """Returns a name with left and right exchanged, wherever it says so."""
-    pattern = _WORD if _WORD.search(name) else _SIDE_PATTERN
+    """Return a name with all words for left and right exchanged."""
+    pattern = _FULL_WORD if _FULL_WORD.search(name) else _SIDE_PATTERN
     return pattern.sub(lambda match: _OPPOSITE_SIDE[match[0]], name)
 
 
 def mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
-    """Returns the pairs of names that differ only in saying left and right, in their order."""
-    known = dict.fromkeys(names)
+    """Return the pairs of names that differ only in left and right, in the given order.
+
+    Names that match ``ASYMMETRIC_PART_NAME`` are excluded.
+    """
+    names_in_order = dict.fromkeys(names)
     pairs: dict[str, str] = {}
-    for name in known:
-        other = mirror_name(name)
+    for name in names_in_order:
+        mirrored = mirror_name(name)
         if (
-            other != name
-            and other in known
-            and other not in pairs
-            and not NOT_MIRRORED.search(name)
+            mirrored != name
+            and mirrored in names_in_order
+            and mirrored not in pairs
+            and not ASYMMETRIC_PART_NAME.search(name)
         ):
-            pairs[name] = other
+            pairs[name] = mirrored
     return list(pairs.items())
 
 
 def unlike_pairs(
     pairs: Iterable[tuple[str, str]], numbers: Mapping[str, float]
 ) -> list[tuple[str, str]]:
-    """Returns the pairs of joints of which one has another motor, damper or spring.
+    """Return the mirror pairs of joints with unexpectedly different motor, damper or spring.
 
-    Those that differ where most are alike; where motors were identified one by one, those that
-    differ by more than any two motors do.
+    If most pairs are equal, the result contains the unequal pairs. Otherwise, the motors were
+    identified individually, and the result contains the pairs whose values differ by a factor of
+    ``_MAX_MOTOR_RATIO`` or more.
 
     Args:
-        pairs: Left and right.
-        numbers: {joint: what is compared}; of a pair, both or it is passed over.
+        pairs: Pairs (left, right) of joints.
+        numbers: {joint: value}. Pairs without both values are skipped.
     """
-    known = [(a, b) for a, b in pairs if a in numbers and b in numbers]
-    apart = [(a, b) for a, b in known if not _near(numbers[a], numbers[b])]
-    few = len(known) - len(apart) >= ALIKE * len(apart)
-    ends = [(pair, sorted(abs(numbers[name]) for name in pair)) for pair in apart]
-    return [pair for pair, (least, most) in ends if few or least * ANY_MOTOR <= most]
+    complete = [(a, b) for a, b in pairs if a in numbers and b in numbers]
+    unequal = [(a, b) for a, b in complete if not _are_equal(numbers[a], numbers[b])]
+    few_unequal = len(complete) - len(unequal) >= _MIN_EQUAL_PAIRS_PER_UNEQUAL * len(unequal)
+    ranges = [(pair, sorted(abs(numbers[name]) for name in pair)) for pair in unequal]
+    return [
+        pair
+        for pair, (smaller, larger) in ranges
+        if few_unequal or smaller * _MAX_MOTOR_RATIO <= larger
+    ]
 
 
-def _near(one: float, two: float) -> bool:
-    return one == two or abs(one - two) <= DRIVE * abs(two)
+def _are_equal(left: float, right: float) -> bool:
+    return left == right or abs(left - right) <= _MOTOR_PARAMETER_RTOL * abs(right)

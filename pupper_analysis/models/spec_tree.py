@@ -20,9 +20,9 @@ from pupper_analysis.base.arrays import inertia_entries
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.attributes import (
     BY_KIND,
-    COUPLING_TIME,
-    FLOOR,
-    HOME,
+    COUPLING_TIME_CONSTANT,
+    FLOOR_NAME,
+    HOME_KEYFRAME,
     IMU_SENSORS,
     JointAttribute,
     Number,
@@ -217,7 +217,7 @@ class SpecTree:
             beneath: A body of its own at that height (m) has it, the last one: what was there
                 before keeps its number.
         """
-        bits, name = 1, free_name(FLOOR, {geom.name for geom in self.spec.geoms})
+        bits, name = 1, free_name(FLOOR_NAME, {geom.name for geom in self.spec.geoms})
         for geom in self.spec.geoms:
             bits |= int(geom.contype)
         body = self.spec.worldbody
@@ -256,7 +256,7 @@ class SpecTree:
                 self._stiffen(equality)
 
     def _stiffen(self, equality: mujoco.MjsEquality) -> None:
-        equality.solref = (max(COUPLING_TIME, 2 * float(self.spec.option.timestep)), 1.0)
+        equality.solref = (max(COUPLING_TIME_CONSTANT, 2 * float(self.spec.option.timestep)), 1.0)
 
     def motor_at(self, joint: str) -> mujoco.MjsActuator | None:
         """Returns the last motor at a joint; None if there is none."""
@@ -342,7 +342,7 @@ class SpecTree:
         """Makes a pose the only keyframe."""
         for key in list(self.spec.keys):
             self.spec.delete(key)
-        self.spec.add_key(name=HOME, qpos=qpos, **({"ctrl": ctrl} if len(ctrl) else {}))
+        self.spec.add_key(name=HOME_KEYFRAME, qpos=qpos, **({"ctrl": ctrl} if len(ctrl) else {}))
 
 
 # A base that is free in the world by slides and hinges, or slides and a ball: one free joint.

@@ -1,4 +1,4 @@
-"""Through which gear an actuator of an MJCF acts on which joint."""
+"""Actuators of hinge and slide joints in an MJCF: transmission, force law and type."""
 
 from __future__ import annotations
 
@@ -14,61 +14,62 @@ from pupper_analysis.models.mjcf import JointKind
 Array = NDArray[np.float64]
 
 
-_AT_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
+_JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
 
-_ONE_COORDINATE = (int(JointKind.HINGE), int(JointKind.SLIDE))
+_SCALAR_JOINT_KINDS = (int(JointKind.HINGE), int(JointKind.SLIDE))
 
 
 def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
-    """Says whether an actuator's armature and damping are those of one hinge or slide."""
-    if model.actuator_trntype[actuator] not in _AT_JOINTS:
+    """Return True if an actuator acts directly on a single hinge or slide."""
+    if model.actuator_trntype[actuator] not in _JOINT_TRANSMISSIONS:
         return False
-    return int(model.jnt_type[model.actuator_trnid[actuator, 0]]) in _ONE_COORDINATE
+    return int(model.jnt_type[model.actuator_trnid[actuator, 0]]) in _SCALAR_JOINT_KINDS
 
 
 def motor_targets(model: mujoco.MjModel, actuator: int) -> tuple[mujoco.mjtObj, list[int]]:
-    """Returns on what an actuator acts: its kind, and the ids of one or two; -1 is none."""
+    """Return the object type and the ids of the targets of an actuator; -1 for a missing target."""
     kind = mujoco.mjtTrn(int(model.actuator_trntype[actuator])).name.removeprefix("mjTRN_")
-    word = {"JOINTINPARENT": "JOINT", "SLIDERCRANK": "SITE", "SO3": "SITE"}.get(kind, kind)
-    return getattr(mujoco.mjtObj, f"mjOBJ_{word}"), model.actuator_trnid[actuator].tolist()
+    type_name = {"JOINTINPARENT": "JOINT", "SLIDERCRANK": "SITE", "SO3": "SITE"}.get(kind, kind)
+    return getattr(mujoco.mjtObj, f"mjOBJ_{type_name}"), model.actuator_trnid[actuator].tolist()
 
 
 def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
-    """Returns the gear of an actuator's first output: (1,) at one joint, else (6,)."""
+    """Return the gear of the first output of an actuator: (1,) at a single joint, else (6,)."""
     gear = np.array(model.actuator_gear[int(model.actuator_outadr[actuator])])
     return gear[:1] if is_at_one_joint(model, actuator) else gear
 
 
 def drives_of(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Returns the actuators at a hinge or slide.
+    """Return the ids of the actuators at a hinge or slide.
 
-    Of one, ``jointinparent`` is the same as ``joint``. An actuator may have several controls, so
-    that there are fewer of them than ``model.nu``.
+    For these joints the transmissions ``joint`` and ``jointinparent`` are equal. Ids of actuators
+    are below ``model.nactuator``, which may be smaller than ``model.nu``, because an actuator may
+    have several controls.
     """
-    there = np.flatnonzero(model.actuator_trnid[:, 0] == joint).tolist()
-    return [actuator for actuator in there if is_at_one_joint(model, actuator)]
+    candidates = np.flatnonzero(model.actuator_trnid[:, 0] == joint).tolist()
+    return [actuator for actuator in candidates if is_at_one_joint(model, actuator)]
 
 
 def drives_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
-    """Returns {joint: its actuators} of the hinges and slides that have some; see ``drives_of``."""
-    found: dict[int, list[int]] = {}
+    """Return {joint: its actuators} of the hinges and slides with actuators; see ``drives_of``."""
+    actuators_by_joint: dict[int, list[int]] = {}
     for actuator, joint in enumerate(model.actuator_trnid[:, 0].tolist()):
         if is_at_one_joint(model, actuator):
-            found.setdefault(joint, []).append(actuator)
-    return found
+            actuators_by_joint.setdefault(joint, []).append(actuator)
+    return actuators_by_joint
 
 
 @dataclass(frozen=True)
 class ActuatorLaw:
-    """The force of an actuator at a hinge or slide: gain ctrl - stiffness l - damping dl/dt.
+    """Force law of an actuator at a hinge or slide: F = gain ctrl - stiffness l - damping dl/dt.
 
-    Its length l is the gear times the joint's position, and so it acts on the joint.
+    The length l is the joint position times the gear; the joint torque is F times the gear.
 
     Attributes:
-        gain: Of a servo its kp (N m/rad), of a motor N m per unit of ctrl.
-        stiffness: N m/rad; 0 of a motor.
-        damping: N m s/rad.
-        gear: Ratio.
+        gain: kp of a position servo (N m/rad), or torque per unit of ctrl of a motor (N m).
+        stiffness: Stiffness (N m/rad); 0 for a motor.
+        damping: Damping (N m s/rad).
+        gear: Gear ratio.
     """
 
     gain: float
@@ -78,12 +79,12 @@ class ActuatorLaw:
 
     @property
     def at_joint(self) -> tuple[float, float]:
-        """Stiffness and damping at the joint (N m/rad, N m s/rad)."""
+        """Stiffness [N m/rad] and damping [N m s/rad] at the joint."""
         return self.stiffness * self.gear**2, self.damping * self.gear**2
 
 
 def law_of(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
-    """Returns the law of an actuator; without an affine bias it has neither of the latter two."""
+    """Return the force law of an actuator. Without affine bias, stiffness and damping are 0."""
     gain = float(model.actuator_gainprm[actuator, 0])
     affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
     stiffness, damping = -model.actuator_biasprm[actuator, 1:3] if affine else (0.0, 0.0)
@@ -91,12 +92,12 @@ def law_of(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
     return ActuatorLaw(gain, float(stiffness), float(damping), gear)
 
 
-_STIFFNESS_TOLERANCE = 1e-5
-"""Share within which a servo's gain is its stiffness, as ``robot.servos`` has it."""
+_GAIN_RTOL = 1e-5
+"""Relative tolerance for equality of gain and stiffness of a servo, as in ``robot.servos``."""
 
 
 class Drive(StrEnum):
-    """What moves a joint in the MJCF as it was published."""
+    """Type of the actuator of a joint in the published MJCF."""
 
     SERVO = "position servo"
     MOTOR = "torque motor"
@@ -108,7 +109,7 @@ class Drive(StrEnum):
 
     @property
     def bad(self) -> bool:
-        """Whether it is meant to hold a joint, and does not."""
+        """Whether the actuator is a servo that cannot hold the joint because of its parameters."""
         return self in (Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
 
 
@@ -130,30 +131,32 @@ class MadeServo:
 
 
 def drive_of(model: mujoco.MjModel, joint: int) -> Drive:
-    """Tells what moves a hinge or slide.
+    """Return the type of the actuator at a hinge or slide.
 
-    Several actuators are taken by what they are together: their stiffnesses add up.
+    Several actuators are classified together: if one has negative stiffness, the sum of the
+    stiffnesses decides; otherwise the first type in ``_TYPE_PRIORITY``.
 
     Args:
-        model: The MJCF's, as it is.
-        joint: The joint's id.
+        model: Unmodified model of the MJCF.
+        joint: Id of the joint.
     """
     motors = drives_of(model, joint)
     if not motors:
         return Drive.NONE
-    kinds = [_kind(model, motor) for motor in motors]
+    kinds = [_classify_actuator(model, motor) for motor in motors]
     if len(motors) == 1:
         return kinds[0]
     if Drive.WRONG_SIGN in kinds:
         stiffness = sum(law_of(model, motor).at_joint[0] for motor in motors)
         return Drive.SERVO if stiffness > 0 else Drive.WRONG_SIGN
-    return next((kind for kind in _ORDER if kind in kinds), Drive.OTHER)
+    return next((kind for kind in _TYPE_PRIORITY if kind in kinds), Drive.OTHER)
 
 
-_ORDER = (Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.NO_STIFFNESS)
+_TYPE_PRIORITY = (Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.NO_STIFFNESS)
+"""Types of actuators that share a joint, by descending priority."""
 
 
-def _kind(model: mujoco.MjModel, motor: int) -> Drive:
+def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
     if model.actuator_gaintype[motor] != mujoco.mjtGain.mjGAIN_FIXED.value:
         return Drive.OTHER
     if model.actuator_biastype[motor] not in (
@@ -166,11 +169,11 @@ def _kind(model: mujoco.MjModel, motor: int) -> Drive:
     if stiffness < 0 or (stiffness > 0 and gain < 0):
         return Drive.WRONG_SIGN
     if stiffness > 0:
-        alike = abs(gain - stiffness) <= _STIFFNESS_TOLERANCE * stiffness
-        return Drive.SERVO if alike else Drive.OTHER
+        is_equal = abs(gain - stiffness) <= _GAIN_RTOL * stiffness
+        return Drive.SERVO if is_equal else Drive.OTHER
     if gain == 0:
         return Drive.NO_STIFFNESS
-    if law.damping > 0 and abs(law.gain - law.damping) <= _STIFFNESS_TOLERANCE * law.damping:
+    if law.damping > 0 and abs(law.gain - law.damping) <= _GAIN_RTOL * law.damping:
         return Drive.VELOCITY
     # An affine bias is a servo's, even if its numbers are all zero.
     affine = model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE.value

@@ -29,7 +29,7 @@ from pupper_analysis.models.places import (
 )
 from pupper_analysis.models.published import existing_file, folders_of_package
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree
-from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER, parse_xml, to_text
+from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER_PATTERN, parse_xml, to_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,7 +321,7 @@ def _check_numbers(
     for number in numbers:
         if "${" in number or "$(" in number:
             raise refusal_at(path, part, diagnose("value-is-xacro", subject=what, **where))
-        if not NUMBER.fullmatch(number) or not math.isfinite(float(number)):
+        if not NUMBER_PATTERN.fullmatch(number) or not math.isfinite(float(number)):
             where |= {"number": quote_short(number)}
             raise refusal_at(path, part, diagnose("number-not-finite", subject=what, **where))
         # A limit may be as large as can be: exporters write that for none.

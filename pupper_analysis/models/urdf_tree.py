@@ -23,7 +23,7 @@ from pupper_analysis.base.arrays import (
 )
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.xml import (
-    ANGLE_DIGITS,
+    NUM_ANGLE_DIGITS,
     add_element,
     is_zero,
     parse_numbers,
@@ -52,7 +52,7 @@ def set_origin(element: etree._Element, placed: pin.SE3, digits: int | None = No
         element.remove(old)
     angles = pin.rpy.matrixToRpy(np.array(placed.rotation))
     xyz = write_numbers(placed.translation, scale=1.0, digits=digits)  # m
-    rpy = write_numbers(angles, scale=1.0, digits=digits and ANGLE_DIGITS)  # rad
+    rpy = write_numbers(angles, scale=1.0, digits=digits and NUM_ANGLE_DIGITS)  # rad
     if not (is_zero(xyz) and is_zero(rpy)):
         add_element(element, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
 

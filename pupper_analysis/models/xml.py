@@ -1,4 +1,4 @@
-"""The one reader of XML: its limits, no DOCTYPE, no entities, every line known."""
+"""Reading and writing of XML: limits of size and depth, no DOCTYPE, no entities, line numbers."""
 
 from __future__ import annotations
 
@@ -23,54 +23,59 @@ from pupper_analysis.models.places import (
 )
 
 MAX_BYTES: Final = MAX_TEXT_BYTES
-"""Largest file that is read."""
+"""Maximum size of an XML file."""
 
 MAX_DEPTH: Final = 250
-"""Deepest nesting of XML elements, and longest chain of a URDF's joints."""
+"""Maximum nesting depth of XML elements, and maximum number of joints in a chain of a URDF."""
 
 MAX_ELEMENTS: Final = 30_000
-"""Most elements of a file with all it includes."""
+"""Maximum number of XML elements of a file; also of an MJCF with all included files."""
 
 LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/"
-"""How a file begins that Git LFS leaves in place of one whose content was not brought along."""
+"""First bytes of a Git LFS pointer, a file that replaces content that was not downloaded."""
 
-NUMBER: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
-"""A number as a model file writes it; what XML Schema calls a decimal or a double."""
+NUMBER_PATTERN: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+"""Number in a model file: decimal or double of XML Schema, without infinity and NaN."""
 
-_DOCTYPE: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
-"""How a text with a DOCTYPE begins: it stands before the root element, and is not needed."""
+_DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
+"""Start of a text with a DOCTYPE, which precedes the root element."""
 
 MAX_NUMBER: Final = 1e50
-"""Largest mass, length or moment: products of six such are numbers still."""
+"""Maximum absolute value of a mass, length or moment. Products of six such numbers do not overflow.
+"""
 
 
 def parse_xml(path: Path) -> tuple[str, etree._Element]:
-    """Returns a file's text, and its root element without comments and default namespace."""
-    text = _text(path)
+    """Return the text of a file, and its root element without comments and default namespace."""
+    text = _read_model_text(path)
     return text, parse_file_text(path, text)
 
 
 def parse_file_text(path: Path, text: str) -> etree._Element:
-    """Returns the root element of a file's text, without comments and default namespace."""
-    if found := _DOCTYPE.match(text):
+    """Parse the text of a file; return the root element without comments and default namespace.
+
+    Raises:
+        ModelError: If the text has a DOCTYPE, is not well-formed, uses xacro, or exceeds a limit.
+    """
+    if found := _DOCTYPE_START.match(text):
         line = text.count("\n", 0, found.end()) + 1
         raise refuse_file(Place(path, line), diagnose("doctype-refused"))
-    parser = _parser()
+    parser = _make_parser()
     try:
         root = etree.fromstring(text.encode(), parser)
     except etree.XMLSyntaxError as error:
         errors = parser.error_log
         line, message = (errors[0].line, errors[0].message) if errors else (1, str(error))
         problem = diagnose("xml-not-well-formed", message=one_line(message))
-        if "Excessive depth" in message:  # libxml2's words
+        if "Excessive depth" in message:  # message of libxml2
             problem = diagnose("nested-too-deep", most=MAX_DEPTH)
         elif "prefix xacro" in message:
             problem = diagnose("file-is-xacro")
         raise refuse_file(Place(path, line or None), problem) from error
     count = 0
-    ends = etree.iterwalk(root, events=("start", "end"))
+    events = etree.iterwalk(root, events=("start", "end"))
     depth = 0
-    for event, element in ends:
+    for event, element in events:
         depth += 1 if event == "start" else -1
         count += event == "start"
         if depth > MAX_DEPTH:
@@ -88,33 +93,38 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
 
 
 def parse_numbers(text: str | None, default: str) -> NDArray[np.float64]:
-    """Returns the numbers of an attribute that has been checked, or was written here.
+    """Return the numbers in a valid attribute, or in a default text if the attribute is missing.
 
-    Hexadecimal ones, too, which MuJoCo reads in a file as C's ``strtod`` does.
+    Hexadecimal numbers are accepted, because MuJoCo uses C's ``strtod``.
     """
     words = (default if text is None else text).split()
     return np.array([float.fromhex(w) if "x" in w.lower() else float(w) for w in words])
 
 
 def parse_text(text: str) -> etree._Element:
-    """Parses XML that was read before, or written here; comments are left out."""
-    return etree.fromstring(text.encode(), _parser())
+    """Parse XML text that is known to be valid, without comments."""
+    return etree.fromstring(text.encode(), _make_parser())
 
 
 def to_text(root: etree._Element) -> str:
-    """Writes XML, without a declaration."""
+    """Return the XML text of an element, without a declaration."""
     return str(etree.tostring(root, encoding="unicode"))
 
 
-def _text(path: Path) -> str:
+def _read_model_text(path: Path) -> str:
+    """Return the text of an XML model file.
+
+    Raises:
+        ModelError: If the file cannot be read, is empty, or has another format.
+    """
     try:
         data = read_content(path, MAX_BYTES)
         if data.startswith(LFS_POINTER):
             raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
-        other = format_begun(data)
-        if other is not None:
+        other_format = format_begun(data)
+        if other_format is not None:
             raise refuse_file(
-                Place(path), diagnose("file-of-other-format", format=other.name.upper())
+                Place(path), diagnose("file-of-other-format", format=other_format.name.upper())
             )
         text = decode_input(path, data)
     except InputError as error:
@@ -124,7 +134,7 @@ def _text(path: Path) -> str:
     return text
 
 
-def _parser() -> etree.XMLParser:
+def _make_parser() -> etree.XMLParser:
     return etree.XMLParser(
         encoding="utf-8",
         resolve_entities=False,
@@ -137,54 +147,55 @@ def _parser() -> etree.XMLParser:
     )
 
 
-# How a new model file is written, so that people like to read it: numbers, elements, defaults.
+# Writing of new model files.
 
 Array = NDArray[np.float64]
 
-NOISE = 1e-13
-"""Relative size of what products of rotations make of a zero."""
+_ROUNDING_RTOL = 1e-13
+"""Relative size of rounding errors that products of rotation matrices add to a zero."""
 
-DIGITS: Final = 12
-"""Significant digits: a thousand times finer than what `crosscheck --strict` tells apart, coarse
-enough for a number that went through rotations to be what it was."""
-
-
-ANGLE_DIGITS = 15
-"""Of angles: half of pi is what it is to a hundredth of a rounding error."""
+NUM_DIGITS: Final = 12
+"""Number of significant digits in new files: 1000 times finer than the resolution of `crosscheck
+--strict`, and coarse enough to hide rounding errors of rotations."""
 
 
-def write_numbers(values: ArrayLike, scale: float = 0.0, digits: int | None = DIGITS) -> str:
-    """Writes numbers, separated by spaces.
+NUM_ANGLE_DIGITS = 15
+"""Number of significant digits of angles: the error of pi/2 is then a hundredth of a rounding
+error."""
+
+
+def write_numbers(values: ArrayLike, scale: float = 0.0, digits: int | None = NUM_DIGITS) -> str:
+    """Return numbers as text, separated by spaces; numbers within rounding errors of zero as 0.
 
     Args:
-        values: The numbers.
-        scale: What their errors are relative to, if it is more than the greatest of them.
-        digits: How many significant ones; None: all.
+        values: Numbers.
+        scale: Reference magnitude of the rounding errors, if larger than the largest number.
+        digits: Number of significant digits; None for the shortest exact form.
     """
     array = np.atleast_1d(np.asarray(values, dtype=float))
-    noise = NOISE * max(scale, float(np.abs(array).max(initial=0.0)))
-    rounded = repr if digits is None else f"{{:.{digits}g}}".format
-    return " ".join("0" if abs(v) <= noise else rounded(v) for v in array.tolist())
+    rounding_error = _ROUNDING_RTOL * max(scale, float(np.abs(array).max(initial=0.0)))
+    format_value = repr if digits is None else f"{{:.{digits}g}}".format
+    return " ".join("0" if abs(v) <= rounding_error else format_value(v) for v in array.tolist())
 
 
 def is_zero(text: str) -> bool:
-    """Tells whether all numbers of a text are zero."""
+    """Return True if all numbers in a text are zero."""
     return all(float(word) == 0 for word in text.split())
 
 
 def write_halves(text: str) -> str:
-    """Writes the halves of numbers: a URDF gives lengths, an MJCF half of them."""
+    """Return half of the numbers in a text: a URDF contains full lengths, an MJCF half lengths."""
     return write_numbers([float(word) / 2 for word in text.split()])
 
 
 def add_element(parent: etree._Element, tag: str, **attributes: str | None) -> etree._Element:
-    """Adds an element; attributes that are None are left out, ``class_`` is ``class``."""
-    given = {name.rstrip("_"): text for name, text in attributes.items() if text is not None}
-    return etree.SubElement(parent, tag, given)
+    """Add a child element. Attributes with the value None are left out; ``class_`` is ``class``."""
+    present = {name.rstrip("_"): text for name, text in attributes.items() if text is not None}
+    return etree.SubElement(parent, tag, present)
 
 
 def free_name(wanted: str, taken: set[str]) -> str:
-    """Returns a name that is not taken, and takes it: the wanted one, or one with a number."""
+    """Return the wanted name, with a number if it is taken, and add the result to ``taken``."""
     name, number = wanted, 1
     while name in taken:
         number += 1
@@ -194,24 +205,26 @@ def free_name(wanted: str, taken: set[str]) -> str:
 
 
 _COMPACT_SECTIONS = {"transmission"}
-"""Sections of a URDF that stand without a blank line between them."""
+"""Elements of a URDF that follow each other without a blank line."""
 
 
-_NO_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\udc80-\udcff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""What no XML can have; the bytes of names that are no UTF-8 are escaped when they are encoded."""
+_INVALID_CHARACTERS: Final = re.compile(
+    "[^\t\n\r\x20-\ud7ff\udc80-\udcff\ue000-\ufffd\U00010000-\U0010ffff]"
+)
+"""Characters that XML does not permit, except surrogate escapes of undecodable bytes."""
 
 
 def new_file_text(root: etree._Element, header: str) -> str:
-    """Writes a new model file: two spaces a level, a blank line between sections.
+    """Return the text of a new model file, indented, with blank lines between sections.
 
     Args:
-        root: Its root element.
-        header: What a comment at its top says; nothing in it can end the comment.
+        root: Root element.
+        header: Text of the comment at the top. Characters that would end the comment are escaped.
     """
     etree.indent(root, space="  ")
     text = etree.tostring(root, encoding="unicode")
     tags = "|".join(sorted({str(section.tag) for section in root} - _COMPACT_SECTIONS))
     text = re.sub(rf"\n  <({tags})(?=[ >/])", r"\n\n  <\1", text)
-    legal = _NO_XML.sub(lambda found: f"\\x{ord(found[0]):02x}", header)
-    quiet = re.sub("-(?=-)", "- ", legal)
-    return f"<!-- {quiet} -->\n{text}\n"
+    valid = _INVALID_CHARACTERS.sub(lambda match: f"\\x{ord(match[0]):02x}", header)
+    comment = re.sub("-(?=-)", "- ", valid)
+    return f"<!-- {comment} -->\n{text}\n"

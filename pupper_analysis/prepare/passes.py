@@ -22,7 +22,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.errors import ConfigurationError, ModelError, PupperAnalysisError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.additions import (
-    GRIP,
+    STIFF_FRICTION_OPTIONS,
     Addition,
     Floor,
     Options,
@@ -313,7 +313,9 @@ def _level_ground(draft: Draft) -> Made:
     # Of a robot that stood on nothing, whoever lays the ground says how it grips.
     laid = floors and not has_free_joint(draft.mjcf.spec)
     options = (attributes.keys() for attributes, _ in draft.mjcf.elements("option"))
-    if draft.mjcf.of_urdf or (laid and not any(GRIP.keys() & stated for stated in options)):
+    if draft.mjcf.of_urdf or (
+        laid and not any(STIFF_FRICTION_OPTIONS.keys() & stated for stated in options)
+    ):
         grip = ground_of_urdf()[1]
         described, messages = described.given(grip), [*messages, grip.reason]
     return replace(draft, description=described), messages
@@ -483,7 +485,7 @@ def _hold_base(draft: Draft) -> Made:
 
 def ground_of_urdf() -> tuple[Addition, ...]:
     """Returns what a robot stands on of which a URDF is all that is known."""
-    held = Options(diagnose("contacts-made-to-hold"), GRIP)
+    held = Options(diagnose("contacts-made-to-hold"), STIFF_FRICTION_OPTIONS)
     return Floor(diagnose("ground-added")), held
 
 

@@ -23,7 +23,7 @@ from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import one_line
-from pupper_analysis.models.published import SCHEME
+from pupper_analysis.models.published import DESCRIPTION_PREFIX
 from pupper_analysis.pupper.variants import (
     BASES,
     VARIANTS,
@@ -242,7 +242,7 @@ def _format(meant: str | tuple[str, ...] | None) -> str | None:
     if not isinstance(meant, tuple) or len(meant) != 1:
         return None
     [word] = meant
-    if word.startswith(SCHEME):
+    if word.startswith(DESCRIPTION_PREFIX):
         return "mjcf" if word.endswith(_MJCF_OF_SCHEME) else "urdf"
     ending = Path(word).suffix.lower()
     if ending == ".xml" and Path(word).is_file():  # which may be either
@@ -254,7 +254,7 @@ def _format(meant: str | tuple[str, ...] | None) -> str | None:
 def _is_file(word: str) -> bool:
     path = Path(word)
     return (
-        word.startswith(SCHEME)
+        word.startswith(DESCRIPTION_PREFIX)
         or path == STANDARD_INPUT
         or path.suffix.lower() in _ENDINGS
         or len(path.parts) > 1

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.attributes import IN_A_TREE, JOINT_ATTRIBUTES, PASSIVE
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, PASSIVE_ATTRIBUTES, TREE_ATTRIBUTES
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.multibody import from_pinocchio
@@ -65,11 +65,11 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
 def test_engines_read_what_the_files_state(files: tuple[Path, Path]) -> None:
     model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
     tree = from_pinocchio(model, "a", ["j"], {})
-    for one in IN_A_TREE:
+    for one in TREE_ATTRIBUTES:
         wanted = VALUES[one.kind] if one.urdf else 0.0
         assert getattr(tree.joints["j"], one.field) == wanted, one.kind
     compiled = mujoco.MjModel.from_xml_path(str(files[1]))
-    for one in PASSIVE:
+    for one in PASSIVE_ATTRIBUTES:
         if one.mujoco:
             assert getattr(compiled, one.mujoco)[6] == VALUES[one.kind], one.kind
 
@@ -77,13 +77,13 @@ def test_engines_read_what_the_files_state(files: tuple[Path, Path]) -> None:
 def test_a_tree_becomes_models_of_both_engines_and_back(files: tuple[Path, Path]) -> None:
     model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
     tree = from_pinocchio(model, "a", ["j"], {})
-    numbers = {one.field: VALUES[one.kind] for one in IN_A_TREE}
+    numbers = {one.field: VALUES[one.kind] for one in TREE_ATTRIBUTES}
     numbered = replace(tree.joints["j"], **numbers)  # type: ignore[arg-type]
     tree = replace(tree, joints={"j": numbered})
     back = from_pinocchio(to_pinocchio(tree), "a", ["j"], {}).joints["j"]
     assert {field: getattr(back, field) for field in numbers} == numbers
     compiled = MujocoTree(tree).model
-    for one in IN_A_TREE:
+    for one in TREE_ATTRIBUTES:
         if one.mujoco:
             np.testing.assert_array_equal(getattr(compiled, one.mujoco)[-1], VALUES[one.kind])
 
@@ -98,7 +98,9 @@ def test_a_springdamper_is_read_told_and_multiplied_as_what_it_makes(tmp_path: P
     one.write_text(SPRUNG)
     two.write_text(SPRUNG.replace("0.2 0.5", "0.4 0.5"))
     file = read_mjcf(one)
-    damping, spring = (next(a for a in PASSIVE if a.kind == kind) for kind in ("damping", "spring"))
+    damping, spring = (
+        next(a for a in PASSIVE_ATTRIBUTES if a.kind == kind) for kind in ("damping", "spring")
+    )
     made = damping.compiled(file.model, 1), spring.compiled(file.model, 1)
     # Of a time constant T and a damping ratio z, MuJoCo makes d = 2 M / T and k = M / (T z)^2.
     assert made[0] / made[1] == pytest.approx(2 * 0.2 * 0.5**2)

@@ -11,7 +11,11 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.base.arrays import inertia_tensor, rotation_from_quaternion
-from pupper_analysis.models.attributes import COMPILED, ELEMENT_ATTRIBUTES, IN_A_TREE
+from pupper_analysis.models.attributes import (
+    COMPILED_ATTRIBUTES,
+    ELEMENT_ATTRIBUTES,
+    TREE_ATTRIBUTES,
+)
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf import JointKind
@@ -182,11 +186,11 @@ def _stated(
     limits: Mapping[str, float],
 ) -> dict[str, float]:
     """Returns what a file states of a joint; zero is stated where an element or a class says so."""
-    found = {one.kind: limits[one.field] for one in IN_A_TREE if one.field in limits}
+    found = {one.kind: limits[one.field] for one in TREE_ATTRIBUTES if one.field in limits}
     found = {kind: value for kind, value in found.items() if math.isfinite(value)}
     if written is None:
         return found
-    for one in COMPILED:
+    for one in COMPILED_ATTRIBUTES:
         own, *others = one.mjcf
         value = float(np.atleast_1d(getattr(written, own))[0])
         if any(np.any(getattr(written, other)) for other in others):  # it goes before its own

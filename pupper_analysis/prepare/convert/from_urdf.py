@@ -20,7 +20,12 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.attributes import COUPLING_TIME, FLOOR, PASSIVE, Number
+from pupper_analysis.models.attributes import (
+    COUPLING_TIME_CONSTANT,
+    FLOOR_NAME,
+    PASSIVE_ATTRIBUTES,
+    Number,
+)
 from pupper_analysis.models.conversion import UrdfImport
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.places import refusal_at
@@ -134,7 +139,7 @@ class MjcfXml:
             joint1=follower,
             joint2=leader,
             polycoef=f"{text_of(offset)} {text_of(multiplier)} 0 0 0",
-            solref=write_numbers([COUPLING_TIME, 1.0]),
+            solref=write_numbers([COUPLING_TIME_CONSTANT, 1.0]),
         )
 
 
@@ -179,7 +184,7 @@ class UrdfBodies:
             for material in self.urdf.root.iter("material")
             if material.find("color") is not None and material.get("name")
         }
-        self._geoms = {FLOOR}
+        self._geoms = {FLOOR_NAME}
         self.frames = set(self.tree.links)
 
     def add(self, mjcf: MjcfXml, *, free: bool) -> None:
@@ -242,7 +247,11 @@ class UrdfBodies:
             type="slide" if kind == "prismatic" else None,
             axis="1 0 0" if axis is None else axis.get("xyz"),
             range=bounds,
-            **{one.mjcf[0]: _stated(dynamics, one.urdf[1]) for one in PASSIVE if one.urdf},
+            **{
+                one.mjcf[0]: _stated(dynamics, one.urdf[1])
+                for one in PASSIVE_ATTRIBUTES
+                if one.urdf
+            },
             armature=write_numbers(self.armature[name]) if name in self.armature else None,
         )
         effort = _stated(limit, "effort")
@@ -342,7 +351,7 @@ class UrdfBodies:
             return None
         known = next((key for key, value in self.materials.items() if value == rgba), None)
         if known is None:
-            known = free_name(name or "color", {FLOOR, *self.materials})
+            known = free_name(name or "color", {FLOOR_NAME, *self.materials})
             self.materials[known] = rgba
         return known
 

@@ -17,7 +17,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import refuse_file
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
-from pupper_analysis.models.xml import DIGITS, parse_text, to_text
+from pupper_analysis.models.xml import NUM_DIGITS, parse_text, to_text
 
 Array = NDArray[np.float64]
 
@@ -219,7 +219,7 @@ def _moved(bodies: Bodies, body: str, inertia: pin.Inertia) -> Diagnostic | None
     for other, placement in group[1:]:
         there, total = bodies.inertia(other), placement.act(inertia)
         if there is not None and is_possible(there + total):
-            links[other].set_inertia(there + total, DIGITS)
+            links[other].set_inertia(there + total, NUM_DIGITS)
             links[body].remove("inertial")
             return diagnose("inertia-moved", subject=moved, mass=mass, moments=moments, to=other)
     return None
@@ -239,7 +239,7 @@ def _repaired(bodies: Bodies, body: str) -> Repair:
     mass = float(old.mass if old.mass > 0 else LIGHT)
     wanted = nearest_moments(moments, mass)
     new = inertia_of(mass, old.lever, axes @ np.diag(wanted) @ axes.T)
-    bodies.tree.links[body].set_inertia(new, DIGITS)
+    bodies.tree.links[body].set_inertia(new, NUM_DIGITS)
     moved = _carrier(bodies, body)[0]
     joint = bodies.tree.above.get(moved)
     return Repair(
@@ -305,7 +305,7 @@ def carry_shapes(bodies: Bodies) -> list[str]:
     for name in moved:
         carrier, placement = carriers[name]
         for shape in bodies.tree.links[name].element.findall("collision"):
-            set_origin(shape, placement * origin_of(shape), DIGITS)
+            set_origin(shape, placement * origin_of(shape), NUM_DIGITS)
             shape.set("name", shape.get("name") or f"{name}_collision")
             bodies.tree.links[carrier].element.append(shape)
     return moved

@@ -22,7 +22,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.models.attributes import PASSIVE
+from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES
 from pupper_analysis.models.conversion import inertia_of_body, places_of_joint
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, has_free_joint
@@ -32,7 +32,7 @@ from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.urdf_file import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree, set_origin
 from pupper_analysis.models.xml import (
-    DIGITS,
+    NUM_DIGITS,
     add_element,
     free_name,
     new_file_text,
@@ -143,7 +143,7 @@ class UrdfLinks:
         kind = ("revolute" if limited else "continuous") if hinge else "prismatic"
         name = self._joint_name(model.joint(joint).name or f"{child}_joint")
         made = self._joint(name, kind, parent, child, placed)
-        made.set_axis(model.jnt_axis[joint], DIGITS)
+        made.set_axis(model.jnt_axis[joint], NUM_DIGITS)
         node = made.element
         effort = effort_limit(model, joint)
         limit = add_element(
@@ -164,7 +164,7 @@ class UrdfLinks:
         dof = int(model.jnt_dofadr[joint])
         passive = {
             one.urdf[1]: float(getattr(model, one.mujoco)[dof])
-            for one in PASSIVE
+            for one in PASSIVE_ATTRIBUTES
             if one.urdf and one.mujoco
         }
         if any(passive.values()):
@@ -179,7 +179,7 @@ class UrdfLinks:
         self.links[body] = name, inside
         link = self.tree.new_link(name)
         if model.body_mass[body] > 0:
-            link.set_inertia(inside.act(inertia_of_body(model, body)), DIGITS)
+            link.set_inertia(inside.act(inertia_of_body(model, body)), NUM_DIGITS)
         else:
             _weigh_nothing(link)
         self.shapes.add(link.element, body, inside)
@@ -205,7 +205,7 @@ class UrdfLinks:
         _weigh_nothing(self.tree.new_link(name))
 
     def _joint(self, name: str, kind: str, parent: str, child: str, placed: pin.SE3) -> UrdfJoint:
-        return self.tree.new_joint(name, kind, parent, child, placed, DIGITS)
+        return self.tree.new_joint(name, kind, parent, child, placed, NUM_DIGITS)
 
     def _link_name(self, body: int) -> str:
         return self._free(str(self.model.body(body).name) or f"body_{body}")
@@ -298,7 +298,7 @@ def _couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
             ):
                 rest = model.qpos0[model.jnt_qposadr[[one, two]]]
                 offset = float(rest[0] + line[0] - line[1] * rest[1])
-                joints[follower].follow(leader, line[1], offset, DIGITS)
+                joints[follower].follow(leader, line[1], offset, NUM_DIGITS)
                 continue
         left.append(diagnose("equality-not-in-urdf", number=index + 1, kind=Term(name)))
     return left
@@ -356,7 +356,7 @@ class UrdfShapes:
             for tag, attributes, placed in self._geometries(geom):
                 for kind in (("visual",) if seen else ()) + (("collision",) if touches else ()):
                     shape = add_element(link, kind)
-                    set_origin(shape, inside * placed, DIGITS)
+                    set_origin(shape, inside * placed, NUM_DIGITS)
                     add_element(add_element(shape, "geometry"), tag, **attributes)
                     if kind == "visual":
                         self._paint(shape, geom)

@@ -37,7 +37,7 @@ from pupper_analysis.models.mjcf import silence_mujoco, start_data
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import DIRECTIONS, Pose, Shape, read_shape
-from pupper_analysis.models.sides import OF_LEGS
+from pupper_analysis.models.sides import LEG_JOINT_NAME
 from pupper_analysis.models.stated.mjcf import place_of_geom, read_mjcf_model, touching_geoms
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
@@ -487,7 +487,7 @@ def _weighed_by_geoms(mjcf: MjcfFile) -> set[str]:
 def _legs_without_base(matched: Match) -> Iterator[Diagnostic]:
     """Yields that an MJCF lacks the base of its legs; that of an arm has no effect."""
     left = [note for note in matched.notes if note.code == "mass-of-base-left-out"]
-    legs = [name for name in matched.robot.joint_names if OF_LEGS.search(name)]
+    legs = [name for name in matched.robot.joint_names if LEG_JOINT_NAME.search(name)]
     if left and len(legs) > 1:
         yield diagnose("base-of-legs-left-out", mass=left[0].values["mass"], joints=legs)
 

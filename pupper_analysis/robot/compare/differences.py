@@ -28,7 +28,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import EARTH
-from pupper_analysis.models.attributes import IN_A_TREE
+from pupper_analysis.models.attributes import TREE_ATTRIBUTES
 from pupper_analysis.models.multibody import (
     MultibodyTree,
     TreeBody,
@@ -577,7 +577,7 @@ def _joint_numbers(
     name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
     """Yields other limits, damping and friction; and armature, where both can state it."""
-    for attribute in IN_A_TREE:
+    for attribute in TREE_ATTRIBUTES:
         kind, field, unit = attribute.kind, attribute.field, attribute.unit(one.slides)
         a, b = float(getattr(one, field)), float(getattr(two, field))
         if not (sides.alike or attribute.in_both):

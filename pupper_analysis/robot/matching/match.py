@@ -25,7 +25,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models import multibody
-from pupper_analysis.models.attributes import BY_KIND, PASSIVE
+from pupper_analysis.models.attributes import BY_KIND, PASSIVE_ATTRIBUTES
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.description import Description, ModelTree
 from pupper_analysis.models.mjcf import JointKind, compile_spec, name_all
@@ -454,7 +454,7 @@ def take_unstated(
     Returns:
         {``damping`` or ``friction``: the joints that were given it}.
     """
-    optional = [one for one in PASSIVE if one.in_both]
+    optional = [one for one in PASSIVE_ATTRIBUTES if one.in_both]
     given: dict[str, list[str]] = {one.kind: [] for one in optional}
     mine = [joint for joint in UrdfTree(root).joints.values() if not joint.is_fixed]
     lacking = [joint for joint in mine if any(joint.stated(one) is None for one in optional)]

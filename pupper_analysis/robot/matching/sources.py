@@ -9,7 +9,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from pupper_analysis.models.attributes import BY_KIND, IN_A_TREE
+from pupper_analysis.models.attributes import BY_KIND, TREE_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -27,7 +27,7 @@ _URDF_CHILD: Final = {
     "axis": "axis",
     "mimic": "mimic",
     # Where it would stand, of what a URDF has no words for.
-    **{one.kind: one.urdf[0] if one.urdf else "dynamics" for one in IN_A_TREE},
+    **{one.kind: one.urdf[0] if one.urdf else "dynamics" for one in TREE_ATTRIBUTES},
 }
 """Below a URDF's link or joint."""
 

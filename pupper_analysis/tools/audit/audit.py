@@ -12,7 +12,7 @@ import numpy as np
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Severity, Subject, diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.models.loading import Check, Found, ModelFile, read_model, reader_of
+from pupper_analysis.models.loading import Check, CheckFinding, ModelFile, read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
@@ -111,7 +111,7 @@ def _read(file: UrdfFile | MjcfFile) -> RobotModel:
     return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
 
 
-def _finding(file: ModelFile, rule: Rule, found: Found) -> Finding:
+def _finding(file: ModelFile, rule: Rule, found: CheckFinding) -> Finding:
     place = found.place
     if place is None and found.name:
         place = file.place(found.kind, found.name.strip("()"), found.child)

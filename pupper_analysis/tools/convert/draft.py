@@ -20,7 +20,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.additions import Addition, Ball, Floor, Start, put_all
-from pupper_analysis.models.attributes import FLOOR, HOME, IMU_SENSORS, Number
+from pupper_analysis.models.attributes import FLOOR_NAME, HOME_KEYFRAME, IMU_SENSORS, Number
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.stated.mjcf import Value, element_values, touching_geoms
@@ -111,14 +111,19 @@ class NewMjcf(MjcfXml):
         """Adds light, a floor and its look."""
         asset, world = self.section("asset"), self.section("worldbody")
         add_element(
-            asset, "texture", name=FLOOR, type="2d", builtin="checker", width="256", height="256",
-            rgb1="0.75 0.77 0.8", rgb2="0.85 0.87 0.9",
+            asset, "texture", name=FLOOR_NAME, type="2d", builtin="checker", width="256",
+            height="256", rgb1="0.75 0.77 0.8", rgb2="0.85 0.87 0.9",
         )  # fmt: skip
         add_element(
-            asset, "material", name=FLOOR, texture=FLOOR, texrepeat="4 4", texuniform="true"
+            asset,
+            "material",
+            name=FLOOR_NAME,
+            texture=FLOOR_NAME,
+            texrepeat="4 4",
+            texuniform="true",
         )
         light = etree.Element("light", {"pos": "0 0 3", "dir": "0 0 -1", "directional": "true"})
-        floor = {"name": FLOOR, "type": "plane", "size": "0 0 0.05", "material": FLOOR}
+        floor = {"name": FLOOR_NAME, "type": "plane", "size": "0 0 0.05", "material": FLOOR_NAME}
         world.insert(0, light)
         world.insert(1, etree.Element("geom", floor))
 
@@ -187,7 +192,9 @@ class NewMjcf(MjcfXml):
 
     def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
         """Adds the keyframe to start from."""
-        key = add_element(self.section("keyframe"), "key", name=HOME, qpos=write_numbers(qpos))
+        key = add_element(
+            self.section("keyframe"), "key", name=HOME_KEYFRAME, qpos=write_numbers(qpos)
+        )
         if len(ctrl):
             key.set("ctrl", write_numbers(ctrl))
 

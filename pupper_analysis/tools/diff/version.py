@@ -19,8 +19,8 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.git import (
-    ENVIRONMENT,
-    SAFE,
+    SAFE_ENVIRONMENT,
+    SAFE_OPTIONS,
     GitEntry,
     git_entries,
     pointed_file,
@@ -399,7 +399,7 @@ def _git_command(given: str, *arguments: str) -> list[str]:
     git = shutil.which("git")
     if git is None:
         raise ModelError(given, diagnose("no-file-and-no-git"))
-    return [git, *SAFE, *arguments]
+    return [git, *SAFE_OPTIONS, *arguments]
 
 
 def _contents(
@@ -411,7 +411,7 @@ def _contents(
         cwd=folder,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env=os.environ | ENVIRONMENT,
+        env=os.environ | SAFE_ENVIRONMENT,
     ) as process:
         assert process.stdin is not None
         assert process.stdout is not None

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.models.xml import NUMBER
+from pupper_analysis.models.xml import NUMBER_PATTERN
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ def written_words(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> str
 
 def _read(word: str) -> float:
     """Returns a number as it is written; not a number if it is no decimal, as MuJoCo's 0x10."""
-    return float(word) if NUMBER.fullmatch(word) else math.nan
+    return float(word) if NUMBER_PATTERN.fullmatch(word) else math.nan
 
 
 def _shortest(value: float, scale: float) -> float:

@@ -18,7 +18,7 @@ from pupper_analysis.base.inputs import MAX_FILE_BYTES, MAX_TEXT_BYTES, read_inp
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.git import SAFE, run_git
+from pupper_analysis.models.git import SAFE_OPTIONS, run_git
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import SERVO_GAINS, Difference
@@ -246,7 +246,7 @@ def refuse_uncommitted(path: Path) -> None:
 
 def _asked(folder: Path, *arguments: str) -> bytes | None:
     """Returns git's answer; None if it gives none."""
-    found = run_git(["git", *SAFE, *arguments], folder)
+    found = run_git(["git", *SAFE_OPTIONS, *arguments], folder)
     return found.stdout if found.returncode == 0 else None
 
 

@@ -19,7 +19,7 @@ from lxml import etree
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, Vector, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
-from pupper_analysis.models.loading import Check, Found
+from pupper_analysis.models.loading import Check, CheckFinding
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refuse_file
@@ -363,32 +363,34 @@ CONTRADICTION = 1e-3
 """Relative: one schema has single precision, 1e-7, and some writers five digits."""
 
 
-def mass_of_water(robot: UsdModel) -> Iterator[Found]:
+def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:
     """Finds bodies whose mass, or some of it, is of shapes without any stated density."""
     for name, weighed in robot.weights.items():
         if weighed.origin is Origin.WATER:
-            yield Found(robot.link_tag, name, diagnose("mass-of-water"))
+            yield CheckFinding(robot.link_tag, name, diagnose("mass-of-water"))
 
 
-def mass_unstated(robot: UsdModel) -> Iterator[Found]:
+def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
     """Finds bodies of whose mass nothing is known; NOTE of those that are fixed to another."""
     for name, weighed in robot.weights.items():
         if weighed.origin is Origin.UNKNOWN:
             alone = robot.links[name].moving or robot.links[name].parent is None
             message = diagnose("mass-unstated")
-            yield Found(robot.link_tag, name, message, severity=None if alone else Severity.NOTE)
+            yield CheckFinding(
+                robot.link_tag, name, message, severity=None if alone else Severity.NOTE
+            )
 
 
-def inertia_unstated(robot: UsdModel) -> Iterator[Found]:
+def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
     """Finds bodies that leave mass, com or inertia to their shapes; WARNING of a com alone."""
     for name, weighed in robot.weights.items():
         if weighed.origin is Origin.SHAPES:
             message = diagnose("inertia-unstated", lacks=[Term(what) for what in weighed.lacks])
             severity = Severity.WARNING if weighed.lacks == ("com",) else None
-            yield Found(robot.link_tag, name, message, severity=severity)
+            yield CheckFinding(robot.link_tag, name, message, severity=severity)
 
 
-def joint_numbers_contradict(robot: UsdModel) -> Iterator[Found]:
+def joint_numbers_contradict(robot: UsdModel) -> Iterator[CheckFinding]:
     """Compares the numbers of a joint that several schemas state."""
     for name, edge in robot.edges.items():
         for kind, stated in edge.stated.items():
@@ -406,7 +408,7 @@ def joint_numbers_contradict(robot: UsdModel) -> Iterator[Found]:
                 two=last,
                 last=Quantity(stated[last], unit),
             )
-            yield Found("joint", name, message)
+            yield CheckFinding("joint", name, message)
 
 
 CHECKS: Final[Mapping[str, Check]] = {

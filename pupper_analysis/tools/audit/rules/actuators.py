@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.models.loading import Found
+from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import MjcfModel
 from pupper_analysis.models.transmission import ActuatorLaw, is_at_one_joint, law_of
@@ -72,29 +72,29 @@ def _drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
 
 
 @rule
-def actuator_without_effect(robot: MjcfModel) -> Iterator[Found]:
+def actuator_without_effect(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds gains and gears of 0."""
     for _, drive in _drives(robot):
         if drive.gain == 0 or drive.gear == 0:
             message = diagnose("actuator-without-effect", gain=drive.gain, gear=drive.gear)
-            yield Found("actuator", drive.name, message)
+            yield CheckFinding("actuator", drive.name, message)
 
 
 @rule
-def servo_drives_away(robot: MjcfModel) -> Iterator[Found]:
+def servo_drives_away(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds forces that grow with the joint's own motion: -dF/dq < 0, or -dF/dqdot < 0."""
     for _, drive in _drives(robot):
         if drive.stiffness < 0:
             stiffness = Quantity(drive.stiffness, "N m/rad")
             message = diagnose("servo-drives-away", stiffness=stiffness)
-            yield Found("actuator", drive.name, message)
+            yield CheckFinding("actuator", drive.name, message)
         if drive.damping < 0:
             damping = Quantity(drive.damping, "N m s/rad")
-            yield Found("actuator", drive.name, diagnose("damping-drives", damping=damping))
+            yield CheckFinding("actuator", drive.name, diagnose("damping-drives", damping=damping))
 
 
 @rule
-def servos_compete(robot: MjcfModel) -> Iterator[Found]:
+def servos_compete(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds joints with two position servos or more."""
     holding: dict[str, list[ActuatorDrive]] = {}
     for _, drive in _drives(robot):
@@ -104,7 +104,7 @@ def servos_compete(robot: MjcfModel) -> Iterator[Found]:
         if len(several) > 1:
             gains = [Quantity(drive.stiffness, "N m/rad") for drive in several]
             message = diagnose("servos-compete", joint=joint, servos=len(several), gains=gains)
-            yield Found("actuator", several[1].name, message)
+            yield CheckFinding("actuator", several[1].name, message)
 
 
 FEWEST = 5
@@ -112,7 +112,7 @@ FEWEST = 5
 
 
 @rule
-def drive_of_another_kind(robot: MjcfModel) -> Iterator[Found]:
+def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds the one drive, of a joint with limits, that is no position servo among 5 or more."""
     found = list(_drives(robot))
     others = [(model, drive) for model, drive in found if not drive.servo]
@@ -122,11 +122,11 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[Found]:
     hinge = model.jnt_type[drive.joint] == mujoco.mjtJoint.mjJNT_HINGE.value
     if hinge and model.jnt_limited[drive.joint]:
         message = diagnose("drive-of-another-kind", gain=drive.gain, servos=len(found) - 1)
-        yield Found("actuator", drive.name, message)
+        yield CheckFinding("actuator", drive.name, message)
 
 
 @rule
-def actuator_unlimited(robot: MjcfModel) -> Iterator[Found]:
+def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds drives without forcerange, actuatorfrcrange and, for motors, ctrlrange."""
     for model, drive in _drives(robot):
         limited = model.actuator_forcelimited[drive.id] or model.jnt_actfrclimited[drive.joint]
@@ -134,11 +134,11 @@ def actuator_unlimited(robot: MjcfModel) -> Iterator[Found]:
         if not limited and not by_input:
             kind = Term("position servo" if drive.servo else "motor")
             message = diagnose("actuator-unlimited", kind=kind, gain=drive.gain)
-            yield Found("actuator", drive.name, message)
+            yield CheckFinding("actuator", drive.name, message)
 
 
 @rule
-def forcerange_above_joint(robot: MjcfModel) -> Iterator[Found]:
+def forcerange_above_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Compares forcerange times gear with actuatorfrcrange, with 1 % of tolerance."""
     for model, drive in _drives(robot):
         if not (model.actuator_forcelimited[drive.id] and model.jnt_actfrclimited[drive.joint]):
@@ -152,4 +152,4 @@ def forcerange_above_joint(robot: MjcfModel) -> Iterator[Found]:
                 joint=drive.joint_name,
                 through=Quantity(joint, "N m"),
             )
-            yield Found("actuator", drive.name, message)
+            yield CheckFinding("actuator", drive.name, message)

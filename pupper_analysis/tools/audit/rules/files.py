@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.tools import format_of
-from pupper_analysis.models.loading import Found
+from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import existing_file, is_pointer
@@ -21,15 +21,15 @@ from pupper_analysis.tools.audit.registry import rule
 
 
 @rule
-def mujoco_refuses(robot: MjcfModel) -> Iterator[Found]:
+def mujoco_refuses(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Compiles the file."""
     if robot.refusal is not None:
         problem, place = robot.refusal
-        yield Found("mujoco", "", diagnose("mujoco-refuses", problem=problem), place=place)
+        yield CheckFinding("mujoco", "", diagnose("mujoco-refuses", problem=problem), place=place)
 
 
 @rule
-def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
+def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
     """Looks for each file once; an ERROR if a link touches with it.
 
     What is in a package that is not here, or in Git LFS, may be elsewhere: a WARNING. All of one
@@ -51,7 +51,7 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
             message = diagnose("mesh-missing", meshes=names, package=package or None)
         gone = touches and not pointer and "://" not in names[0]
         first, severity = several[0], None if gone else Severity.WARNING
-        yield Found(kind, first.owner, message, place=first.place, severity=severity)
+        yield CheckFinding(kind, first.owner, message, place=first.place, severity=severity)
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def _missing(robot: UrdfModel | MjcfModel) -> Iterator[_Missing]:
 
 
 @rule
-def mesh_unreadable(robot: UrdfModel) -> Iterator[Found]:
+def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Opens each STL and OBJ once; see ``mesh_problem``."""
     seen: set[Path] = set()
     for owner, link in robot.file.tree.links.items():
@@ -96,7 +96,7 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[Found]:
             if problem is not None:
                 place = Place(robot.file.path, mesh.sourceline)
                 message = diagnose("mesh-unreadable", mesh=name, problem=problem)
-                yield Found("link", owner, message, place=place)
+                yield CheckFinding("link", owner, message, place=place)
 
 
 def mesh_problem(path: Path) -> Diagnostic | None:

@@ -17,7 +17,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.efforts import Motor, placeholder_efforts
-from pupper_analysis.models.loading import Found
+from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.stated.mjcf import line_of
 from pupper_analysis.models.stated.model import (
     HINGE,
@@ -56,7 +56,7 @@ def expected_axis(name: str, all_names: set[str]) -> int | None:
 
 
 @rule
-def axis_contradicts_name(robot: RobotModel) -> Iterator[Found]:
+def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares axes at zero angles with names; an axis may be up to 60 degrees inclined."""
     mirror = mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
@@ -74,22 +74,22 @@ def axis_contradicts_name(robot: RobotModel) -> Iterator[Found]:
                 axis=Vector(tuple(joint.axis), "1"),
                 turns=_MOTIONS[really],
             )
-            yield Found("joint", joint.name, message, "axis")
+            yield CheckFinding("joint", joint.name, message, "axis")
 
 
 @rule
-def axis_zero(robot: RobotModel) -> Iterator[Found]:
+def axis_zero(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds axes shorter than 1e-9."""
     for joint in robot.joints.values():
         if joint.moves and float(np.linalg.norm(joint.raw_axis)) < 1e-9:
-            yield Found("joint", joint.name, diagnose("axis-zero"), "axis")
+            yield CheckFinding("joint", joint.name, diagnose("axis-zero"), "axis")
 
 
 # Rules about the limits of joints.
 
 
 @rule
-def range_empty(robot: RobotModel) -> Iterator[Found]:
+def range_empty(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds lower >= upper, also where both are left out of a URDF, where they count as 0.
 
     Of an MJCF's ranges that nothing says to be off, also those of actuators: MuJoCo takes an
@@ -99,12 +99,12 @@ def range_empty(robot: RobotModel) -> Iterator[Found]:
         if joint.moves and joint.lower >= joint.upper:
             lower, upper = Quantity(joint.lower, joint.unit), Quantity(joint.upper, joint.unit)
             message = diagnose("range-empty", lower=lower, upper=upper)
-            yield Found("joint", joint.name, message, "limit")
+            yield CheckFinding("joint", joint.name, message, "limit")
     if isinstance(robot, MjcfModel) and robot.refusal is None:
         yield from _inverted(robot)
 
 
-def _inverted(robot: MjcfModel) -> Iterator[Found]:
+def _inverted(robot: MjcfModel) -> Iterator[CheckFinding]:
     spec, auto = robot.file.spec, mujoco.mjtLimited.mjLIMITED_AUTO
     kinds = (
         ("joint", spec.joints, (("range", "limited"), ("actfrcrange", "actfrclimited"))),
@@ -123,22 +123,22 @@ def _inverted(robot: MjcfModel) -> Iterator[Found]:
                     around = element.parent.name if tag == "joint" else robot.base
                     place = None if element.name else line_of(robot.file, element, around)
                     message = diagnose("range-inverted", attribute=name, low=low, high=high)
-                    yield Found(tag, element.name, message, place=place)
+                    yield CheckFinding(tag, element.name, message, place=place)
 
 
 @rule
-def limits_without_effect(robot: RobotModel) -> Iterator[Found]:
+def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds joints of type continuous that state limits all the same."""
     for joint in robot.joints.values():
         lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
         if joint.moves and math.isinf(joint.lower) and lower < upper:
             low, high = Quantity(lower, "rad"), Quantity(upper, "rad")
             message = diagnose("limits-without-effect", lower=low, upper=high)
-            yield Found("joint", joint.name, message, "limit")
+            yield CheckFinding("joint", joint.name, message, "limit")
 
 
 @rule
-def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
+def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds limits of 12 to 400 rad, and a file in degrees with none above 2 pi.
 
     Limits of 10 rad are a habit of those who want none.
@@ -151,7 +151,7 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
         if 12 <= max(map(abs, limits)) <= 400:
             lower, upper = (Quantity(value, "rad") for value in limits)
             message = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
-            yield Found("joint", joint.name, message, "limit")
+            yield CheckFinding("joint", joint.name, message, "limit")
     if not robot.in_degrees or len(hinges) < 3:
         return
     widest = max(hinges, key=lambda j: max(abs(j.lower), abs(j.upper)))
@@ -163,11 +163,11 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
             lower=Quantity(widest.lower, "rad"),
             upper=Quantity(widest.upper, "rad"),
         )
-        yield Found("joint", widest.name, message)
+        yield CheckFinding("joint", widest.name, message)
 
 
 @rule
-def range_placeholder(robot: RobotModel) -> Iterator[Found]:
+def range_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds one range of half a turn or more either way at all hinges, four or more."""
     hinges = [j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.upper)]
     if len(hinges) < _HINGES:
@@ -175,7 +175,7 @@ def range_placeholder(robot: RobotModel) -> Iterator[Found]:
     upper = hinges[0].upper
     if upper >= _HALF_TURN and all(j.upper == upper and j.lower == -upper for j in hinges):
         message = diagnose("one-range-of-all", upper=Quantity(upper, "rad"), count=len(hinges))
-        yield Found("joint", hinges[0].name, message, "limit")
+        yield CheckFinding("joint", hinges[0].name, message, "limit")
 
 
 _HINGES, _HALF_TURN = 4, 3.1
@@ -183,7 +183,7 @@ _HINGES, _HALF_TURN = 4, 3.1
 
 
 @rule
-def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[Found]:
+def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Finds <limit effort="0"> and <limit velocity="0"> on joints that move and mimic none."""
     for name, joint in robot.file.tree.joints.items():
         if joint.is_fixed or joint.mimic is not None:
@@ -191,11 +191,13 @@ def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[Found]:
         stated = robot.joints[name].stated
         zero = [Term(what) for what in ("effort", "velocity") if stated.get(what) == 0]
         if zero:
-            yield Found("joint", name, diagnose("effort-or-velocity-zero", what=zero), "limit")
+            yield CheckFinding(
+                "joint", name, diagnose("effort-or-velocity-zero", what=zero), "limit"
+            )
 
 
 @rule
-def effort_placeholder(robot: RobotModel) -> Iterator[Found]:
+def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds efforts that no motor of that mass, armature or robot gives."""
     motors = []
     for joint in robot.joints.values():
@@ -205,7 +207,7 @@ def effort_placeholder(robot: RobotModel) -> Iterator[Found]:
             armature = joint.stated.get("armature", 0.0)
             motors.append(Motor(joint.name, joint.effort, mass, armature))
     for joints, message in placeholder_efforts(motors, robot.total_mass):
-        yield Found("joint", joints[0], message, "limit")
+        yield CheckFinding("joint", joints[0], message, "limit")
 
 
 PARALLEL, LEVEL = 0.99, 0.3
@@ -318,7 +320,7 @@ _LEGGED = re.compile("foot|calf|shank|ankle|knee|kfe|lower_?leg|leg_|toe", re.IG
 
 
 @rule
-def limits_away_from_stand(robot: RobotModel) -> Iterator[Found]:
+def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds knees that bend away from what their hips allow: the foot does not come below the hip.
 
     In most of the knee's range it can, in robots that stand. Told where it could if the knee's, or
@@ -344,4 +346,4 @@ def limits_away_from_stand(robot: RobotModel) -> Iterator[Found]:
                 turned=name,
                 other=Quantity(others[name], "1"),
             )
-            yield Found("joint", leg.knee.name, message, "limit")
+            yield CheckFinding("joint", leg.knee.name, message, "limit")

@@ -14,10 +14,10 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.models.loading import Found
+from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.sides import OF_LEGS
+from pupper_analysis.models.sides import LEG_JOINT_NAME
 from pupper_analysis.models.stated.mjcf import joint_name, line_of
 from pupper_analysis.models.stated.model import (
     HINGE,
@@ -46,7 +46,7 @@ DEFAULT_DENSITY = 1000.0
 
 
 @rule
-def mass_not_positive(robot: RobotModel) -> Iterator[Found]:
+def mass_not_positive(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds masses <= 0; not where nothing is claimed, with an inertia of zero too."""
     for body in robot.links.values():
         inertial = body.inertial
@@ -60,11 +60,11 @@ def mass_not_positive(robot: RobotModel) -> Iterator[Found]:
             mass=Quantity(inertial.mass, "kg"),
             largest=Quantity(largest, "kg m^2"),
         )
-        yield Found(robot.link_tag, body.name, message, robot.inertial_part("mass"))
+        yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("mass"))
 
 
 @rule
-def moving_body_without_mass(robot: RobotModel) -> Iterator[Found]:
+def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds moving bodies without mass, fixed ones counted in; WARNING if others hang on them.
 
     So are those that weigh less than a thousandth of what hangs on them: of 1500 links in use none
@@ -79,13 +79,13 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[Found]:
                 "hardly-any-mass", mass=Quantity(mass, "kg"), carried=Quantity(carried, "kg")
             )
             part = robot.inertial_part("mass")
-            yield Found(robot.link_tag, body.name, message, part, severity=Severity.WARNING)
+            yield CheckFinding(robot.link_tag, body.name, message, part, severity=Severity.WARNING)
         if not body.moving or any(part.mass != 0 for part in group):
             continue
         carries = carried > 0
         joint = body.joints[0].name
         message = diagnose("moving-body-without-mass", joint=joint, carries=carries)
-        yield Found(
+        yield CheckFinding(
             robot.link_tag, body.name, message, severity=Severity.WARNING if carries else None
         )
 
@@ -95,7 +95,7 @@ LEAST_SHARE = 1e-3
 
 
 @rule
-def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
+def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it.
 
     That of a body without shapes is compared with the robot: no com is farther from the body's
@@ -117,7 +117,9 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
                     outside=Quantity(outside, "m"),
                     size=Quantity(span, "m"),
                 )
-                yield Found(robot.link_tag, body.name, message, robot.inertial_part("origin"))
+                yield CheckFinding(
+                    robot.link_tag, body.name, message, robot.inertial_part("origin")
+                )
         if points is None or not body.shapes:
             continue
         points = np.concatenate([points, link_points(robot, body)])
@@ -132,7 +134,7 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
                 outside=Quantity(outside, "m"),
                 size=Quantity(size, "m"),
             )
-            yield Found(robot.link_tag, body.name, message, robot.inertial_part("origin"))
+            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("origin"))
 
 
 def _reach(robot: RobotModel, name: str) -> float:
@@ -142,7 +144,7 @@ def _reach(robot: RobotModel, name: str) -> float:
 
 
 @rule
-def mass_beyond_motors(robot: RobotModel) -> Iterator[Found]:
+def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares the weight, at the longest way between two joints, with all efforts together.
 
     No robot on legs could lift itself so. Joints whose effort nobody states, or is 0, say nothing.
@@ -169,11 +171,11 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[Found]:
             joints=known,
             effort=Quantity(sum(efforts), "N m"),
         )
-        yield Found(robot.link_tag, robot.base, message)
+        yield CheckFinding(robot.link_tag, robot.base, message)
 
 
 @rule
-def visual_adds_mass(robot: MjcfModel) -> Iterator[Found]:
+def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds drawn geoms with a mass that nobody stated, in bodies whose mass is their geoms'."""
     compiler = robot.file.spec.compiler
     low, high = compiler.inertiagrouprange
@@ -200,11 +202,11 @@ def visual_adds_mass(robot: MjcfModel) -> Iterator[Found]:
                 body=body.name,
             )
             place: Place | None = None if geom.name else line_of(robot.file, geom, body.name)
-            yield Found("geom", geom.name, message, place=place)
+            yield CheckFinding("geom", geom.name, message, place=place)
 
 
 @rule
-def base_fused(robot: MjcfModel) -> Iterator[Found]:
+def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds two legs or more that begin at the world: no body of the robot carries them."""
     model = robot.mj_model
     if model is None or has_free_joint(model):
@@ -216,10 +218,10 @@ def base_fused(robot: MjcfModel) -> Iterator[Found]:
     legs = [
         name
         for name, joints in firsts.items()
-        if len(joints) > 1 and any(map(OF_LEGS.search, joints))
+        if len(joints) > 1 and any(map(LEG_JOINT_NAME.search, joints))
     ]
     if len(legs) > 1:
-        yield Found(robot.link_tag, legs[0], diagnose("base-fused", legs=legs))
+        yield CheckFinding(robot.link_tag, legs[0], diagnose("base-fused", legs=legs))
 
 
 # Rules about moments of inertia.
@@ -245,7 +247,7 @@ def _stated(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]:
 
 
 @rule
-def inertia_not_positive_definite(robot: RobotModel) -> Iterator[Found]:
+def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds negative moments; and moments of zero on moving bodies to which nothing is fixed."""
     for body, inertial in _stated(robot):
         least, _, greatest = inertial.moments
@@ -258,11 +260,11 @@ def inertia_not_positive_definite(robot: RobotModel) -> Iterator[Found]:
                 least=Quantity(least, "kg m^2"),
                 greatest=Quantity(greatest, "kg m^2"),
             )
-            yield Found(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
+            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
 
 
 @rule
-def triangle_inequality(robot: RobotModel) -> Iterator[Found]:
+def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares the greatest moment with the sum of the others.
 
     The tolerance is that of values rounded in their last digit, 1e-5 of the greatest moment at
@@ -284,11 +286,11 @@ def triangle_inequality(robot: RobotModel) -> Iterator[Found]:
                 share=Quantity(excess / greatest, "1"),
                 equal=bool(np.allclose(inertial.inertia, inertial.inertia[0, 0], rtol=1e-6)),
             )
-            yield Found(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
+            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
 
 
 @rule
-def inertia_implausible(robot: RobotModel) -> Iterator[Found]:
+def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares the greatest moment with what a body of this mass and size can have.
 
     An inertia is at most m R^2, with R the distance of the furthest point from the com; twice that
@@ -330,11 +332,11 @@ def inertia_implausible(robot: RobotModel) -> Iterator[Found]:
             )
         else:
             continue
-        yield Found(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
+        yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("inertia"))
 
 
 @rule
-def inertial_placeholder(robot: RobotModel) -> Iterator[Found]:
+def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds tensors of a ball with a round moment, and one round mass of all moving links.
 
     Round is 1, 0.1, 0.01 ...: no body has such a tensor but by a choice, and exporters choose it.
@@ -355,12 +357,12 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[Found]:
             message = diagnose(
                 "inertia-of-a-ball", moment=Quantity(moment, "kg m^2"), others=tuple(names[1:])
             )
-            yield Found(robot.link_tag, names[0], message, robot.inertial_part("inertia"))
+            yield CheckFinding(robot.link_tag, names[0], message, robot.inertial_part("inertia"))
     masses = {inertial.mass for _, inertial in moving}
     one = len(moving) > _SEVERAL and len(masses) == 1 and not robot.is_negligible(moving[0][0])
     if one and _is_round(mass := masses.pop()):
         message = diagnose("one-mass-of-all", mass=Quantity(mass, "kg"), count=len(moving))
-        yield Found(robot.link_tag, moving[0][0].name, message, robot.inertial_part("mass"))
+        yield CheckFinding(robot.link_tag, moving[0][0].name, message, robot.inertial_part("mass"))
 
 
 _SEVERAL = 2

@@ -16,8 +16,8 @@ from pupper_analysis.base.diagnostics import (
     describe_bound,
     diagnose,
 )
-from pupper_analysis.models.attributes import PASSIVE
-from pupper_analysis.models.loading import Found
+from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES
+from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.sides import mirror_pairs, unlike_pairs
 from pupper_analysis.models.stated.model import (
     HINGE,
@@ -138,7 +138,7 @@ def _same_mass(one: Link, other: Link) -> bool:
 
 
 @rule
-def mirror_position(robot: RobotModel) -> Iterator[Found]:
+def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares the places of joints, or of fixed bodies; once per chain."""
     mirror = mirror_plane(robot)
     if mirror is None:
@@ -154,13 +154,13 @@ def mirror_position(robot: RobotModel) -> Iterator[Found]:
             other=one.name,
         )
         if robot.format == "urdf" and other.joints:
-            yield Found("joint", other.joints[0].name, message, "origin")
+            yield CheckFinding("joint", other.joints[0].name, message, "origin")
         else:
-            yield Found(robot.link_tag, other.name, message)
+            yield CheckFinding(robot.link_tag, other.name, message)
 
 
 @rule
-def mirror_mass(robot: RobotModel) -> Iterator[Found]:
+def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares masses, with 1 % of tolerance."""
     for one, other in _body_pairs(robot):
         if not _same_mass(one, other):
@@ -170,11 +170,11 @@ def mirror_mass(robot: RobotModel) -> Iterator[Found]:
                 other=one.name,
                 its=Quantity(one.mass, "kg"),
             )
-            yield Found(robot.link_tag, other.name, message, robot.inertial_part("mass"))
+            yield CheckFinding(robot.link_tag, other.name, message, robot.inertial_part("mass"))
 
 
 @rule
-def mirror_com(robot: RobotModel) -> Iterator[Found]:
+def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares coms, with 1 mm and 1 % of the distance to the base of tolerance."""
     for mirror, (one, here), (other, there) in _inertials(robot):
         image = mirror.point(one.pose.point(here.com))
@@ -188,11 +188,11 @@ def mirror_com(robot: RobotModel) -> Iterator[Found]:
                 image=Vector(tuple(image), "m"),
                 other=one.name,
             )
-            yield Found(robot.link_tag, other.name, message, robot.inertial_part("origin"))
+            yield CheckFinding(robot.link_tag, other.name, message, robot.inertial_part("origin"))
 
 
 @rule
-def mirror_inertia(robot: RobotModel) -> Iterator[Found]:
+def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares S I S with I', with S the reflection, where the masses agree; tolerance: 10 %."""
     names = tuple(INERTIA_ENTRIES)
     for mirror, (one, here), (other, there) in _inertials(robot):
@@ -214,7 +214,7 @@ def mirror_inertia(robot: RobotModel) -> Iterator[Found]:
                 other=one.name,
                 its=Quantity(its[worst], "kg m^2"),
             )
-            yield Found(robot.link_tag, other.name, message, robot.inertial_part("inertia"))
+            yield CheckFinding(robot.link_tag, other.name, message, robot.inertial_part("inertia"))
 
 
 def _joint_pairs(robot: RobotModel) -> Iterator[tuple[Mirror, Joint, Joint]]:
@@ -238,7 +238,7 @@ def _sense(mirror: Mirror, one: Joint, other: Joint) -> float:
 
 
 @rule
-def mirror_axis(robot: RobotModel) -> Iterator[Found]:
+def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares the lines along which axes lie; either may point either way. Tolerance: 1 degree."""
     for mirror, one, other in _joint_pairs(robot):
         if one.axis.any() and other.axis.any():
@@ -251,11 +251,11 @@ def mirror_axis(robot: RobotModel) -> Iterator[Found]:
                     other=one.name,
                     image=Vector(tuple(mirror.matrix @ one.axis), "1"),
                 )
-                yield Found("joint", other.name, message, "axis")
+                yield CheckFinding("joint", other.name, message, "axis")
 
 
 @rule
-def mirror_limits(robot: RobotModel) -> Iterator[Found]:
+def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares ranges, turned round if the axes' senses differ, and efforts (1 %)."""
     for mirror, one, other in _joint_pairs(robot):
         sense = _sense(mirror, one, other)
@@ -283,14 +283,14 @@ def mirror_limits(robot: RobotModel) -> Iterator[Found]:
             message = diagnose("mirror-effort", effort=effort, other=one.name, its=its)
         else:
             continue
-        yield Found("joint", other.name, message, "limit")
+        yield CheckFinding("joint", other.name, message, "limit")
 
 
 @rule
-def mirror_drive(robot: RobotModel) -> Iterator[Found]:
+def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares damping, dry friction, armature and springs; see ``unlike_pairs``."""
     pairs = [(one.name, other.name) for _, one, other in _joint_pairs(robot)]
-    for attribute in PASSIVE:
+    for attribute in PASSIVE_ATTRIBUTES:
         stated = {
             name: value
             for name, joint in robot.joints.items()
@@ -305,7 +305,7 @@ def mirror_drive(robot: RobotModel) -> Iterator[Found]:
                 other=one,
                 its=Quantity(stated[one], unit),
             )
-            yield Found("joint", other, message, robot.words(attribute)[1])
+            yield CheckFinding("joint", other, message, robot.words(attribute)[1])
 
 
 SIMPLE = 2e-3
@@ -316,7 +316,7 @@ SHAPES = 0.01
 
 
 @rule
-def mirror_shapes(robot: RobotModel) -> Iterator[Found]:
+def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares what touches: whether there is anything, and how far it reaches."""
     for mirror, one, other in _in_place(robot):
         pair = [_touching(robot, link) for link in (one, other)]
@@ -325,7 +325,7 @@ def mirror_shapes(robot: RobotModel) -> Iterator[Found]:
         if not all(pair):
             bare, whole = (one, other) if not pair[0] else (other, one)
             message = diagnose("mirror-without-shapes", other=whole.name)
-            yield Found(robot.link_tag, bare.name, message)
+            yield CheckFinding(robot.link_tag, bare.name, message)
             continue
         extents = [_extent(link, parts) for link, parts in zip((one, other), pair, strict=True)]
         if extents[0] is None or extents[1] is None:
@@ -341,11 +341,11 @@ def mirror_shapes(robot: RobotModel) -> Iterator[Found]:
         )
         if gap > (SIMPLE if simple else SHAPES + 0.1 * size):
             message = diagnose("mirror-shapes", gap=Quantity(gap, "m"), other=one.name)
-            yield Found(robot.link_tag, other.name, message)
+            yield CheckFinding(robot.link_tag, other.name, message)
 
 
 @rule
-def mirror_contacts(robot: MjcfModel) -> Iterator[Found]:
+def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Compares the contacts that MuJoCo makes of shapes and ground; of none, that of a scene."""
     model = robot.mj_model
     if model is None:
@@ -358,7 +358,7 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[Found]:
         if bool(its) != bool(own):
             bare, whole = (one, other) if own else (other, one)
             message = diagnose("mirror-contacts", other=whole.name, word=None, own=None, its=None)
-            yield Found(robot.link_tag, bare.name, message)
+            yield CheckFinding(robot.link_tag, bare.name, message)
         for word in _OF_CONTACTS if own and len(its) == len(own) else ():
             values = [np.array([np.ravel(getattr(contact, word)) for contact in side])
                       for side in (own, its)]  # fmt: skip
@@ -371,7 +371,7 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[Found]:
                     own=Vector(tuple(a[place]), ""),
                     its=Vector(tuple(b[place]), ""),
                 )
-                yield Found(robot.link_tag, other.name, message)
+                yield CheckFinding(robot.link_tag, other.name, message)
 
 
 _OF_CONTACTS = ("condim", "friction", "solref", "solimp", "margin")

@@ -14,7 +14,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.models.loading import Found
+from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.shapes import Shape
 from pupper_analysis.models.stated.model import Array, Link, RobotModel
 from pupper_analysis.tools.audit.registry import extent_points, known_points, link_points, rule
@@ -58,7 +58,7 @@ def _from_joint(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 
 
 @rule
-def shape_ends_off_joint(robot: RobotModel) -> Iterator[Found]:
+def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares capsules and cylinders that begin at their body's joint with the way to the next.
 
     Longer by 2 % or more is reported, shorter by 20 % or more: some shorten a shape on purpose, to
@@ -98,11 +98,11 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[Found]:
                     gap=Quantity(abs(gap), "m"),
                     beyond=gap > 0,
                 )
-                yield Found(robot.link_tag, body.name, message, _tag(robot, shape))
+                yield CheckFinding(robot.link_tag, body.name, message, _tag(robot, shape))
 
 
 @rule
-def shape_off_link(robot: RobotModel) -> Iterator[Found]:
+def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares rods and slabs that run along a limb's link with the way from joint to joint.
 
     Of 119 in use none is off that way by more than 3 % of it beyond its own half width, nor its
@@ -137,7 +137,7 @@ def shape_off_link(robot: RobotModel) -> Iterator[Found]:
                     ahead=Quantity(abs(ahead), "m"),
                     way=Quantity(length, "m"),
                 )
-                yield Found(robot.link_tag, body.name, message, _tag(robot, shape))
+                yield CheckFinding(robot.link_tag, body.name, message, _tag(robot, shape))
 
 
 SHORT = 0.03
@@ -170,7 +170,7 @@ def _on_line(offset: Array, direction: Array, radius: float) -> bool:
 
 
 @rule
-def foot_sphere_off_frame(robot: RobotModel) -> Iterator[Found]:
+def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares a foot's frame with the nearest sphere that touches things, of what moves with it.
 
     Spheres of the foot, by their name or their link's, come first. NOTE where the frame is inside
@@ -202,7 +202,9 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[Found]:
             message = diagnose(
                 "foot-sphere-off-frame", radius=Quantity(radius, "m"), gap=Quantity(gap, "m")
             )
-            yield Found(kind, name, message, severity=Severity.NOTE if gap < radius else None)
+            yield CheckFinding(
+                kind, name, message, severity=Severity.NOTE if gap < radius else None
+            )
 
 
 # How large they are.
@@ -237,7 +239,7 @@ OUT_OF_SCALE = 20.0
 
 
 @rule
-def density_implausible(robot: RobotModel) -> Iterator[Found]:
+def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares a moving body's mass, with all that is fixed to it, with its shapes' convex hull."""
     for body in _moving(robot):
         group = robot.fixed_group(body.name)
@@ -261,11 +263,11 @@ def density_implausible(robot: RobotModel) -> Iterator[Found]:
                 volume=Quantity(volume, "m^3"),
                 density=Quantity(density, "kg/m^3"),
             )
-            yield Found(robot.link_tag, body.name, message, robot.inertial_part("mass"))
+            yield CheckFinding(robot.link_tag, body.name, message, robot.inertial_part("mass"))
 
 
 @rule
-def scale_unusual(robot: RobotModel) -> Iterator[Found]:
+def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
     """Compares the extent of all joints with that of robots, and that of each link with it."""
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
     if len(places) < 2 or robot.base not in robot.links:
@@ -278,7 +280,7 @@ def scale_unusual(robot: RobotModel) -> Iterator[Found]:
             least=Quantity(TINY, "m"),
             most=Quantity(LARGE, "m"),
         )
-        yield Found(robot.link_tag, robot.base, message)
+        yield CheckFinding(robot.link_tag, robot.base, message)
     if size < SMALL:
         return
     for body in robot.links.values():
@@ -290,7 +292,7 @@ def scale_unusual(robot: RobotModel) -> Iterator[Found]:
                 times=_extent(points) / size,
                 size=Quantity(size, "m"),
             )
-            yield Found(robot.link_tag, body.name, message)
+            yield CheckFinding(robot.link_tag, body.name, message)
 
 
 def _moving(robot: RobotModel) -> Iterator[Link]:

@@ -14,7 +14,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.models.loading import Found
+from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
@@ -24,7 +24,7 @@ from pupper_analysis.tools.audit.rules.files import first_place
 
 
 @rule
-def gravity_unusual(robot: MjcfModel) -> Iterator[Found]:
+def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds a gravity off by more than 0.02 m/s^2; NOTE if it points down more than aside.
 
     What is used for it differs by the third digit; some tilt it to simulate a slope.
@@ -35,11 +35,11 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[Found]:
         message = diagnose("gravity-unusual", gravity=Vector(tuple(gravity), "m/s^2"))
         wrong = gravity[2] > 0 or np.hypot(*gravity[:2]) > -gravity[2]
         severity = None if wrong else Severity.NOTE
-        yield Found("option", "", message, place=place, severity=severity)
+        yield CheckFinding("option", "", message, place=place, severity=severity)
 
 
 @rule
-def armature_zero(robot: MjcfModel) -> Iterator[Found]:
+def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds models in which the armature of every driven joint, and of its motor, is 0."""
     if robot.mj_model is None:
         return
@@ -51,11 +51,11 @@ def armature_zero(robot: MjcfModel) -> Iterator[Found]:
     ]
     if driven and not any(armature):
         message = diagnose("armature-zero", joints=len(driven))
-        yield Found("joint", driven[0].joint_name, message)
+        yield CheckFinding("joint", driven[0].joint_name, message)
 
 
 @rule
-def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
+def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds feet whose contact with the ground, as MuJoCo combines it, has no sliding friction.
 
     A file without ground is to be put into a scene, whose ground has MuJoCo's own numbers: there,
@@ -85,13 +85,13 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
         if friction < 1e-3 or contact.condim == 1:
             message = diagnose("foot-frictionless", condim=contact.condim, friction=friction)
             if name:
-                yield Found("geom", name, message)
+                yield CheckFinding("geom", name, message)
             else:
-                yield Found("body", robot.body_names[body], message, "geom")
+                yield CheckFinding("body", robot.body_names[body], message, "geom")
 
 
 @rule
-def ground_not_met(robot: MjcfModel) -> Iterator[Found]:
+def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds robots with a free base none of whose shapes touches the ground, or that of a scene."""
     model = robot.mj_model
     if model is None or not (model.jnt_type == FREE).any() or model.npair or robot.file.lacking:
@@ -103,7 +103,7 @@ def ground_not_met(robot: MjcfModel) -> Iterator[Found]:
         name = None if off or ground is None else model.geom(ground).name or "ground"
         scene = ground is None and not off
         message = diagnose("ground-not-met", ground=name, off=off, scene=scene)
-        yield Found("body", robot.base, message)
+        yield CheckFinding("body", robot.base, message)
 
 
 _OFF = mujoco.mjtDisableBit.mjDSBL_CONTACT.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
@@ -130,7 +130,7 @@ def _touching(model: mujoco.MjModel) -> Iterator[int]:
 
 
 @rule
-def link_without_inertial(robot: UrdfModel) -> Iterator[Found]:
+def link_without_inertial(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Finds links without <inertial>, but for ``world``, which PyBullet leaves without mass."""
     first, *others = [
         link.name for link in robot.links.values() if link.inertial is None and link.name != "world"
@@ -142,11 +142,11 @@ def link_without_inertial(robot: UrdfModel) -> Iterator[Found]:
             weighs=Quantity(robot.total_mass + 1 + len(others), "kg"),
             mass=Quantity(robot.total_mass, "kg"),
         )
-        yield Found("link", first, message)
+        yield CheckFinding("link", first, message)
 
 
 @rule
-def massless_link_collides(robot: UrdfModel) -> Iterator[Found]:
+def massless_link_collides(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Finds links without mass, stated or not, that have shapes for contacts."""
     first, *others = [
         link.name
@@ -154,4 +154,6 @@ def massless_link_collides(robot: UrdfModel) -> Iterator[Found]:
         if link.mass == 0 and any(shape.collides for shape in link.shapes)
     ] or [""]
     if first:
-        yield Found("link", first, diagnose("massless-link-collides", others=others), "collision")
+        yield CheckFinding(
+            "link", first, diagnose("massless-link-collides", others=others), "collision"
+        )

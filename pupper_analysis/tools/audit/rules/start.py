@@ -17,7 +17,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.efforts import effort_limit
-from pupper_analysis.models.loading import Found
+from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import Array, MjcfModel, RobotModel
@@ -69,7 +69,7 @@ def _starts(robot: MjcfModel) -> Iterator[Start]:
 
 
 @rule
-def start_outside_limits(robot: RobotModel) -> Iterator[Found]:
+def start_outside_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds joints outside by more than 1 mrad (1 mm); NOTE for zero angles and qpos0."""
     for where, start, values in _angles(robot):
         excess = {
@@ -90,7 +90,9 @@ def start_outside_limits(robot: RobotModel) -> Iterator[Found]:
                 outside=len(outside),
                 joints=len(excess),
             )
-            yield Found(*where, message, severity=None if where[0] == "key" else Severity.NOTE)
+            yield CheckFinding(
+                *where, message, severity=None if where[0] == "key" else Severity.NOTE
+            )
 
 
 def _angles(robot: RobotModel) -> Iterator[tuple[tuple[str, str], Diagnostic, dict[str, float]]]:
@@ -111,7 +113,7 @@ def _angles(robot: RobotModel) -> Iterator[tuple[tuple[str, str], Diagnostic, di
 
 
 @rule
-def keyframe_ctrl(robot: MjcfModel) -> Iterator[Found]:
+def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds commands of position servos that a keyframe's own pose does not answer to.
 
     A command may be ahead of its joint by the torque that holds it: at most by what the servo's
@@ -142,11 +144,11 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[Found]:
                 commands=model.nu,
             )
             said = len(robot.file.spec.keys[key].ctrl) > 0
-            yield Found("key", name, message, severity=None if said else Severity.NOTE)
+            yield CheckFinding("key", name, message, severity=None if said else Severity.NOTE)
 
 
 @rule
-def keyframe_falls(robot: MjcfModel) -> Iterator[Found]:
+def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Simulates the first keyframe (``home``, if there is one) with its own actuators and ctrl.
 
     For 5 s, nudged. Where the keyframe states no ctrl, position servos are commanded to hold its
@@ -184,7 +186,7 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[Found]:
         )
     else:
         return
-    yield Found("key", names[key], message)
+    yield CheckFinding("key", names[key], message)
 
 
 def _held(robot: MjcfModel, data: mujoco.MjData) -> bool:
@@ -203,7 +205,7 @@ def _run(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
 
 
 @rule
-def start_in_floor(robot: MjcfModel) -> Iterator[Found]:
+def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds contacts with planes of the world deeper than 5 mm; the deepest of each start."""
     for start in _starts(robot):
         depths: dict[str, float] = {}
@@ -222,7 +224,7 @@ def start_in_floor(robot: MjcfModel) -> Iterator[Found]:
                 depth=_rounded(depths[deepest], "m"),
                 others=len(depths) - 1,
             )
-            yield Found(*start.element, message, severity=start.severity)
+            yield CheckFinding(*start.element, message, severity=start.severity)
 
 
 def _rounded(value: float, unit: str) -> Quantity:

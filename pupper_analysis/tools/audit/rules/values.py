@@ -14,7 +14,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.loading import Found
+from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.mjcf import line_of
@@ -27,7 +27,7 @@ _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("
 
 
 @rule
-def value_impossible(robot: RobotModel) -> Iterator[Found]:
+def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Finds sizes of 0 and less, and negative damping, dry friction, armature, stiffness, limits.
 
     A cylinder of length 0 is a disc, and a capsule of length 0 a ball. Of MuJoCo's polynomials the
@@ -39,7 +39,7 @@ def value_impossible(robot: RobotModel) -> Iterator[Found]:
             if value < 0 and not one.signed:
                 word, child = robot.words(one)
                 message = diagnose("value-impossible", attribute=word, value=value)
-                yield Found("joint", joint.name, message, child)
+                yield CheckFinding("joint", joint.name, message, child)
     if isinstance(robot, UrdfModel):
         yield from _impossible_sizes(robot)
         return
@@ -49,10 +49,10 @@ def value_impossible(robot: RobotModel) -> Iterator[Found]:
         if min(geom.friction) < 0:
             place = None if geom.name else line_of(robot.file, geom, geom.parent.name)
             message = diagnose("friction-negative", friction=Vector(tuple(geom.friction), "1"))
-            yield Found("geom", geom.name, message, place=place)
+            yield CheckFinding("geom", geom.name, message, place=place)
 
 
-def _impossible_sizes(robot: UrdfModel) -> Iterator[Found]:
+def _impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
     for link, _, shape in _shapes(robot):
         tag = str(shape.tag)
         if tag == "box":
@@ -68,7 +68,9 @@ def _impossible_sizes(robot: UrdfModel) -> Iterator[Found]:
                 message = diagnose(
                     "size-impossible", attribute=name, shape=tag, stated=shape.get(name)
                 )
-                yield Found("link", link, message, place=Place(robot.file.path, shape.sourceline))
+                yield CheckFinding(
+                    "link", link, message, place=Place(robot.file.path, shape.sourceline)
+                )
 
 
 def _shapes(robot: UrdfModel) -> Iterator[tuple[str, etree._Element, etree._Element]]:
@@ -81,18 +83,18 @@ def _shapes(robot: UrdfModel) -> Iterator[tuple[str, etree._Element, etree._Elem
 
 
 @rule
-def geometry_empty(robot: UrdfModel) -> Iterator[Found]:
+def geometry_empty(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Finds <geometry> without an element in it."""
     for name, link in robot.file.tree.links.items():
         for tag, shape, form in link.shapes:
             if form is None:
                 place = Place(robot.file.path, shape.find("geometry").sourceline)
                 message = diagnose("geometry-empty", tag=tag)
-                yield Found("link", name, message, place=place)
+                yield CheckFinding("link", name, message, place=place)
 
 
 @rule
-def mesh_mirrored(robot: UrdfModel) -> Iterator[Found]:
+def mesh_mirrored(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Finds three negative factors in a mesh's scale, once a file; one is often on purpose."""
     found = [
         (link, shape)
@@ -106,7 +108,7 @@ def mesh_mirrored(robot: UrdfModel) -> Iterator[Found]:
             scale=shape.get("scale"),
             others=len(found) - 1,
         )
-        yield Found("link", link, message, place=Place(robot.file.path, shape.sourceline))
+        yield CheckFinding("link", link, message, place=Place(robot.file.path, shape.sourceline))
 
 
 _OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
@@ -126,7 +128,7 @@ _OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
 
 
 @rule
-def option_out_of_range(robot: MjcfModel) -> Iterator[Found]:
+def option_out_of_range(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Finds time steps, solver settings and fluids with which MuJoCo simulates no robot."""
     option = robot.file.spec.option
     for name, (least, greatest, severity, unit) in _OPTIONS.items():
@@ -142,7 +144,7 @@ def option_out_of_range(robot: MjcfModel) -> Iterator[Found]:
                 below=value < least,
             )
             place = first_place(robot.file, "option", name)
-            yield Found("option", "", message, place=place, severity=severity)
+            yield CheckFinding("option", "", message, place=place, severity=severity)
 
 
 # Rules about how rotations are written.
@@ -151,7 +153,7 @@ FULL_TURN = 2 * math.pi + 1e-3
 
 
 @rule
-def rpy_in_degrees(robot: UrdfModel) -> Iterator[Found]:
+def rpy_in_degrees(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Finds angles above 2 pi in magnitude in ``rpy``."""
     for element in robot.file.root.iter("origin"):
         rpy = parse_numbers(element.get("rpy"), "0 0 0")
@@ -161,4 +163,4 @@ def rpy_in_degrees(robot: UrdfModel) -> Iterator[Found]:
                 owner = owner.getparent()
             line = Place(robot.file.path, element.sourceline)
             message = diagnose("rpy-in-degrees", angles=Vector(tuple(rpy), "rad"))
-            yield Found(str(owner.tag), str(owner.get("name")), message, place=line)
+            yield CheckFinding(str(owner.tag), str(owner.get("name")), message, place=line)

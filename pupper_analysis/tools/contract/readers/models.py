@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.models.attributes import IN_A_TREE
+from pupper_analysis.models.attributes import TREE_ATTRIBUTES
 from pupper_analysis.models.loading import kind_of, read_model, reader_of
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
@@ -44,7 +44,7 @@ def read(request: Request) -> Iterator[Source]:
 
 
 def _of_joint(model: RobotModel, joint: Joint, drives: list[int]) -> Iterator[Statement]:
-    for attribute in IN_A_TREE:
+    for attribute in TREE_ATTRIBUTES:
         kind, value = attribute.kind, joint.stated.get(attribute.kind)
         # An effort or velocity of 0 in a URDF is how it says that it states none.
         placeholder = kind in ("effort", "velocity") and not value
