@@ -21,7 +21,7 @@ from peers import stand_peers
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 
 SIMULATED = 12.0  # s: until a robot that is let go rests
 SWEPT, AMPLITUDE, FREQUENCY = 4.0, 2.0, 1.2  # s, N, Hz: a cell of a gain sweep, as by default
@@ -45,7 +45,7 @@ def jobs(variant: str) -> list[Job]:
 
 
 def _stand(robot: pa.Robot) -> Job:
-    stand, context = pa.solve_stand(robot), Context(robot)
+    stand, context = pa.solve_stand(robot), SearchContext(robot)
     return Job(
         "solve_stand",
         lambda: pa.solve_stand(robot),
@@ -56,7 +56,7 @@ def _stand(robot: pa.Robot) -> Job:
     )
 
 
-def _placos_stand(robot: pa.Robot, context: Context, stand: pa.Stand) -> Callable[[], None]:
+def _placos_stand(robot: pa.Robot, context: SearchContext, stand: pa.Stand) -> Callable[[], None]:
     """Returns what finds a stand by PlaCo's loop, in as many steps, from the home pose."""
     height, start = float(stand.qpos[2]), robot.home.copy()
     start[2] = height
@@ -64,7 +64,7 @@ def _placos_stand(robot: pa.Robot, context: Context, stand: pa.Stand) -> Callabl
     turned = robot.pin_convention.q(stand.qpos)[3:7]
 
     def run() -> None:
-        wrapper = context.solver.engine.placo  # lent for as long as the context is held
+        wrapper = context.solver.placo_robot.wrapper  # lent for as long as the context is held
         wrapper.state.q = q
         wrapper.update_kinematics()
         solver = placo.KinematicsSolver(wrapper)
@@ -104,7 +104,7 @@ def wave(robot: pa.Robot, count: int) -> list[pa.StandTask]:
 
 
 def _stands(robot: pa.Robot) -> Job:
-    tasks, context = wave(robot, 1000), Context(robot)
+    tasks, context = wave(robot, 1000), SearchContext(robot)
     singly = [pa.solve_stand(robot, task) for task in tasks]
     loops = [_placos_stand(robot, context, stand) for stand in singly]
 
@@ -207,8 +207,8 @@ def _placos_statics(
     robot: pa.Robot, states: np.ndarray, kind: str
 ) -> Callable[[], list[np.ndarray]]:
     """Returns what finds the torques of each state by PlaCo's solver, made beforehand."""
-    context = Context(robot)
-    wrapper = context.solver.engine.placo
+    context = SearchContext(robot)
+    wrapper = context.solver.placo_robot.wrapper
     qs = [robot.pin_convention.q(state) for state in states]
     solver = placo.DynamicsSolver(wrapper)
     held = solver.add_frame_task(robot.base, np.eye(4))

@@ -18,7 +18,7 @@ from pupper_analysis.stance.judge import evaluate_stand
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.steady_state import HomotopyPath, describe_pose, release_margin
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.statics.contacts import make_contacts
 
 Parts = dict[str, float]
@@ -67,13 +67,13 @@ def stages(variant: str, calls: int) -> dict[str, Parts]:
 
 
 def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
-    context, home = Context(robot), robot.home[robot.nq - robot.nu :]
+    context, home = SearchContext(robot), robot.home[robot.nq - robot.nu :]
     shapes, solver = context.shapes, context.solver
 
     def run() -> None:
         goal = make_goal(robot, None, {})
         watch.stop("the nominal task in numbers")
-        point = solver.run(goal, home)
+        point = solver.solve_from_joints(goal, home)
         watch.stop("PlaCo: aiming and steps")
         stand = evaluate_stand(shapes, goal, point.qpos, point.iterations)
         watch.stop("errors by Pinocchio, clearance, result")
@@ -82,11 +82,11 @@ def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
         # What another task takes, and what some of these are made of.
         make_goal(robot, pa.StandTask(height=0.95 * robot.stand_height), {})
         watch.stop("another task: checked, in numbers")
-        solver.begin(goal, home)
+        solver.set_initial_guess(goal, home)
         watch.start()
         for _ in range(point.iterations):
             solver.tasks.solver.solve(True)
-            solver.engine.placo.update_kinematics()
+            solver.placo_robot.wrapper.update_kinematics()
         watch.stop("of PlaCo: as many programmes alone")
         shapes.kinematics.move(point.qpos)
         watch.stop("of the errors: where com and feet are")

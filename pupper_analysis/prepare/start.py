@@ -27,7 +27,7 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
 from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.search import make_seed, meet_constraints, search_from_joints
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 
@@ -353,7 +353,7 @@ def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
         return None
     first = [pose if task.ik_seed is None else np.array(task.ik_seed)]
     seeds: Iterable[Array] = itertools.chain(first, _bent(robot, goal, pose))
-    with lend(robot, Context) as context:
+    with lend(robot, SearchContext) as context:
         for _ in range(_CALMING):
             stand = _first_solved(context, goal, seeds)
             if stand is None:
@@ -376,7 +376,7 @@ def _bent(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
     yield from itertools.islice(combine_branches(found, pose), _BRANCHES)
 
 
-def _first_solved(context: Context, goal: Goal, seeds: Iterable[Array]) -> Stand | None:
+def _first_solved(context: SearchContext, goal: Goal, seeds: Iterable[Array]) -> Stand | None:
     """Returns the first solved stand from some joint positions (nu,); not all that there may be.
 
     With the com anywhere inside it may be over the edge, and parts next to the ground: from another

@@ -26,7 +26,7 @@ from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.programme import Programme, Relaxation
 from pupper_analysis.stance.search import find_missing_joints, search_stand
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ _GIVES = 1e-6
 
 
 def explain_refusal(
-    context: Context, goal: Goal, nearest: Stand, *, explain: bool
+    context: SearchContext, goal: Goal, nearest: Stand, *, explain: bool
 ) -> StanceUnreachableError:
     """Returns the error for a goal that no stand satisfies.
 
@@ -140,7 +140,7 @@ class _Search:
         nearest: The best failure.
     """
 
-    def __init__(self, context: Context, goal: Goal, nearest: Stand) -> None:
+    def __init__(self, context: SearchContext, goal: Goal, nearest: Stand) -> None:
         self.context, self.goal = context, goal
         home = context.robot.home.copy()
         home[:2] = goal.centre[:2]

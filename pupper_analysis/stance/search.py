@@ -28,7 +28,7 @@ from pupper_analysis.stance.constraints import TASK_TOLERANCE, constraints_of
 from pupper_analysis.stance.judge import Stand, evaluate_stand, is_base_in_ground
 from pupper_analysis.stance.problem import Goal, has_spare_joints
 from pupper_analysis.stance.programme import Programme
-from pupper_analysis.stance.solver import Context, Point
+from pupper_analysis.stance.solver import SearchContext, SolverResult
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ CLEARANCES = ("ground-clearance", "self-clearance")
 
 
 def search_stand(
-    context: Context, goal: Goal, *, plainly: bool = False, centred: bool = False
+    context: SearchContext, goal: Goal, *, plainly: bool = False, centred: bool = False
 ) -> Stand:
     """Looks for a stand everywhere: from the usual starts, then in every branch of the legs.
 
@@ -88,7 +88,7 @@ def search_stand(
     return there.at_once()
 
 
-def follow_stand(context: Context, goal: Goal, near: Stand) -> Stand | None:
+def follow_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand | None:
     """Looks for a stand near another one, from that alone: quick, and no proof that there is none.
 
     Args:
@@ -102,32 +102,32 @@ def follow_stand(context: Context, goal: Goal, near: Stand) -> Stand | None:
     return found
 
 
-def search_from_joints(context: Context, goal: Goal, joints: Array) -> Stand | None:
+def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Stand | None:
     """Looks for a stand from joint positions (nu,) alone, the com or the base in its place."""
-    return _Search(context, goal).add(context.solver.run(goal, joints))
+    return _Search(context, goal).add(context.solver.solve_from_joints(goal, joints))
 
 
-def meet_constraints(context: Context, goal: Goal, qpos: Array) -> Stand | None:
+def meet_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
     """Looks for a stand from one configuration (nq,), with all that it must fulfil met at once."""
     there, programme = _Search(context, goal), Programme(context.shapes, goal)
     stand = there.met(programme, qpos) or there.met_from_nearest(programme, qpos)
     return stand if stand is not None and stand.solved else None
 
 
-def continue_stand(context: Context, goal: Goal, qpos: Array) -> Stand | None:
+def continue_stand(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
     """Looks for a stand from a configuration (nq,) alone that is next to it."""
-    return _Search(context, goal).add(context.solver.go_on(goal, qpos))
+    return _Search(context, goal).add(context.solver.solve_from_configuration(goal, qpos))
 
 
 class _Search:
     """A search, and what it came to: feet in place count first, then what is in the way."""
 
-    def __init__(self, context: Context, goal: Goal) -> None:
+    def __init__(self, context: SearchContext, goal: Goal) -> None:
         self.context, self.shapes, self.robot = context, context.shapes, context.robot
         self.goal, self.iterations = goal, 0
         self.closest: Stand | None = None
         self.misses: list[float] = []
-        self.points: list[Point] = []
+        self.points: list[SolverResult] = []
         self.reached: list[Stand] = []
         self.found: dict[Limb, tuple[Branch, ...]] = {}
 
@@ -142,7 +142,7 @@ class _Search:
         Where none can be solved, the first whose feet are in place.
         """
         for start in joints:
-            stand = self.add(self.context.solver.run(self.goal, start))
+            stand = self.add(self.context.solver.solve_from_joints(self.goal, start))
             if stand is None and self.reached and self._in_vain:
                 stand = self.reached[0]
             if stand is not None:
@@ -160,7 +160,7 @@ class _Search:
             if found is not None:
                 return found
             # Much nearer, the base may be where legs have branches that they had not before.
-            if self.reached or self._nearest().miss > nearest.miss / 2:
+            if self.reached or self._nearest().foot_error > nearest.foot_error / 2:
                 break
         return None
 
@@ -225,17 +225,17 @@ class _Search:
             return None
         return self.met(programme, closest.qpos) or self._exactly(closest.qpos)
 
-    def _nearest(self) -> Point:
-        return min(self.points, key=lambda point: point.miss)
+    def _nearest(self) -> SolverResult:
+        return min(self.points, key=lambda point: point.foot_error)
 
-    def add(self, point: Point) -> Stand | None:
+    def add(self, point: SolverResult) -> Stand | None:
         """Adds where a solver ended; returns the stand if it is solved."""
         self.points.append(point)
         self.iterations += point.iterations
         goal = self.goal
-        if not point.exact:
+        if not point.converged:
             goal = relax_foot_orientation(self.robot, goal, point)
-        if point.miss >= 2 * TASK_TOLERANCE and goal is self.goal:
+        if point.foot_error >= 2 * TASK_TOLERANCE and goal is self.goal:
             return None
         stand = self._measure(point, goal)
         if goal is not self.goal:
@@ -256,7 +256,7 @@ class _Search:
         goal = self.goal
         if goal.com_is_free:
             goal = replace(goal, place=Configuration(self.robot, qpos).center_of_mass()[:2])
-        point = self.context.solver.go_on(goal, qpos)
+        point = self.context.solver.solve_from_configuration(goal, qpos)
         self.iterations += point.iterations
         stand = self._measure(point, relax_foot_orientation(self.robot, goal, point))
         if stand.foot_error >= TASK_TOLERANCE:
@@ -270,7 +270,7 @@ class _Search:
             return max(self.reached, key=lambda stand: (stand.solved, stand.room))
         return self.closest or self._measure(self._nearest())
 
-    def _measure(self, point: Point, goal: Goal | None = None) -> Stand:
+    def _measure(self, point: SolverResult, goal: Goal | None = None) -> Stand:
         return evaluate_stand(self.shapes, goal or self.goal, point.qpos, self.iterations)
 
 
@@ -284,7 +284,7 @@ def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
     yield np.where(bounded, middle, 0.0)
 
 
-def find_nearest(context: Context, goal: Goal, qpos: Array) -> Stand:
+def find_nearest(context: SearchContext, goal: Goal, qpos: Array) -> Stand:
     """Finds how near the feet can come to targets that are out of reach, from a start (nq,).
 
     Parts may be in each other's way, or in the ground. PlaCo's Gauss-Newton steps, made for errors
@@ -294,7 +294,7 @@ def find_nearest(context: Context, goal: Goal, qpos: Array) -> Stand:
     return evaluate_stand(context.shapes, goal, feet.nearest(qpos), 0)
 
 
-def lay_soles_flattest(context: Context, goal: Goal, stand: Stand) -> Stand:
+def lay_soles_flattest(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
     """Returns a stand whose soles lie flatter, if the com may be elsewhere, or the one given.
 
     Legs that lay their soles as they can tilt them by as much as they may, to have the com in its
@@ -315,7 +315,7 @@ def lay_soles_flattest(context: Context, goal: Goal, stand: Stand) -> Stand:
 
     closest = find_nearest(context, goal, stand.qpos)
     at = replace(goal, place=Configuration(robot, closest.qpos).center_of_mass()[:2])
-    point = Point(closest.qpos, closest.foot_error, stand.iterations)
+    point = SolverResult(closest.qpos, closest.foot_error, stand.iterations)
     at = relax_foot_orientation(robot, at, point)
     other = evaluate_stand(context.shapes, at, point.qpos, stand.iterations)
     return min(other, stand, key=off) if other.solved else stand
@@ -366,7 +366,7 @@ def _joints_to(robot: Robot, point: str) -> int:
     return sum(model.names[joint] in robot.joint_names for joint in above)
 
 
-def relax_foot_orientation(robot: Robot, goal: Goal, point: Point) -> Goal:
+def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goal:
     """Returns a goal whose feet are where a configuration has them, if they miss by micrometres.
 
     Args:
@@ -374,7 +374,7 @@ def relax_foot_orientation(robot: Robot, goal: Goal, point: Point) -> Goal:
         goal: The goal.
         point: Where a solver ended.
     """
-    if point.exact or point.miss >= _YIELD or not has_underactuated_feet(robot):
+    if point.converged or point.foot_error >= _YIELD or not has_underactuated_feet(robot):
         return goal
     places = Configuration(robot, point.qpos).foot_positions()
     return replace(goal, targets=freeze_arrays({foot: places[foot] for foot in goal.targets}))

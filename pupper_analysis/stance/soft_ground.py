@@ -18,7 +18,7 @@ from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.tool import Place, with_payload
 from pupper_analysis.robot.touching import touching
 from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import (
     Stand,
     solve_goal,
@@ -106,7 +106,7 @@ def solve_stand_on_soft_ground(
         ik_seed = tuple(stand.joint_positions(robot).tolist())
         goal = make_goal(robot, replace(task, ik_seed=ik_seed), depths)
         goal = goal if robot.closure is None else replace(goal, give=give)
-        with lend(robot, Context) as context:
+        with lend(robot, SearchContext) as context:
             stand = solve_goal(context, goal, explain=explain)
     left = diagnose("depths-do-not-settle", change=Quantity(change, "m"))
     raise NotSettlingError(change, left)

@@ -18,7 +18,7 @@ from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, has_spare_joints, make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import continue_stand, find_nearest, search_stand
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation, balance_load
@@ -63,11 +63,11 @@ def solve_stand(
             demands of which one would have to give.
     """
     robot = touching(robot, task.contacts) if task is not None else robot
-    with lend(robot, Context) as context:
+    with lend(robot, SearchContext) as context:
         return solve_goal(context, make_goal(robot, task, {}), explain=explain)
 
 
-def solve_goal(context: Context, goal: Goal, *, explain: bool) -> Stand:
+def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
     """Finds the stand of a goal; see ``solve_stand``.
 
     Raises:
@@ -164,7 +164,7 @@ def solve_stands(
             goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))
         except (ConfigurationError, UnknownNameError) as error:
             raise error.at(f"tasks[{number}]") from None
-    with lend(robot, Context) as context:
+    with lend(robot, SearchContext) as context:
         for number, goal in enumerate(goals):
             stand = _continued(context, goal, [one.qpos for one in solved[:-5:-1]])
             try:
@@ -174,7 +174,7 @@ def solve_stands(
     return tuple(solved)
 
 
-def _continued(context: Context, goal: Goal, before: Sequence[Array]) -> Stand | None:
+def _continued(context: SearchContext, goal: Goal, before: Sequence[Array]) -> Stand | None:
     """Returns the stand that those before lead to; None if they lead to none nearby.
 
     Args:

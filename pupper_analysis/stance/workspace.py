@@ -16,7 +16,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.stance.problem import can_move_com, make_goal
 from pupper_analysis.stance.search import follow_stand, search_stand
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 
@@ -190,7 +190,7 @@ def _reached(
         goal = make_goal(robot, _task_at(robot, start, direction, value), {})
     except ConfigurationError:
         return None
-    with lend(robot, Context) as context:
+    with lend(robot, SearchContext) as context:
         if near is None:
             stand: Stand | None = search_stand(context, goal, plainly=plainly)
         else:

@@ -19,7 +19,7 @@ from pupper_analysis.simulation.rollout import place_on_ground, simulate
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import find_nearest
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from tests.support.bound import LEGS, belts, four_bars
 from tests.support.legged import Pair, quadruped, rewritten
 
@@ -195,7 +195,7 @@ def test_a_foot_that_comes_nearest_does_so_with_loops_closed(tmp_path: Path) -> 
     task = pa.StandTask(
         height=0.273, yaw=-0.44, swing={"FL_calf": 0.203}, joint_margin=0.1, com="inside"
     )
-    context, goal = Context(robot), make_goal(robot, task, {})
+    context, goal = SearchContext(robot), make_goal(robot, task, {})
     nearest = find_nearest(context, goal, robot.home)
     assert robot.closure is not None
     assert robot.closure.open(nearest.qpos) < 1e-6

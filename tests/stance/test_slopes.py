@@ -13,7 +13,7 @@ from scipy import optimize
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import lend
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.statics.support_polygon import margin_of_place, support_corners
 from tests.support.variants import load
 
@@ -228,7 +228,7 @@ def test_the_nearest_part_is_as_far_from_a_wall_as_mujoco_says() -> None:
         if model.geom_bodyid[geom] and geom not in grounded.foot_geoms
     ]
     walled = [mujoco.mj_geomDistance(model, data, geom, wall, 1.0, None) for geom in parts]
-    with lend(robot, Context) as context:
+    with lend(robot, SearchContext) as context:
         shapes = context.shapes
         at = shapes.at(stand.qpos)
         heights = shapes.heights(at, ground, stand.rigid_targets, {})

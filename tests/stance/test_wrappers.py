@@ -11,7 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance import solver
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from tests.support.variants import load
 
 TASKS = (
@@ -38,31 +38,31 @@ def stands(robot: pa.Robot) -> list[list[float]]:
 
 def test_a_lent_robot_answers_as_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, whoever had it before: no mass, length or limit is left behind."""
-    monkeypatch.setattr(solver, "_spare", {})
+    monkeypatch.setattr(solver, "_wrapper_pool", {})
     monkeypatch.setattr("pupper_analysis.robot.robot._MOST_SPARE", 0)
     expected = []
     for robot in designs():
-        solver._spare.clear()
+        solver._wrapper_pool.clear()
         expected.append(stands(robot))
-    assert len(solver._spare) == 1  # of one structure, the payload's too
+    assert len(solver._wrapper_pool) == 1  # of one structure, the payload's too
     found = [stands(robot) for robot in reversed(designs())]
     assert found[::-1] == expected
 
 
 def test_robots_of_one_structure_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[str] = []
-    load_once = solver._load
+    load_once = solver._load_wrapper
 
     def counted(robot: pa.Robot) -> object:
         read.append(robot.name)
         return load_once(robot)
 
-    monkeypatch.setattr(solver, "_spare", {})
-    monkeypatch.setattr(solver, "_load", counted)
+    monkeypatch.setattr(solver, "_wrapper_pool", {})
+    monkeypatch.setattr(solver, "_load_wrapper", counted)
     monkeypatch.setattr("pupper_analysis.robot.robot._MOST_SPARE", 0)  # of each robot asked last
     for scale in np.linspace(0.9, 1.1, 8):
         robot = pa.load_variant(pa.pupper.VariantSpec("v3", float(scale)))
-        Context(robot)
+        SearchContext(robot)
         pa.solve_stand(robot, pa.StandTask(self_clearance=0.0))
     assert len(read) == 1
 

@@ -19,7 +19,7 @@ from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.search import continue_stand, search_stand
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
 from pupper_analysis.stance.workspace import find_interval
@@ -215,7 +215,7 @@ class StanceSpace:
         """
         task = self.task(coordinates)
         goal = make_goal(self.robot, replace(task, com_margin=0.0), {})
-        with lend(self.robot, Context) as context:
+        with lend(self.robot, SearchContext) as context:
             if near is None:
                 stand: Stand | None = search_stand(context, goal, plainly=True)
             else:

@@ -28,7 +28,7 @@ from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.trial import Failure, NudgeTrial, simulate_nudges
 from pupper_analysis.simulation.verdict import Asked, Verdict, beyond_limits
 from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
-from pupper_analysis.stance.solver import Context
+from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -438,7 +438,7 @@ class _Search:
         if held.stand is None or held.statics is None:
             return held.trouble
         stand = held.stand
-        with lend(held.robot, Context) as context:
+        with lend(held.robot, SearchContext) as context:
             shapes = context.shapes
             # As the parts are, which in reach may sink as their own feet do.
             there = shapes.at(stand.qpos), stand.task.ground, stand.rigid_targets
