@@ -205,9 +205,10 @@ def _check_replaceable(
         OutputError: If the run has read the file, or the kind does not permit the replacement.
     """
     run = current_run()
-    if run is not None and not kind.edits:
+    regular = is_replaceable(status) and status.st_size > 0
+    if run is not None and not (kind.edits and (not regular or _owns(kind, target))):
         run.refuse_input(path, (status.st_dev, status.st_ino))
-    if not (is_replaceable(status) and status.st_size):
+    if not regular:
         return
     force = force or (run is not None and run.force)
     with target.open("rb") as file:
@@ -220,6 +221,12 @@ def _check_replaceable(
             raise OutputError(path, diagnose("output-there"))
         if not kind.owns(file):
             raise OutputError(path, diagnose("output-of-another-kind", kind=Term(kind.name)))
+
+
+def _owns(kind: Kind, target: Path) -> bool:
+    """Return True if a file is a result of a kind."""
+    with target.open("rb") as file:
+        return kind.owns is not None and kind.owns(file)
 
 
 def check_folder(folder: Path) -> None:

@@ -15,8 +15,8 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Severity
 from pupper_analysis.base.errors import OutputError, PupperAnalysisError
 from pupper_analysis.base.files import check_writable
-from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.runs import running
 from pupper_analysis.base.tools import offering
 from pupper_analysis.robot.compare.compare import compare_files
 from pupper_analysis.tools.audit.audit import audit_model
@@ -27,6 +27,7 @@ from pupper_analysis.tools.check.config import (
     read_config,
 )
 from pupper_analysis.tools.check.remarks import (
+    BASELINE_FILE,
     REFUSED,
     BaselineEntry,
     Remark,
@@ -145,6 +146,7 @@ class RepositoryCheck(Result):
 
 
 @check_arguments
+@running()
 def check_repository(
     config: str | Path | None = None, *, update_baseline: bool = False, since: str | None = None
 ) -> RepositoryCheck:
@@ -170,7 +172,7 @@ def check_repository(
     settings = read_config(Path(config) if config is not None else find_config())
     before = read_baseline(settings.baseline)
     if update_baseline:
-        check_writable(settings.baseline, EDITED)
+        check_writable(settings.baseline, BASELINE_FILE)
     pairs, found = [], []
     for pair in settings.pairs:
         done, remarks = _check_pair(pair, settings.path.parent)
@@ -178,13 +180,13 @@ def check_repository(
         found += remarks
     if since is not None:
         found += _changed(settings, since, found)
-    known, left = judge_remarks(_distinct(found), before)
+    known, left = judge_remarks(_distinct(found), before.entries)
     # Of what cannot be read nobody knows what occurs in it: then nothing is stale, nor written.
     whole = not _refused(known)
     if update_baseline and whole:
         known = tuple(replace(remark, known=remark.check != "diff") for remark in known)
         taken = [BaselineEntry(one.identity, one.values) for one in known if one.known]
-        write_baseline(settings.baseline, taken)
+        write_baseline(settings.baseline, before, taken)
     ordered = sorted(
         (replace(remark, fails=_fails(remark, settings)) for remark in known),
         key=lambda remark: (not remark.fails, remark.severity.rank),

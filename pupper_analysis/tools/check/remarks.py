@@ -10,16 +10,17 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Vector, diagnose
 from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
-from pupper_analysis.base.files import whole_file
-from pupper_analysis.base.inputs import read_text
-from pupper_analysis.base.kinds import EDITED
+from pupper_analysis.base.files import Writing, write_all
+from pupper_analysis.base.inputs import MOST_TEXT, decode_input, read_input
+from pupper_analysis.base.kinds import Kind
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import source_name
 from pupper_analysis.robot.compare.compare import FilesCompared
@@ -229,6 +230,8 @@ _HEAD: Final = """\
 # ["check", "pair", "file", "kind", "element", {its values}]
 """
 
+_HEAD_LINES: Final = _HEAD.splitlines()
+
 _VALUE_TOLERANCE: Final = 1e-6
 """How far numbers may be apart, relative to the largest beside them, and count as the same.
 
@@ -254,46 +257,139 @@ class BaselineEntry(Result):
         return f"{check} of {pair or file}: {kind}{f' of {element}' if element else ''}"
 
 
-def read_baseline(path: Path) -> tuple[BaselineEntry, ...]:
-    """Reads a baseline; one that does not exist is empty.
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """The content of a baseline file.
+
+    Attributes:
+        entries: The known remarks, in the order of their lines.
+        content: The file's bytes; None if there is no file.
+        top: Lines of the user between the package's header and the first entry, as far as a blank
+            line separates them from that entry.
+        comments: (entry, the comment lines directly above it) of each entry that has some.
+        end: Comment lines below the last entry.
+    """
+
+    entries: tuple[BaselineEntry, ...] = ()
+    content: bytes | None = None
+    top: tuple[str, ...] = ()
+    comments: tuple[tuple[BaselineEntry, tuple[str, ...]], ...] = ()
+    end: tuple[str, ...] = ()
+
+    def text_with(self, entries: Iterable[BaselineEntry]) -> str:
+        """Return the text of the file with other entries, sorted, and with all its comments.
+
+        A comment stays above its entry: the new entry with the same value, otherwise the first one
+        with the same identity. Comments whose entry is gone move to the end.
+        """
+        written = sorted(((_line_of(one), one) for one in entries), key=itemgetter(0))
+        above: list[list[str]] = [[] for _ in written]
+        end: list[str] = []
+        for old, comment in self.comments:
+            alike = [row for row, (_, new) in enumerate(written) if new.identity == old.identity]
+            same = [row for row in alike if is_same(written[row][1].values, old.values)]
+            row = next(iter((*same, *alike)), None)
+            (end if row is None else above[row]).extend(comment)
+        body = [
+            text
+            for comments, (line, _) in zip(above, written, strict=True)
+            for text in (*comments, line)
+        ]
+        return "\n".join([*_HEAD_LINES, *self.top, "", *body, *end, *self.end, ""])
+
+
+def read_baseline(path: Path) -> Baseline:
+    """Read a baseline; a file that does not exist has no entries.
 
     Raises:
-        ModelError: If it cannot be read, or holds what is not valid; it tells the line.
+        ModelError: If it cannot be read, or a line is neither a comment nor an entry; the error
+            has the line.
     """
     try:
-        lines = read_text(path).split("\n")
+        content = read_input(path, MOST_TEXT)
+        text = decode_input(path, content)
     except InputError as error:
         if error.cause.code == "no-such-file":
-            return ()
+            return Baseline()
         raise ModelError(source_name(path, error.line), error.cause) from error
-    entries = []
-    for number, line in enumerate(lines, start=1):
-        if line.strip() and not line.startswith("#"):
-            match _entry(line):
-                case [str(), str(), str(), str(), str(), dict() as values] as entry:
-                    entries.append(BaselineEntry(tuple(entry[:5]), values))
-                case _:
-                    raise ModelError(source_name(path, number), diagnose("baseline-line-unknown"))
-    return tuple(entries)
+    entries: list[BaselineEntry] = []
+    comments: list[tuple[BaselineEntry, tuple[str, ...]]] = []
+    top: tuple[str, ...] = ()
+    block: list[str] = []
+    for number, line in enumerate(map(str.rstrip, text.split("\n")), start=1):
+        if not line or line.startswith("#"):
+            block.append(line)
+            continue
+        entry = _entry(line)
+        if entry is None:
+            raise ModelError(source_name(path, number), diagnose("baseline-line-unknown"))
+        if not entries:
+            top, block = _split_top(block)
+        if comment := tuple(filter(None, block)):
+            comments.append((entry, comment))
+        entries.append(entry)
+        block = []
+    if not entries:
+        top, block = _split_top([*block, ""])
+    return Baseline(tuple(entries), content, top, tuple(comments), tuple(filter(None, block)))
 
 
-def _entry(line: str) -> Any:
+def _split_top(lines: list[str]) -> tuple[tuple[str, ...], list[str]]:
+    """Return the user's lines at the top of a file, and the comment of its first entry.
+
+    Args:
+        lines: All lines above the first entry; a blank line ends the top.
+    """
+    own = [*lines]
+    for line in _HEAD_LINES:
+        if line in own:
+            own.remove(line)
+    blank = max((at for at, line in enumerate(own) if not line), default=0)
+    top = "\n".join(own[:blank]).rstrip("\n")
+    return tuple(top.split("\n")) if top.strip() else (), own[blank:]
+
+
+def _entry(line: str) -> BaselineEntry | None:
+    """Return the entry of a line; None if the line is not one."""
     try:
-        return json.loads(line, parse_int=float)  # of any length
+        found = json.loads(line, parse_int=float)  # integers of any number of digits
     except (ValueError, RecursionError):
         return None
+    match found:
+        case [str(), str(), str(), str(), str(), dict() as values]:
+            return BaselineEntry(tuple(found[:5]), values)
+    return None
 
 
-def write_baseline(path: Path, entries: Iterable[BaselineEntry]) -> None:
-    """Writes a baseline in place of the one that was read: sorted, whole or not at all.
+def _line_of(entry: BaselineEntry) -> str:
+    return json.dumps([*entry.identity, entry.values], default=dict, ensure_ascii=False)
+
+
+def _is_baseline(file: BinaryIO) -> bool:
+    """Return True if a file begins with the package's header, or has an entry."""
+    lines = file.read(MOST_TEXT).decode("utf-8-sig", errors="replace").splitlines()
+    return lines[:1] == [_HEAD_LINES[0]] or any(
+        _entry(line) is not None for line in lines if line.startswith("[")
+    )
+
+
+BASELINE_FILE: Final = Kind("baseline", _is_baseline, edits=True)
+"""A baseline. It is read and rewritten in one run; a file without header and entry is not one."""
+
+
+def write_baseline(path: Path, before: Baseline, entries: Iterable[BaselineEntry]) -> None:
+    """Write a baseline in place of the one that was read, with the user's comments.
+
+    Args:
+        path: The file.
+        before: Its content as it was read.
+        entries: The new entries.
 
     Raises:
-        OutputError: If it cannot be written.
+        OutputError: If it cannot be written, is not a baseline, or has changed since it was read.
     """
-    lines = (json.dumps([*one.identity, one.values], default=dict, ensure_ascii=False)
-             for one in entries)  # fmt: skip
-    with whole_file(path, EDITED) as file:
-        file.write("\n".join([_HEAD, *sorted(lines), ""]).encode(errors="replace"))
+    content = before.text_with(entries).encode(errors="replace")
+    write_all([Writing(path, content, BASELINE_FILE, before=before.content)])
 
 
 def judge_remarks(

@@ -14,6 +14,7 @@ from pupper_analysis.base.diagnostics import (
     Severity,
     diagnose,
 )
+from pupper_analysis.base.errors import OutputError
 from pupper_analysis.tools.check.config import entries_of, read_config
 from pupper_analysis.tools.check.remarks import (
     BaselineEntry,
@@ -111,7 +112,7 @@ def test_what_was_mended_is_stale_until_the_baseline_is_written(folder: Path) ->
     assert "::notice file=" in run(folder, "--format", "github").stdout
     result = run(folder, "--update-baseline")
     assert f"{said}; it was taken out" in result.stdout
-    assert read_baseline(folder / BASELINE) == ()
+    assert read_baseline(folder / BASELINE).entries == ()
     assert "stale" not in run(folder).stdout
 
 
@@ -134,11 +135,82 @@ def test_nobody_can_write_into_the_baseline_that_a_file_is_not_read(folder: Path
     change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
     config = folder / "pupper-analysis.toml"
     (remark,) = (r for r in pa.guard.check_repository(config).remarks if r.kind == "refused")
-    entries = [*read_baseline(folder / BASELINE), BaselineEntry(remark.identity, remark.values)]
-    write_baseline(folder / BASELINE, entries)
+    before = read_baseline(folder / BASELINE)
+    entries = [*before.entries, BaselineEntry(remark.identity, remark.values)]
+    write_baseline(folder / BASELINE, before, entries)
     check = pa.guard.check_repository(config)
     assert not check.passed
     assert [r.known for r in check.remarks if r.kind == "refused"] == [False]
+
+
+COMMENTS = "# agreed with the supplier: part ordered"
+
+
+def baseline_with(folder: Path, *lines: str) -> list[str]:
+    """Write the sample's baseline with lines before (``^``) and after its first entry."""
+    head, entry = (SAMPLE / BASELINE).read_text().split("\n\n")
+    above = [line.removeprefix("^") for line in lines if line.startswith("^")]
+    below = [line for line in lines if not line.startswith("^")]
+    (folder / BASELINE).write_text("\n".join([head, *above, entry.rstrip("\n"), *below, ""]))
+    return [*above, *below]
+
+
+def test_update_baseline_keeps_the_lines_that_a_person_wrote(folder: Path) -> None:
+    """Above the entry that they are about, wherever that is sorted to, or below the last one."""
+    baseline_with(folder, "^# of the project", "^", f"^{COMMENTS}", "# looked at on Monday")
+    change(folder / "hopper.xml", 'damping="0.05"', 'damping="0.06"')  # two more entries
+    assert run(folder, "--update-baseline").returncode == 0
+    written = (folder / BASELINE).read_text()
+    lines = written.splitlines()
+    own = [line for line in lines if line.startswith("[")]
+    assert len(own) == 3
+    assert '"mass"' in lines[lines.index(COMMENTS) + 1]
+    assert own.index(lines[lines.index(COMMENTS) + 1]) > 0  # no longer the first
+    assert lines[lines.index(own[0]) - 2 :][:2] == ["# of the project", ""]
+    assert lines[-1] == "# looked at on Monday"
+    assert run(folder, "--update-baseline").returncode == 0
+    assert (folder / BASELINE).read_text() == written
+
+
+def test_a_comment_stays_when_the_value_changes_or_the_entry_goes(folder: Path) -> None:
+    baseline_with(folder, "^", f"^{COMMENTS}")
+    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.21"')
+    assert run(folder, "--update-baseline").returncode == 0
+    lines = (folder / BASELINE).read_text().splitlines()
+    assert lines[-2] == COMMENTS
+    assert '"mass"' in lines[-1]
+    assert "0.21" in lines[-1]
+    change(folder / "hopper.xml", 'mass="0.21"', 'mass="0.2"')
+    assert run(folder, "--update-baseline").returncode == 0
+    lines = (folder / BASELINE).read_text().splitlines()
+    assert lines[-1] == COMMENTS
+    assert not [line for line in lines if line.startswith("[")]
+
+
+@pytest.mark.parametrize(
+    "content", ["# my project\n\n## Use\n", "#!/bin/sh\n# nothing yet\n"], ids=["README", "script"]
+)
+@pytest.mark.parametrize("options", [(), ("--force",)], ids=["", "force"])
+def test_update_baseline_refuses_a_file_that_is_no_baseline(
+    folder: Path, content: str, options: tuple[str, ...]
+) -> None:
+    (folder / BASELINE).write_text(content)
+    result = run(folder, "--update-baseline", *options)
+    assert result.returncode == 2
+    assert "which this run reads; give another name" in result.stderr
+    assert (folder / BASELINE).read_text() == content
+    with pytest.raises(OutputError, match="which this run reads"):
+        pa.guard.check_repository(folder / "pupper-analysis.toml", update_baseline=True)
+
+
+def test_a_baseline_edited_during_the_check_is_not_replaced(folder: Path) -> None:
+    path = folder / BASELINE
+    before = read_baseline(path)
+    with path.open("a") as file:
+        file.write(f"{COMMENTS}\n")
+    with pytest.raises(OutputError, match="changed meanwhile"):
+        write_baseline(path, before, before.entries)
+    assert path.read_text().endswith(f"{COMMENTS}\n")
 
 
 def test_a_joint_in_one_file_only(folder: Path) -> None:
