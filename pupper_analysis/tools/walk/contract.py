@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.arguments import real_array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.tools.contract.facts import Source
 
 Array = NDArray[np.float64]
@@ -207,9 +208,8 @@ class _Stated:
             return None
         size = self.joints if size is None else size
         try:
-            numbers = np.array(value, dtype=np.float64)
-            found: Array = np.broadcast_to(numbers, (size,)).copy()
-        except (ValueError, TypeError) as error:
+            found: Array = np.broadcast_to(real_array(key, value), (size,)).copy()
+        except (ConfigurationError, ValueError) as error:
             raise self.refuse(key, diagnose("no-numbers", count=size)) from error
         finite = np.isfinite(found) | (np.isinf(found) if key in ("lower", "upper") else False)
         if not finite.all():
@@ -229,7 +229,7 @@ class _Stated:
     def refuse(self, key: str, problem: Diagnostic) -> ModelError:
         """Returns the error that names a key, and the file that states it."""
         problem = diagnose("contract-key", key=key, problem=problem)
-        return ModelError(self.homes.get(key, str(self.path)), problem)
+        return ModelError(self.homes.get(key.partition(":")[0], str(self.path)), problem)
 
 
 def contract_of(
@@ -351,8 +351,8 @@ def _terms(given: _Stated) -> tuple[Term, ...]:
             raise given.refuse("observation", problem)
         scale = one.get("scale", 1.0) if isinstance(one, dict) else 1.0
         try:
-            numbers = np.array(scale, dtype=np.float64)
-        except (ValueError, TypeError) as error:
+            numbers = real_array("scale", scale)
+        except ConfigurationError as error:
             raise given.refuse(f"observation: {name}", diagnose("no-numbers", count=1)) from error
         if numbers.ndim > 1 or not np.isfinite(numbers).all():
             raise given.refuse(f"observation: {name}", diagnose("no-numbers", count=1))

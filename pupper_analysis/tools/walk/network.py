@@ -23,6 +23,10 @@ Operation = Callable[..., Any]
 MOST_WEIGHTS = 50_000_000
 """What a network may have: the largest that walks on a robot's computer has some 1e6."""
 
+MAX_VALUE_SIZE = 1_000_000
+"""Most elements of an operation's result, unless an input has as many (chosen, not tuned): refuses
+graphs whose values double from layer to layer. The widest layers of walking policies have 1024."""
+
 
 def sigmoid(value: Array) -> Array:
     """Returns 1 / (1 + exp(-x)), which overflows nowhere."""
@@ -167,7 +171,7 @@ class Network:
         return actions, tuple(values[name] for _, name, _ in self.memory)
 
 
-def checked(
+def assemble_network(
     path: Path,
     nodes: Sequence[Node],
     constants: Mapping[str, Array],
@@ -175,19 +179,29 @@ def checked(
     memory: Sequence[tuple[str, str, int]],
     inputs: int,
 ) -> Network:
-    """Returns a network of what was read, evaluated once: what does not fit is refused by name.
+    """Build a network of any format, and evaluate it once with an observation of zeros.
+
+    All formats are validated here: finite weights, their number, the sizes of the observation, of
+    recurrent states, of each operation's values and of the action.
 
     Args:
-        path: The file.
-        nodes: Its operations.
-        constants: Its weights.
-        ends: Names of its input and its output.
+        path: The file, for messages.
+        nodes: Operations in the order of evaluation.
+        constants: {name: weights}.
+        ends: Names of the observation and of the action.
         memory: As ``Network.memory``.
-        inputs: The size of its input.
+        inputs: Number of elements of an observation.
 
     Raises:
-        ModelError: If a weight is no finite number, or sizes do not fit.
+        ModelError: If a weight is not finite, or a size does not fit; it names the layer.
     """
+    count = sum(weights.size for weights in constants.values())
+    if count > MOST_WEIGHTS:
+        problem = diagnose("too-many-weights", layer="", count=count, most=MOST_WEIGHTS)
+        raise ModelError(path, problem)
+    for name, size in ((ends[0], inputs), *((name, size) for name, _, size in memory)):
+        if not 0 < size <= MOST_WEIGHTS:
+            raise ModelError(path, diagnose("layer-sizes", layer=name, sizes=str(size)))
     for name, weights in constants.items():
         if not np.isfinite(weights).all():
             count = int((~np.isfinite(weights)).sum())
@@ -208,11 +222,15 @@ def checked(
             problem = diagnose("layer-sizes", layer=node.name, sizes=str(sizes))
             raise ModelError(path, problem) from error
         made = made if isinstance(made, tuple) else (made,)
+        sizes = [tuple(np.shape(value)) for value in made]
+        largest = max((np.size(values[name]) for name in node.inputs), default=0)
+        if max(map(np.size, made)) > max(MAX_VALUE_SIZE, largest):
+            raise ModelError(path, diagnose("layer-sizes", layer=node.name, sizes=str(sizes)))
         values |= dict(zip(node.outputs, made, strict=False))
     if ends[1] not in values:
         raise ModelError(path, diagnose("layer-input-missing", layer="output", name=ends[1]))
     end = np.shape(values[ends[1]])
-    if len(end) != 3 or end[:2] != (1, 1):
+    if len(end) != 3 or end[:2] != (1, 1) or not end[2]:
         raise ModelError(path, diagnose("layer-sizes", layer=ends[1], sizes=str(end)))
     for name, following, size in memory:
         if following not in values or np.shape(values[following]) != (1, 1, size):

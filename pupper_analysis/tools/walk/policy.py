@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import reprlib
 import struct
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -37,7 +39,7 @@ from pupper_analysis.tools.walk.network import (
     Network,
     Node,
     Operation,
-    checked,
+    assemble_network,
     dense,
     elu,
     gru,
@@ -80,16 +82,7 @@ class Policy:
             toml: dict[str, Any] = read_toml(beside)[1] if there else {}
         except InputError as error:
             raise ModelError(error.path, error.cause) from error
-        if path.suffix == ".json":
-            values = read_rtneural(path)
-            network, read = rtneural_network(path, values), tables.read
-            own = of_rtneural(values, network.inputs, network.outputs)
-        elif path.suffix in TORCHSCRIPT:  # states nothing but its weights
-            network, read, own = torchscript_network(path), None, {}
-        else:
-            network, read, own = onnx_network(path, read_onnx(path)), onnx.read, {}
-        for source in () if read is None else read(Request(path)):
-            own = of_source(source) | own
+        network, own = _read_policy(path)
         stated = [(str(path), own), *([(str(beside), toml)] if there else [])]
         agreed = contract_of(path, stated, network.inputs, network.outputs)
         return cls(path.name, network, agreed)
@@ -100,6 +93,52 @@ class Policy:
 
 
 Array = NDArray[np.float64]
+
+
+@contextmanager
+def refuse_malformed(path: Path) -> Iterator[None]:
+    """Turn an error of Python that a malformed policy file causes into a refusal of the file.
+
+    The readers check the values that they use. This is their last resort, the same for all formats:
+    a file is never reported as a defect of the package.
+
+    Raises:
+        ModelError: If the block raises such an error.
+    """
+    try:
+        yield
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        MemoryError,
+        RecursionError,
+        TypeError,
+        ValueError,
+        struct.error,
+    ) as error:
+        raise ModelError(path, diagnose("no-network")) from error
+
+
+def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
+    """Return the network of a policy file, and the keys of a contract that the file states."""
+    with refuse_malformed(path):
+        if path.suffix == ".json":
+            values = read_rtneural(path)
+            network, sources = rtneural_network(path, values), [*tables.read(Request(path))]
+            own = of_rtneural(values, network.inputs, network.outputs)
+        elif path.suffix in TORCHSCRIPT:  # states its weights only
+            network, sources, own = torchscript_network(path), [], {}
+        else:
+            network, sources, own = (
+                onnx_network(path, read_onnx(path)),
+                [*onnx.read(Request(path))],
+                {},
+            )
+        for source in sources:
+            own = of_source(source) | own
+    return network, own
+
 
 _TYPES = {1: "<f4", 6: "<i4", 7: "<i8", 10: "<f2", 11: "<f8"}
 """NumPy's types of TensorProto's."""
@@ -150,19 +189,13 @@ def onnx_network(path: Path, file: OnnxFile) -> Network:
     Raises:
         ModelError: If it has none, or operators that policies do not consist of.
     """
-    try:
+    with refuse_malformed(path):
         return _network(path, file)
-    except (ValueError, KeyError, IndexError, TypeError, struct.error) as error:
-        raise ModelError(path, diagnose("no-network")) from error
 
 
 def _network(path: Path, file: OnnxFile) -> Network:
     graph = file.graph
     constants = dict(_tensor(path, one) for one in graph.get(5, ()))
-    if sum(one.size for one in constants.values()) > MOST_WEIGHTS:
-        count = sum(one.size for one in constants.values())
-        problem = diagnose("too-many-weights", layer="", count=count, most=MOST_WEIGHTS)
-        raise ModelError(path, problem)
     inputs, outputs = list(file.inputs.items()), list(file.outputs)
     nodes = [
         _node(path, gather_fields(one), number, constants) for number, one in enumerate(graph[1], 1)
@@ -176,11 +209,9 @@ def _network(path: Path, file: OnnxFile) -> Network:
             raise ModelError(path, diagnose("layer-sizes", layer=name, sizes=str(dims)))
         memory.append((name, following, dims[-1]))
     size = inputs[0][1][-1] if inputs[0][1] else 0
-    if not 0 < size <= MOST_WEIGHTS:
-        raise ModelError(path, diagnose("layer-sizes", layer=inputs[0][0], sizes=str(inputs[0][1])))
     used = {name for node in nodes for name in node.inputs}
     kept = {name: value for name, value in constants.items() if name in used}
-    return checked(path, nodes, kept, (inputs[0][0], outputs[0]), memory, size)
+    return assemble_network(path, nodes, kept, (inputs[0][0], outputs[0]), memory, size)
 
 
 def _node(path: Path, node: Message, number: int, constants: dict[str, Array]) -> Node:
@@ -369,7 +400,7 @@ def rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
     last = "observation"
     inputs = 0
     for number, layer in enumerate(layers, 1):
-        kind = layer.get("type") if isinstance(layer, dict) else None
+        kind = _word_of(path, f"layer {number}", layer, "type", (*_ARRAYS, "activation"))
         name = f"layer {number} ({kind})"
         after = f"value {number}"
         if kind in _ARRAYS:
@@ -389,32 +420,58 @@ def rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
             else:
                 nodes.append(Node(name, dense, (last, *named), (after,)))
             last = after
-        elif kind != "activation":
-            known = (*_ARRAYS, "activation")
-            raise ModelError(path, diagnose("layer-unknown", layer=name, known=known))
-        activation = layer.get("activation") or "linear"
-        if activation not in ACTIVATIONS:
-            problem = diagnose("layer-unknown", layer=f"{name}: {activation}", known=ACTIVATIONS)
-            raise ModelError(path, problem)
+        activation = _word_of(path, name, layer, "activation", ACTIVATIONS, usual="linear")
         if kind not in ("gru", "lstm") and activation != "linear":  # theirs are inside
             shaped = f"{after} {activation}"
             nodes.append(Node(name, ACTIVATIONS[activation], (last,), (shaped,)))
             last = shaped
-    return checked(path, nodes, constants, ("observation", last), memory, inputs)
+    with refuse_malformed(path):
+        return assemble_network(path, nodes, constants, ("observation", last), memory, inputs)
+
+
+def _word_of(
+    path: Path, name: str, layer: object, key: str, known: Collection[str], usual: str = ""
+) -> str:
+    """Return the word that a layer has for a key.
+
+    Args:
+        path: The file, for messages.
+        name: The layer's name, for messages.
+        layer: The layer as it was read.
+        key: The key.
+        known: The valid words.
+        usual: The word of a layer that states none: no such key, null, or an empty text.
+
+    Raises:
+        ModelError: If the layer is not an object, or the value is not one of the words.
+    """
+    value = layer.get(key) if isinstance(layer, dict) else layer
+    if isinstance(layer, dict) and usual and (value is None or value == ""):
+        return usual
+    if isinstance(layer, dict) and isinstance(value, str) and value in known:
+        return value
+    shown = f" ({value})" if isinstance(value, str) else f" ({reprlib.repr(value)})"
+    shown = f": {value}" if usual and isinstance(value, str) else shown
+    raise ModelError(path, diagnose("layer-unknown", layer=f"{name}{shown}", known=tuple(known)))
 
 
 def _weights(path: Path, name: str, layer: dict[str, Any], count: int) -> list[Array]:
     """Returns the arrays of a layer; biases are vectors, or two of them for a GRU."""
     given = layer.get("weights")
+    problem = ModelError(path, diagnose("layer-weights", layer=name, count=count))
     if not isinstance(given, list) or len(given) != count:
-        raise ModelError(path, diagnose("layer-weights", layer=name, count=count))
+        raise problem
     try:
-        arrays = [np.array(one, dtype=np.float64) for one in given]
-    except (ValueError, TypeError) as error:
-        raise ModelError(path, diagnose("layer-weights", layer=name, count=count)) from error
+        read = [np.array(one) for one in given]
+        arrays = [one.astype(np.float64) for one in read]
+    except (ValueError, TypeError, OverflowError) as error:
+        raise problem from error
+    # NumPy makes numbers of texts and truth values. An array with null is one of objects.
+    if any(one.dtype.kind not in "iufO" for one in read if one.size):
+        raise problem
     fits = all(one.ndim == 2 for one in arrays[:-1])
     if not fits or arrays[-1].ndim not in (1, 2) or sum(one.size for one in arrays) > MOST_WEIGHTS:
-        raise ModelError(path, diagnose("layer-weights", layer=name, count=count))
+        raise problem
     return arrays
 
 
@@ -466,7 +523,7 @@ def torchscript_network(path: Path) -> Network:
 
     constants = {name: one.detach().double().numpy() for name, one in weights.items()}
     node = Node("TorchScript", apply, ("observation",), ("action",))
-    network = checked(path, [node], constants, ("observation", "action"), [], size)
+    network = assemble_network(path, [node], constants, ("observation", "action"), [], size)
     zeros, ones = np.zeros((1, size)), np.ones((1, size))
     before = network.forward(zeros)[0]
     network.forward(ones)

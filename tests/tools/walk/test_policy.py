@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import copy
+import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +29,7 @@ phase-offsets = [0.0, 3.14159]
 observation = [{term = "angular-velocity", scale = 0.25}, "command", "joint-positions", "phase"]
 """
 SIZE = 2 * (3 + 3 + 2 + 4)
+FRAME = 36
 
 
 def onnx_policy(folder: Path, toml: str = TOML, metadata: dict[str, str] | None = None) -> Path:
@@ -85,3 +90,128 @@ def test_rtneural_of_pupper(tmp_path: Path) -> None:
 def test_a_contract_that_cannot_be(tmp_path: Path, old: str, new: str, text: str) -> None:
     assert old in TOML
     assert text in refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("rate = 50", f"rate = {'9' * 400}"),
+        ("kd = 1", f"kd = {'9' * 400}"),
+        ("kd = 1", 'kd = "1"'),
+        ("kd = 1", "kd = true"),
+        ("scale = 0.25", 'scale = "0.25"'),
+        ("scale = 0.25", f"scale = {'9' * 400}"),
+    ],
+)
+def test_contract_refuses_values_that_are_not_finite_numbers(
+    tmp_path: Path, old: str, new: str
+) -> None:
+    assert old in TOML
+    assert "made.toml" in refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
+
+
+WRONG: tuple[Any, ...] = (
+    None, True, 0, -1, 1e308, 2**62, "x", "dense", [], [[]], [None], ["1"], {}, {"type": []},
+    [[1.0, [2.0]]], [[1.0] * 5] * 2,
+)  # fmt: skip
+"""Values of every type that JSON has, in place of each value of a policy."""
+
+GATES = [[0.1] * 6] * FRAME, [[0.1] * 6] * 2, [[0.0] * 6] * 2
+RECURRENT = [
+    {"type": "gru", "activation": "", "weights": list(GATES)},
+    {"type": "lstm", "activation": "", "weights": [[[0.1] * 8] * 2, [[0.1] * 8] * 2, [0.0] * 8]},
+    {"type": "dense", "activation": "tanh", "weights": [[[0.1] * 12] * 2, [0.0] * 12]},
+    {"type": "activation", "activation": "relu"},
+]
+
+
+def places_in(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the path of each value in JSON; of numbers in a list the first one's only."""
+    if path:
+        yield path
+    if isinstance(value, dict):
+        for key in value:
+            yield from places_in(value[key], (*path, key))
+    if isinstance(value, list):
+        same = value and all(isinstance(one, float) for one in value)
+        for index in range(1 if same else len(value)) if len(value) < 20 else (0, len(value) - 1):
+            yield from places_in(value[index], (*path, index))
+
+
+def replaced(value: Any, path: tuple[Any, ...], new: Any) -> Any:
+    """Return JSON with another value at a path."""
+    found = copy.copy(value)
+    found[path[0]] = replaced(value[path[0]], path[1:], new) if path[1:] else new
+    return found
+
+
+def check_read_or_refused(path: Path) -> None:
+    """Check that a policy is read, or refused as a model in one line."""
+    message = path.stem
+    try:
+        Policy.load(path)
+    except ModelError as error:
+        message = str(error)
+    assert "\n" not in message
+    assert path.stem in message
+
+
+@pytest.mark.slow
+def test_rtneural_of_wrong_types_is_read_or_refused(tmp_path: Path) -> None:
+    """Each value of a policy, replaced by a value of each type of JSON; no other error."""
+    sound = json.loads(made.still(tmp_path / "p.json").read_text()) | {"layers": RECURRENT}
+    Policy.load(made.still(tmp_path / "p.json", layers=RECURRENT))
+    cases = [(place, new) for place in places_in(sound) for new in WRONG]
+    assert len(cases) > 500
+    for place, new in cases:
+        (tmp_path / "p.json").write_text(json.dumps(replaced(sound, place, new)))
+        check_read_or_refused(tmp_path / "p.json")
+
+
+@pytest.mark.parametrize(
+    ("layer", "text"),
+    [
+        ({"type": []}, "layer 1 ([])"),
+        ({"type": {"a": 1}}, "layer 1 ({'a': 1})"),
+        ({}, "layer 1 (None)"),
+        ("dense", "layer 1 (dense)"),
+        ({**RECURRENT[2], "activation": ["tanh"]}, "layer 1 (dense) (['tanh'])"),
+        ({**RECURRENT[2], "activation": []}, "layer 1 (dense) ([])"),
+        ({**RECURRENT[2], "activation": False}, "layer 1 (dense) (False)"),
+        ({**RECURRENT[2], "weights": [[["1"] * 12] * 2, [0.0] * 12]}, "layer 1 (dense) needs"),
+        ({**RECURRENT[2], "weights": [[[True] * 12] * 2, [0.0] * 12]}, "layer 1 (dense) needs"),
+        ({"type": "activation", "activation": "relu"}, "observation: sizes do not fit: 0"),
+    ],
+)
+def test_rtneural_layer_of_a_wrong_type_is_named(tmp_path: Path, layer: Any, text: str) -> None:
+    assert text in refusal(made.still(tmp_path / "p.json", layers=[layer]))
+
+
+@pytest.mark.slow
+def test_onnx_of_wrong_fields_is_read_or_refused(tmp_path: Path) -> None:
+    """Each byte of the graph's structure is changed, or the file ends there; no other error."""
+    path = onnx_policy(tmp_path)
+    sound = path.read_bytes()
+    for at in range(len(sound)):
+        for new in (sound[:at], sound[:at] + bytes([sound[at] ^ 0x41]) + sound[at + 1 :]):
+            path.write_bytes(new)
+            check_read_or_refused(path)
+
+
+def test_onnx_states_of_huge_size_are_refused(tmp_path: Path) -> None:
+    """Without computing 10^12 zeros for a state that a file says to be so long."""
+    nodes = [made.node("Tanh", ("obs",), ("act",)), made.node("Tanh", ("h",), ("hn",))]
+    inputs = [made.value("obs", 1, 4), made.value("h", 1, 10**12)]
+    outputs = [made.value("act", 1, 4), made.value("hn", 1, 10**12)]
+    path = tmp_path / "made.onnx"
+    path.write_bytes(made.onnx(nodes, [], inputs, outputs))
+    assert "h: sizes do not fit" in refusal(path)
+
+
+def test_onnx_values_that_grow_without_end_are_refused(tmp_path: Path) -> None:
+    """Forty layers, each of which doubles the length of its input."""
+    nodes = [made.node("Concat", (f"x{n}", f"x{n}"), (f"x{n + 1}",), axis=1) for n in range(40)]
+    data = made.onnx(nodes, [], [made.value("x0", 1, 4)], [made.value("x40", 1, 4)])
+    path = tmp_path / "made.onnx"
+    path.write_bytes(data)
+    assert "sizes do not fit" in refusal(path)
