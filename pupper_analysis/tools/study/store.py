@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
-import os
-import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +22,7 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.files import Writing, whole_file, write_all
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED, MODEL, OWN
+from pupper_analysis.base.locks import lock_file
 from pupper_analysis.tools.study.design import ENDS, Row
 
 if TYPE_CHECKING:
@@ -64,26 +62,16 @@ class Store:
             StudyError: If another run holds it.
             OutputError: If the folder cannot be written to.
         """
-        busy = diagnose("study-is-running")
         try:
             self.shards.mkdir(parents=True, exist_ok=True)
-            place = str(self.folder.resolve())
-            with _own:
-                # Before the file is opened: closing it again would let go of the lock.
-                if place in _held:
-                    raise StudyError(self.folder, busy)
-                handle = os.open(self.folder / ".lock", os.O_RDWR | os.O_CREAT, 0o666)
-                _held.add(place)
+            with contextlib.ExitStack() as stack:
+                if not stack.enter_context(lock_file(self.folder / ".lock")):
+                    raise StudyError(self.folder, diagnose("study-is-running"))
+                held = stack.pop_all()
         except OSError as error:
             raise OutputError(self.folder, error.strerror or error) from error
-        try:
-            if not _lock(handle):
-                raise StudyError(self.folder, busy)
+        with held:
             yield
-        finally:
-            with _own:
-                os.close(handle)
-                _held.discard(place)
 
     def write_asked(self, asked: dict[str, Any]) -> None:
         """Writes what was asked.
@@ -189,18 +177,3 @@ def design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
 
 def _kind(pa: Any, name: str) -> Any:
     return pa.string() if name in ("design", *ENDS) else pa.float64()
-
-
-_own = threading.Lock()
-_held: set[str] = set()
-"""Folders that runs of this process hold: a process's locks do not hold off the process itself."""
-
-
-def _lock(handle: int) -> bool:
-    """Locks a file for this process; the system lets go of it when the process ends."""
-    try:
-        # Not flock: forked workers would inherit it, and hold it when the parent has died.
-        fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True

@@ -8,6 +8,7 @@ import pty
 import sys
 from array import array
 from pathlib import Path
+from subprocess import PIPE, Popen, run
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.base.errors import ConfigurationError, MeasurementError
+from pupper_analysis.base.errors import ConfigurationError, MeasurementError, OutputError
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -165,6 +166,54 @@ def test_it_holds_where_something_fails_and_goes_on_later(
     assert path.read_text().splitlines()[: len(rows)] == rows
     read = dict(zip(read_stands(path).names, read_stands(path).position, strict=True))
     assert max(np.abs(read[f"s{at}"] - sound[at]).max() for at in range(4)) < 0.02
+
+
+HELD = """import os, signal, sys
+from pathlib import Path
+from pupper_analysis.base.locks import lock_file
+with lock_file(Path(sys.argv[1]), temporary=True) as locked:
+    print(locked, flush=True)
+    sys.argv[2:] and os.kill(os.getpid(), signal.SIGKILL)
+    sys.stdin.read()"""
+
+
+@pytest.mark.slow
+def test_a_second_recording_into_one_file_is_refused_before_anything_moves(
+    robot: Robot, plan: Path, tmp_path: Path
+) -> None:
+    """In this process, and while another process holds the lock; a killed one holds it no more."""
+    path, link = tmp_path / "new" / "stands.csv", tmp_path / "link.csv"
+    link.symlink_to(path)
+    refusals: list[str] = []
+
+    class Second(SimulatedRobot):
+        def prepare(self, *given: Any) -> bool:
+            other = SimulatedRobot(robot, 3)
+            sent = len(other.sent)
+            with pytest.raises(OutputError, match="another recording") as caught:
+                record_stands(robot, plan, link, other, other)
+            assert len(other.sent) == sent
+            refusals.append(str(caught.value))
+            return super().prepare(*given)
+
+    one = Second(robot, 3)
+    assert record_stands(robot, plan, path, one, one).complete
+    assert len(refusals) == 4
+    assert read_stands(path).names == ("s0", "s1", "s2", "s3")
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+    lock = path.parent / f".{path.name}.lock"
+    with Popen([sys.executable, "-c", HELD, str(lock)], stdin=PIPE, stdout=PIPE, text=True) as held:
+        assert held.stdout is not None
+        assert held.stdout.readline() == "True\n"
+        with pytest.raises(OutputError, match="another recording"):
+            record_stands(robot, plan, path, one, one)
+        held.communicate("")
+    assert not lock.exists()
+    run([sys.executable, "-c", HELD, str(lock), "kill"], check=False)
+    assert lock.exists()
+    assert len(record_stands(robot, plan, path, one, one).had) == 4
+    assert not lock.exists()
 
 
 def test_a_message_that_comes_late_is_waited_for(robot: Robot, plan: Path, tmp_path: Path) -> None:

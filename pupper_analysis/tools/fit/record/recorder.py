@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,9 +18,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.base.errors import ConfigurationError, MeasurementError
-from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.errors import ConfigurationError, MeasurementError, OutputError
+from pupper_analysis.base.files import Writing, reason_of, target_of, write_all
 from pupper_analysis.base.kinds import RECORD
+from pupper_analysis.base.locks import lock_file
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -115,14 +117,43 @@ def record_stands(
         ConfigurationError: If the file is the plan itself.
         MeasurementError: If a command is beyond a joint's limits, or a stand out of balance, by the
             robot's file: before anything moves; or the file is of another plan.
-        OutputError: If it cannot be written.
+        OutputError: If it cannot be written, or another recording writes to it.
     """
-    if Path(output).exists() and Path(output).samefile(plan):
+    path = Path(output)
+    if path.exists() and path.samefile(plan):
         raise ConfigurationError("output", diagnose("recording-into-the-plan"))
+    with _locked(path):
+        return _record_stands(robot, plan, path, bridge, person)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Let no other recording add rows to a file.
+
+    Raises:
+        OutputError: If another recording does, or the folder cannot be written to.
+    """
+    target, _ = target_of(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as stack:
+            lock = target.with_name(f".{target.name}.lock")
+            if not stack.enter_context(lock_file(lock, temporary=True)):
+                raise OutputError(path, diagnose("recording-is-running"))
+            held = stack.pop_all()
+    except OSError as error:
+        raise OutputError(path, reason_of(error)) from error
+    with held:
+        yield
+
+
+def _record_stands(
+    robot: Robot, plan: str | Path, path: Path, bridge: Bridge, person: Person
+) -> Recording:
+    """Take the stands of a plan while no other recording writes to the file."""
     planned = read_stands(plan).ordered(robot)
     margins = list(_check(robot, planned))  # before anything moves
     aside = com_width(robot, ())
-    path = Path(output)
     had = _names_in(path, planned)
     rows = [row for row, name in enumerate(planned.names) if planned.names[row] not in had]
     taken: list[str] = []
@@ -342,11 +373,12 @@ def _append(path: Path, planned: MeasuredStands, row: int, read: Array, up: Sequ
         How long it was before.
     """
     one = replace(planned.part([row]), position=read[None], swing=(tuple(up),))
-    had = path.read_bytes() if path.exists() else b""
+    there = path.read_bytes() if path.exists() else None
+    had = there or b""
     if had and not had.endswith(b"\n"):
         had += b"\n"
-    with whole_file(path, RECORD) as file:
-        file.write(had + stands_text(one, header=not had).encode())
+    content = had + stands_text(one, header=not had).encode()
+    write_all([Writing(path, content, RECORD, before=there)])
     return len(had)
 
 
@@ -355,6 +387,5 @@ def _cut(path: Path, size: int) -> None:
     if not size:
         path.unlink()
         return
-    had = path.read_bytes()[:size]
-    with whole_file(path, RECORD) as file:
-        file.write(had)
+    there = path.read_bytes()
+    write_all([Writing(path, there[:size], RECORD, before=there)])

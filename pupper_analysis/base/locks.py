@@ -1,0 +1,83 @@
+"""Locks: one run at a time writes to a folder, or adds rows to a file."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+_guard: Final = threading.Lock()
+_held: Final[set[str]] = set()
+"""Lock files of this process: the system does not refuse a lock to the process that holds it."""
+
+
+@contextmanager
+def lock_file(path: Path, *, temporary: bool = False) -> Iterator[bool]:
+    """Hold an exclusive lock on a file; yield False if another run holds it.
+
+    The system releases the lock when the process ends, also if it is killed. Systems without POSIX
+    locks lock nothing.
+
+    Args:
+        path: The lock file. It is created if needed.
+        temporary: Remove the lock file at the end.
+
+    Raises:
+        OSError: If the file cannot be opened, or its file system has no locks.
+    """
+    place = os.path.realpath(path)
+    with _guard:
+        # Not opened if it is held: closing a second handle would release the lock.
+        handle = None if place in _held else _open_locked(place)
+        if handle is not None:
+            _held.add(place)
+    if handle is None:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        with _guard:
+            if temporary:
+                with suppress(OSError):
+                    Path(place).unlink()
+            os.close(handle)
+            _held.discard(place)
+
+
+def _open_locked(place: str) -> int | None:
+    """Open a file and lock it; return None if another process holds the lock."""
+    while True:
+        handle = os.open(place, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            if not _lock(handle):
+                os.close(handle)
+                return None
+            # The process that held the lock may have removed the file since it was opened.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(handle), Path(place).stat()):
+                    return handle
+        except OSError:
+            os.close(handle)
+            raise
+        os.close(handle)
+
+
+def _lock(handle: int) -> bool:
+    """Lock an open file for this process; return False if another process holds the lock."""
+    try:
+        import fcntl
+    except ImportError:  # not POSIX
+        return True
+    try:
+        # Not flock: forked workers inherit such a lock, and hold it when the parent has died.
+        fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EAGAIN):
+            return False
+        raise
+    return True
