@@ -17,6 +17,7 @@ import re
 import secrets
 import stat
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, field
@@ -60,8 +61,16 @@ def hidden_beside(target: Path) -> Path:
     return target.parent / f".{hidden_token()}.tmp"
 
 
+MAX_TEMPORARY_AGE: Final = 86_400.0
+"""Age [s] after which a temporary file is removed whatever its process: one day, since no write
+takes that long. Process ids are reused, and those of another container cannot be looked up."""
+
+
 def clear_left(folder: Path) -> None:
-    """Remove the temporary files in a folder whose process has ended; only on POSIX systems."""
+    """Remove the temporary files in a folder whose process has ended; only on POSIX systems.
+
+    Each run that may write to a folder calls it, also if the run has nothing to write in the end.
+    """
     # On other systems os.kill(pid, 0) may end the process.
     if os.name != "posix" or (os.getpid(), folder) in _cleaned_folders:
         return
@@ -69,8 +78,13 @@ def clear_left(folder: Path) -> None:
     with suppress(OSError):
         for entry in os.scandir(folder):
             match = _TEMPORARY_NAME.fullmatch(entry.name)
-            if match and match[1] == _machine_hash() and not _is_running(int(match[2], 16)):
-                with suppress(OSError):
+            if match is None:
+                continue
+            with suppress(OSError):
+                ended = match[1] == _machine_hash() and not _is_running(int(match[2], 16))
+                # Not the modification time: a second name of an old file has that of the file.
+                changed = entry.stat(follow_symlinks=False).st_ctime
+                if ended or time.time() - changed > MAX_TEMPORARY_AGE:
                     Path(entry.path).unlink()
 
 
@@ -180,6 +194,7 @@ def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
             raise OutputError(path, diagnose("output-not-writable"))
         if status is None or is_replaceable(status):
             check_folder(target.parent)
+            clear_left(target.parent)
         if status is not None:
             _check_replaceable(path, target, status, kind, force=force)
     except (OSError, ValueError) as error:
@@ -243,6 +258,7 @@ def check_folder(folder: Path) -> None:
         raise OutputError(folder, diagnose("no-folder", folder=existing))
     if not os.access(existing, os.W_OK | os.X_OK):
         raise OutputError(folder, diagnose("folder-not-writable", folder=existing))
+    clear_left(folder)
 
 
 def is_replaceable(status: os.stat_result) -> bool:
@@ -514,6 +530,16 @@ class _StagedFile:
             self.old.replace(self.target)
         except OSError:
             self.stuck = True
+            self._show_old()
+
+    def _show_old(self) -> None:
+        """Give the old file a name that no later run clears, as far as the system allows."""
+        assert self.old is not None
+        number = 1
+        while os.path.lexists(kept := self.target.with_name(f"{self.target.name}.old{number}")):
+            number += 1
+        with suppress(OSError):
+            self.old = self.old.rename(kept)
 
     def clear(self) -> None:
         """Remove the temporary files."""

@@ -23,6 +23,7 @@ from pupper_analysis.base.kinds import EDITED, MODEL, OWN, RESULTS, Kind
 from pupper_analysis.base.provenance import marked_json
 from pupper_analysis.base.runs import note_input, running
 from tests.support.commands import run_command
+from tests.support.hidden_files import leave_hidden_file
 from tests.support.repository import ROOT
 
 
@@ -301,6 +302,40 @@ def test_what_killed_runs_left_is_cleared_by_the_next(tmp_path: Path) -> None:
     alive.communicate(timeout=20)
 
 
+def test_a_run_that_writes_nothing_clears_hidden_files(tmp_path: Path) -> None:
+    """Its output is refused, the folder is one of results, or all is as it should be."""
+    (tmp_path / "out.json").write_text("mine")
+    left = leave_hidden_file(tmp_path)
+    with pytest.raises(OutputError):
+        files.check_writable(tmp_path / "out.json", RESULTS)
+    assert not left.exists()
+    left = leave_hidden_file(tmp_path)
+    files.check_folder(tmp_path)
+    assert not left.exists()
+    left = leave_hidden_file(tmp_path, alive=True)
+    files.check_folder(tmp_path)
+    assert left.exists()
+
+
+def test_hidden_files_of_a_container_that_is_gone_are_cleared_after_a_day(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its process ids cannot be looked up. The second name of an old file is not old by itself."""
+    name = files.hidden_token().split("-")
+    left = tmp_path / f".{'-'.join([name[0], '0' * 8, *name[2:]])}.tmp"
+    (tmp_path / "model.xml").write_text("<mujoco/>")
+    os.utime(tmp_path / "model.xml", (0, 0))
+    os.link(tmp_path / "model.xml", left)
+    files._cleaned_folders.clear()
+    files.check_folder(tmp_path)
+    assert left.exists()
+    files._cleaned_folders.clear()
+    now = time.time()
+    monkeypatch.setattr(time, "time", lambda: now + files.MAX_TEMPORARY_AGE + 1)
+    files.check_folder(tmp_path)
+    assert not left.exists()
+
+
 OLD = {"a": b"old a", "b": b"old b"}
 
 
@@ -378,9 +413,9 @@ def test_what_cannot_be_put_back_is_named_and_kept(
     monkeypatch.setattr(Path, "replace", only_once)
     with pytest.raises(OutputError, match="cannot be put back") as raised:
         both(folder)
-    hidden = [path for path in folder.iterdir() if path.name.startswith(".")]
-    assert [path.read_bytes() for path in hidden] == [b"old a"]
-    assert str(hidden[0]) in str(raised.value)
+    assert (folder / "a.old1").read_bytes() == b"old a"  # not hidden: no later run clears it
+    assert str(folder / "a.old1") in str(raised.value)
+    assert not [path for path in folder.iterdir() if path.name.startswith(".")]
 
 
 def test_new_files_go_again_if_a_later_one_fails(

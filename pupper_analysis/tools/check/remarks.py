@@ -19,7 +19,7 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Vector, diagnose
 from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
 from pupper_analysis.base.files import Writing, write_all
-from pupper_analysis.base.inputs import MOST_TEXT, decode_input, read_input
+from pupper_analysis.base.inputs import MAX_TEXT_BYTES, decode_input, read_input
 from pupper_analysis.base.kinds import Kind
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import source_name
@@ -306,7 +306,7 @@ def read_baseline(path: Path) -> Baseline:
             has the line.
     """
     try:
-        content = read_input(path, MOST_TEXT)
+        content = read_input(path, MAX_TEXT_BYTES)
         text = decode_input(path, content)
     except InputError as error:
         if error.cause.code == "no-such-file":
@@ -367,7 +367,7 @@ def _line_of(entry: BaselineEntry) -> str:
 
 def _is_baseline(file: BinaryIO) -> bool:
     """Return True if a file begins with the package's header, or has an entry."""
-    lines = file.read(MOST_TEXT).decode("utf-8-sig", errors="replace").splitlines()
+    lines = file.read(MAX_TEXT_BYTES).decode("utf-8-sig", errors="replace").splitlines()
     return lines[:1] == [_HEAD_LINES[0]] or any(
         _entry(line) is not None for line in lines if line.startswith("[")
     )

@@ -19,7 +19,7 @@ from pupper_analysis.base.errors import (
     OutputError,
     StudyError,
 )
-from pupper_analysis.base.files import Writing, whole_file, write_all
+from pupper_analysis.base.files import Writing, clear_left, whole_file, write_all
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED, MODEL, OWN
 from pupper_analysis.base.locks import lock_file
@@ -71,6 +71,8 @@ class Store:
         except OSError as error:
             raise OutputError(self.folder, error.strerror or error) from error
         with held:
+            for folder in (self.folder, self.shards):
+                clear_left(folder)
             yield
 
     def write_asked(self, asked: dict[str, Any]) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
-from pupper_analysis.base.files import Writing
+from pupper_analysis.base.files import Writing, clear_left, target_of
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
 from pupper_analysis.base.kinds import hash_of, made_model
 from pupper_analysis.base.runs import note_input, running
@@ -91,6 +91,7 @@ class WrittenNumbers:
                 note_input(source)
             for place in self.contents:
                 run.expect(folder / place)
+                clear_left(target_of(folder / place)[0].parent)
         return [
             Writing(folder / place, content, made_model((made or {}).get(str(place))), force=force)
             for place, content in self.contents.items()

@@ -17,6 +17,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.tools.sync.models import refuse_uncommitted
 from pupper_analysis.tools.sync.plan import UnwrittenCause
+from tests.support.hidden_files import leave_hidden_file
 from tests.support.robots import (
     Files,
     Parts,
@@ -470,6 +471,24 @@ def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> No
         process.wait()
         process.stdout.close()
         assert file.read_bytes() in contents
+
+
+@pytest.mark.parametrize("done", [False, True], ids=["to do", "nothing to do"])
+def test_what_a_killed_sync_left_is_cleared_also_if_nothing_is_to_be_written(
+    tmp_path: Path, done: bool
+) -> None:
+    """Killed after its rename, before its clean-up: run again it has nothing to write."""
+    (tmp_path / "part").mkdir()
+    files = pair(tmp_path, ROBOT if done else DIFFERENT)
+    main = files.mjcf.read_text()
+    (tmp_path / "part" / "robot.xml").write_text(main)
+    files.mjcf.write_text('<mujoco><include file="part/robot.xml"/></mujoco>')
+    left = [leave_hidden_file(folder) for folder in (tmp_path, tmp_path / "part")]
+    result = sync(files, "mjcf", dry_run=True)
+    assert bool(result.edits) is not done
+    assert [path.exists() for path in left] == [True, True]
+    sync(files, "mjcf")
+    assert [path.exists() for path in left] == [False, False]
 
 
 # ------------------------------------------------------------------------------------- its parts

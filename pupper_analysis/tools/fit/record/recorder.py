@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, OutputError
-from pupper_analysis.base.files import Writing, reason_of, target_of, write_all
+from pupper_analysis.base.files import Writing, clear_left, reason_of, target_of, write_all
 from pupper_analysis.base.kinds import RECORD
 from pupper_analysis.base.locks import lock_file
 from pupper_analysis.base.results import Result
@@ -144,6 +144,7 @@ def _locked(path: Path) -> Iterator[None]:
     except OSError as error:
         raise OutputError(path, reason_of(error)) from error
     with held:
+        clear_left(target.parent)
         yield
 
 
