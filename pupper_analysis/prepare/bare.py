@@ -6,11 +6,12 @@ nothing) at a joint, the law of the servos that were made up there, through its 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
@@ -22,6 +23,7 @@ from pupper_analysis.models.places import one_line
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import (
     Drive,
+    MadeServo,
     drive_of,
     drives_of,
     is_at_one_joint,
@@ -30,7 +32,11 @@ from pupper_analysis.models.transmission import (
 from pupper_analysis.robot.fall import began_anew
 from pupper_analysis.robot.floor import leave_ground
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import command_elsewhere
+from pupper_analysis.robot.servos import (
+    command_elsewhere,
+    model_with_servos,
+    write_position_servos,
+)
 from pupper_analysis.simulation.rollout import settled_activations
 
 Array = NDArray[np.float64]
@@ -75,6 +81,78 @@ class Bare:
     def floating(self) -> bool:
         """Whether joints leave its base free to move."""
         return int(self.model.body_dofnum[self.base]) >= 6
+
+
+_STEPPING = ("timestep", "integrator")
+"""Attributes of an MJCF's ``<option>`` that servos of our choice need."""
+
+
+_NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY)
+"""Drives that are not meant to hold a position. A position servo whose stiffness is zero or
+negative is meant to, and its file fails because of it (``Drive.bad``)."""
+
+
+def has_few_servos(bare: Bare) -> bool:
+    """Return True if most joints have a torque motor, a velocity servo or no actuator."""
+    others = sum(drive in _NOT_POSITION_SERVOS for drive in bare.drives)
+    return 2 * others > len(bare.drives)
+
+
+def with_unstated_options(bare: Bare, robot: Robot) -> Bare:
+    """Return a published model with the time step and integrator chosen for the added servos.
+
+    Servos of our choice need a time step and an integrator. If the file has few servos, and states
+    neither, MuJoCo's defaults (2 ms, Euler) are nobody's choice. Each attribute that the file
+    states is kept, as are all options of a file with servos of its own.
+
+    Args:
+        bare: Published model.
+        robot: Prepared robot, with the added servos.
+    """
+    file = None if robot.published is None else robot.published.file
+    if file is None or not robot.description.made_servos or not has_few_servos(bare):
+        return bare
+    stated = {name for attributes, _ in file.elements("option") for name in attributes}
+    model = copy.copy(bare.model)
+    for name in _STEPPING:
+        if name not in stated:
+            setattr(model.opt, name, getattr(robot.mj_model.opt, name))
+    return replace(bare, model=model)
+
+
+def with_requested_gains(
+    bare: Bare, robot: Robot, kp: ArrayLike | None, kd: ArrayLike | None
+) -> tuple[Bare, Robot]:
+    """Return a published model, and its robot, whose joints have the requested servo gains.
+
+    An actuator of the file becomes a position servo by the rule of ``model_with_servos``. A joint
+    with a torque motor, or without actuator, is held by the external law of ``Hold``. The returned
+    robot is for comparisons only: its MuJoCo model has gains that its description lacks.
+
+    Args:
+        bare: Published model.
+        robot: Prepared robot.
+        kp: Requested stiffness [N m/rad], one or (nu,); None: that of the prepared robot.
+        kd: Requested damping [N m s/rad], one or (nu,); None: that of the prepared robot.
+
+    Raises:
+        ConfigurationError: See ``model_with_servos``.
+        ModelError: See ``model_with_servos``.
+    """
+    drive, model = model_with_servos(robot, kp, kd), copy.copy(bare.model)
+    added = []
+    for index, name in enumerate(robot.joint_names):
+        stiffness, damping = float(drive.kp[index]), float(drive.kd[index])
+        if stiffness == 0:  # the joint follows others
+            continue
+        kind, actuators = bare.drives[index], drives_of(model, model.joint(name).id)
+        if kind in _NOT_POSITION_SERVOS or len(actuators) != 1:
+            added.append(MadeServo(name, stiffness, damping, kind))
+        else:
+            write_position_servos(model, np.array(actuators), stiffness, damping)
+    described = replace(robot.description, made_servos=tuple(added))
+    changed = replace(robot, description=described, mj_model=drive.model)
+    return Bare.of(model, robot), changed
 
 
 def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:

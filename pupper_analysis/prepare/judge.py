@@ -11,7 +11,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
 from pupper_analysis.prepare.self_check import (
-    as_published_in,
+    compare_as_published,
     own_run_explained,
 )
 from pupper_analysis.robot.alike import structure
@@ -74,7 +74,7 @@ def judge(
         own = own_run_held(loaded, stand.qpos[-robot.nu :])
     if statics is not None and fed.passed:
         fed = _nudged(robot, stand, fed, statics, trial, kp, kd)
-    published = as_published_in(robot, stand, servos)
+    published = compare_as_published(robot, stand, servos, kp, kd)
     return judge_stance(
         fed,
         alone,

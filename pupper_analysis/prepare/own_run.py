@@ -20,6 +20,7 @@ from pupper_analysis.models.transmission import Drive, drives_of, law_of
 from pupper_analysis.prepare.bare import (
     Bare,
     Hold,
+    has_few_servos,
     hold_of,
     imported_model,
     place_held,
@@ -27,6 +28,7 @@ from pupper_analysis.prepare.bare import (
     published_model,
     self_controlled,
     simulate_published,
+    with_unstated_options,
 )
 from pupper_analysis.prepare.servo_tuning import FINER
 from pupper_analysis.prepare.start import stands_at
@@ -121,7 +123,8 @@ def _imported(robot: Robot) -> mujoco.MjModel | Diagnostic | None:
 
 def rests_by_itself(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
     """Tells whether a file, held at the angles of a stand (nq,), is still in a while."""
-    bare = Bare.of(model, robot)
+    bare = with_unstated_options(Bare.of(model, robot), robot)
+    model = bare.model
     data = place_published(bare, robot, qpos)
     if data is None:
         return False
@@ -168,7 +171,7 @@ def _from_keyframe(bare: Bare, robot: Robot, key: int) -> OwnRun:
     model, data = bare.model, mujoco.MjData(bare.model)
     mujoco.mj_resetDataKeyframe(model, data, key)
     stated = bool(model.key_ctrl[key].any()) or states_ctrl(robot, key)
-    limp = is_limp(bare)
+    limp = has_few_servos(bare)
     run = run_alone(bare, robot, data, Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {}))
     run = replace(
         run,
@@ -199,16 +202,11 @@ def states_ctrl(robot: Robot, key: int) -> bool:
 @silence_mujoco()
 def _from_stand(bare: Bare, robot: Robot) -> OwnRun | None:
     """Simulates a file that has no keyframe from the nominal stand, held at its angles."""
+    bare = with_unstated_options(bare, robot)
     data = place_published(bare, robot, robot.home)
     if data is None or bare.ground is None or self_controlled(bare, robot):
         return None
     return _at_angles(bare, robot, data)
-
-
-def is_limp(bare: Bare) -> bool:
-    """Tells whether fewer than half of the joints have what holds a position."""
-    holding = sum(drive not in (Drive.MOTOR, Drive.NONE) for drive in bare.drives)
-    return 2 * holding < len(bare.drives)
 
 
 def hold_of_angles(bare: Bare, robot: Robot, data: mujoco.MjData, pose: Array) -> Hold:
@@ -217,7 +215,7 @@ def hold_of_angles(bare: Bare, robot: Robot, data: mujoco.MjData, pose: Array) -
     Servos that were added help where most joints have none; a motor among servos holds nothing.
     """
     hold = hold_of(bare, robot, data, None, pose)
-    return hold if is_limp(bare) else replace(hold, outside=NOTHING, motors={})
+    return hold if has_few_servos(bare) else replace(hold, outside=NOTHING, motors={})
 
 
 def joint_places(bare: Bare, robot: Robot) -> NDArray[np.intp]:
@@ -252,7 +250,7 @@ def own_run_held(robot: Robot, joints: Array) -> OwnRun | None:
             break
     else:
         run = _at_angles(bare, robot, place_held(bare, robot, joints))
-    return replace(run, limp=is_limp(bare))
+    return replace(run, limp=has_few_servos(bare))
 
 
 def _name_of(model: mujoco.MjModel, key: int) -> str:

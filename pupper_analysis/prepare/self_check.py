@@ -14,7 +14,7 @@ from functools import cache
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.models.transmission import Drive
@@ -25,6 +25,8 @@ from pupper_analysis.prepare.bare import (
     place_published,
     self_controlled,
     simulate_published,
+    with_requested_gains,
+    with_unstated_options,
 )
 from pupper_analysis.prepare.causes import (
     COMMANDS,
@@ -79,54 +81,79 @@ SAME_HEIGHT = 1e-3
 """Share of its height within which the base is where it is predicted (v3: 0.13 mm)."""
 
 
-def as_published_in(robot: Robot, stand: Stand, servos: ServosUsed) -> Published | None:
-    """Returns how the file differs in a stand; in the nominal one where that is out of reach.
+def compare_as_published(
+    robot: Robot,
+    stand: Stand,
+    servos: ServosUsed,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+) -> Published | None:
+    """Compare the published file with the prediction for a stand.
 
-    That is on other ground than the level one, and of a robot that was changed since it was loaded.
+    The nominal stand of the robot as loaded is compared instead if the robot was changed since, or
+    if the ground is not level. If the caller passed gains, the published model gets these gains.
 
     Args:
-        robot: The robot.
-        stand: The stand.
-        servos: On which it is asked for: if their gains were given, what is wrong with the file's
-            does not count.
+        robot: Prepared robot.
+        stand: Stand.
+        servos: Servos on which the verdict rests.
+        kp: Requested servo stiffness [N m/rad], one or (nu,); None: that of the model.
+        kd: Requested servo damping [N m s/rad], one or (nu,); None: that of the model.
+
+    Returns:
+        Comparison. None if the robot has no file, or if the file is what is simulated. See
+        ``_compare_in`` for further cases.
     """
-    bad = any(servo.instead_of.bad for servo in robot.description.made_servos)
-    if robot.published is None or (servos.source is ServoSource.GIVEN and bad):
+    if robot.published is None or robot.published.as_prepared:
         return None
-    if robot.published.as_prepared:
-        return None  # it is what is simulated
+    gains = (kp, kd) if servos.source is ServoSource.GIVEN else None
     loaded = as_loaded(robot)
     if not (loaded.floating or stand.stance_feet):  # in a posture
-        return _published_in(loaded, stand)
+        return _compare_in(loaded, stand, gains)
     if robot.published.loaded is not None or robot.welds or not stand.task.ground.level:
-        return loaded.once(published_nominal)
-    return _published_in(robot, stand)
+        if gains is None:
+            return loaded.once(published_nominal)
+        return _compare_nominal(loaded, gains)
+    return _compare_in(robot, stand, gains)
+
+
+RequestedGains = tuple[ArrayLike | None, ArrayLike | None]
+"""Servo stiffness kp [N m/rad] and damping kd [N m s/rad] that the caller passed."""
 
 
 def published_nominal(robot: Robot) -> Published | None:
-    """Returns how the file differs in the nominal stand; None where there is none."""
+    """Compare the published file with the nominal stand; None without a nominal stand."""
+    return _compare_nominal(robot, None)
+
+
+def _compare_nominal(robot: Robot, gains: RequestedGains | None) -> Published | None:
+    """Compare the published file with the nominal stand; None without a nominal stand."""
     with contextlib.suppress(PupperAnalysisError):
-        return _published_in(robot, solve_stand(robot, explain=False))
+        return _compare_in(robot, solve_stand(robot, explain=False), gains)
     return None
 
 
-def _published_in(robot: Robot, stand: Stand) -> Published | None:
-    """Returns how the file differs in a stand, with the lines of what makes it differ.
+def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Published | None:
+    """Compare the published file with the prediction for a stand, with the causes of differences.
 
-    None if nothing is predicted of the stand, or the base of one in a posture is free in the file.
+    Returns:
+        Comparison. None if nothing is predicted for the stand, if MuJoCo refuses the URDF, or if
+        the file frees a base that the robot has fixed.
     """
     if robot.published is None or (robot.floating and not robot.feet):
         return None
     model = robot.once(raw_model)
     if model is None and (robot.published.file is None or not robot.floating):
-        return None  # MuJoCo does not import it
-    bare = None if model is None else Bare.of(model, robot)
-    wanted = predict_stand(robot, stand) if bare is not None else []
-    if bare is not None and (not wanted or (bare.floating and not robot.floating)):
+        return None
+    bare = None if model is None else with_unstated_options(Bare.of(model, robot), robot)
+    if bare is not None and gains is not None:
+        bare, robot = with_requested_gains(bare, robot, *gains)
+    predictions = predict_stand(robot, stand) if bare is not None else []
+    if bare is not None and (not predictions or (bare.floating and not robot.floating)):
         return None
     if bare is None or bare.floating != robot.floating:
         return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
-    found = compared_with_file(bare, robot, wanted)
+    found = compared_with_file(bare, robot, predictions)
     return replace(found, causes=with_lines(found.causes, robot))
 
 

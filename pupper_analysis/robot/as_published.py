@@ -118,6 +118,11 @@ class Cause:
     difference: Diagnostic | None = None
 
 
+OF_PREPARATION = {"shapes-beside-feet", "balls", "other-drive"}
+"""Codes of causes that are changes made on loading. A verdict is about the published robot: if it
+stands, such a difference is reported, and never fails it."""
+
+
 @dataclass(frozen=True)
 class OwnRun(BodyMotion):
     """What MuJoCo makes of a file from its keyframe, nudged, exactly as a reset leaves it.
@@ -223,6 +228,13 @@ class Published:
     runs: tuple[PublishedRun, ...]
     causes: tuple[Cause, ...]
     differs: bool
+
+    @property
+    def is_altered_only(self) -> bool:
+        """Whether the published robot stands, and only our own preparation makes it differ."""
+        codes = {cause.code for cause in self.causes}
+        run = self.worst
+        return run is not None and not run.collapses and bool(codes) and codes <= OF_PREPARATION
 
     @property
     def worst(self) -> PublishedRun | None:

@@ -160,14 +160,7 @@ def model_with_servos(
     driven = robot.mj_convention.actuator_index >= 0
     actuators = robot.mj_convention.actuator_index[driven]
     if kp is not None or kd is not None:
-        model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
-        model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
-        model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
-        squared = wanted.gear[driven] ** 2
-        model.actuator_gainprm[actuators, 0] = wanted.kp[driven] / squared
-        model.actuator_biasprm[actuators, 0] = 0.0
-        model.actuator_biasprm[actuators, 1] = -wanted.kp[driven] / squared
-        model.actuator_biasprm[actuators, 2] = -wanted.kd[driven] / squared
+        write_position_servos(model, actuators, wanted.kp[driven], wanted.kd[driven])
         model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~wanted.servo[driven]]]] = 0
     _limit(model, actuators, wanted.gear[driven], robot.effort_ranges[driven])
     if integrator is not None:
@@ -177,6 +170,27 @@ def model_with_servos(
         mujoco.mjtIntegrator(int(model.opt.integrator)).name,
     )
     return Servos(model, wanted.kp, wanted.kd, wanted.gear, used)
+
+
+def write_position_servos(
+    model: mujoco.MjModel, actuators: NDArray[np.int64], kp: ArrayLike, kd: ArrayLike
+) -> None:
+    """Make actuators position servos, in place; gears, ranges and filters' states are kept.
+
+    Args:
+        model: MuJoCo model.
+        actuators: Actuator ids, each at one joint, shape (n,).
+        kp: Stiffness at the joints, one or shape (n,) [N m/rad].
+        kd: Damping at the joints, one or shape (n,) [N m s/rad].
+    """
+    squared = model.actuator_gear[actuators, 0] ** 2
+    model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
+    model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
+    model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
+    model.actuator_gainprm[actuators, 0] = np.asarray(kp) / squared
+    model.actuator_biasprm[actuators, 0] = 0.0
+    model.actuator_biasprm[actuators, 1] = -np.asarray(kp) / squared
+    model.actuator_biasprm[actuators, 2] = -np.asarray(kd) / squared
 
 
 @dataclass(frozen=True, eq=False)

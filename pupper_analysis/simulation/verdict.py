@@ -239,7 +239,7 @@ def _code(
         return VerdictCode.OWN_DRIVES_FAIL
     differs = published is not None and published.differs
     off = published.worst if published is not None and differs else None
-    if off is not None and not off.close:
+    if off is not None and published is not None and not (off.close or published.is_altered_only):
         return VerdictCode.DIFFERS_AS_PUBLISHED
     if any(remark.severity is Severity.ERROR for remark in remarks):
         return VerdictCode.LIMB_WITHOUT_FOOT

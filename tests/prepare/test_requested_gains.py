@@ -1,0 +1,131 @@
+"""Gains, time steps and integrators: what the caller requests, and what the file leaves open."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.models.transmission import Drive
+from pupper_analysis.prepare.bare import Bare, has_few_servos, with_unstated_options
+from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.prepare.own_run import own_run, raw_model
+from tests.prepare.test_own_run import slipped
+from tests.support.legged import quadruped, rewritten
+
+_GAINS = r'kp="[^"]*"( kv="[^"]*")?'
+
+
+def _height_after(mjcf: Path, seconds: float = 5.0) -> float:
+    """Return the height of the base [m] that bare MuJoCo reaches from the keyframe."""
+    model = mujoco.MjModel.from_xml_path(str(mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, nstep=round(seconds / model.opt.timestep))
+    return float(data.qpos[2])
+
+
+def test_requested_gains_decide_if_the_file_has_weak_servos(tmp_path: Path) -> None:
+    """With the requested gains in the file, bare MuJoCo stands; with the file's own it falls."""
+
+    def with_gains(kp: float, kd: float) -> pa.Robot:
+        return slipped(tmp_path, lambda text: re.sub(_GAINS, f'kp="{kp:g}" kv="{kd:g}"', text))
+
+    with_gains(80, 4)
+    assert _height_after(tmp_path / "robot.xml") > 0.3
+    robot = with_gains(2, 0.1)
+    assert _height_after(tmp_path / "robot.xml") < 0.2
+    stand = pa.solve_stand(robot)
+    assert not judge_stand(robot, stand).passed
+    verdict = judge_stand(robot, stand, kp=80, kd=4)
+    assert verdict.passed
+    assert verdict.own is not None
+    assert verdict.own.falls  # the run of the unmodified file is still reported
+    assert verdict.published is not None
+    assert not verdict.published.differs
+
+
+def test_requested_gains_that_are_too_low_fail(tmp_path: Path) -> None:
+    """A file that stands by itself in bare MuJoCo is not what is asked about."""
+    robot = slipped(tmp_path, lambda text: text + "\n")
+    assert _height_after(tmp_path / "robot.xml") > 0.3
+    stand = pa.solve_stand(robot)
+    assert judge_stand(robot, stand).passed
+    assert not judge_stand(robot, stand, kp=2, kd=0.1).passed
+
+
+@pytest.mark.parametrize(
+    ("option", "timestep", "integrator"),
+    [
+        ("", 0.001, mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
+        ('<option timestep="0.004"/>', 0.004, mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
+        ('<option integrator="RK4"/>', 0.001, mujoco.mjtIntegrator.mjINT_RK4),
+    ],
+)
+def test_added_servos_bring_the_options_that_the_file_does_not_state(
+    tmp_path: Path, option: str, timestep: float, integrator: mujoco.mjtIntegrator
+) -> None:
+    """The expected values are those of the XML, or else those of the prepared robot."""
+    pair = quadruped(tmp_path, floor=True)
+    rewritten(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"), count=1)
+    robot = pa.load_robot(*pair)
+    robot.mj_model.opt.timestep = 0.001
+    model = raw_model(robot)
+    assert model is not None
+    changed = with_unstated_options(Bare.of(model, robot), robot).model
+    assert changed.opt.timestep == timestep
+    assert changed.opt.integrator == integrator.value
+    assert model.opt.timestep == (0.004 if "0.004" in option else 0.002)  # the file is unchanged
+
+
+def test_options_of_a_file_with_servos_are_its_own(tmp_path: Path) -> None:
+    """MuJoCo's defaults belong to the file if its own servos were made for them."""
+    robot = slipped(tmp_path, lambda text: text.replace('<option integrator="implicitfast"/>', ""))
+    model = raw_model(robot)
+    assert model is not None
+    bare = Bare.of(model, robot)
+    assert with_unstated_options(bare, robot) is bare
+
+
+@pytest.mark.parametrize(
+    ("drive", "few"),
+    [
+        (Drive.SERVO, False),
+        (Drive.MOTOR, True),
+        (Drive.NONE, True),
+        (Drive.VELOCITY, True),
+        (Drive.NO_STIFFNESS, False),
+        (Drive.WRONG_SIGN, False),
+    ],
+)
+def test_velocity_servos_hold_no_position(tmp_path: Path, drive: Drive, few: bool) -> None:
+    """A servo with zero or negative stiffness is meant to hold, so its file is not excused."""
+    robot = slipped(tmp_path, lambda text: text + "\n")
+    model = raw_model(robot)
+    assert model is not None
+    bare = Bare.of(model, robot)
+    joints = len(bare.drives)
+    most = (drive,) * 7 + (Drive.SERVO if few else Drive.MOTOR,) * (joints - 7)
+    assert has_few_servos(replace(bare, drives=most)) is few
+
+
+def test_velocity_servos_that_nobody_commands_are_no_fall_of_the_file(tmp_path: Path) -> None:
+    """In bare MuJoCo the file sinks on its velocity servos, whose commands are speeds, not angles.
+
+    The keyframe states no ctrl, as with torque motors: servos are added, and the verdict passes.
+    """
+
+    def with_velocity_servos(text: str) -> str:
+        text = re.sub(r' ctrl="[^"]*"(?=/></keyframe>)', "", text)
+        return re.sub(r'<position (joint="[^"]*")[^>]*/>', r'<velocity \g<1> kv="2"/>', text)
+
+    robot = slipped(tmp_path, with_velocity_servos)
+    own = own_run(robot)
+    assert own is not None
+    assert own.limp
+    assert not own.fails
+    assert own.held is None
