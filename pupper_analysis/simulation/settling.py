@@ -100,7 +100,10 @@ def comes_to_rest(
     if monitor.has_diverged(later, float(model.opt.timestep)):
         return False
     nudge = measure_response(model, state, later, last)
-    return not find_instability(judged, nudge) and not _falls(upright, later[-1])
+    if find_instability(judged, nudge) or _falls(upright, later[-1]):
+        return False
+    touching = monitor.Watcher(held.robot, model).touching(later[-1])
+    return upright.check_stand(later[-1], touching).stands
 
 
 def _settled(held: Standing, upright: monitor.Upright) -> Array | None:

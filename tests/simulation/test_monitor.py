@@ -86,6 +86,33 @@ def test_fallen_is_leaning_too_far_or_too_low(
     assert lowered.has_fallen(state_at(robot, robot.mj_model, there)) is fallen
 
 
+@pytest.mark.parametrize(
+    ("tilt", "lost", "touching", "stands"),
+    [
+        (0.0, 0.0, (), True),
+        (0.17, 0.0, (), True),
+        (0.18, 0.0, (), False),  # more than 10 deg
+        (0.0, 0.29, (), True),
+        (0.0, 0.31, (), False),  # more than ``SUNKEN`` of its height
+        (0.0, -0.31, (), False),
+        (0.0, 0.0, ("shank",), False),
+    ],
+)
+def test_a_robot_stands_if_it_is_upright_at_its_height_and_only_its_feet_touch(
+    tilt: float, lost: float, touching: tuple[str, ...], stands: bool
+) -> None:
+    robot, stand = load(NAME), stand_of(NAME)
+    upright, there = monitor.Upright.of(robot, stand.qpos), stand.qpos.copy()
+    there[2] -= lost * upright.size
+    there[3:7] = quaternion(np.array([tilt, 0.0, 0.0]))
+    turned = rotation_from_quaternion(there[3:7])
+    there[:3] += upright.lever - turned @ upright.lever
+    found = upright.check_stand(state_at(robot, robot.mj_model, there), touching)
+    assert found.tilt == pytest.approx(tilt, abs=1e-7)
+    assert found.height == pytest.approx((1 - lost) * found.expected_height)
+    assert found.stands is stands
+
+
 def test_yaw_is_no_lean_and_a_turn_is() -> None:
     robot = load(NAME)
     qpos = robot.neutral()

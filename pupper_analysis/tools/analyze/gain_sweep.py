@@ -17,7 +17,6 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.base.results import Tabular
-from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos, servo_gains
 from pupper_analysis.robot.stability import LASTING
@@ -245,8 +244,8 @@ class _Trial:
         return float(monitor.base_heights(self.robot, states)[-last:].std())
 
     def _stands(self, watcher: monitor.Watcher, states: Array) -> bool:
-        """Tells whether a robot ends upright, and rests on nothing but its feet."""
+        """Return whether a robot stands at the end of a rollout."""
         if monitor.has_diverged(states, self.timestep):
             return False
-        leaning = monitor.base_lean(self.robot, self.stand.task.rotation(), states[-1])
-        return not (leaning > FALLEN_TILT or watcher.touching(states[-1]))
+        upright = monitor.Upright.of(self.robot, self.stand.qpos, self.stand.task.rotation())
+        return upright.check_stand(states[-1], watcher.touching(states[-1])).stands

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import os
 import sys
 import warnings
@@ -15,7 +16,10 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.fall import began_anew
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.monitor import StandCheck, Upright, Watcher
+from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
 
 Array = NDArray[np.float64]
@@ -35,12 +39,14 @@ class Drop:
         time: (n,) s.
         height: (n,) of the base (m).
         height_deviation: Standard deviation of the height in the last second (m).
-        stable: Whether that is below ``STABLE_DEVIATION``.
+        end: Check of the final state against the home pose on the ground.
+        stable: Whether ``height_deviation`` is below ``STABLE_DEVIATION`` and the robot stands.
     """
 
     time: Array
     height: Array
     height_deviation: float
+    end: StandCheck
     stable: bool
 
 
@@ -60,7 +66,25 @@ def drop(robot: Robot) -> Drop:
         height[step] = data.qpos[2]
     deviation = float(height[-round(1 / timestep) :].std())
     time = timestep * np.arange(len(height), dtype=np.float64)
-    return Drop(time, height, deviation, deviation < STABLE_DEVIATION)
+    end = _check_landing(robot, data)
+    stable = deviation < STABLE_DEVIATION and end.stands and not began_anew(data)
+    return Drop(time, height, deviation, end, stable)
+
+
+def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
+    """Check a final state against the home pose with its lowest foot on the ground."""
+    qpos = robot.home.copy()
+    if robot.floating and robot.contact_points:
+        qpos[2] -= _foot_clearance(robot, qpos)
+    state = full_state(robot.mj_model, data)
+    touching = Watcher(robot, robot.mj_model).touching(state)
+    return Upright.of(robot, qpos).check_stand(state, touching)
+
+
+def _foot_clearance(robot: Robot, qpos: Array) -> float:
+    """Return the vertical distance of the lowest foot from the ground (m)."""
+    feet = Configuration(robot, qpos).foot_positions()
+    return min(float(place[2]) - robot.contact_radius[foot] for foot, place in feet.items())
 
 
 def at_home(robot: Robot) -> mujoco.MjData:
@@ -71,10 +95,7 @@ def at_home(robot: Robot) -> mujoco.MjData:
     data = mujoco.MjData(robot.mj_model)
     qpos = robot.home.copy()
     if robot.floating and robot.contact_points:
-        feet = Configuration(robot, qpos).foot_positions()
-        clearance = min(
-            float(place[2]) - robot.contact_radius[foot] for foot, place in feet.items()
-        )
+        clearance = _foot_clearance(robot, qpos)
         qpos[2] += FALL - clearance if clearance < FALL / 2 else 0.0
     robot.mj_convention.set_state(data, qpos)
     data.ctrl[robot.mj_convention.actuator_index] = qpos[robot.nq - robot.nu :]
@@ -113,7 +134,7 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
 
 
 def drop_and_report(robot: Robot, *, headless: bool) -> bool:
-    """Drops a robot and prints how steadily it stands at the end.
+    """Drop a robot and print whether it stands at the end.
 
     The result is the same whatever is done in the window.
 
@@ -130,13 +151,29 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
     if not headless:
         show_window(robot.mj_model, at_home(robot))
     result = drop(robot)
-    deviation = 1e3 * result.height_deviation
-    sign, verdict = ("<", "stable") if result.stable else (">=", "NOT stable")
-    print(
-        f"final z={result.height[-1]:.3f} m, last-1s std={deviation:.2f} mm "
-        f"({sign} {1e3 * STABLE_DEVIATION:g} mm = {verdict})"
-    )
+    print(format_drop(result))
     return result.stable
+
+
+def format_drop(result: Drop) -> str:
+    """Format the line that reports a drop, in the tutorial's form."""
+    still = result.height_deviation < STABLE_DEVIATION
+    sign, end = "<" if still else ">=", result.end
+    ending = " = stable" if result.stable else " = NOT stable" if not still else ""
+    words = [
+        f"final z={result.height[-1]:.3f} m",
+        f"last-1s std={1e3 * result.height_deviation:.2f} mm "
+        f"({sign} {1e3 * STABLE_DEVIATION:g} mm{ending})",
+        f"tilt {math.degrees(end.tilt):.1f} deg",
+    ]
+    if result.stable:
+        words.append("only the feet touch the ground")
+    elif end.touching:
+        words.append(f"touching the ground: {', '.join(end.touching)}")
+    if not result.stable and end.collapses:
+        height, expected = 1e3 * end.height, 1e3 * end.expected_height
+        words.append(f"CoM {height:.0f} mm high instead of {expected:.0f} mm")
+    return ", ".join(words) + ("" if result.stable or not still else ": NOT stable")
 
 
 class DisplayError(PupperAnalysisError):

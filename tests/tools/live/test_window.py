@@ -1,5 +1,6 @@
 """The view and the drop, in words; and that a missing screen is said in one line."""
 
+import math
 import re
 import sys
 
@@ -37,6 +38,39 @@ def test_a_dropped_robot_falls_freely_until_it_lands(dropped: viewer.Drop) -> No
     time = dropped.time[dropped.time < 0.17]  # it lands after 0.18 s
     fallen = dropped.height[0] - dropped.height[: len(time)]
     np.testing.assert_allclose(fallen, GRAVITY / 2 * time * (time + dropped.time[1]), atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("variant", "tilt", "touching"),
+    [
+        ("v3", 0.03, ()),
+        ("long-leg", math.pi, ("base_link",)),
+        ("v3-long-leg", 0.28, ("leg_back_l_2", "leg_back_r_2")),
+    ],
+)
+def test_only_a_robot_upright_on_its_feet_is_stable_after_a_drop(
+    variant: str, tilt: float, touching: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All three are at rest after 6 s; tilt and contacts are those of bare MuJoCo's last state."""
+    robot = load(variant)
+    model, data = robot.mj_model, viewer.at_home(robot)
+    mujoco.mj_step(model, data, round(viewer.SECONDS / model.opt.timestep))
+    base = model.body(robot.mj_base).id
+    bodies = model.geom_bodyid[data.contact.geom]
+    found = {model.body(int(body)).name for body in bodies[(bodies == 0).any(axis=1)].ravel()}
+    assert math.acos(data.xmat[base][8]) == pytest.approx(tilt, abs=0.01)
+    result = viewer.drop(robot)
+    assert result.height_deviation < 1e-4
+    assert result.end.tilt == pytest.approx(math.acos(data.xmat[base][8]), abs=1e-6)
+    assert result.end.touching == touching
+    assert set(touching) <= found
+    assert result.stable == (not touching)
+    assert viewer.drop_and_report(robot, headless=True) == result.stable
+    line = capsys.readouterr().out
+    assert f"tilt {math.degrees(result.end.tilt):.1f} deg" in line
+    assert all(body in line for body in touching)
+    assert ("NOT stable" in line) is bool(touching)
 
 
 # ------------------------------------------------------------------------------------- the view
