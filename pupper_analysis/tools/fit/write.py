@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -15,6 +13,7 @@ import orjson
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError
 from pupper_analysis.base.files import Writing, write_all
@@ -190,9 +189,7 @@ com_z: to be added (m).
 
 
 def _csv(header: Iterable[str], rows: Iterable[Iterable[object]], about: str = "") -> bytes:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([header, *rows])
-    return (about + text.getvalue()).encode()
+    return (about + csv_text([header, *rows])).encode()
 
 
 def _json(

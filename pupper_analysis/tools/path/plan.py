@@ -5,8 +5,6 @@ Of each sample: torques, contact forces, the zero-moment point.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.base.files import whole_file
@@ -216,12 +215,8 @@ class StancePath(Tabular):
         header = ["time (s)", *(f"q {name} (rad)" for name in self.joint_names)]
         header += [f"tau {name} (N m)" for name in self.joint_names]
         rows = np.column_stack([self.time, self.joint_positions(), self.torques])
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows.tolist())
         with whole_file(Path(path), PATH_TABLE, force=force) as file:
-            file.write(text.getvalue().encode())
+            file.write(csv_text([header, *rows.tolist()]).encode())
 
 
 @check_arguments

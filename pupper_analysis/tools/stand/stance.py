@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import csv
-import io
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError, NoStiffnessError
 from pupper_analysis.base.files import whole_file
@@ -94,12 +93,10 @@ class Stance(Tabular):
         """
         units = ("", " (rad)", " (N m)", " (N m)", "", " (N m)")
         columns = self._columns()
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(name + unit for name, unit in zip(columns, units, strict=True))
-        writer.writerows(zip(*(np.asarray(one).tolist() for one in columns.values()), strict=True))
+        header = [name + unit for name, unit in zip(columns, units, strict=True)]
+        rows = zip(*(np.asarray(one).tolist() for one in columns.values()), strict=True)
         with whole_file(Path(path), STAND_TABLE, force=force) as file:
-            file.write(text.getvalue().encode())
+            file.write(csv_text([header, *rows]).encode())
 
     @property
     def overloaded(self) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.csv_text import cell_text
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, MeasurementError
 from pupper_analysis.base.inputs import decode_input, read_input
@@ -125,7 +126,7 @@ def _from_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
         if column.quantity:
             numbers[name] = factor * _numbers(source, header[place], cells, body)
         else:
-            words[name] = tuple(cells)
+            words[name] = tuple(map(cell_text, cells))
     return Columns(source, numbers, words, tuple(line for line, _ in body))
 
 

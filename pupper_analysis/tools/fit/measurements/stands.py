@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import MeasurementError, UnknownNameError
 from pupper_analysis.robot.robot import Robot
@@ -248,17 +247,14 @@ def stands_text(stands: MeasuredStands, *, header: bool = True) -> str:
     """Returns stands as a CSV file has them, which ``read_stands`` reads."""
     loads = [f"added{one}.{link}" for link in stands.added for one in ("", "_x", "_y", "_z")]
     kinds = [f"{kind}.{name}" for kind in ("command", "position") for name in stands.joints]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    if header:
-        writer.writerow(["stand", "swing", "heading", *loads, *kinds])
+    rows: list[list[str]] = [["stand", "swing", "heading", *loads, *kinds]] if header else []
     for row, name in enumerate(stands.names):
         on = [f"{one:.6g}" for own in stands.added.values() for one in own[row]]
         numbers = [*stands.command[row], *stands.position[row]]
         cells = [f"{one:.6f}" if math.isfinite(one) else "" for one in numbers]
         heading = f"{stands.heading[row]:.8g}"
-        writer.writerow([name, " ".join(stands.swing[row]), heading, *on, *cells])
-    return text.getvalue()
+        rows.append([name, " ".join(stands.swing[row]), heading, *on, *cells])
+    return csv_text(rows)
 
 
 def _added(table: Columns) -> Iterator[tuple[str, Array]]:

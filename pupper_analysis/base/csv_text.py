@@ -1,0 +1,53 @@
+"""CSV text of tables. Spreadsheets never execute a cell of it as a formula."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable
+from typing import Final
+
+_FORMULA: Final = re.compile("[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+"""First characters of cells that spreadsheets may execute, with their full-width forms (OWASP, CSV
+Injection)."""
+
+_GUARD: Final = "'"
+"""Prefix by which spreadsheets take a cell as text."""
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows as CSV, one line each.
+
+    A text that a spreadsheet would execute gets a leading apostrophe. Numbers, also as text, stay
+    as they are: ``-0.1``.
+    """
+    return "".join(map(_line, rows))
+
+
+def _line(row: Iterable[object]) -> str:
+    text = io.StringIO(newline="")
+    # The writer quotes a carriage return only if its line terminator contains one.
+    csv.writer(text, lineterminator="\r\n").writerow([_guard(cell) for cell in row])
+    return text.getvalue().removesuffix("\r\n") + "\n"
+
+
+def cell_text(cell: str) -> str:
+    """Return the text of a cell that ``csv_text`` wrote: without the apostrophe that it added."""
+    if cell.startswith(_GUARD) and _FORMULA.match(cell, len(_GUARD)):
+        return cell[len(_GUARD) :]
+    return cell
+
+
+def _guard(cell: object) -> object:
+    if isinstance(cell, str) and _FORMULA.match(cell) and not _is_number(cell):
+        return _GUARD + cell
+    return cell
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,65 @@
+"""Tables as CSV: what spreadsheets would execute is text in them, and is read back as it was."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pupper_analysis.base.csv_text import cell_text, csv_text
+from pupper_analysis.pupper.variant_files import write_variant
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, read_stands, stands_text
+from tests.support.commands import answer
+from tests.support.rooms import PACKAGE, trees
+
+FORMULAS = [
+    "=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(1)", "\t=1", "\r=1", "\n=1", "\uff1d1+1", "-", "-a",
+]  # fmt: skip
+"""First characters by OWASP's page on CSV injection."""
+
+
+@pytest.mark.parametrize("formula", FORMULAS)
+def test_texts_that_spreadsheets_execute_are_written_as_text(formula: str) -> None:
+    (row,) = csv.reader(io.StringIO(csv_text([[formula, "FL_hip"]]), newline=""))
+    assert row == [f"'{formula}", "FL_hip"]
+    assert cell_text(row[0]) == formula
+
+
+@pytest.mark.parametrize("cell", ["-0.1", "+2", "-1e-3", "-inf", -0.1, "'quoted", "a=b", ""])
+def test_numbers_and_other_texts_are_written_as_they_are(cell: object) -> None:
+    assert csv_text([[cell, 0]]) == f"{cell},0\n"
+    assert cell_text(str(cell)) == str(cell)
+
+
+def test_names_of_stands_and_feet_are_read_as_they_were_written(tmp_path: Path) -> None:
+    names, swing = ("=1+1", "-s", "s3", "-3"), (("@foot",), (), ("+FL", "FR"), ())
+    stands = MeasuredStands(
+        "plan.csv", names, ("=hip",), np.zeros((4, 1)), np.full((4, 1), -0.1), swing
+    )
+    path = tmp_path / "stands.csv"
+    path.write_text(stands_text(stands))
+    rows = list(csv.reader(io.StringIO(path.read_text())))
+    assert [row[0] for row in rows[1:]] == ["'=1+1", "'-s", "s3", "-3"]
+    found = read_stands(path)
+    assert (found.names, found.swing, found.joints) == (names, swing, ("=hip",))
+    assert found.position.tolist() == [[-0.1]] * 4
+
+
+@pytest.mark.slow
+def test_stand_writes_a_joint_whose_name_is_a_formula_as_text(tmp_path: Path) -> None:
+    urdf, mjcf = write_variant("v3", tmp_path)
+    for path in (urdf, mjcf):
+        path.write_text(path.read_text().replace("leg_front_r_1", "=leg|calc!A0"))
+    done = answer("stand", str(urdf), str(mjcf), "--csv", str(tmp_path / "stand.csv"))
+    assert done.returncode == 0, done.stderr
+    names = [row[0] for row in csv.reader(io.StringIO((tmp_path / "stand.csv").read_text()))]
+    assert names[1] == "'=leg|calc!A0"
+    assert not [name for name in names if name.startswith("=")]
+
+
+def test_all_tables_are_written_by_this_function() -> None:
+    users = [path for path in trees() if "csv.writer" in (PACKAGE / path).read_text()]
+    assert users == ["base/csv_text.py"]
