@@ -112,6 +112,23 @@ def test_the_action_fails_at_the_line_of_what_is_new(installed: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["since", "config", "format"])
+def test_an_input_that_begins_with_a_dash_is_no_option(installed: Path, name: str) -> None:
+    """Of git, which runs what ``--upload-pack`` names where the remote is a path, or of ours."""
+    made = installed.parent / "made"
+    for command in (
+        ["init", "--quiet"],
+        ["remote", "add", "origin", str(installed)],
+    ):
+        subprocess.run(["git", *command], cwd=installed, check=True)
+    result = step("Check", installed, **{name: f"--upload-pack=touch {made};true"})
+    assert result.returncode not in (0, 1)
+    assert not made.exists()
+    assert "No such option" not in result.stderr
+    assert "--upload-pack=touch" in result.stderr
+
+
+@pytest.mark.slow
 def test_the_action_installs_what_checking_needs(checkout: Path) -> None:
     """From the package index, as on GitHub; without PlaCo and Matplotlib."""
     result = step("Install", checkout)
