@@ -10,6 +10,7 @@ from typing import Any
 
 import hypothesis
 import pytest
+from hypothesis.internal.conjecture import providers
 
 import pupper_analysis as pa
 from tests.support.rooms import trees
@@ -27,6 +28,11 @@ hypothesis.settings.register_profile(
 
 
 hypothesis.settings.load_profile("suite")
+
+# Hypothesis mixes constants of all imported modules of this repository into its draws. The examples
+# of a test would then depend on the tests that ran before it in the same process, and a failure
+# could not be reproduced by running the test alone.
+providers._get_local_constants = lambda: providers._local_constants
 
 
 NO_SKIPS = os.environ.get("CI") == "true" and sys.platform == "linux"

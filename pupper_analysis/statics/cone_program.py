@@ -311,8 +311,10 @@ class Balance:
         """
         normals, count = self.normals, len(self.normals)
         rows, index = np.zeros((count, 4, count, 3)), np.arange(count)
-        rows[index, 0, index] = (friction * (1 - _CONE_MARGIN))[:, None] * normals
-        rows[index, 1:, index] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+        scale = np.maximum(friction, 1.0)  # rows of similar size, also for large coefficients
+        rows[index, 0, index] = (friction / scale * (1 - _CONE_MARGIN))[:, None] * normals
+        tangential = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+        rows[index, 1:, index] = tangential / scale[:, None, None]
         cones: Array = rows.reshape(4 * count, 3 * count)
         others = self.base_rows.shape[1] - 3 * count
         if not others:

@@ -466,6 +466,35 @@ def test_contacts_that_are_shared_cannot_be_changed() -> None:
             array[...] = 0.0
 
 
+def test_friction_needed_is_found_if_it_is_in_the_hundreds() -> None:
+    """Three feet on slopes need 400 times their friction; a linear program has forces there.
+
+    The cone program failed for coefficients of 1,000 and more, and the refusal named a foot that
+    would pull instead of friction.
+    """
+    share = np.zeros(15)
+    share[[1, 2, 6, 7, 9, 13]] = 0.71875, 0.75, -0.46875, -0.5, -0.46875, -0.90625
+    config = near_stand("original", share)
+    tilts = [(0.0, 0.0), (0.6015625, 3.0), (0.4140625, -1.0), (0.11156, -0.0390625)]
+    feet = config.robot.contact_points
+    slopes = {foot: tilted(*tilt) for foot, tilt in zip(feet, tilts, strict=True)}
+    normals = {foot: slopes[foot] for foot in ("FR", "RL", "RR")}
+    with pytest.raises(pa.StaticsInfeasibleError) as caught:
+        pa.gravity_compensation(config, [*normals], friction=1.0, normals=normals)
+    assert caught.value.reason is pa.errors.Infeasibility.FRICTION
+    needed = caught.value.friction_needed
+    assert needed is not None
+    radius = config.robot.contact_radius
+    points = {
+        foot: config.foot_positions()[foot] - radius[foot] * normal
+        for foot, normal in normals.items()
+    }
+    com = config.center_of_mass()
+    assert forces_exist(points, com, 1.02 * needed, normals)  # the pyramid is 1 % inside the cone
+    # Near the limit the forces grow beyond 1,000 weights, and tolerances decide: HiGHS has 420.
+    assert not forces_exist(points, com, 0.85 * needed, normals)
+
+
 def forces_exist(
     points: dict[str, np.ndarray],
     com: np.ndarray,
