@@ -1,10 +1,9 @@
-"""Each model in the other engine: the MJCF's model in Pinocchio, the URDF's in MuJoCo.
+"""Conversion of models between the engines: MJCF to Pinocchio, URDF to MuJoCo.
 
-Pinocchio has an MJCF parser and MuJoCo a URDF importer. The former (3.8) drops masses given in
-default classes, friction loss and force ranges, so the compiled MuJoCo model is rebuilt joint by
-joint here; the latter, left to itself, welds the base to the world and drops its mass, so static
-bodies are kept apart and the base is given a free joint. A tree's parameters in MuJoCo can be
-changed in place.
+Pinocchio's MJCF parser (3.8) ignores masses in default classes, friction loss and force ranges, so
+``pinocchio_from_mujoco`` rebuilds the compiled MuJoCo model joint by joint. MuJoCo's URDF importer
+by default welds the base to the world and drops its mass, so static bodies are kept and a free
+joint is added. ``MujocoTree`` is a MuJoCo model whose parameters can be changed in place.
 """
 
 from __future__ import annotations
@@ -41,47 +40,48 @@ Array = NDArray[np.float64]
 
 _T = TypeVar("_T")
 
-_FREE = "__free__"
+_FREE_JOINT_NAME = "__free__"
 
 
 class MujocoTree:
-    """A MuJoCo model of a robot's parameters.
+    """MuJoCo model of a multibody tree.
 
-    It is compiled once per structure (parents and kinds of joints); other numbers are written into
-    it. Its joints have the names of the parameters', its base the base's, and each frame is a site.
-    Nothing acts but gravity, damping and what is applied: no limits, friction or contacts.
+    The model is compiled once per structure (parents and kinds of joints); all other parameters are
+    written into the model. Joints and base have the names of the tree; each frame is a site.
+    Gravity, damping and applied forces act; joint limits, friction and contacts do not.
 
     Attributes:
-        model: The model.
-        base: The name of its base: the parameters', unless that is ``world``, which MuJoCo has.
+        model: MuJoCo model.
+        base: Name of the base body. It differs from the tree's if that is ``world``, a reserved
+            name.
     """
 
     def __init__(self, parameters: MultibodyTree) -> None:
-        """Compiles the model, and gives it the numbers."""
+        """Compile the model, and set the parameters."""
         self.base = "__world__" if parameters.base == "world" else parameters.base
-        self.model = _compiled(parameters, self.base)
-        self._structure = _structure(parameters)
+        self.model = _compile_structure(parameters, self.base)
+        self._structure = _structure_key(parameters)
         self._base = int(self.model.body(self.base).id)
         self._joints = {name: self.model.joint(name).id for name in parameters.joints}
         self._bodies = {name: int(self.model.jnt_bodyid[j]) for name, j in self._joints.items()}
         self._bodies[parameters.base] = self._base
-        self._taken = replace(parameters, bodies={}, joints={})
+        self._last_parameters = replace(parameters, bodies={}, joints={})
         self.take(parameters)
 
     def fits(self, parameters: MultibodyTree) -> bool:
-        """Says whether other parameters have this structure."""
-        return self._structure == _structure(parameters)
+        """Return True if a tree has the structure of the model."""
+        return self._structure == _structure_key(parameters)
 
     def take(self, parameters: MultibodyTree) -> None:
-        """Gives the model the numbers of other parameters of its structure."""
-        model, before = self.model, self._taken
-        bodies = _new(parameters.bodies, before.bodies)
+        """Set the parameters of the model to those of a tree with the same structure."""
+        model, previous = self.model, self._last_parameters
+        bodies = _select_changed(parameters.bodies, previous.bodies)
         if bodies:
-            _take_bodies(model, [self._bodies[name] for name in bodies], list(bodies.values()))
-        joints = _new(parameters.joints, before.joints)
+            _set_bodies(model, [self._bodies[name] for name in bodies], list(bodies.values()))
+        joints = _select_changed(parameters.joints, previous.joints)
         if joints:
-            _take_joints(model, [self._joints[name] for name in joints], list(joints.values()))
-        self._taken = parameters
+            _set_joints(model, [self._joints[name] for name in joints], list(joints.values()))
+        self._last_parameters = parameters
         if parameters.floating:
             model.dof_armature[:6] = parameters.base_armature
             model.dof_damping[:6] = parameters.base_damping
@@ -91,77 +91,82 @@ class MujocoTree:
             model.site_pos[site] = position
 
 
-def _new(values: Mapping[str, _T], before: Mapping[str, _T]) -> dict[str, _T]:
-    """Returns what is another object than before: most trees differ from the last in one number."""
-    return {name: value for name, value in values.items() if value is not before.get(name)}
+def _select_changed(values: Mapping[str, _T], previous: Mapping[str, _T]) -> dict[str, _T]:
+    """Return the values that are not the same object as before."""
+    return {name: value for name, value in values.items() if value is not previous.get(name)}
 
 
-def _structure(parameters: MultibodyTree) -> tuple[object, ...]:
+def _structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
+    """Return a key that is equal for trees that differ only in parameters."""
     joints = tuple((name, joint.parent, joint.slides) for name, joint in parameters.joints.items())
     frames = tuple((name, owner) for name, (owner, _) in parameters.frames.items())
     return parameters.base, parameters.floating, joints, tuple(parameters.bodies), frames
 
 
-def _compiled(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
+def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
+    """Compile a MuJoCo model with the structure of a tree and arbitrary parameters."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     bodies = {parameters.base: spec.worldbody.add_body(name=base)}
     if parameters.floating:
-        bodies[parameters.base].add_freejoint(name=_FREE)
+        bodies[parameters.base].add_freejoint(name=_FREE_JOINT_NAME)
     kinds = {True: JointKind.SLIDE, False: JointKind.HINGE}
     for name in parameters.parents_first():
         joint = parameters.joints[name]
         bodies[name] = bodies[joint.parent].add_body()
         bodies[name].add_joint(name=name, type=kinds[joint.slides], axis=[0.0, 0.0, 1.0])
     for body in bodies.values():
-        # Of general inertia: MuJoCo leaves out what is zero in the model that it compiles.
+        # Arbitrary values: MuJoCo simplifies the compiled model if values are zero.
         body.explicitinertial = True
         body.mass, body.inertia = 1.0, [1.0, 1.1, 1.2]
         body.ipos, body.iquat = [0.1, 0.2, 0.3], [0.8, 0.2, 0.4, 0.4]
     for name, (owner, position) in parameters.frames.items():
-        bodies[owner].add_site(name=name, pos=position + 1.0)  # as above
+        bodies[owner].add_site(name=name, pos=position + 1.0)  # not zero, as above
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
     return spec.compile()
 
 
-def _take_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[TreeBody]) -> None:
-    # Of tensors that no body has, too: a file may state them.
+def _set_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[TreeBody]) -> None:
+    """Write masses and inertias to a model. The inertia may be unphysical, as in a file."""
     moments, axes = np.linalg.eigh(np.array([body.inertia for body in bodies]))
     axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
     model.body_mass[ids] = [body.mass for body in bodies]
     model.body_ipos[ids] = [body.com for body in bodies]
     model.body_inertia[ids] = moments
     model.body_iquat[ids] = [quaternion_from_rotation(rotation) for rotation in axes]
-    total = np.array(model.body_mass)
-    for body in range(model.nbody - 1, 0, -1):  # children have higher numbers
-        total[model.body_parentid[body]] += total[body]
-    model.body_subtreemass[:] = total
+    subtree_mass = np.array(model.body_mass)
+    for body in range(model.nbody - 1, 0, -1):  # children have higher ids
+        subtree_mass[model.body_parentid[body]] += subtree_mass[body]
+    model.body_subtreemass[:] = subtree_mass
 
 
-def _take_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[TreeJoint]) -> None:
+def _set_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[TreeJoint]) -> None:
+    """Write poses, axes, limits and passive parameters of joints to a model."""
     bodies, dofs = model.jnt_bodyid[ids], model.jnt_dofadr[ids]
     model.body_pos[bodies] = [joint.position for joint in joints]
     model.body_quat[bodies] = [quaternion_from_rotation(joint.rotation) for joint in joints]
     model.jnt_axis[ids] = [joint.axis for joint in joints]
-    ends = np.array([(joint.lower, joint.upper) for joint in joints])
-    model.jnt_limited[ids] = np.isfinite(ends).all(axis=1)
-    model.jnt_range[ids] = np.where(np.isfinite(ends), ends, 0.0)
+    limits = np.array([(joint.lower, joint.upper) for joint in joints])
+    model.jnt_limited[ids] = np.isfinite(limits).all(axis=1)
+    model.jnt_range[ids] = np.where(np.isfinite(limits), limits, 0.0)
     efforts = np.array([joint.effort for joint in joints])
     model.jnt_actfrclimited[ids] = np.isfinite(efforts)
     efforts = np.where(np.isfinite(efforts), efforts, 0.0)
     model.jnt_actfrcrange[ids] = np.stack([-efforts, efforts], axis=1)
-    for one in JOINT_ATTRIBUTES:
-        if one.mujoco:
-            getattr(model, one.mujoco)[dofs] = [getattr(joint, one.field) for joint in joints]
+    for attribute in JOINT_ATTRIBUTES:
+        if attribute.mujoco:
+            getattr(model, attribute.mujoco)[dofs] = [
+                getattr(joint, attribute.field) for joint in joints
+            ]
 
 
 def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model:
-    """Builds the model of a URDF's text, its base free or fixed.
+    """Build the Pinocchio model of a URDF, with free or fixed base.
 
-    Its shapes have no effect, and are left out: the reader complains of what it does not know.
+    Shapes are removed, because Pinocchio's reader prints warnings about unknown elements.
 
     Raises:
-        ModelError: If Pinocchio cannot read it; the message names the source.
+        ModelError: If Pinocchio cannot read the URDF.
     """
     tree = UrdfTree.of(text)
     tree.remove_shapes()
@@ -173,40 +178,42 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
 
 
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
-    """Rebuilds a compiled MuJoCo model in Pinocchio.
+    """Build the Pinocchio model of a compiled MuJoCo model.
 
-    Bodies and sites become frames (of type BODY). Gravity, armature and damping as they act (see
-    `gravity`, `joint_armature`, `joint_damping`), friction loss, joint limits and the force limits
-    of the motors are taken over. What else acts (springs, tendons ...) is not: see `extras`.
+    Bodies and sites become frames of type BODY. Gravity, joint limits, force limits of the
+    actuators, friction loss, and the effective armature and damping are copied (see
+    `acting_gravity`, `joint_armature`, `joint_damping`). Other forces (springs, tendons ...) are
+    not.
 
     Args:
-        model: A model with free, hinge and slide joints.
+        model: Model with free, hinge and slide joints.
 
     Raises:
-        ModelError: If it has a ball joint.
+        ModelError: If the model has a ball joint.
     """
     result = pin.Model()
     result.gravity = pin.Motion(acting_gravity(model), np.zeros(3))
-    joint_of = {0: 0}  # the joint that moves each body, and the body's placement in its frame
-    inside = {0: pin.SE3.Identity()}
+    # {body: joint that moves the body}, {body: placement of the body in the frame of this joint}
+    joint_of = {0: 0}
+    placements = {0: pin.SE3.Identity()}
     dofs: list[int] = []
     for body in range(1, model.nbody):
         parent = int(model.body_parentid[body])
         joint = joint_of[parent]
-        own = placement_of(model.body_quat[body], model.body_pos[body])
-        placement = inside[parent] * own
+        relative = placement_of(model.body_quat[body], model.body_pos[body])
+        placement = placements[parent] * relative
         first = int(model.body_jntadr[body])
         for index in range(first, first + int(model.body_jntnum[body])):
             joint, placement = _add_joint(result, model, index, joint, placement)
             start = int(model.jnt_dofadr[index])
             dofs += range(start, start + result.joints[joint].nv)
         result.appendBodyToJoint(joint, inertia_of_body(model, body), placement)
-        joint_of[body], inside[body] = joint, placement
+        joint_of[body], placements[body] = joint, placement
         _add_frame(result, model.body(body).name, joint, placement)
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
         local = placement_of(model.site_quat[site], model.site_pos[site])
-        _add_frame(result, model.site(site).name, joint_of[body], inside[body] * local)
+        _add_frame(result, model.site(site).name, joint_of[body], placements[body] * local)
     result.armature = joint_armature(model)[dofs]
     result.damping = joint_damping(model)[dofs]
     result.friction = np.array(model.dof_frictionloss[dofs])
@@ -214,37 +221,35 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
 
 
 def inertia_of_body(model: mujoco.MjModel, body: int) -> pin.Inertia:
-    """Returns what one of MuJoCo's bodies weighs, in its own frame."""
+    """Return the spatial inertia of a MuJoCo body, in the frame of the body."""
     axes = rotation_from_quaternion(model.body_iquat[body])
     tensor = axes @ np.diag(model.body_inertia[body]) @ axes.T
     return inertia_of(model.body_mass[body], model.body_ipos[body], tensor)
 
 
 def acting_gravity(model: mujoco.MjModel) -> Array:
-    """Returns the acceleration of gravity (3,) that acts in a model (m/s^2): 0 if switched off."""
-    off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY.value
-    return np.zeros(3) if off else np.array(model.opt.gravity)
+    """Return the gravity (3,) [m/s^2] of a model; zero if gravity is disabled."""
+    is_disabled = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY.value
+    return np.zeros(3) if is_disabled else np.array(model.opt.gravity)
 
 
 def joint_armature(model: mujoco.MjModel) -> Array:
-    """Returns the armature (nv,) that acts at each degree of freedom (kg m^2, kg).
-
-    The joint's, and those of the actuators at it, times their gears squared.
-    """
-    return np.array(model.dof_armature) + _of_actuators(model, model.actuator_armature)
+    """Return the effective armature (nv,) [kg m^2, kg]: joint plus gear^2 times actuator."""
+    return np.array(model.dof_armature) + _sum_actuator_values(model, model.actuator_armature)
 
 
 def joint_damping(model: mujoco.MjModel) -> Array:
-    """Returns the linear damping (nv,) that acts at each degree of freedom (N m s/rad, N s/m).
+    """Return the effective linear damping (nv,) [N m s/rad, N s/m].
 
-    The joint's, and those of the actuators at it, times their gears squared; 0 if switched off.
+    Joint damping plus gear^2 times actuator damping; zero if damping is disabled.
     """
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:
         return np.zeros(model.nv)
-    return np.array(model.dof_damping) + _of_actuators(model, model.actuator_damping)
+    return np.array(model.dof_damping) + _sum_actuator_values(model, model.actuator_damping)
 
 
-def _of_actuators(model: mujoco.MjModel, values: Array) -> Array:
+def _sum_actuator_values(model: mujoco.MjModel, values: Array) -> Array:
+    """Return the sum of gear^2 times value of the actuators at each degree of freedom, (nv,)."""
     total = np.zeros(model.nv)
     for actuator in range(model.nactuator):
         if values[actuator] and is_at_one_joint(model, actuator):
@@ -256,24 +261,24 @@ def _of_actuators(model: mujoco.MjModel, values: Array) -> Array:
 def _add_joint(
     result: pin.Model, model: mujoco.MjModel, index: int, parent: int, placement: pin.SE3
 ) -> tuple[int, pin.SE3]:
-    """Adds a joint; returns it, with the placement of the body's frame in the joint's."""
+    """Add a joint; return its index, and the placement of the body in the frame of the joint."""
     name = model.joint(index).name
     kind = JointKind(int(model.jnt_type[index]))
     if kind == JointKind.FREE:
-        # qpos holds the body's pose in the world, whatever the body's rest pose.
+        # qpos contains the world pose of the body, independent of the initial pose.
         return result.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name), (
             pin.SE3.Identity()
         )
     if kind == JointKind.BALL:
         raise ModelError(name, diagnose("ball-joint-not-analysed"))
     hinge = kind == JointKind.HINGE
-    motion = pin.JointModelRevoluteUnaligned if hinge else pin.JointModelPrismaticUnaligned
+    joint_model = pin.JointModelRevoluteUnaligned if hinge else pin.JointModelPrismaticUnaligned
     at_zero, within = places_of_joint(model, index)
     limited = bool(model.jnt_limited[index])
     lower, upper = model.jnt_range[index] if limited else (-np.inf, np.inf)
     joint = result.addJoint(
         parent,
-        motion(np.array(model.jnt_axis[index])),
+        joint_model(np.array(model.jnt_axis[index])),
         placement * at_zero,
         name,
         np.array([effort_limit(model, index)]),
@@ -285,13 +290,16 @@ def _add_joint(
 
 
 def places_of_joint(model: mujoco.MjModel, joint: int) -> tuple[pin.SE3, pin.SE3]:
-    """Returns where a hinge or slide is in its body's frame, at zero, and that frame in its own."""
+    """Return the placements of a hinge or slide in its body, and of the body in the joint.
+
+    The first is at joint position zero. The second is independent of the joint position.
+    """
     axis, anchor = np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
-    back = -float(model.qpos0[model.jnt_qposadr[joint]]) * axis
+    displacement = -float(model.qpos0[model.jnt_qposadr[joint]]) * axis
     if int(model.jnt_type[joint]) == JointKind.HINGE:
-        at_zero = pin.SE3(pin.exp3(back), anchor)
+        at_zero = pin.SE3(pin.exp3(displacement), anchor)
     else:
-        at_zero = pin.SE3(np.eye(3), anchor + back)
+        at_zero = pin.SE3(np.eye(3), anchor + displacement)
     return at_zero, pin.SE3(np.eye(3), -anchor)
 
 
@@ -302,11 +310,11 @@ def _add_frame(result: pin.Model, name: str, joint: int, placement: pin.SE3) -> 
 
 @dataclass(frozen=True)
 class UrdfImport:
-    """A URDF for MuJoCo's own importer, each link with the mass that it states.
+    """URDF for MuJoCo's own importer; each link keeps the mass in the file.
 
     Attributes:
-        path: Where it came from, for messages.
-        text: Its XML, whose meshes have absolute paths or are ``assets``.
+        path: Source file, for messages.
+        text: XML, in which meshes have absolute paths or are ``assets``.
         assets: {name: content} of meshes.
     """
 
@@ -315,16 +323,24 @@ class UrdfImport:
     assets: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
     def spec(self) -> mujoco.MjSpec:
-        """Lets MuJoCo import it; compiled as it is, it has a body for each link.
+        """Import the URDF into a spec. The compiled model has a body for each link.
 
         Raises:
-            ModelError: If MuJoCo refuses it.
+            ModelError: If MuJoCo rejects the URDF.
         """
         root = parse_text(self.text)
-        for own in root.findall("mujoco"):  # MuJoCo takes one such block; its own is for loading
-            root.remove(own)
-        off = ("fusestatic", "balanceinertia", "discardvisual", "strippath", "inertiafromgeom")
-        etree.SubElement(etree.SubElement(root, "mujoco"), "compiler", dict.fromkeys(off, "false"))
+        for block in root.findall("mujoco"):  # MuJoCo reads a single block; replace it
+            root.remove(block)
+        disabled_options = (
+            "fusestatic",
+            "balanceinertia",
+            "discardvisual",
+            "strippath",
+            "inertiafromgeom",
+        )
+        etree.SubElement(
+            etree.SubElement(root, "mujoco"), "compiler", dict.fromkeys(disabled_options, "false")
+        )
         try:
             return mujoco.MjSpec.from_string(to_text(root), assets=dict(self.assets))
         except (ValueError, RuntimeError) as error:

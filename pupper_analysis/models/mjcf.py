@@ -1,7 +1,8 @@
-"""Reads MJCFs as ``mujoco.MjSpec``, and writes specs without loss, as XML or as plain data.
+"""Reading and writing of MJCFs as ``mujoco.MjSpec``, and checks of compiled models.
 
-With what an MJCF may need on the way: a plane to stand on, names of the kinds of joints, and what
-is made up for where MuJoCo, without its scene, would refuse it.
+Contents: joint types, parsing and compiling of specs, checks of the numbers of a model, names of
+equalities and elements, suppression of MuJoCo's warnings, lossless conversion of specs to XML and
+to picklable data.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 class JointKind(IntEnum):
-    """What a joint lets move; equal to MuJoCo's numbers."""
+    """Type of a joint, with MuJoCo's numbers."""
 
     FREE = mujoco.mjtJoint.mjJNT_FREE.value
     BALL = mujoco.mjtJoint.mjJNT_BALL.value
@@ -43,46 +44,48 @@ FREE, BALL, SLIDE, HINGE = JointKind
 
 
 def free_joints(model: mujoco.MjModel) -> list[int]:
-    """Returns the ids of the free joints."""
+    """Return the ids of the free joints."""
     return [int(joint) for joint in np.flatnonzero(model.jnt_type == FREE)]
 
 
 def scalar_joints(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Returns the ids of the hinges and slides, which have one coordinate each."""
+    """Return the ids of the hinges and slides, the joints with one coordinate."""
     return np.flatnonzero(model.jnt_type >= min(SLIDE, HINGE))
 
 
 def has_free_joint(model: mujoco.MjModel | mujoco.MjSpec) -> bool:
-    """Tells whether anything floats freely."""
+    """Return True if a model or spec has a free joint."""
     if isinstance(model, mujoco.MjSpec):
         return any(joint.type == FREE for joint in model.joints)
     return bool((model.jnt_type == FREE).any())
 
 
-CONTACT_OF_GEOM: Final = (
+GEOM_CONTACT_WORDS: Final = (
     *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
     *("margin", "gap", "group"),
 )
-"""What a geom of an MJCF has that makes its contacts, and in which group it is shown."""
+"""Attributes of a geom that determine its contacts, and its visualisation group."""
 
 
 def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
-    """Adds a plane at z = 0 with MuJoCo's own contact: an MJCF's defaults are for its robot.
+    """Add a plane at z = 0 with MuJoCo's default contact parameters.
+
+    The defaults of the MJCF are not used, because they are intended for the robot.
 
     Args:
-        body: The world, or a body that is fixed to it.
-        name: The plane's.
-        bits: What it lets touch it (``conaffinity``).
+        body: World, or a body that is fixed to the world.
+        name: Name of the plane.
+        bits: ``conaffinity`` of the plane.
     """
-    plane, plain = body.add_geom(name=name), mujoco.MjSpec().default.geom
-    for word in CONTACT_OF_GEOM:
-        setattr(plane, word, getattr(plain, word))
+    plane, default_geom = body.add_geom(name=name), mujoco.MjSpec().default.geom
+    for word in GEOM_CONTACT_WORDS:
+        setattr(plane, word, getattr(default_geom, word))
     plane.type, plane.size, plane.conaffinity = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05), bits
     return plane
 
 
 def start_data(model: mujoco.MjModel) -> mujoco.MjData:
-    """Returns MuJoCo's data as the robot begins: at its first keyframe, or else at its qpos0."""
+    """Return MuJoCo data at the first keyframe, or at qpos0 without keyframes, with kinematics."""
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -91,37 +94,39 @@ def start_data(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
-TIMESTEPS = 1e-5, 0.1
-"""s: of what is simulated. A stand of 12 s is 1.2 million steps of the first; contacts ring within
-10 ms, and in one step of the second a base falls 5 cm."""
+TIMESTEP_RANGE = 1e-5, 0.1
+"""Lower and upper bound of the time step of a simulation [s]. With the lower bound, 12 s take 1.2
+million steps. Contacts oscillate within 10 ms, and in one step of the upper bound a base falls 5
+cm."""
 
 
 def spec_of(path: Path) -> mujoco.MjSpec:
-    """Parses an MJCF, whatever its name ends with: MuJoCo reads files ``*.xml`` alone."""
+    """Parse an MJCF with any suffix; MuJoCo itself only reads files ``*.xml``."""
     if path.suffix.lower() == ".xml":
         return mujoco.MjSpec.from_file(str(path))
-    included: dict[str, bytes] = {}
+    contents: dict[str, bytes] = {}
     text = read_content(path, MAX_BYTES)
-    waiting = [text]
-    while waiting:
-        for name in _INCLUDED.findall(waiting.pop()):
+    pending = [text]
+    while pending:
+        for name in _INCLUDE_ELEMENT.findall(pending.pop()):
             file = path.parent / name.decode()
-            if name.decode() not in included and file.is_file():
-                included[name.decode()] = read_input(file, MAX_BYTES)
-                waiting.append(included[name.decode()])
-    spec = mujoco.MjSpec.from_string(text.decode("utf-8-sig"), include=included)
+            if name.decode() not in contents and file.is_file():
+                contents[name.decode()] = read_input(file, MAX_BYTES)
+                pending.append(contents[name.decode()])
+    spec = mujoco.MjSpec.from_string(text.decode("utf-8-sig"), include=contents)
     spec.modelfiledir = str(path.parent)
     return spec
 
 
-_INCLUDED = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
+_INCLUDE_ELEMENT = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
 
 
 def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
-    """Compiles a spec.
+    """Compile a spec.
 
     Raises:
-        ModelError: If MuJoCo refuses it; the message is MuJoCo's.
+        ModelError: If MuJoCo rejects the spec (the message is MuJoCo's), or if the model contains
+            an invalid number.
     """
     try:
         with silence_mujoco():
@@ -134,52 +139,57 @@ def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
     return model
 
 
-_RECKONED = {
+_BOUNDED_FIELDS = {
     "body": ("pos", "quat", "ipos", "iquat", "mass", "inertia"),
     "jnt": ("pos", "axis", "stiffness"),
     "dof": ("armature", "damping", "frictionloss"),
     "geom": ("pos", "quat", "size", "friction"),
     "site": ("pos", "quat"),
 }
-_NUMBERS = (
+"""{element: fields with absolute values of at most ``MAX_NUMBER``}."""
+
+_NAN_FREE_FIELDS = (
     "qpos0",
     "jnt_range",
     *(f"actuator_{what}" for what in ("gear", "gainprm", "biasprm", "armature", "damping")),
     *(f"tendon_{what}" for what in ("stiffness", "damping", "armature", "frictionloss")),
 )
-"""Of these NaN alone is none: a range or a gain may be without end."""
+"""Fields in which infinity is valid, such as ranges and gains, but NaN is not."""
 
-_NAMED = {"jnt": "joint", "dof": "joint"}
+_ELEMENT_NAMES = {"jnt": "joint", "dof": "joint"}
 
 
 def no_number(model: mujoco.MjModel) -> Diagnostic | None:
-    """Tells which number of a model is none, or too large to reckon with; MuJoCo takes them."""
-    for kind, fields in _RECKONED.items():
+    """Return a diagnostic of the first invalid number of a model; None if all are valid.
+
+    MuJoCo compiles models with NaN, with too large numbers, and with zero axes or quaternions.
+    """
+    for kind, fields in _BOUNDED_FIELDS.items():
         for field in fields:
             values = np.asarray(getattr(model, f"{kind}_{field}"))
             values = values.reshape(len(values), -1) if len(values) else np.zeros((0, 1))
             bad = ~(np.abs(values) <= MAX_NUMBER)
             if bad.any():
                 row, column = np.argwhere(bad)[0]
-                at = int(model.dof_jntid[row]) if kind == "dof" else int(row)
-                what = _NAMED.get(kind, kind)
-                name = getattr(model, what)(at).name or f"#{at}"
+                index = int(model.dof_jntid[row]) if kind == "dof" else int(row)
+                element = _ELEMENT_NAMES.get(kind, kind)
+                name = getattr(model, element)(index).name or f"#{index}"
                 return diagnose(
                     "number-not-usable",
-                    subject=(what, name),
+                    subject=(element, name),
                     field=field,
                     value=values[row, column],
                     most=MAX_NUMBER,
                 )
-    for field in _NUMBERS:
+    for field in _NAN_FREE_FIELDS:
         if np.isnan(getattr(model, field)).any():
             return diagnose("number-is-nan", field=field)
     lengths = np.linalg.norm(model.jnt_axis, axis=1)
-    for joint in np.flatnonzero(~(lengths > 0.5)):  # MuJoCo's are unit vectors, of 1e308 none
+    for joint in np.flatnonzero(~(lengths > 0.5)):  # MuJoCo normalises, except for 1e308
         return diagnose("axis-without-direction", subject=("joint", model.joint(joint).name))
     for kind, field in (("body", "quat"), ("body", "iquat"), ("geom", "quat"), ("site", "quat")):
         lengths = np.linalg.norm(getattr(model, f"{kind}_{field}"), axis=1)
-        for row in np.flatnonzero(~(lengths > 0.5)):  # MuJoCo makes them 1, but not the least
+        for row in np.flatnonzero(~(lengths > 0.5)):  # MuJoCo does not normalise tiny quaternions
             name = getattr(model, kind)(row).name or f"#{row}"
             return diagnose("quaternion-without-direction", subject=(kind, name), field=field)
     if not (np.abs(model.opt.gravity) <= MAX_NUMBER).all():
@@ -188,12 +198,12 @@ def no_number(model: mujoco.MjModel) -> Diagnostic | None:
 
 
 def equality_ends(model: mujoco.MjModel, index: int) -> list[tuple[mujoco.mjtObj, int]]:
-    """Returns the kinds and ids of the two objects of an equality; -1 where it has one only."""
-    # MuJoCo's eq_objtype is for constraints that take bodies or sites.
-    what = _EQUALITY_OBJECTS.get(int(model.eq_type[index])) or mujoco.mjtObj(
+    """Return (type, id) of both objects of an equality; the id is -1 if there is no second."""
+    # eq_objtype is only valid for constraints of bodies or sites.
+    object_type = _EQUALITY_OBJECTS.get(int(model.eq_type[index])) or mujoco.mjtObj(
         int(model.eq_objtype[index])
     )
-    return [(what, int(model.eq_obj1id[index])), (what, int(model.eq_obj2id[index]))]
+    return [(object_type, int(model.eq_obj1id[index])), (object_type, int(model.eq_obj2id[index]))]
 
 
 _EQUALITY_OBJECTS = {
@@ -206,68 +216,69 @@ _EQUALITY_OBJECTS = {
 
 
 def equality_name(model: mujoco.MjModel, index: int) -> str:
-    """Returns the name of an equality; of one without, its number and what it binds.
-
-    Equalities mostly have no name; what they bind always has one in the file: ``#3 (rod = heel)``.
-    """
-    ends = [
-        str(mujoco.mj_id2name(model, what.value, target) or f"#{target}")
-        for what, target in equality_ends(model, index)
-        if target >= 0
+    """Return the name of an equality, or its number and objects: ``#3 (rod = heel)``."""
+    objects = [
+        str(mujoco.mj_id2name(model, object_type.value, object_id) or f"#{object_id}")
+        for object_type, object_id in equality_ends(model, index)
+        if object_id >= 0
     ]
-    return str(model.equality(index).name) or numbered(index, *ends)
+    return str(model.equality(index).name) or numbered(index, *objects)
 
 
 def numbered(index: int, *ends: str) -> str:
-    """Returns what an equality without a name is called, by what it binds."""
+    """Return the name of an equality without a name, from its number and its objects."""
     return f"#{index} ({' = '.join(ends)})"
 
 
-class _Silence:
-    """MuJoCo's warnings are the process's: the first who wants silence begins it, the last ends it.
+class _WarningSuppressor:
+    """Suppression of MuJoCo's warnings in the process, for any number of overlapping users.
 
-    In between, what was before must not be taken for what shall be afterwards: threads compile and
-    simulate at once.
+    Threads compile and simulate concurrently, and the warning handler is global. The first user
+    replaces the handler, and the last user restores it.
     """
 
     def __init__(self) -> None:
-        self._lock, self._wanted, self._undo = Lock(), 0, ExitStack()
+        self._lock, self._num_users, self._restore = Lock(), 0, ExitStack()
 
     def begin(self) -> None:
         with self._lock:
-            self._wanted += 1
-            if self._wanted == 1:
-                before = mujoco.get_mju_user_warning()
-                self._undo.callback(mujoco.set_mju_user_warning, before)
+            self._num_users += 1
+            if self._num_users == 1:
+                previous = mujoco.get_mju_user_warning()
+                self._restore.callback(mujoco.set_mju_user_warning, previous)
                 mujoco.set_mju_user_warning(lambda _: None)
-                self._undo.enter_context(warnings.catch_warnings())
+                self._restore.enter_context(warnings.catch_warnings())
                 warnings.simplefilter("ignore")
 
     def end(self) -> None:
         with self._lock:
-            self._wanted -= 1
-            if not self._wanted:
-                self._undo.close()
+            self._num_users -= 1
+            if not self._num_users:
+                self._restore.close()
 
 
-_SILENCE = _Silence()
+_WARNING_SUPPRESSOR = _WarningSuppressor()
 
 
 @contextmanager
 def silence_mujoco() -> Iterator[None]:
-    """Keeps MuJoCo from writing its warnings to a file MUJOCO_LOG.TXT, and from issuing them."""
-    _SILENCE.begin()
+    """Suppress MuJoCo's warnings, and the file MUJOCO_LOG.TXT, in the block."""
+    _WARNING_SUPPRESSOR.begin()
     try:
         yield
     finally:
-        _SILENCE.end()
+        _WARNING_SUPPRESSOR.end()
 
 
 def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
-    """Names the bodies and joints that have no name, by names that are not taken.
+    """Name the bodies and joints without a name, except free joints, in place.
+
+    Args:
+        spec: The spec.
+        taken: Names that joints must not get.
 
     Returns:
-        The names that joints were given.
+        Diagnostics of the named joints.
     """
     bodies = {body.name for body in spec.bodies}
     for number, body in enumerate(spec.bodies):
@@ -282,49 +293,52 @@ def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
 
 
 def to_xml(spec: mujoco.MjSpec) -> str:
-    """Writes a spec as it is written, with all its digits and classes: it is read back the same.
+    """Return the XML of a spec before compilation, with all digits and default classes.
 
-    What compilation makes of it, which MuJoCo writes otherwise, has six digits.
+    The XML of a compiled spec would have six digits.
     """
     spec = spec.copy()
     spec.compiler.savecompiled = False
     return str(spec.to_xml())
 
 
-# Specs as data: MuJoCo's cannot be pickled of themselves, nor can mappings that nobody may change.
+# Pickling of specs and of read-only mappings, which Python does not support.
 
 
 def state_of(spec: mujoco.MjSpec) -> dict[str, Any]:
-    """Returns a spec as plain data: its XML, and the files it needs."""
-    assets = {**_files(spec), **spec.assets}
+    """Return a spec as picklable data: XML, folder, and contents of the files."""
+    assets = {**_read_assets(spec), **spec.assets}
     return {"xml": to_xml(spec), "folder": spec.modelfiledir, "assets": assets}
 
 
 def spec_from(state: dict[str, Any]) -> mujoco.MjSpec:
-    """Returns the spec of such data; it needs no files."""
+    """Return the spec of data from ``state_of``; no files are read."""
     with silence_mujoco():
         spec = mujoco.MjSpec.from_string(state["xml"], assets=state["assets"])
     spec.modelfiledir = state["folder"]
     return spec
 
 
-def _files(spec: mujoco.MjSpec) -> dict[str, bytes]:
-    """Returns the contents of the files that meshes, height fields and textures are read from."""
-    named = [(one.file, one.compiler.meshdir) for one in (*spec.meshes, *spec.hfields, *spec.skins)]
+def _read_assets(spec: mujoco.MjSpec) -> dict[str, bytes]:
+    """Return {name: content} of the files of meshes, height fields, skins and textures."""
+    files_and_folders = [
+        (element.file, element.compiler.meshdir)
+        for element in (*spec.meshes, *spec.hfields, *spec.skins)
+    ]
     for texture in spec.textures:
         files = (texture.file, *texture.cubefiles)
-        named += [(file, texture.compiler.texturedir) for file in files]
+        files_and_folders += [(file, texture.compiler.texturedir) for file in files]
     contents = {}
-    for file, folder in named:
+    for file, folder in files_and_folders:
         name = Path(file).name if spec.strippath else file
-        place = Path(spec.modelfiledir) / folder / name
-        if file and place.is_file():
-            contents[name] = read_input(place, MAX_FILE_BYTES)
+        path = Path(spec.modelfiledir) / folder / name
+        if file and path.is_file():
+            contents[name] = read_input(path, MAX_FILE_BYTES)
     return contents
 
 
 def fixed_mapping(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    """Returns a mapping that cannot be changed."""
+    """Return a read-only view of a dictionary."""
     return MappingProxyType(content)
 
 

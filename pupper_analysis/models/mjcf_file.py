@@ -1,7 +1,8 @@
-"""Reads an MJCF: what MuJoCo makes of it, and where its elements stand.
+"""Reading of MJCF files: compiled model, and location of each element with includes expanded.
 
-Includes are put in and attached models too. What needs files that are missing (meshes,
-textures) is left out, and flat meshes, which MuJoCo refuses as solids, become shells.
+Includes are expanded, and attached models are read. Meshes and textures with missing files are
+removed, with the geoms that use these meshes. Flat meshes, which MuJoCo rejects as solids, become
+shells.
 """
 
 from __future__ import annotations
@@ -44,20 +45,24 @@ from pupper_analysis.models.xml import (
 
 
 def leave_out_missing(
-    spec: mujoco.MjSpec, tree: Tree, index: Mapping[tuple[str, str], Node]
+    spec: mujoco.MjSpec, tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> list[Diagnostic]:
-    """Takes out of a spec what needs files that are missing; returns what it took out."""
+    """Remove the elements of a spec whose files are missing, in place; return diagnostics.
+
+    Raises:
+        ModelError: If the mass of a body depends on a missing mesh.
+    """
     folders = tuple(tree.folders)
 
-    def missing(file: str, folder: str) -> bool:
+    def is_missing(file: str, folder: str) -> bool:
         name = Path(file).name if spec.strippath else file
         return bool(file) and not any(existing_file(top / folder / name) for top in folders)
 
-    meshes = {m.name: m.file for m in spec.meshes if missing(m.file, m.compiler.meshdir)}
+    meshes = {m.name: m.file for m in spec.meshes if is_missing(m.file, m.compiler.meshdir)}
     textures = {
         t.name: next(filter(None, (t.file, *t.cubefiles)))
         for t in spec.textures
-        if any(missing(file, t.compiler.texturedir) for file in (t.file, *t.cubefiles))
+        if any(is_missing(file, t.compiler.texturedir) for file in (t.file, *t.cubefiles))
     }
     if not (meshes or textures):
         return []
@@ -76,7 +81,7 @@ def leave_out_missing(
                 ),
             )
     files = {"mesh": meshes, "texture": textures}
-    touching = dict.fromkeys(
+    collision_meshes = dict.fromkeys(
         meshes[geom.meshname]
         for geom in geoms
         if (geom.contype or geom.conaffinity) and geom.parent.name != "world"
@@ -85,12 +90,12 @@ def leave_out_missing(
         diagnose(
             "files-missing",
             kind=Term(kind),
-            files=dict.fromkeys(named.values()),
-            touching=touching if kind == "mesh" else (),
+            files=dict.fromkeys(names_and_files.values()),
+            touching=collision_meshes if kind == "mesh" else (),
             bodies=dict.fromkeys(geom.parent.name for geom in geoms),
         )
-        for kind, named in files.items()
-        if named
+        for kind, names_and_files in files.items()
+        if names_and_files
     ]
     for element in geoms:
         spec.delete(element)
@@ -98,113 +103,115 @@ def leave_out_missing(
         for material in spec.materials:
             if name in list(material.textures):
                 material.textures = ["" if t == name else t for t in material.textures]
-    for elements, gone in ((spec.meshes, meshes), (spec.textures, textures)):
+    for elements, removed in ((spec.meshes, meshes), (spec.textures, textures)):
         for element in list(elements):
-            if element.name in gone:
+            if element.name in removed:
                 spec.delete(element)
     return notes
 
 
 def gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
-    """Says whether MuJoCo would take (part of) a body's inertia from a geom."""
+    """Return True if MuJoCo computes (part of) the inertia of a body from a geom."""
     body = geom.parent
     if body.name == spec.worldbody.name:
         return False
-    from_geom = geom.compiler.inertiafromgeom
-    if from_geom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE or (
-        from_geom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO and body.explicitinertial
+    inertia_from_geom = geom.compiler.inertiafromgeom
+    if inertia_from_geom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE or (
+        inertia_from_geom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+        and body.explicitinertial
     ):
         return False
     low, high = geom.compiler.inertiagrouprange
-    weight = geom.density if math.isnan(geom.mass) else geom.mass
-    return bool(low <= geom.group <= high and weight != 0)
+    mass_or_density = geom.density if math.isnan(geom.mass) else geom.mass
+    return bool(low <= geom.group <= high and mass_or_density != 0)
 
 
-_FLAT: Final = re.compile(r"mesh volume is too small: (.*?) \. Try setting inertia to shell")
+_FLAT_MESH_ERROR: Final = re.compile(
+    r"mesh volume is too small: (.*?) \. Try setting inertia to shell"
+)
 
 
 def flat_mesh(error: BaseException) -> str | None:
-    """Returns the mesh whose volume is too small for MuJoCo; None if the error is another."""
-    found = _FLAT.search(str(error))
-    return found[1] if found else None
+    """Return the mesh whose volume is too small for MuJoCo; None for other errors."""
+    match = _FLAT_MESH_ERROR.search(str(error))
+    return match[1] if match else None
 
 
 def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjModel, list[str], str]:
-    """Compiles a spec with its flat meshes as shells.
+    """Compile a spec, with flat meshes as shells.
 
-    A mesh gives its geom a centre and axes, a mass only where a body has no <inertial>: then a
-    shell would weigh something else, and it stays refused.
+    A mesh determines centre and axes of a geom. If a flat mesh also determines a mass, the error of
+    MuJoCo is raised, because a shell would have another mass.
 
     Args:
-        make: Makes the spec, anew each time, for compiling changes it.
+        make: Function that creates the spec; called for each attempt, because compiling modifies a
+            spec.
 
     Returns:
-        The model, the meshes that were taken as shells, and what MuJoCo says of the first.
+        Model, names of the shells, and MuJoCo's message about the first flat mesh.
     """
     shells: list[str] = []
-    said = ""
+    first_message = ""
     while True:
         spec = make()
         put_shells(spec, shells)
         try:
             with silence_mujoco():
-                return spec.compile(), shells, said
+                return spec.compile(), shells, first_message
         except ValueError as error:
             name = flat_mesh(error)
-            if name is None or name in shells or _weighs(spec, name):
+            if name is None or name in shells or _determines_mass(spec, name):
                 raise
             shells.append(name)
-            said = said or str(error)
+            first_message = first_message or str(error)
 
 
 def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
-    """Makes shells of some meshes, in place."""
+    """Change meshes to shells, in place."""
     for mesh in spec.meshes:
         if mesh.name in names:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
 
 def taken_as_shells(names: list[str]) -> Diagnostic:
-    """Tells which meshes are taken as shells."""
+    """Return the diagnostic of meshes that were changed to shells."""
     return diagnose("flat-meshes-as-shells", names=names, version=mujoco.__version__)
 
 
-def _weighs(spec: mujoco.MjSpec, name: str) -> bool:
+def _determines_mass(spec: mujoco.MjSpec, name: str) -> bool:
     return any(geom.meshname == name and gives_mass(spec, geom) for geom in spec.geoms)
 
 
 MAX_INCLUDES: Final = 1000
-"""Most includes and attached models of an MJCF."""
+"""Maximum number of includes and attached models of an MJCF."""
 
 MAX_INCLUDE_DEPTH: Final = 30
-"""Deepest nesting of an MJCF's includes, and of the models it attaches."""
+"""Maximum nesting of includes, and of attached models."""
 
 MAX_COPIES: Final = 10_000
-"""Most elements that an MJCF's replicates and attached models make."""
+"""Maximum number of elements that the replicates and attached models of an MJCF create."""
 
 
 @dataclass(frozen=True)
-class Node:
-    """An element of an MJCF with its includes put in.
+class XmlNode:
+    """Element of an MJCF with expanded includes.
 
     Attributes:
-        tag: Its tag.
-        attributes: As they are written.
-        place: Where it stands.
-        children: Those below it.
-        childclass: The default class that reaches it from the bodies around it.
+        tag: Tag.
+        attributes: Attributes as in the file.
+        place: Location.
+        children: Child elements.
+        childclass: Default class from the ``childclass`` of the bodies above.
     """
 
     tag: str
     attributes: Mapping[str, str]
     place: Place
-    children: list[Node]
+    children: list[XmlNode]
     childclass: str | None = None
 
 
-# The product of the whole numbers in these attributes has a limit: MuJoCo would hang, or take all
-# the memory. The tag "*" means any.
-_LARGEST: Final = (
+_MAX_PRODUCTS: Final = (
     ("texture", ("width", "height"), 2**26),
     ("hfield", ("nrow", "ncol"), 10**7),
     ("numeric", ("size",), 10**6),
@@ -221,19 +228,21 @@ _LARGEST: Final = (
     ("size", ("nuserdata",), 10**7),
     *(("*", (attribute,), 10**6) for attribute in ("nsample", "num", "dim", "actdim")),
 )
+"""(tag, attributes, maximum of the product of their numbers). Larger values let MuJoCo hang, or
+exhaust the memory. The tag "*" represents each tag. Chosen, not tuned."""
 
-_SECTIONS: Final = ("actuator", "sensor", "equality", "tendon", "contact", "deformable")
+_SECTION_TAGS: Final = ("actuator", "sensor", "equality", "tendon", "contact", "deformable")
 
 
-class Tree:
-    """The elements of an MJCF, with its includes put in.
+class IncludeTree:
+    """Elements of an MJCF with expanded includes.
 
     Attributes:
-        files: The file and all it includes or attaches.
-        attached: The root elements of the models that it attaches, and that these attach.
-        folders: The folders of the file and of the models it attaches.
-        root: The root element.
-        copies: How many elements MuJoCo will make of its replicates and attached models.
+        files: The file, and all files that it includes or attaches.
+        attached: Root elements of directly and indirectly attached models.
+        folders: Folders of the file and of the attached models.
+        root: Root element.
+        copies: Number of elements after expansion of replicates and attached models.
     """
 
     def __init__(
@@ -246,82 +255,85 @@ class Tree:
         self.path = path
         self.files: dict[Path, None] = {path: None}
         self.folders: dict[Path, None] = {path.parent: None}
-        self._within = (*within, path.resolve())
-        self.attached: list[Node] = []
-        self._models: dict[str, int] = {}
-        self._parsed: dict[Path, etree._Element] = {}
-        self._count = 0
-        self._includes = includes or itertools.count(1)
-        if len(self._within) > MAX_INCLUDE_DEPTH:
+        self._open_files = (*within, path.resolve())
+        self.attached: list[XmlNode] = []
+        self._copies_by_model: dict[str, int] = {}
+        self._parsed_roots: dict[Path, etree._Element] = {}
+        self._num_elements = 0
+        self._include_counter = includes or itertools.count(1)
+        if len(self._open_files) > MAX_INCLUDE_DEPTH:
             raise refuse_file(Place(path), diagnose("attached-too-deep", most=MAX_INCLUDE_DEPTH))
-        self.root = self._node(root, path, self._within, 0)
-        self.copies = self._copies(self.root)
-        if self.copies > self._count + MAX_COPIES:
+        self.root = self._make_node(root, path, self._open_files, 0)
+        self.copies = self._count_copies(self.root)
+        if self.copies > self._num_elements + MAX_COPIES:
             raise refuse_file(Place(path), diagnose("too-many-copies", most=MAX_COPIES))
 
-    def _node(
+    def _make_node(
         self,
         element: etree._Element,
         path: Path,
         within: tuple[Path, ...],
         depth: int,
         childclass: str | None = None,
-    ) -> Node:
+    ) -> XmlNode:
         attributes = {str(name): str(value) for name, value in element.attrib.items()}
         place = Place(path, line_of(element))
-        node = Node(str(element.tag), attributes, place, [], childclass)
+        node = XmlNode(str(element.tag), attributes, place, [], childclass)
         childclass = attributes.get("childclass", childclass)
-        self._count += 1
-        if self._count > MAX_ELEMENTS:
+        self._num_elements += 1
+        if self._num_elements > MAX_ELEMENTS:
             raise refuse_file(
                 Place(self.path), diagnose("too-many-elements", count=None, most=MAX_ELEMENTS)
             )
         if depth > MAX_DEPTH:
             raise refusal_at(path, element, diagnose("nested-too-deep", most=MAX_DEPTH))
-        _refuse_large(path, element)
-        _refuse_formats(path, element)
+        _check_sizes(path, element)
+        _check_formats(path, element)
         if element.tag == "model" and element.get("file", "").endswith(".xml"):
-            self._attach(element, path)
+            self._read_attached(element, path)
         pending = [(child, path, within) for child in reversed(element)]
         while pending:
             child, file, inside = pending.pop()
             if child.tag == "include":
-                included, top = self._include(child, file, inside)
+                included, top = self._read_include(child, file, inside)
                 opened = (*inside, included.resolve())
                 pending.extend((below, included, opened) for below in reversed(top))
             else:
-                node.children.append(self._node(child, file, inside, depth + 1, childclass))
+                node.children.append(self._make_node(child, file, inside, depth + 1, childclass))
         return node
 
-    def _include(
+    def _read_include(
         self, element: etree._Element, path: Path, within: tuple[Path, ...]
     ) -> tuple[Path, etree._Element]:
-        included = self._file(element, path)
+        included = self._find_included(element, path)
         resolved = included.resolve()
         if resolved in within:
             raise refusal_at(path, element, diagnose("includes-itself", file=included.name))
         if len(within) > MAX_INCLUDE_DEPTH:
             raise refusal_at(path, element, diagnose("includes-too-deep", most=MAX_INCLUDE_DEPTH))
-        if resolved not in self._parsed:
+        if resolved not in self._parsed_roots:
             self.files[included] = None
-            _, self._parsed[resolved] = parse_xml(included)
-        return included, self._parsed[resolved]
+            _, self._parsed_roots[resolved] = parse_xml(included)
+        return included, self._parsed_roots[resolved]
 
-    def _attach(self, element: etree._Element, path: Path) -> None:
-        attached = self._file(element, path)
-        if attached.resolve() in self._within:
+    def _read_attached(self, element: etree._Element, path: Path) -> None:
+        attached = self._find_included(element, path)
+        if attached.resolve() in self._open_files:
             raise refusal_at(path, element, diagnose("attaches-itself", file=attached.name))
         _, root = parse_xml(attached)
-        tree = Tree(attached, root, self._within, self._includes)
+        tree = IncludeTree(attached, root, self._open_files, self._include_counter)
         self.files |= tree.files
         self.attached += [tree.root, *tree.attached]
         self.folders |= tree.folders
         name = element.get("name") or root.get("model") or attached.stem
-        self._models[name] = tree.copies
+        self._copies_by_model[name] = tree.copies
 
-    def _file(self, element: etree._Element, path: Path) -> Path:
-        """Counts and finds an include: by the main file first, then by its own file."""
-        if next(self._includes) > MAX_INCLUDES:
+    def _find_included(self, element: etree._Element, path: Path) -> Path:
+        """Count an include, and return its file.
+
+        The name is relative to the main file or, if that does not exist, to the including file.
+        """
+        if next(self._include_counter) > MAX_INCLUDES:
             raise refusal_at(path, element, diagnose("too-many-includes", most=MAX_INCLUDES))
         name = element.get("file")
         if not name:
@@ -333,53 +345,55 @@ class Tree:
         missing = diagnose("included-file-missing", tag=element.tag, file=quote_short(name))
         raise refusal_at(path, element, missing)
 
-    def _copies(self, node: Node) -> int:
-        number = 1 + sum(self._copies(child) for child in node.children)
+    def _count_copies(self, node: XmlNode) -> int:
+        total = 1 + sum(self._count_copies(child) for child in node.children)
         if node.tag == "replicate":
-            number *= max(_product(node.attributes.get("count", "1")), 1)
+            total *= max(_multiply_numbers(node.attributes.get("count", "1")), 1)
         if node.tag == "attach":
-            number += self._models.get(node.attributes.get("model", ""), 0)
-        return number
+            total += self._copies_by_model.get(node.attributes.get("model", ""), 0)
+        return total
 
 
-_HEXADECIMAL: Final = re.compile("0[xX][0-9a-fA-F]+")
+_HEXADECIMAL_NUMBER: Final = re.compile("0[xX][0-9a-fA-F]+")
 
 
-def _refuse_large(path: Path, element: etree._Element) -> None:
-    for tag, attributes, limit in _LARGEST:
+def _check_sizes(path: Path, element: etree._Element) -> None:
+    for tag, attributes, limit in _MAX_PRODUCTS:
         if tag in ("*", element.tag):
             text = " ".join(element.get(attribute, "") for attribute in attributes)
-            if _product(text) > limit:
+            if _multiply_numbers(text) > limit:
                 names = " x ".join(attributes)
                 problem = diagnose("size-too-large", tag=element.tag, names=names, most=limit)
                 raise refusal_at(path, element, problem)
 
 
-_FORMAT: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
-"""What printf writes to memory for, or takes for the address of a text."""
+_FORMAT_DIRECTIVE: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
+"""Directives of printf that write to memory, or that read an address."""
 
-_FREE_TEXT: Final = ("data", "file", "meshdir", "texturedir", "assetdir")
+_TEXT_ATTRIBUTES: Final = ("data", "file", "meshdir", "texturedir", "assetdir")
+"""Attributes that MuJoCo does not use in format strings."""
 
 
-def _refuse_formats(path: Path, element: etree._Element) -> None:
-    """Refuses words that MuJoCo's reader takes for a format of its own messages, and dies of."""
+def _check_formats(path: Path, element: etree._Element) -> None:
+    """Raise an error for texts that crash MuJoCo's reader when used as format strings."""
     for attribute, value in element.attrib.items():
-        if attribute not in _FREE_TEXT and _FORMAT.search(str(value)):
-            where = {"tag": element.tag, "attribute": attribute, "value": quote_short(str(value))}
-            raise refusal_at(path, element, diagnose("format-in-attribute", **where))
+        if attribute not in _TEXT_ATTRIBUTES and _FORMAT_DIRECTIVE.search(str(value)):
+            values = {"tag": element.tag, "attribute": attribute, "value": quote_short(str(value))}
+            raise refusal_at(path, element, diagnose("format-in-attribute", **values))
 
 
-def _product(text: str) -> int:
-    # MuJoCo reads 0x10, too.
+def _multiply_numbers(text: str) -> int:
+    """Return the product of the numbers in a text, each at least 1; at most 1e18."""
+    # MuJoCo also accepts hexadecimal numbers.
     words = text.split()
     numbers = [abs(float(word)) for word in words if NUMBER_PATTERN.fullmatch(word)]
-    numbers += [float(int(word, 16)) for word in words if _HEXADECIMAL.fullmatch(word)]
+    numbers += [float(int(word, 16)) for word in words if _HEXADECIMAL_NUMBER.fullmatch(word)]
     product = math.prod(max(number, 1.0) for number in numbers)
     return int(min(product, 1e18))
 
 
-def walk_elements(root: Node) -> Iterator[Node]:
-    """Yields an element and all below it, in the order of the file."""
+def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
+    """Yield an element and its descendants, in the order of the file."""
     pending = [root]
     while pending:
         node = pending.pop()
@@ -387,17 +401,21 @@ def walk_elements(root: Node) -> Iterator[Node]:
         pending.extend(reversed(node.children))
 
 
-def index_of(root: Node) -> dict[tuple[str, str], Node]:
-    """Finds the elements by kind and name; the first counts where there are several."""
-    index: dict[tuple[str, str], Node] = {}
-    fallback: dict[tuple[str, str], Node] = {}
-    pending: list[tuple[Node, Node]] = [(child, root) for child in reversed(root.children)]
+def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
+    """Return {(tag or section, name): element}; the first element with a name counts.
+
+    Elements without a name are listed by another name: an actuator by its joint, a joint by its
+    body, a mesh, texture or height field by its file.
+    """
+    index: dict[tuple[str, str], XmlNode] = {}
+    fallback: dict[tuple[str, str], XmlNode] = {}
+    pending: list[tuple[XmlNode, XmlNode]] = [(child, root) for child in reversed(root.children)]
     while pending:
         node, parent = pending.pop()
         pending.extend((child, node) for child in reversed(node.children))
         name = node.attributes.get("class" if node.tag == "default" else "name")
         kinds = [node.tag]
-        if parent.tag in _SECTIONS:
+        if parent.tag in _SECTION_TAGS:
             kinds.append(parent.tag)
         if node.tag == "freejoint":
             kinds.append("joint")
@@ -413,21 +431,24 @@ def index_of(root: Node) -> dict[tuple[str, str], Node]:
     return fallback | index
 
 
-def stating_element(root: Node, node: Node, attributes: Collection[str]) -> Node | None:
-    """Returns the element that states one of an element's attributes: itself, or a default class.
+def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -> XmlNode | None:
+    """Return the element that sets an attribute: the element itself, or a default class.
 
-    The class is its own, or the childclass of a body above it; what a class does not state is that
-    of the class around it.
+    The default class is that of the element, or the ``childclass`` of a body above it. A class
+    inherits from the classes around it.
 
     Args:
-        root: The root element.
-        node: The element.
-        attributes: Any of them will do.
+        root: Root element.
+        node: Element.
+        attributes: Attributes, of which one is sufficient.
+
+    Returns:
+        The element; None if no element sets an attribute.
     """
     if set(attributes) & set(node.attributes):
         return node
     name = node.attributes.get("class") or node.childclass
-    nested = _classes(root, name)
+    nested = _find_default_classes(root, name)
     for default in reversed(nested):
         for child in default.children:
             if child.tag == node.tag and set(attributes) & set(child.attributes):
@@ -435,8 +456,8 @@ def stating_element(root: Node, node: Node, attributes: Collection[str]) -> Node
     return None
 
 
-def _classes(root: Node, name: str | None) -> list[Node]:
-    """Returns a default class with those around it, the outermost first."""
+def _find_default_classes(root: XmlNode, name: str | None) -> list[XmlNode]:
+    """Return a default class and the classes around it, outermost first."""
     tops = [child for child in root.children if child.tag == "default"]
     pending = [[top] for top in tops]
     while name is not None and pending:
@@ -449,24 +470,25 @@ def _classes(root: Node, name: str | None) -> list[Node]:
 
 @dataclass(frozen=True, eq=False)
 class MjcfFile:
-    """An MJCF that MuJoCo has parsed.
+    """MJCF file that MuJoCo has parsed.
 
     Attributes:
         path: The file.
-        spec: What MuJoCo read, not compiled, without what needs files that are missing.
-        files: The file and all it includes.
-        notes: What was left out on reading, or made up for.
-        refusal: Why MuJoCo does not compile the file as it is, and where; None if it does.
-            ``MjSpec.copy()`` drops elements that refer to nothing, so that a copy of the spec may
-            compile where the file does not.
-        as_it_is: The same of what was made up for, as `notes` tell: flat meshes.
-        unknown: {kind of a joint's number: the joints of which it is not known}, where this stands
-            for a file of another format that can leave open what an MJCF sets to zero.
-        stands_for: What the file of another format is called for which this stands, such as
-            ``"the SDF"``; "" if for none.
-        gains: {joint: stiffness and damping of its servo} (N m/rad, N m s/rad; N/m, N s/m) that
-            such a file states; None where its format states none.
-        of_urdf: Whether it was made of a URDF, which states nothing of ground and contacts.
+        spec: Parsed spec, not compiled, without elements whose files are missing.
+        files: The file and its includes.
+        notes: Diagnostics of removed or replaced elements.
+        refusal: Message and location if MuJoCo does not compile the file; None otherwise.
+            ``MjSpec.copy()`` drops dangling elements, so a copy of the spec may compile although
+            the file does not.
+        as_it_is: Message and location of the error in the unmodified file that was repaired (flat
+            meshes); None otherwise.
+        unknown: {kind of a joint parameter: joints with an unknown value}. Set if the MJCF was
+            converted from a format in which a missing parameter is unknown, and not zero.
+        stands_for: Name of the original format, such as ``"the SDF"``; "" for an MJCF.
+        gains: {joint: (stiffness, damping) of its servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
+            of another format; None if the format has no servos.
+        of_urdf: Whether the MJCF was converted from a URDF, which does not specify ground and
+            contacts.
     """
 
     path: Path
@@ -477,84 +499,90 @@ class MjcfFile:
     as_it_is: tuple[Diagnostic, Place] | None = None
     unknown: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     _model: mujoco.MjModel | None = field(default=None, repr=False)
-    _index: Mapping[tuple[str, str], Node] = field(default_factory=dict, repr=False)
-    _roots: tuple[Node, ...] = field(default=(), repr=False)
+    _index: Mapping[tuple[str, str], XmlNode] = field(default_factory=dict, repr=False)
+    _roots: tuple[XmlNode, ...] = field(default=(), repr=False)
     of_urdf: bool = False
     stands_for: str = ""
     gains: Mapping[str, tuple[float, float]] | None = None
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Finds an element, in the file where it really stands.
+        """Return the location of an element, in the file that contains it.
 
         Args:
-            kind: Its tag: ``"body"``, ``"joint"``, ``"geom"``, ``"site"``, ``"key"`` ..., or its
-                section: ``"actuator"``, ``"sensor"``, ``"equality"``, ``"tendon"``, ``"contact"``.
-            name: Its name; an actuator's joint will do, a default's class, and for a joint
-                without a name its body.
-            child: A path below it (``"inertial"``): the innermost that exists.
+            kind: Tag: ``"body"``, ``"joint"``, ``"geom"``, ``"site"``, ``"key"`` ..., or section:
+                ``"actuator"``, ``"sensor"``, ``"equality"``, ``"tendon"``, ``"contact"``.
+            name: Name of the element. Alternatives: joint of an actuator, class of a default, body
+                of a joint without a name.
+            child: Path below the element (``"inertial"``); the innermost existing element counts.
 
         Returns:
-            Its file and line; the file alone where there is no such element.
+            The location; the file without line if there is no such element.
         """
         node = self._index.get((kind, name))
-        return Place(self.path) if node is None else innermost_element(node, child, _child).place
+        return (
+            Place(self.path) if node is None else innermost_element(node, child, _find_child).place
+        )
 
     def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
-        """Finds where an element's attributes are stated: in itself, or in a default class.
+        """Return the location at which an attribute is set: in the element, or in a default class.
 
         Args:
-            kind: Its tag or section, as in `place`.
-            name: Its name, as in `place`.
-            attributes: Any of them will do.
+            kind: Tag or section, as in `place`.
+            name: Name, as in `place`.
+            attributes: Attributes, of which one is sufficient.
 
         Returns:
-            The place; None where nothing states any of them.
+            The location; None if none of the attributes is set, or there is no such element.
         """
         node = self._index.get((kind, name))
         if node is None or not self._roots:
             return None
-        found = stating_element(self._roots[0], node, attributes)
-        return None if found is None else found.place
+        setting_node = stating_element(self._roots[0], node, attributes)
+        return None if setting_node is None else setting_node.place
 
     def nth(self, body: str, tag: str, number: int, attributes: Collection[str] = ()) -> Place:
-        """Finds an element without a name: the n-th of its tag, from 0, directly in a body.
+        """Return the location of an element without a name: the n-th with a tag in a body, from 0.
 
         Args:
-            body: The body's name; ``"world"`` is the worldbody.
-            tag: The element's.
-            number: Which.
-            attributes: Where one of these is stated is asked for: in itself, or a default class.
+            body: Name of the body; ``"world"`` for the worldbody.
+            tag: Tag of the element.
+            number: Number of the element among the direct children of the body.
+            attributes: If given, the location at which one of these attributes is set, in the
+                element or in a default class.
 
         Returns:
-            Its file and line; those of the body where it has no so many, as within a ``<frame>``.
+            The location; that of the body if there are not enough elements, for example within a
+            ``<frame>``.
         """
         node = self._index.get(("body", body))
         tops = (top for root in self._roots for top in root.children if top.tag == "worldbody")
-        above = list(tops) if body == "world" else [] if node is None else [node]
-        found = [one for top in above for one in top.children if one.tag == tag]
-        if number >= len(found):
+        parents = list(tops) if body == "world" else [] if node is None else [node]
+        elements = [element for top in parents for element in top.children if element.tag == tag]
+        if number >= len(elements):
             return self.place("body", body)
-        stating = stating_element(self._roots[0], found[number], attributes) if attributes else None
-        return (stating or found[number]).place
+        setting_node = (
+            stating_element(self._roots[0], elements[number], attributes) if attributes else None
+        )
+        return (setting_node or elements[number]).place
 
     @property
     def lacking(self) -> tuple[str, ...]:
-        """The files of meshes with which the robot touches, and which are missing."""
-        return self._of_missing("touching")
+        """Missing files of collision meshes."""
+        return self._list_missing("touching")
 
     @property
     def bare(self) -> tuple[str, ...]:
-        """The bodies with geoms that are left out, as the files of their meshes are missing."""
-        return self._of_missing("bodies")
+        """Bodies with removed geoms, because the files of their meshes are missing."""
+        return self._list_missing("bodies")
 
-    def _of_missing(self, word: str) -> tuple[str, ...]:
-        named = [note.values.get(word) for note in self.notes if note.code == "files-missing"]
-        return tuple(str(name) for names in named if isinstance(names, tuple) for name in names)
+    def _list_missing(self, word: str) -> tuple[str, ...]:
+        values = [note.values.get(word) for note in self.notes if note.code == "files-missing"]
+        return tuple(str(name) for value in values if isinstance(value, tuple) for name in value)
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
-        """Yields the attributes and the place of every element of a kind, as they are written.
+        """Yield attributes and location of each element with a tag, as in the file.
 
-        In the file, in what it includes, and in the models it attaches.
+        Included files and attached models are searched, too.
         """
         for root in self._roots:
             for node in walk_elements(root):
@@ -562,39 +590,39 @@ class MjcfFile:
                     yield node.attributes, node.place
 
     def numbered(self, section: str, number: int) -> Place:
-        """Returns the place of an element without a name.
+        """Return the location of an element without a name, by its number in a section.
 
         Args:
             section: ``"actuator"``, ``"equality"`` or ``"tendon"``.
-            number: Its place in the section, from 0.
+            number: Number in the section, from 0.
 
         Returns:
-            Its file and line; the file alone where attached models or replicates add elements.
+            The location; the file without line if attached models or replicates add elements.
         """
         if len(self._roots) > 1 or any(True for _ in self.elements("replicate")):
             return Place(self.path)
         tops = (node for node in self._roots[0].children if node.tag == section)
-        found = [node.place for top in tops for node in top.children]
-        return found[number] if number < len(found) else Place(self.path)
+        places = [node.place for top in tops for node in top.children]
+        return places[number] if number < len(places) else Place(self.path)
 
     @property
     def model(self) -> mujoco.MjModel:
-        """What MuJoCo compiles the file to, as it is (without what files are missing for).
+        """Compiled model of the file, without elements whose files are missing.
 
-        It is shared: who changes it takes a copy, which is as long as its meshes are large.
+        The model is shared and must not be modified; copying takes time if meshes are large.
 
         Raises:
-            ModelError: If MuJoCo refuses it; the message is MuJoCo's.
+            ModelError: If MuJoCo does not compile the file; the message is MuJoCo's.
         """
         self.check_compiled()
         assert self._model is not None
         return self._model
 
     def check_compiled(self) -> None:
-        """Passes on MuJoCo's refusal, if there is one.
+        """Raise the error in ``refusal``, if any.
 
         Raises:
-            ModelError: If MuJoCo refuses the file; the message is MuJoCo's.
+            ModelError: If MuJoCo does not compile the file; the message is MuJoCo's.
         """
         if self.refusal is not None:
             problem, place = self.refusal
@@ -602,11 +630,11 @@ class MjcfFile:
 
 
 def read_mjcf(path: str | Path) -> MjcfFile:
-    """Reads an MJCF with all it includes, and compiles it as it is.
+    """Read an MJCF with its includes, and compile it.
 
     Raises:
-        ModelError: If it cannot be loaded, or MuJoCo does not compile it; one line that tells where
-            and why.
+        ModelError: If the file cannot be loaded, or MuJoCo does not compile it. The message is a
+            single line with location and reason.
     """
     check_type("mjcf", path, str | Path)
     path = Path(path)
@@ -617,60 +645,62 @@ def read_mjcf(path: str | Path) -> MjcfFile:
 
 
 def mjcf_of_text(path: Path, text: str, assets: Mapping[str, bytes]) -> MjcfFile:
-    """Makes an MJCF that was written here, in memory.
+    """Return the MJCF file of an XML text that was generated in memory.
 
     Args:
-        path: The file that it was made from, of which its errors tell; all places are its.
-        text: Its XML, whose paths are absolute or names of ``assets``.
-        assets: {name: content} of files that it names.
+        path: Source file, for error messages and locations.
+        text: XML. Paths are absolute, or names of ``assets``.
+        assets: {name: content} of the files.
 
     Raises:
-        ModelError: If MuJoCo refuses it; the message is MuJoCo's.
+        ModelError: If MuJoCo rejects the text; the message is MuJoCo's.
     """
     try:
         with silence_mujoco():
-            spec, same = (mujoco.MjSpec.from_string(text, assets=dict(assets)) for _ in range(2))
+            spec, compiled_spec = (
+                mujoco.MjSpec.from_string(text, assets=dict(assets)) for _ in range(2)
+            )
     except _MUJOCO_ERRORS as error:
         message = one_line(error)
         raise refuse_file(Place(path), diagnose("mjcf-not-valid", message=message)) from error
-    return MjcfFile(path, spec, _model=compile_spec(same, path))
+    return MjcfFile(path, spec, _model=compile_spec(compiled_spec, path))
 
 
 _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, TypeError, OSError, MemoryError)
 
 
 def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
-    """Makes an MJCF of its root element; ``refusal`` tells if MuJoCo does not compile it.
+    """Return the MJCF file of a root element; ``refusal`` is set if MuJoCo does not compile it.
 
     Raises:
-        ModelError: If MuJoCo cannot read it.
+        ModelError: If MuJoCo cannot parse the file.
     """
     if root.tag != "mujoco":
-        urdf, part = root.tag == "robot", root.tag == "mujocoinclude"
+        is_urdf, is_include = root.tag == "robot", root.tag == "mujocoinclude"
         tag = str(root.tag)
-        raise refusal_at(path, root, diagnose("no-mjcf", tag=tag, urdf=urdf, part=part))
-    tree = Tree(path, root)
+        raise refusal_at(path, root, diagnose("no-mjcf", tag=tag, urdf=is_urdf, part=is_include))
+    tree = IncludeTree(path, root)
     index = index_of(tree.root)
-    spec, notes = _spec(tree, index)
-    model, refused, as_it_is = None, None, None
+    spec, notes = _parse_spec(tree, index)
+    model, refusal, as_it_is = None, None, None
     try:
-        # Another spec, for compiling changes it; and no copy, which lacks what is dangling.
-        model, shells, said = compile_with_shells(lambda: _spec(tree, index)[0])
+        # A new spec, because compiling modifies a spec, and a copy would lack dangling elements.
+        model, shells, first_message = compile_with_shells(lambda: _parse_spec(tree, index)[0])
         if shells:
             put_shells(spec, shells)
             notes.append(taken_as_shells(shells))
-            as_it_is = _not_compiled(tree, index, ValueError(said))
+            as_it_is = _make_refusal(tree, index, ValueError(first_message))
     except _MUJOCO_ERRORS as error:
-        refused = _not_compiled(tree, index, error)
+        refusal = _make_refusal(tree, index, error)
     problem = None if model is None else no_number(model)
     if problem is not None:
-        model, refused = None, (problem, Place(path))
+        model, refusal = None, (problem, Place(path))
     return MjcfFile(
         path,
         spec,
         tuple(tree.files),
         tuple(notes),
-        refused,
+        refusal,
         as_it_is,
         {},
         model,
@@ -679,52 +709,56 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
     )
 
 
-def _spec(
-    tree: Tree, index: Mapping[tuple[str, str], Node]
+def _parse_spec(
+    tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-    """Returns what MuJoCo reads, without what needs files that are missing, and what that is."""
+    """Parse a spec, and remove elements whose files are missing; also return diagnostics."""
     try:
         with silence_mujoco():
             spec = spec_of(tree.path)
     except _MUJOCO_ERRORS as error:
-        message, place = _mujoco_message(tree, index, error)
+        message, place = _locate_message(tree, index, error)
         raise refuse_file(place, diagnose("mjcf-not-valid", message=message)) from error
     return spec, leave_out_missing(spec, tree, index)
 
 
-def _not_compiled(
-    tree: Tree, index: Mapping[tuple[str, str], Node], error: BaseException
+def _make_refusal(
+    tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode], error: BaseException
 ) -> tuple[Diagnostic, Place]:
-    message, place = _mujoco_message(tree, index, error)
+    message, place = _locate_message(tree, index, error)
     return diagnose("mjcf-not-compiled", message=message), place
 
 
-def _mujoco_message(
-    tree: Tree, index: Mapping[tuple[str, str], Node], error: BaseException
+def _locate_message(
+    tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode], error: BaseException
 ) -> tuple[str, Place]:
-    """Returns MuJoCo's message, and the place of the element that it is about.
+    """Return MuJoCo's message, and the location of the element that it concerns.
 
-    MuJoCo tells the line in the main file, or in an unnamed one, and 0 of what is included; and the
-    name that it tells may be the one that is not there.
+    MuJoCo reports the line in the main file, or in an unspecified file, and 0 for included
+    elements. The reported name may be that of a missing element.
     """
     message = one_line(error)
-    found = re.search(r"(?:, line |Line number=)([1-9][0-9]*)", message)
-    if found and len(tree.files) == 1:
-        return message, Place(tree.path, int(found[1]))
-    said = set(re.findall(r"'([^']+)'", message))
-    name = re.search(r"Element name '([^']+)'", message)
-    named = [node.place for (_, known), node in index.items() if name and known == name[1]]
+    line_match = re.search(r"(?:, line |Line number=)([1-9][0-9]*)", message)
+    if line_match and len(tree.files) == 1:
+        return message, Place(tree.path, int(line_match[1]))
+    quoted_words = set(re.findall(r"'([^']+)'", message))
+    name_match = re.search(r"Element name '([^']+)'", message)
+    named_places = [
+        node.place
+        for (_, element_name), node in index.items()
+        if name_match and element_name == name_match[1]
+    ]
     nodes = [node for root in (tree.root, *tree.attached) for node in walk_elements(root)]
-    meant = [
+    places_with_words = [
         node.place
         for node in nodes
-        if said & {v for k, v in node.attributes.items() if k != "name" or found}
-        and (not found or node.place.line == int(found[1]))
+        if quoted_words & {v for k, v in node.attributes.items() if k != "name" or line_match}
+        and (not line_match or node.place.line == int(line_match[1]))
     ]
-    return message, (*named, *meant, Place(tree.path))[0]
+    return message, (*named_places, *places_with_words, Place(tree.path))[0]
 
 
-def _child(node: Node, tag: str) -> Node | None:
-    """Returns a node's first child of a tag; a free joint is a joint."""
+def _find_child(node: XmlNode, tag: str) -> XmlNode | None:
+    """Return the first child of a node with a tag; for ``joint``, also a ``freejoint``."""
     tags = ("joint", "freejoint") if tag == "joint" else (tag,)
     return next((child for child in node.children if child.tag in tags), None)

@@ -1,8 +1,8 @@
-"""A tree of joints and the bodies that they move, as two files share it: joints, inertias, frames.
+"""``MultibodyTree``: joints, bodies and frames of a robot, for comparison of two files.
 
-Fixed children are folded into the body that carries them. Frames of bodies are a matter of choice:
-two files can describe one robot with different link frames. `matching.alignment` brings the frames
-of one set to those of another.
+Fixed children are merged into the body that carries them. Link frames are a convention: two files
+can describe the same robot with different link frames. `matching.alignment` transforms the frames
+of one tree to those of another.
 """
 
 from __future__ import annotations
@@ -25,14 +25,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class TreeBody:
-    """A moving body.
+    """Moving body, with all bodies fixed to it.
 
     Attributes:
-        mass: kg.
-        com: (3,) in the body's frame (m).
-        inertia: (3, 3) about the com, in the body's axes (kg m^2).
-        link: What the file calls it: the link, or MuJoCo's body, that the joint moves, to which
-            others may be fixed; empty if that is not known.
+        mass: Mass [kg].
+        com: Centre of mass (3,) [m] in the frame of the body.
+        inertia: Inertia (3, 3) [kg m^2] about the CoM, in the axes of the body.
+        link: Link, or MuJoCo body, that the joint moves; "" if unknown.
     """
 
     mass: float
@@ -42,39 +41,43 @@ class TreeBody:
 
     @staticmethod
     def of(inertia: pin.Inertia, link: str = "") -> TreeBody:
-        """Returns the body of an inertia in its frame."""
+        """Return the body with a spatial inertia, in the frame of the inertia."""
         tensor = np.array(inertia.inertia)
         return TreeBody(float(inertia.mass), np.array(inertia.lever), tensor, link)
 
     @property
     def rigid(self) -> pin.Inertia:
-        """Its inertia, in its frame."""
+        """Spatial inertia, in the frame of the body."""
         return inertia_of(self.mass, self.com, self.inertia)
 
     def moved(self, pose: pin.SE3) -> TreeBody:
-        """Returns it in the frame in which its own stands in a pose."""
-        turn = np.array(pose.rotation)
-        com, inertia = np.array(pose.act(self.com)), turn @ self.inertia @ turn.T
+        """Return the body, expressed in another frame.
+
+        Args:
+            pose: Pose of the body's current frame in the new frame.
+        """
+        rotation = np.array(pose.rotation)
+        com, inertia = np.array(pose.act(self.com)), rotation @ self.inertia @ rotation.T
         return replace(self, com=com, inertia=inertia)
 
 
 @dataclass(frozen=True, eq=False)
 class TreeJoint:
-    """A joint, and how the body that it moves is attached to its parent.
+    """Joint, and pose of the moved body in its parent.
 
     Attributes:
-        parent: The joint that moves the parent body, or the base's name.
-        position: (3,) of the joint, in the parent body's frame (m).
-        rotation: (3, 3) from the body's axes to the parent's, at zero.
-        axis: (3,) unit vector in the body's frame.
-        slides: Whether it is prismatic.
-        lower: rad (or m).
-        upper: rad (or m).
-        effort: N m (or N).
-        velocity: rad/s (or m/s); infinite where a file cannot state it.
-        armature: kg m^2 (or kg).
-        damping: N m s/rad (or N s/m).
-        friction: N m (or N).
+        parent: Joint that moves the parent body, or name of the base.
+        position: Position (3,) [m] in the frame of the parent body.
+        rotation: Rotation (3, 3) from the axes of the body to those of the parent, at zero.
+        axis: Unit vector (3,) in the frame of the body.
+        slides: Whether the joint is prismatic.
+        lower: Lower limit [rad, m].
+        upper: Upper limit [rad, m].
+        effort: Effort limit [N m, N].
+        velocity: Velocity limit [rad/s, m/s]; infinite if the format cannot specify it.
+        armature: Armature [kg m^2, kg].
+        damping: Damping [N m s/rad, N s/m].
+        friction: Friction loss [N m, N].
     """
 
     parent: str
@@ -92,29 +95,30 @@ class TreeJoint:
 
     @property
     def placement(self) -> pin.SE3:
-        """Where the body is in its parent, at zero."""
+        """Pose of the body in its parent, at zero."""
         return pin.SE3(self.rotation, self.position)
 
     def placed(self, placement: pin.SE3) -> TreeJoint:
-        """Returns it elsewhere."""
+        """Return the joint with another pose of the body."""
         position, rotation = np.array(placement.translation), np.array(placement.rotation)
         return replace(self, position=position, rotation=rotation)
 
 
 @dataclass(frozen=True, eq=False)
 class MultibodyTree:
-    """A robot as a tree of joints.
+    """Robot as a tree of joints.
 
     Attributes:
-        base: The base's name.
+        base: Name of the base.
         floating: Whether the base is free.
-        bodies: {base or joint: the body it moves}.
-        joints: {joint: joint}, parents first.
-        frames: {frame: (base or joint that moves it, (3,) position in that body's frame (m))}.
-        gravity: (3,) m/s^2.
-        base_damping: Of the free joint, in all six directions: an MJCF's default class may give it
-            some (N s/m and N m s/rad).
-        base_armature: Likewise (kg and kg m^2).
+        bodies: {base or joint: moved body}.
+        joints: {name: joint}, parents first.
+        frames: {frame: (base or joint that moves the frame, position (3,) [m] in the frame of that
+            body)}.
+        gravity: Gravity (3,) [m/s^2].
+        base_damping: Damping of the free joint in all six directions [N s/m, N m s/rad]; an MJCF
+            may set it by a default class.
+        base_armature: Armature of the free joint in all six directions [kg, kg m^2].
     """
 
     base: str
@@ -127,42 +131,42 @@ class MultibodyTree:
     base_armature: float = 0.0
 
     def children(self, body: str) -> list[str]:
-        """Returns the joints whose parent is a body."""
-        return list(self._children.get(body, ()))  # of its own: callers take from it
+        """Return the joints on a body, as a new list."""
+        return list(self._children_by_body.get(body, ()))
 
     @cached_property
-    def _children(self) -> dict[str, list[str]]:
+    def _children_by_body(self) -> dict[str, list[str]]:
         found: dict[str, list[str]] = {}
         for name, joint in self.joints.items():
             found.setdefault(joint.parent, []).append(name)
         return found
 
     def carried_by(self, body: str) -> list[str]:
-        """Returns the frames that a body carries."""
-        return list(self._carried.get(body, ()))
+        """Return the frames on a body."""
+        return list(self._frames_by_body.get(body, ()))
 
     @cached_property
-    def _carried(self) -> dict[str, list[str]]:
+    def _frames_by_body(self) -> dict[str, list[str]]:
         found: dict[str, list[str]] = {}
         for name, (owner, _) in self.frames.items():
             found.setdefault(owner, []).append(name)
         return found
 
     def parents_first(self) -> list[str]:
-        """Returns the joints branch by branch: Pinocchio wants each subtree in one piece."""
+        """Return all joints in depth-first order, in which Pinocchio requires them."""
         return self.below(self.base)
 
     def below(self, body: str) -> list[str]:
-        """Returns all joints that a body carries, branch by branch, parents first."""
+        """Return all joints below a body, in depth-first order."""
         order: list[str] = []
-        waiting = self.children(body)[::-1]
-        while waiting:
-            order.append(waiting.pop())
-            waiting += self.children(order[-1])[::-1]
+        pending = self.children(body)[::-1]
+        while pending:
+            order.append(pending.pop())
+            pending += self.children(order[-1])[::-1]
         return order
 
     def part(self, names: Collection[str]) -> MultibodyTree:
-        """Returns some joints alone, the bodies that they move, and the frames on those."""
+        """Return the tree with a subset of the joints, their bodies, and the frames on these."""
         frames = [frame for name in names for frame in self.carried_by(name)]
         return replace(
             self,
@@ -172,62 +176,68 @@ class MultibodyTree:
         )
 
 
-_OF_PINOCCHIO = tuple(one for one in JOINT_ATTRIBUTES if one.pinocchio)
+_PINOCCHIO_ATTRIBUTES = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.pinocchio)
 
 
 def from_pinocchio(
     model: pin.Model, base: str, joint_names: Iterable[str], frames: Mapping[str, str]
 ) -> MultibodyTree:
-    """Reads the parameters of a Pinocchio model.
+    """Return the tree of a Pinocchio model.
 
     Args:
-        model: The model; joints of one degree of freedom, and a free flyer if the base is free.
-        base: A name for the base.
-        joint_names: The joints.
+        model: Model with joints of one degree of freedom; with a free flyer if the base is free.
+        base: Name of the base.
+        joint_names: Names of the joints.
         frames: {name: BODY frame of the model}.
 
     Raises:
-        ModelError: If a joint is called like the base: bodies go by the joints that move them.
+        ModelError: If a joint has the name of the base, because bodies are named by their joints.
     """
     names = set(joint_names)
     if base in names:
         raise ModelError(model.name, diagnose("joint-named-like-base", subject=("link", base)))
     floating = model.nv > len(names)
     root = 1 if floating else 0
-    owner = {0: base, root: base}
-    links = _links(model)
+    body_by_joint = {0: base, root: base}
+    links = _find_links(model)
     bodies = {base: TreeBody.of(model.inertias[root], links.get(root, ""))}
     joints: dict[str, TreeJoint] = {}
     for index in range(root + 1, model.njoints):
         name = str(model.names[index])
-        owner[index] = name
-        kind = model.joints[index]
-        # Of the joint alone: the data of a model grow with the square of its size, and more.
-        motion = np.array(kind.createData().S).reshape(6)
+        body_by_joint[index] = name
+        joint_model = model.joints[index]
+        # Data of the joint only: the data of the model grow with at least the square of its size.
+        motion = np.array(joint_model.createData().S).reshape(6)
         slides = not motion[3:].any()
-        q, v = kind.idx_q, kind.idx_v
-        bounded = kind.nq == 1
+        q, v = joint_model.idx_q, joint_model.idx_v
+        bounded = joint_model.nq == 1
         joints[name] = TreeJoint(
-            parent=owner[int(model.parents[index])],
+            parent=body_by_joint[int(model.parents[index])],
             position=np.array(model.jointPlacements[index].translation),
             rotation=np.array(model.jointPlacements[index].rotation),
             axis=motion[:3] if slides else motion[3:],
             slides=slides,
             lower=float(model.lowerPositionLimit[q]) if bounded else -np.inf,
             upper=float(model.upperPositionLimit[q]) if bounded else np.inf,
-            **{one.field: float(getattr(model, one.pinocchio)[v]) for one in _OF_PINOCCHIO},
+            **{
+                attribute.field: float(getattr(model, attribute.pinocchio)[v])
+                for attribute in _PINOCCHIO_ATTRIBUTES
+            },
         )
         bodies[name] = TreeBody.of(model.inertias[index], links.get(index, ""))
-    places = {}
+    frame_positions = {}
     for name, frame in frames.items():
-        found = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
-        places[name] = (owner[int(found.parentJoint)], np.array(found.placement.translation))
+        pin_frame = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+        frame_positions[name] = (
+            body_by_joint[int(pin_frame.parentJoint)],
+            np.array(pin_frame.placement.translation),
+        )
     return MultibodyTree(
         base=base,
         floating=floating,
         bodies=bodies,
         joints=joints,
-        frames=places,
+        frames=frame_positions,
         gravity=np.array(model.gravity.linear),
         base_damping=float(model.damping[0]) if floating else 0.0,
         base_armature=float(model.armature[0]) if floating else 0.0,
@@ -235,60 +245,71 @@ def from_pinocchio(
 
 
 def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
-    """Returns where each joint of a model is, the universe first, at Pinocchio's q (model.nq,).
+    """Return the world placement of each joint of a model, starting with the universe.
 
-    Without the data of the model, which grow with the cube of its size.
+    The computation avoids the data of the model, whose size grows with the cube of the model's.
+
+    Args:
+        model: Pinocchio model.
+        q: Pinocchio's configuration, shape (model.nq,).
     """
     placements = [pin.SE3.Identity()]
     for index in range(1, model.njoints):
-        kind = model.joints[index]
-        data = kind.createData()
-        kind.calc(data, q)
-        above = placements[model.parents[index]]
-        placements.append(above * model.jointPlacements[index] * data.M)
+        joint_model = model.joints[index]
+        data = joint_model.createData()
+        joint_model.calc(data, q)
+        parent_placement = placements[model.parents[index]]
+        placements.append(parent_placement * model.jointPlacements[index] * data.M)
     return placements
 
 
-def _links(model: pin.Model) -> dict[int, str]:
-    """Returns {joint: the link that it moves}: the first of those that move with it."""
-    found: dict[int, str] = {}
+def _find_links(model: pin.Model) -> dict[int, str]:
+    """Return {joint index: first link that the joint moves}."""
+    links: dict[int, str] = {}
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY:
-            found.setdefault(int(frame.parentJoint), str(frame.name))
-    return found
+            links.setdefault(int(frame.parentJoint), str(frame.name))
+    return links
 
 
-_OF_BODIES = ("mass", "com", "inertia")
-_OF_JOINTS = {
+_BODY_FIELDS = ("mass", "com", "inertia")
+_JOINT_FIELDS = {
     **{kind: kind for kind in ("position", "rotation", "axis", "parent")},
     "type": "slides",
-    **{one.kind: one.field for one in JOINT_ATTRIBUTES if one.field},
+    **{attribute.kind: attribute.field for attribute in JOINT_ATTRIBUTES if attribute.field},
 }
-"""{kind of a difference: the field of `TreeJoint`}."""
+"""{kind of a difference: field of `TreeJoint`}."""
 
 
-def with_value_of(one: MultibodyTree, two: MultibodyTree, kind: str, element: str) -> MultibodyTree:
-    """Returns a robot with another's value of one thing.
+def with_value_of(
+    tree: MultibodyTree, source: MultibodyTree, kind: str, element: str
+) -> MultibodyTree:
+    """Return a tree with one value of another tree.
+
+    If the parent of a single joint would create a loop, the parents of all joints are copied.
 
     Args:
-        one: The robot.
-        two: The other, with bodies, joints and frames of the same names.
-        kind: What is taken, as a `Difference` between the two is called.
-        element: Of which body, joint or frame; what is of the robot as a whole takes the base's.
+        tree: Tree to modify; the result is a copy.
+        source: Tree with the new value, and with the same names of bodies, joints and frames.
+        kind: Kind of the `Difference` between the trees.
+        element: Body, joint or frame. For values of the whole robot, the base.
     """
-    if kind in _OF_BODIES:
-        body = replace(one.bodies[element], **{kind: getattr(two.bodies[element], kind)})
-        return replace(one, bodies={**one.bodies, element: body})
+    if kind in _BODY_FIELDS:
+        body = replace(tree.bodies[element], **{kind: getattr(source.bodies[element], kind)})
+        return replace(tree, bodies={**tree.bodies, element: body})
     if kind == "frame":
-        return replace(one, frames={**one.frames, element: two.frames[element]})
-    if kind == "gravity" or element not in one.joints:
+        return replace(tree, frames={**tree.frames, element: source.frames[element]})
+    if kind == "gravity" or element not in tree.joints:
         field = kind if kind == "gravity" else f"base_{kind}"
-        return replace(one, **{field: getattr(two, field)})
-    field = _OF_JOINTS[kind]
-    joint = replace(one.joints[element], **{field: getattr(two.joints[element], field)})
-    taken = replace(one, joints={**one.joints, element: joint})
-    if kind == "parent" and len(taken.parents_first()) < len(taken.joints):
-        # That parent alone closes a ring of joints: all of them are taken.
-        joints = {n: replace(j, parent=two.joints[n].parent) for n, j in one.joints.items()}
-        return replace(one, joints=joints)
-    return taken
+        return replace(tree, **{field: getattr(source, field)})
+    field = _JOINT_FIELDS[kind]
+    joint = replace(tree.joints[element], **{field: getattr(source.joints[element], field)})
+    modified = replace(tree, joints={**tree.joints, element: joint})
+    if kind == "parent" and len(modified.parents_first()) < len(modified.joints):
+        # The parents form a loop.
+        joints = {
+            name: replace(old_joint, parent=source.joints[name].parent)
+            for name, old_joint in tree.joints.items()
+        }
+        return replace(tree, joints=joints)
+    return modified

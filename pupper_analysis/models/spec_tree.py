@@ -1,6 +1,6 @@
-"""An MJCF's bodies and joints: what is fixed to what, what moves, and edits of that structure.
+"""``SpecTree``: bodies and joints of an MJCF, with queries, edits and additions for simulation.
 
-Among them: a base that is free by several joints gets a free one.
+``join_free_base`` replaces the joints of a base that is free by several joints.
 """
 
 from __future__ import annotations
@@ -27,52 +27,53 @@ from pupper_analysis.models.attributes import (
     JointAttribute,
     Number,
 )
-from pupper_analysis.models.mjcf import CONTACT_OF_GEOM, JointKind, add_plane
+from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, JointKind, add_plane
 from pupper_analysis.models.xml import free_name
 
 Array = NDArray[np.float64]
 
 
-_OPTION_WORDS: Final[dict[tuple[str, Number], Any]] = {
+_OPTION_VALUES: Final[dict[tuple[str, Number], Any]] = {
     ("cone", "elliptic"): mujoco.mjtCone.mjCONE_ELLIPTIC,
     ("cone", "pyramidal"): mujoco.mjtCone.mjCONE_PYRAMIDAL,
     ("integrator", "implicitfast"): mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
     ("jacobian", "dense"): mujoco.mjtJacobian.mjJAC_DENSE,
 }
-"""What MuJoCo's editable model has for the words of ``<option>``."""
+"""{(option, text in the XML): value in MuJoCo's editable model}."""
 
-NARROW = 1e-9
-"""MuJoCo refuses a range from 0 to 0, which converters write of a URDF without a range."""
+MIN_RANGE = 1e-9
+"""Minimum upper bound of a force range. MuJoCo rejects a range from 0 to 0, which converters write
+for a URDF without a limit."""
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
-    """States an inertia of a body, in its own frame, in the place of what it states."""
+    """Replace the inertia of a body by an inertia in the frame of the body."""
     entries = inertia_entries(np.array(inertia.inertia))
     body.explicitinertial, body.mass = True, float(inertia.mass)
     body.ipos, body.iquat = np.array(inertia.lever), (1.0, 0.0, 0.0, 0.0)
     body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    products = bool(entries[3:].any())
-    body.inertia = np.zeros(3) if products else entries[:3]
-    body.fullinertia = entries if products else np.full(6, np.nan)
+    has_products = bool(entries[3:].any())
+    body.inertia = np.zeros(3) if has_products else entries[:3]
+    body.fullinertia = entries if has_products else np.full(6, np.nan)
 
 
 def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
-    """Gives a joint of a spec a number, in SI units; an effort is a limit to either side."""
+    """Set a joint parameter of a spec, in SI units; an effort becomes a symmetric force range."""
     if attribute.kind == "effort":
-        value = max(value, NARROW)
+        value = max(value, MIN_RANGE)
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
         joint.actfrcrange = (-value, value)
         return
     word = attribute.mjcf[0]
-    # Some are polynomials of the speed or the way, of which this is the first coefficient.
-    powers = np.zeros(np.size(getattr(joint, word)))
-    powers[0] = value
-    setattr(joint, word, powers if len(powers) > 1 else value)
+    # Some parameters are polynomials of speed or position; the value is the first coefficient.
+    coefficients = np.zeros(np.size(getattr(joint, word)))
+    coefficients[0] = value
+    setattr(joint, word, coefficients if len(coefficients) > 1 else value)
 
 
 @dataclass(frozen=True, eq=False)
 class SpecTree:
-    """The bodies and joints of an MJCF, as `UrdfTree` of a URDF, and what else it is given.
+    """Bodies and joints of an MJCF, with the methods of `UrdfTree` and those of additions.
 
     Attributes:
         spec: MuJoCo's editable model.
@@ -82,26 +83,26 @@ class SpecTree:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The bodies, in the file's order; the world is none."""
+        """Names of the bodies except the world, in the order of the file."""
         return tuple(body.name for body in self.spec.bodies[1:])
 
     def parent(self, link: str) -> str | None:
-        """Returns the body that carries one; None for a child of the world."""
-        up = self.spec.body(link).parent
-        return None if up.name == self.spec.worldbody.name else str(up.name)
+        """Return the parent body; None for a child of the world."""
+        parent = self.spec.body(link).parent
+        return None if parent.name == self.spec.worldbody.name else str(parent.name)
 
     def movers(self, link: str) -> tuple[str, ...]:
-        """Returns the joints of a body, but for a free one."""
+        """Return the joints of a body, except a free joint."""
         joints = self.spec.body(link).joints
         return tuple(joint.name for joint in joints if joint.type != JointKind.FREE)
 
     def moved_by(self, joint: str) -> str | None:
-        """Returns the body that a joint moves; None if there is no such joint."""
-        found = self.spec.joint(joint)
-        return None if found is None else str(found.parent.name)
+        """Return the body of a joint; None if there is no such joint."""
+        element = self.spec.joint(joint)
+        return None if element is None else str(element.parent.name)
 
     def fixed_group(self, link: str) -> list[str]:
-        """Returns a body, and all that is fixed to it and carried by it."""
+        """Return a body and all descendants that are fixed to it."""
         group = [link]
         for name in group:
             children = self.spec.body(name).bodies
@@ -109,42 +110,50 @@ class SpecTree:
         return group
 
     def subtree(self, link: str) -> Iterator[str]:
-        """Yields a body and all that it carries."""
+        """Yield a body and its descendants."""
         body = self.spec.body(link)
         yield link
         for child in body.find_all(mujoco.mjtObj.mjOBJ_BODY):
             yield child.name
 
     def weight(self, link: str) -> float:
-        """Returns the mass of a body (kg); its geoms' where none is stated."""
-        return float(self._compiled.body(link).mass[0])
+        """Return the mass of a body [kg], computed from its geoms if not specified."""
+        return float(self._compiled_model.body(link).mass[0])
 
     @cached_property
-    def _compiled(self) -> mujoco.MjModel:
+    def _compiled_model(self) -> mujoco.MjModel:
         return self.spec.copy().compile()
 
-    def _forget(self) -> None:
-        self.__dict__.pop("_compiled", None)
+    def _clear_cache(self) -> None:
+        self.__dict__.pop("_compiled_model", None)
 
     def remove_subtree(self, link: str) -> None:
-        """Takes a body out, with all that it carries and what refers to that."""
+        """Delete a body, its descendants, and all elements that refer to them."""
         self.spec.delete(self.spec.body(link))
-        self._forget()
+        self._clear_cache()
 
     def add_link(
         self, name: str, parent: str, joint: str, place: Array, inertia: pin.Inertia | None = None
     ) -> None:
-        """Adds a body that is fixed to another; an MJCF has no joint for that."""
+        """Add a body that is fixed to another body, with parallel axes.
+
+        Args:
+            name: Name of the new body.
+            parent: Parent body.
+            joint: Unused; a fixed body of an MJCF has no joint.
+            place: Position (3,) [m] in the parent frame.
+            inertia: Spatial inertia in the frame of the new body; None if not specified.
+        """
         del joint
         body = self.spec.body(parent).add_body(name=name, pos=place)
         if inertia is not None:
             set_inertia(body, inertia)
-        self._forget()
+        self._clear_cache()
 
     def scale_mass(self, link: str, factor: float) -> None:
-        """Multiplies the mass of one body, stated or its geoms', and its inertia with it."""
+        """Multiply mass and inertia of a body by a factor, specified or computed from its geoms."""
         body = self.spec.body(link)
-        self._forget()
+        self._clear_cache()
         if body.explicitinertial:
             body.mass = factor * body.mass
             self.scale_inertia(link, factor)
@@ -155,10 +164,10 @@ class SpecTree:
                 geom.mass = factor * geom.mass
 
     def scale_inertia(self, link: str, factor: float) -> None:
-        """Multiplies the inertia of one body about its com.
+        """Multiply the inertia of a body about its CoM by a factor.
 
         Raises:
-            ValueError: If it is not stated, but follows from its geoms.
+            ValueError: If the inertia is not specified, but computed from the geoms.
         """
         body = self.spec.body(link)
         if not body.explicitinertial and list(body.geoms):
@@ -167,33 +176,37 @@ class SpecTree:
         body.fullinertia = factor * np.array(body.fullinertia)
 
     def move_com(self, link: str, offset: Array) -> None:
-        """Moves the com of one body; what its geoms make of it is written out."""
+        """Translate the CoM of a body by an offset (3,) [m]; its inertia becomes explicit."""
         body = self.spec.body(link)
         if not body.explicitinertial:
             self.spec.adopt_inertial(body)
         body.ipos = np.array(body.ipos) + offset
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
-        """Multiplies a number of a joint; an effort wherever it is stated."""
+        """Multiply a joint parameter by a factor.
+
+        An effort is scaled in the joint, in the force ranges of its actuators, and in the control
+        ranges of torque motors.
+        """
         element = self.spec.joint(joint)
         if attribute == BY_KIND["effort"]:
             element.actfrcrange = np.array(element.actfrcrange) * factor
             for actuator in self.spec.actuators:
                 if actuator.target == joint:
                     actuator.forcerange = np.array(actuator.forcerange) * factor
-                    if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:  # its command is a force
+                    if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:  # the control is a force
                         actuator.ctrlrange = np.array(actuator.ctrlrange) * factor
             return
         if "springdamper" in attribute.mjcf and np.any(element.springdamper):
-            self._state_spring_and_damper(element)
+            self._expand_springdamper(element)
         word = attribute.mjcf[0]
         value = getattr(element, word)
         setattr(element, word, np.array(value) * factor if np.ndim(value) else value * factor)
-        self._forget()
+        self._clear_cache()
 
-    def _state_spring_and_damper(self, element: mujoco.MjsJoint) -> None:
-        """States what ``springdamper`` makes of a joint in numbers of their own."""
-        model = self._compiled
+    def _expand_springdamper(self, element: mujoco.MjsJoint) -> None:
+        """Replace ``springdamper`` of a joint by the resulting stiffness and damping."""
+        model = self._compiled_model
         joint = model.joint(element.name).id
         for kind in ("spring", "damping"):
             attribute = BY_KIND[kind]
@@ -203,19 +216,20 @@ class SpecTree:
         element.springdamper = (0.0, 0.0)
 
     def set_options(self, values: Mapping[str, Number]) -> None:
-        """States attributes of ``<option>``, by MuJoCo's words for them."""
+        """Set attributes of ``<option>``, with the texts of the XML."""
         for name, value in values.items():
-            setattr(self.spec.option, name, _OPTION_WORDS.get((name, value), value))
+            setattr(self.spec.option, name, _OPTION_VALUES.get((name, value), value))
 
     def add_floor(self, beneath: float | None = None) -> mujoco.MjsGeom:
-        """Adds a plane at z = 0 with MuJoCo's own contact, that all which touches anything touches.
+        """Add a plane at z = 0 with MuJoCo's default contact, that all collidable geoms can touch.
 
-        Shapes whose bits only let them touch each other (left legs and right ones, say) are seen to
-        touch ground, too: scenes of such robots have a floor with those bits.
+        The contact bits include those of all geoms, also of geoms whose bits only permit contact
+        with each other, such as left and right legs: scenes of these robots contain a floor with
+        those bits.
 
         Args:
-            beneath: A body of its own at that height (m) has it, the last one: what was there
-                before keeps its number.
+            beneath: Height [m] of a new, last body that gets the plane. The ids of existing bodies
+                then stay the same. None for a plane of the world.
         """
         bits, name = 1, free_name(FLOOR_NAME, {geom.name for geom in self.spec.geoms})
         for geom in self.spec.geoms:
@@ -226,48 +240,52 @@ class SpecTree:
         )
 
     def add_imu(self, body: str, site: str) -> None:
-        """Adds an IMU at a site of a body, which is added at its origin where there is none."""
+        """Add gyro and accelerometer at a site; a missing site is added at the body's origin."""
         if self.spec.site(site) is None:
             self.spec.body(body).add_site(name=site)
         for kind in IMU_SENSORS:
             sensor = getattr(mujoco.mjtSensor, f"mjSENS_{kind.upper()}")
-            at = mujoco.mjtObj.mjOBJ_SITE
-            self.spec.add_sensor(name=kind, type=sensor, objtype=at, objname=site)
+            object_type = mujoco.mjtObj.mjOBJ_SITE
+            self.spec.add_sensor(name=kind, type=sensor, objtype=object_type, objname=site)
 
     def add_coupling(
         self, follower: str, leader: str, multiplier: Number, offset: Number
     ) -> mujoco.MjsEquality:
-        """Makes a joint follow another: q = offset + multiplier q of the leader."""
-        # MuJoCo's polynomial is of the coordinates less those of its zero pose.
-        here, there = (float(self.spec.joint(name).ref) for name in (follower, leader))
-        rest = float(offset) - here + float(multiplier) * there
+        """Couple a joint to another: q_follower = offset + multiplier q_leader."""
+        # MuJoCo's polynomial uses coordinates relative to ``ref``.
+        follower_ref, leader_ref = (float(self.spec.joint(name).ref) for name in (follower, leader))
+        constant = float(offset) - follower_ref + float(multiplier) * leader_ref
         equality = self.spec.add_equality(
             type=mujoco.mjtEq.mjEQ_JOINT, name1=follower, name2=leader
         )
-        equality.data[:5] = (rest, float(multiplier), 0.0, 0.0, 0.0)
+        equality.data[:5] = (constant, float(multiplier), 0.0, 0.0, 0.0)
         equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
-        self._stiffen(equality)
+        self._set_stiffness(equality)
         return equality
 
     def stiffen_couplings(self) -> None:
-        """Makes couplings of joints as stiff as ``add_coupling``: a URDF's mimics are exact."""
+        """Set the stiffness of all joint couplings as ``add_coupling``, since mimics are exact."""
         for equality in self.spec.equalities:
             if equality.type == mujoco.mjtEq.mjEQ_JOINT:
-                self._stiffen(equality)
+                self._set_stiffness(equality)
 
-    def _stiffen(self, equality: mujoco.MjsEquality) -> None:
+    def _set_stiffness(self, equality: mujoco.MjsEquality) -> None:
         equality.solref = (max(COUPLING_TIME_CONSTANT, 2 * float(self.spec.option.timestep)), 1.0)
 
     def motor_at(self, joint: str) -> mujoco.MjsActuator | None:
-        """Returns the last motor at a joint; None if there is none."""
-        at = mujoco.mjtTrn.mjTRN_JOINT
-        found = [m for m in self.spec.actuators if m.trntype == at and m.target == joint]
-        return found[-1] if found else None
+        """Return the last actuator at a joint; None if there is none."""
+        transmission = mujoco.mjtTrn.mjTRN_JOINT
+        motors = [
+            motor
+            for motor in self.spec.actuators
+            if motor.trntype == transmission and motor.target == joint
+        ]
+        return motors[-1] if motors else None
 
     def add_motor(self, joint: str) -> mujoco.MjsActuator:
-        """Adds a motor at a joint; it has no limits, and does what is commanded."""
+        """Add a torque motor without limits at a joint."""
         motor = self._add_actuator(joint)
-        # The MJCF's defaults are meant for its own: a limit of theirs has no range here.
+        # The defaults of the MJCF may enable a limit, which would have no range here.
         motor.ctrllimited = motor.forcelimited = motor.actlimited = (
             mujoco.mjtLimited.mjLIMITED_FALSE
         )
@@ -275,8 +293,8 @@ class SpecTree:
         return motor
 
     def _add_actuator(self, joint: str) -> mujoco.MjsActuator:
-        at = mujoco.mjtTrn.mjTRN_JOINT
-        return self.spec.add_actuator(name=f"{joint} (servo)", target=joint, trntype=at)
+        transmission = mujoco.mjtTrn.mjTRN_JOINT
+        return self.spec.add_actuator(name=f"{joint} (servo)", target=joint, trntype=transmission)
 
     def add_position_servo(
         self,
@@ -285,7 +303,15 @@ class SpecTree:
         kd: float,
         limits: tuple[Number, Number] | None = None,
     ) -> None:
-        """Makes a joint's motor a position servo; where it has none, one is added."""
+        """Change the actuator of a joint to a position servo; without an actuator, add one.
+
+        Args:
+            joint: Joint.
+            kp: Stiffness at the joint [N m/rad, N/m].
+            kd: Damping at the joint [N m s/rad, N s/m].
+            limits: Lower and upper bound of the torque or force at the joint [N m, N]. If None,
+                existing limits stay.
+        """
         motor = self.motor_at(joint) or self._add_actuator(joint)
         gear = float(motor.gear[0]) or 1.0
         motor.set_to_position(kp=float(kp) / gear**2, kv=float(kd) / gear**2, inheritrange=0.0)
@@ -296,20 +322,29 @@ class SpecTree:
             motor.forcerange = sorted(float(limit) / gear for limit in limits)
 
     def limit_effort(self, joint: str, effort: float) -> None:
-        """Gives a joint's motors one limit either way, together, in place of all that is stated."""
+        """Replace all limits of the actuators of a joint by a symmetric limit of their total.
+
+        Args:
+            joint: Joint.
+            effort: Limit at the joint [N m, N].
+        """
         unlimited, limited = mujoco.mjtLimited.mjLIMITED_FALSE, mujoco.mjtLimited.mjLIMITED_TRUE
         self.spec.joint(joint).actfrclimited = unlimited
-        at = mujoco.mjtTrn.mjTRN_JOINT
-        motors = [m for m in self.spec.actuators if m.trntype == at and m.target == joint]
+        transmission = mujoco.mjtTrn.mjTRN_JOINT
+        motors = [
+            motor
+            for motor in self.spec.actuators
+            if motor.trntype == transmission and motor.target == joint
+        ]
         for motor in motors:
-            most = effort / len(motors) / abs(float(motor.gear[0]) or 1.0)
-            motor.forcelimited, motor.forcerange = limited, (-most, most)
-            if motor.biastype == mujoco.mjtBias.mjBIAS_NONE:  # its command is a force
+            max_force = effort / len(motors) / abs(float(motor.gear[0]) or 1.0)
+            motor.forcelimited, motor.forcerange = limited, (-max_force, max_force)
+            if motor.biastype == mujoco.mjtBias.mjBIAS_NONE:  # the control is a force
                 motor.ctrllimited = unlimited
 
-    def exclude_contact(self, one: str, two: str) -> None:
-        """Lets two bodies not touch each other."""
-        self.spec.add_exclude(bodyname1=one, bodyname2=two)
+    def exclude_contact(self, first: str, second: str) -> None:
+        """Exclude contacts between two bodies."""
+        self.spec.add_exclude(bodyname1=first, bodyname2=second)
 
     def add_ball(
         self,
@@ -319,8 +354,16 @@ class SpecTree:
         place: ArrayLike,
         like: str | None = None,
     ) -> mujoco.MjsGeom:
-        """Adds a sphere that weighs nothing; it touches, and is shown, as another geom."""
-        known = None if like is None else self.spec.geom(like)
+        """Add a massless sphere with the contact parameters and colour of another geom.
+
+        Args:
+            name: Name of the sphere.
+            body: Body of the sphere.
+            radius: Radius [m].
+            place: Centre (3,) [m] in the frame of the body.
+            like: Geom to copy; None for the defaults of the MJCF.
+        """
+        model_geom = None if like is None else self.spec.geom(like)
         ball = self.spec.body(body).add_geom(
             name=name,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -328,47 +371,51 @@ class SpecTree:
             pos=place,
             mass=0.0,
         )
-        for word in () if known is None else ("rgba", *CONTACT_OF_GEOM):
-            setattr(ball, word, getattr(known, word))
+        for word in () if model_geom is None else ("rgba", *GEOM_CONTACT_WORDS):
+            setattr(ball, word, getattr(model_geom, word))
         return ball
 
     def turn_off_contact(self, geoms: Sequence[str]) -> None:
-        """Lets geoms touch nothing."""
+        """Disable all contacts of geoms."""
         for geom in self.spec.geoms:
             if geom.name in geoms:
                 geom.contype = geom.conaffinity = 0
 
     def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
-        """Makes a pose the only keyframe."""
+        """Replace all keyframes by a single keyframe."""
         for key in list(self.spec.keys):
             self.spec.delete(key)
         self.spec.add_key(name=HOME_KEYFRAME, qpos=qpos, **({"ctrl": ctrl} if len(ctrl) else {}))
 
 
-# A base that is free in the world by slides and hinges, or slides and a ball: one free joint.
+# Replacement of the joints of a free base by one free joint.
 
 
-_SPAN: Final = 0.1
-"""Least singular value of three axes that span space: those of coordinates have 1, 1 and 1."""
+_MIN_SINGULAR_VALUE: Final = 0.1
+"""Minimum singular value of three axes that span space. For coordinate axes all are 1."""
 
-_SLIDES: Final = [JointKind.SLIDE] * 3
-_IN_PARTS: Final = ([*_SLIDES, JointKind.BALL], [*_SLIDES, *[JointKind.HINGE] * 3])
+_THREE_SLIDES: Final = [JointKind.SLIDE] * 3
+_FREE_BASE_JOINTS: Final = (
+    [*_THREE_SLIDES, JointKind.BALL],
+    [*_THREE_SLIDES, *[JointKind.HINGE] * 3],
+)
 
 
 def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diagnostic | None:
-    """Gives a base that is free in parts a free joint instead, in place; keyframes go.
+    """Replace the joints of a free base by one free joint, in place, and delete all keyframes.
 
-    Models after OpenSim, and some exporters, free a base by three slides and three hinges (or a
-    ball). All programs here know one free base; which joints make it is a convention.
+    Models converted from OpenSim, and some exporters, use three slides and three hinges (or a
+    ball). The other modules support a free joint only.
 
     Args:
         spec: The MJCF.
-        stated: Joints that the URDF has, too: if these are among them, they stay.
+        stated: Joints that the URDF contains, too. If the base has one of these, the spec is
+            unchanged.
 
     Returns:
-        What was done; None if there is no such base.
+        Diagnostic of the replacement; None if there is no such base.
     """
-    base = _free_in_parts(spec, stated)
+    base = _find_free_base(spec, stated)
     if base is None:
         return None
     for key in list(spec.keys):
@@ -380,16 +427,16 @@ def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diag
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-    """Deletes a joint with all that refers to it."""
+    """Delete a joint and its actuators, joint equalities and sensors."""
     name = joint.name
     for actuator in list(spec.actuators):
         if actuator.target == name:
             _delete_sensors(spec, actuator.name)
             spec.delete(actuator)
     for equality in list(spec.equalities):
-        # A connect or weld names bodies, which may be called like joints.
-        joints = equality.type == mujoco.mjtEq.mjEQ_JOINT
-        if joints and name in (equality.name1, equality.name2):
+        # Connect and weld refer to bodies, which may have the names of joints.
+        couples_joints = equality.type == mujoco.mjtEq.mjEQ_JOINT
+        if couples_joints and name in (equality.name1, equality.name2):
             spec.delete(equality)
     _delete_sensors(spec, name)
     spec.delete(joint)
@@ -401,25 +448,25 @@ def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
             spec.delete(sensor)
 
 
-def _free_in_parts(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
-    """Returns the base of the largest robot if its joints leave it free, and nothing drives it."""
-    joint_count = mujoco.mjtObj.mjOBJ_JOINT
+def _find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
+    """Return the base with the most joints if its undriven, springless joints leave it free."""
+    joint_type = mujoco.mjtObj.mjOBJ_JOINT
     bodies = list(spec.worldbody.bodies)
-    base = max(bodies, key=lambda body: len(body.find_all(joint_count)), default=None)
+    base = max(bodies, key=lambda body: len(body.find_all(joint_type)), default=None)
     if base is None:
         return None
     joints = list(base.joints)
-    if [joint.type for joint in joints] not in _IN_PARTS:
+    if [joint.type for joint in joints] not in _FREE_BASE_JOINTS:
         return None
     names = {joint.name for joint in joints}
     driven = {actuator.target for actuator in spec.actuators}
     if names & (driven | set(stated)) - {""} or any(np.any(j.stiffness) for j in joints):
         return None
-    if len(base.find_all(joint_count)) == len(joints):  # a thing, and no robot
+    if len(base.find_all(joint_type)) == len(joints):  # an object without joints, no robot
         return None
     axes = [
         [j.axis for j in joints if j.type == kind] for kind in (JointKind.SLIDE, JointKind.HINGE)
     ]
-    if any(np.linalg.matrix_rank(rows, tol=_SPAN) < 3 for rows in axes if rows):
+    if any(np.linalg.matrix_rank(rows, tol=_MIN_SINGULAR_VALUE) < 3 for rows in axes if rows):
         return None
     return base

@@ -1,4 +1,4 @@
-"""Reads a URDF: what it must be, where its elements stand, and what its meshes are."""
+"""Reading of URDF files: validation with line numbers, mesh paths, joints without limits."""
 
 from __future__ import annotations
 
@@ -34,20 +34,19 @@ from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER_PATTERN, pa
 
 @dataclass(frozen=True, eq=False)
 class UrdfFile:
-    """A URDF that can be loaded.
+    """Valid URDF file.
 
     Attributes:
         path: The file.
-        text: Its XML.
-        root: The parsed XML, without comments; ``sourceline`` is an element's line.
-        packages: Folders of packages, for ``package://``.
-        notes: What was assumed on reading.
-        unknown: {kind of a joint's number: the joints of which it is not known}, where this stands
-            for a file of another format that can leave open what a URDF takes for none.
-        stands_for: What the file of another format is called for which this stands, such as
-            ``"the SDF"``; "" if for none.
-        gains: {joint: stiffness and damping of its servo} (N m/rad, N m s/rad; N/m, N s/m) that
-            such a file states; None where its format states none.
+        text: XML for the engines; differs from the file if attributes were rewritten.
+        root: Root element without comments; ``sourceline`` is the line of an element.
+        packages: Folders of ROS packages, for ``package://``.
+        notes: Diagnostics of assumptions.
+        unknown: {kind of a joint parameter: joints with an unknown value}. Set if the URDF was
+            converted from a format in which a missing parameter is unknown, and not zero.
+        stands_for: Name of the original format, such as ``"the SDF"``; "" for a URDF.
+        gains: {joint: (stiffness, damping) of its servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
+            of another format; None if the format has no servos.
     """
 
     path: Path
@@ -61,50 +60,51 @@ class UrdfFile:
 
     @cached_property
     def tree(self) -> UrdfTree:
-        """Its links and joints."""
+        """Links and joints."""
         return UrdfTree(self.root)
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Finds an element.
+        """Return the location of an element; the file without line if there is no such element.
 
         Args:
-            kind: Its tag: ``"link"``, ``"joint"``, ``"material"`` ...
-            name: Its name.
-            child: A path below it (``"limit"``, ``"inertial/mass"``): the innermost that exists.
-
-        Returns:
-            Its file and line; the file alone where there is no such element.
+            kind: Tag: ``"link"``, ``"joint"``, ``"material"`` ...
+            name: Name of the element.
+            child: Path below the element (``"limit"``, ``"inertial/mass"``); the innermost existing
+                element counts.
         """
-        element = self._named.get((kind, name))
+        element = self._elements_by_name.get((kind, name))
         if element is None:
             return Place(self.path)
         found = innermost_element(element, child, lambda parent, tag: parent.find(tag))
         return Place(self.path, line_of(found))
 
     def nth(self, link: str, tag: str, number: int) -> Place:
-        """Finds the n-th element of a tag, from 0, in a link; the link where it has no so many."""
-        element = self._named.get(("link", link))
+        """Return the location of the n-th element with a tag in a link, or of the link itself.
+
+        Args:
+            link: Name of the link.
+            tag: Tag of the element.
+            number: Number of the element, from 0.
+        """
+        element = self._elements_by_name.get(("link", link))
         found = [] if element is None else element.findall(tag)
         if number >= len(found):
             return self.place("link", link)
         return Place(self.path, line_of(found[number]))
 
     @cached_property
-    def _named(self) -> dict[tuple[str, str | None], etree._Element]:
-        """{(tag, name): element}; those below the root go before those deeper down."""
+    def _elements_by_name(self) -> dict[tuple[str, str | None], etree._Element]:
+        """{(tag, name): element}; children of the root have priority over deeper elements."""
         elements = [*self.root, *self.root.iter()]
         return {(e.tag, e.get("name")): e for e in reversed(elements)}
 
     def resolve_mesh(self, filename: str) -> Path | None:
-        """Finds the file that a mesh's ``filename`` means.
+        """Return the file of a mesh's ``filename``; None if there is none.
 
-        ``package://NAME/...`` and ``model://NAME/...`` are looked up in ``packages``, then in the
-        folders of ``ROS_PACKAGE_PATH``, then in the folders above the URDF, as it is named and as
-        its links lead; last, these folders are taken for the package or a folder of it, as a copy
-        may be called otherwise. Other names are relative to the URDF.
-
-        Returns:
-            The file, or None where there is none.
+        ``package://NAME/...`` and ``model://NAME/...`` are searched in ``packages``, in the folders
+        of ``ROS_PACKAGE_PATH``, and in the folders above the URDF, with and without resolving
+        links. Finally, the folders above the URDF are assumed to be the package, or a folder in it,
+        because a copy may have another name. Other names are relative to the URDF.
         """
         scheme, separator, rest = filename.partition("://")
         if not separator:
@@ -119,17 +119,20 @@ class UrdfFile:
             if found is not None:
                 return found
         parts = Path(inside).parts
-        copied = (Path(*parts[below:]) for below in range(1, len(parts) - 1))
-        places = (folder / part for part in copied for folder in self.path.absolute().parents)
-        return next(filter(None, map(existing_file, places)), None)
+        suffixes = (Path(*parts[start:]) for start in range(1, len(parts) - 1))
+        candidates = (
+            folder / suffix for suffix in suffixes for folder in self.path.absolute().parents
+        )
+        return next(filter(None, map(existing_file, candidates)), None)
 
     def _package_folders(self, package: str) -> Iterator[Path]:
+        """Yield the folders that may be a ROS package, by descending priority."""
         if package in self.packages:
             yield Path(self.packages[package])
         for entry in filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)):
             yield from folders_of_package(Path(entry), package)
-        # A link is looked up from where it is, and from where it leads to: of a workspace that is
-        # linked together, either may be the package's.
+        # If the URDF is a symbolic link, both its folder and the folder of the target are
+        # searched: in a workspace built from links, either may be in the package.
         for path in dict.fromkeys((self.path.absolute(), self.path.resolve())):
             for folder in path.parents:
                 yield from folders_of_package(folder, package)
@@ -137,14 +140,15 @@ class UrdfFile:
 
 
 def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile:
-    """Reads a URDF.
+    """Read a URDF.
 
     Args:
         path: The file.
-        packages: Folders of packages, for ``package://``.
+        packages: Folders of ROS packages, for ``package://``.
 
     Raises:
-        ModelError: If it cannot be loaded; one line that tells where and why.
+        ModelError: If the file cannot be loaded. The message is a single line with location and
+            reason.
     """
     check_type("urdf", path, str | Path)
     path = Path(path)
@@ -155,10 +159,10 @@ def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> U
 def urdf_from(
     path: Path, text: str, root: etree._Element, packages: Mapping[str, Path] | None
 ) -> UrdfFile:
-    """Makes a URDF of its root element, after all checks.
+    """Return the URDF file of a root element, after validation.
 
     Raises:
-        ModelError: If it cannot be loaded; one line that tells where and why.
+        ModelError: If the URDF is not valid. The message is a single line with location and reason.
     """
     if root.tag != "robot":
         mjcf = root.tag == "mujoco"
@@ -191,27 +195,27 @@ def urdf_from(
     if rewritten or unlimited:
         text = for_engines(root)
     file = UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))
-    if current_run() is not None:  # a command may not look at them, and must not lose them
+    if current_run() is not None:  # registers the meshes as inputs, which must not be overwritten
         for element in root.iter("mesh", "texture"):
             file.resolve_mesh(element.get("filename") or "")
     return file
 
 
 MAX_LINKS: Final = 2000
-"""Most links of a URDF."""
+"""Maximum number of links of a URDF."""
 
 _JOINT_TYPES: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
-_INERTIA: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_INERTIA_ATTRIBUTES: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
-# The attributes that hold numbers, and how many; and those that must be there.
-_NUMBERS: Final[Mapping[str, Mapping[str, int]]] = {
+
+_NUM_VALUES: Final[Mapping[str, Mapping[str, int]]] = {
     "origin": {"xyz": 3, "rpy": 3},
     "axis": {"xyz": 3},
     "mass": {"value": 1},
-    "inertia": dict.fromkeys(_INERTIA, 1),
+    "inertia": dict.fromkeys(_INERTIA_ATTRIBUTES, 1),
     **{
         tag: dict.fromkeys(
-            (one.urdf[1] for one in JOINT_ATTRIBUTES if one.urdf and one.urdf[0] == tag), 1
+            (row.urdf[1] for row in JOINT_ATTRIBUTES if row.urdf and row.urdf[0] == tag), 1
         )
         for tag in ("limit", "dynamics")
     },
@@ -223,10 +227,11 @@ _NUMBERS: Final[Mapping[str, Mapping[str, int]]] = {
     "mesh": {"scale": 3},
     "color": {"rgba": 4},
 }
+"""{tag: {numerical attribute: number of values}}."""
 
-_REQUIRED: Final[Mapping[str, tuple[str, ...]]] = {
+_REQUIRED_ATTRIBUTES: Final[Mapping[str, tuple[str, ...]]] = {
     "mass": ("value",),
-    "inertia": _INERTIA,
+    "inertia": _INERTIA_ATTRIBUTES,
     "mimic": ("joint",),
     "box": ("size",),
     "cylinder": ("radius", "length"),
@@ -236,98 +241,129 @@ _REQUIRED: Final[Mapping[str, tuple[str, ...]]] = {
     "parent": ("link",),
     "child": ("link",),
 }
+"""{tag: attributes that must be present}."""
 
-# Which children an element may have once only, and which it must have.
-_ONCE: Final[Mapping[str, tuple[str, ...]]] = {
+
+_UNIQUE_CHILDREN: Final[Mapping[str, tuple[str, ...]]] = {
     "link": ("inertial",),
     "inertial": ("origin", "mass", "inertia"),
     "visual": ("origin", "geometry"),
     "collision": ("origin", "geometry"),
     "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
 }
+"""{tag: children that may occur only once}."""
 
-_MUST: Final[Mapping[str, tuple[str, ...]]] = {
+_REQUIRED_CHILDREN: Final[Mapping[str, tuple[str, ...]]] = {
     "inertial": ("mass", "inertia"),
     "visual": ("geometry",),
     "collision": ("geometry",),
     "joint": ("parent", "child"),
 }
+"""{tag: children that must be present}."""
 
-_KNOWN: Final = frozenset((*_NUMBERS, *_REQUIRED, *_ONCE, *_MUST, "geometry", "material"))
+_KNOWN_TAGS: Final = frozenset(
+    (
+        *_NUM_VALUES,
+        *_REQUIRED_ATTRIBUTES,
+        *_UNIQUE_CHILDREN,
+        *_REQUIRED_CHILDREN,
+        "geometry",
+        "material",
+    )
+)
 
 
 def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:
-    """Returns the root's children of a kind by name; the names are to be distinct."""
-    found: dict[str, etree._Element] = {}
+    """Return {name: child of the root} with a tag.
+
+    Raises:
+        ModelError: If a child has no name, or the name of another.
+    """
+    children: dict[str, etree._Element] = {}
     for element in root.findall(tag):
         name = element.get("name")
         if not name:
             raise refusal_at(path, element, diagnose("element-without-name", tag=tag))
-        if name in found:
-            first = line_of(found[name])
+        if name in children:
+            first = line_of(children[name])
             problem = diagnose("name-taken", subject=(tag, name), line=first)
             raise refusal_at(path, element, problem)
-        found[name] = element
-    return found
+        children[name] = element
+    return children
 
 
 def check_element(path: Path, element: etree._Element) -> bool:
-    """Checks the children and numbers of a link or joint; returns whether it had to rewrite any."""
+    """Validate children and numbers of a link or joint, and normalise white space in numbers.
+
+    Returns:
+        Whether a single number contained surrounding white space, so that the text must be
+        rewritten.
+
+    Raises:
+        ModelError: If the element is not valid.
+    """
     rewritten = False
-    what = str(element.tag), str(element.get("name"))
+    subject = str(element.tag), str(element.get("name"))
     pending = [element]
     while pending:
         part = pending.pop()
-        children = [child for child in part if child.tag in _KNOWN]
+        children = [child for child in part if child.tag in _KNOWN_TAGS]
         tags = [child.tag for child in children]
-        for tag in _ONCE.get(part.tag, ()):
+        for tag in _UNIQUE_CHILDREN.get(part.tag, ()):
             if tags.count(tag) > 1:
-                again = [child for child in children if child.tag == tag][1]
-                problem = diagnose("child-more-than-once", subject=what, tag=tag)
-                raise refusal_at(path, again, problem)
-        for tag in _MUST.get(part.tag, ()):
+                second = [child for child in children if child.tag == tag][1]
+                problem = diagnose("child-more-than-once", subject=subject, tag=tag)
+                raise refusal_at(path, second, problem)
+        for tag in _REQUIRED_CHILDREN.get(part.tag, ()):
             if tag not in tags:
-                problem = diagnose("child-missing", subject=what, tag=part.tag, child=tag)
+                problem = diagnose("child-missing", subject=subject, tag=part.tag, child=tag)
                 raise refusal_at(path, part, problem)
-        for attribute in _REQUIRED.get(part.tag, ()):
+        for attribute in _REQUIRED_ATTRIBUTES.get(part.tag, ()):
             if part.get(attribute) is None:
                 missing = {"tag": part.tag, "attribute": attribute}
-                raise refusal_at(path, part, diagnose("attribute-missing", subject=what, **missing))
-        for attribute, count in _NUMBERS.get(part.tag, {}).items():
+                raise refusal_at(
+                    path, part, diagnose("attribute-missing", subject=subject, **missing)
+                )
+        for attribute, count in _NUM_VALUES.get(part.tag, {}).items():
             value = part.get(attribute)
             if value is None:
                 continue
-            _check_numbers(path, part, attribute, value, count, what)
-            tidy = " ".join(value.split())
-            if tidy != value:
-                part.set(attribute, tidy)
+            _check_numbers(path, part, attribute, value, count, subject)
+            normalised = " ".join(value.split())
+            if normalised != value:
+                part.set(attribute, normalised)
                 rewritten |= count == 1
         if part.tag == "dynamics" and not (part.get("damping") or part.get("friction")):
-            raise refusal_at(path, part, diagnose("dynamics-states-nothing", subject=what))
+            raise refusal_at(path, part, diagnose("dynamics-states-nothing", subject=subject))
         pending.extend(children)
     return rewritten
 
 
 def _check_numbers(
-    path: Path, part: etree._Element, attribute: str, value: str, count: int, what: tuple[str, str]
+    path: Path,
+    part: etree._Element,
+    attribute: str,
+    value: str,
+    count: int,
+    subject: tuple[str, str],
 ) -> None:
-    where = {"tag": part.tag, "attribute": attribute, "value": quote_short(value)}
+    values = {"tag": part.tag, "attribute": attribute, "value": quote_short(value)}
     numbers = value.split()
     if len(numbers) != count:
         problem = diagnose(
-            "wrong-count-of-numbers", subject=what, **where, count=len(numbers), wanted=count
+            "wrong-count-of-numbers", subject=subject, **values, count=len(numbers), wanted=count
         )
         raise refusal_at(path, part, problem)
     for number in numbers:
         if "${" in number or "$(" in number:
-            raise refusal_at(path, part, diagnose("value-is-xacro", subject=what, **where))
+            raise refusal_at(path, part, diagnose("value-is-xacro", subject=subject, **values))
         if not NUMBER_PATTERN.fullmatch(number) or not math.isfinite(float(number)):
-            where |= {"number": quote_short(number)}
-            raise refusal_at(path, part, diagnose("number-not-finite", subject=what, **where))
-        # A limit may be as large as can be: exporters write that for none.
+            values |= {"number": quote_short(number)}
+            raise refusal_at(path, part, diagnose("number-not-finite", subject=subject, **values))
+        # Limits may be larger, because exporters write the largest number for "no limit".
         if part.tag != "limit" and abs(float(number)) > MAX_NUMBER:
-            where |= {"number": quote_short(number)}
-            problem = diagnose("number-too-large", subject=what, **where, most=MAX_NUMBER)
+            values |= {"number": quote_short(number)}
+            problem = diagnose("number-too-large", subject=subject, **values, most=MAX_NUMBER)
             raise refusal_at(path, part, problem)
 
 
@@ -337,92 +373,106 @@ def check_joint(
     joint: etree._Element,
     links: Mapping[str, etree._Element],
 ) -> None:
-    """Refuses an unknown type, a missing limit, and ends that are no links."""
-    what = "joint", name
+    """Validate type, limit, name and links of a joint.
+
+    Raises:
+        ModelError: If the joint is not valid.
+    """
+    subject = "joint", name
     kind = joint.get("type")
     if kind not in _JOINT_TYPES:
-        problem = diagnose("joint-type-unknown", subject=what, kind=kind, valid=_JOINT_TYPES)
+        problem = diagnose("joint-type-unknown", subject=subject, kind=kind, valid=_JOINT_TYPES)
         raise refusal_at(path, joint, problem)
     if kind in ("revolute", "prismatic") and joint.find("limit") is None:
         turns = kind == "revolute"
-        problem = diagnose("limit-missing", subject=what, kind=Term(kind), turns=turns)
+        problem = diagnose("limit-missing", subject=subject, kind=Term(kind), turns=turns)
         raise refusal_at(path, joint, problem)
     moves = kind in ("revolute", "continuous", "prismatic")
-    # Pinocchio's world, and its joint of a free base: it takes this one for them, or drops masses.
+    # Names of Pinocchio's world and of its free joint: Pinocchio would confuse the joints, or
+    # ignore masses.
     if name == "universe" or (name == "root_joint" and moves):
-        raise refusal_at(path, joint, diagnose("joint-name-reserved", subject=what))
+        raise refusal_at(path, joint, diagnose("joint-name-reserved", subject=subject))
     for tag in ("parent", "child"):
-        end = joint.find(tag)
-        if end.get("link") not in links:
-            link = str(end.get("link"))
-            problem = diagnose("joint-end-no-link", subject=what, end=Term(tag), link=link)
-            raise refusal_at(path, end, problem)
+        element = joint.find(tag)
+        if element.get("link") not in links:
+            link = str(element.get("link"))
+            problem = diagnose("joint-end-no-link", subject=subject, end=Term(tag), link=link)
+            raise refusal_at(path, element, problem)
 
 
 def check_tree(
     path: Path, links: Mapping[str, etree._Element], joints: Mapping[str, etree._Element]
 ) -> None:
-    """Refuses joints that do not make the links one tree."""
-    above: dict[str, str] = {}
-    through: dict[str, str] = {}
+    """Raise an error unless the joints connect the links to a single tree.
+
+    Raises:
+        ModelError: If a link has two parent joints, the links form a loop, there are several roots,
+            or a chain is too long.
+    """
+    parent_of: dict[str, str] = {}
+    joint_of: dict[str, str] = {}
     for name, joint in joints.items():
         child = joint.find("child").get("link")
-        if child in above:
-            joints_of = (through[child], name)
-            problem = diagnose("link-of-two-joints", subject=("link", child), joints=joints_of)
+        if child in parent_of:
+            conflicting_joints = (joint_of[child], name)
+            problem = diagnose(
+                "link-of-two-joints", subject=("link", child), joints=conflicting_joints
+            )
             raise refusal_at(path, joint, problem)
-        above[child] = joint.find("parent").get("link")
-        through[child] = name
+        parent_of[child] = joint.find("parent").get("link")
+        joint_of[child] = name
     depth: dict[str, int] = {}
     try:
-        for link in TopologicalSorter({link: [above[link]] for link in above}).static_order():
-            depth[link] = depth[above[link]] + 1 if link in above else 0
+        for link in TopologicalSorter(
+            {link: [parent_of[link]] for link in parent_of}
+        ).static_order():
+            depth[link] = depth[parent_of[link]] + 1 if link in parent_of else 0
             if depth[link] > MAX_DEPTH:
                 problem = diagnose("chain-too-long", subject=("link", link), most=MAX_DEPTH)
                 raise refusal_at(path, links[link], problem)
     except CycleError as error:
         link = next(name for name in links if name in error.args[1])
-        problem = diagnose("links-in-a-loop", subject=("joint", through[link]), link=link)
-        raise refusal_at(path, joints[through[link]], problem) from error
-    roots = [link for link in links if link not in above]
+        problem = diagnose("links-in-a-loop", subject=("joint", joint_of[link]), link=link)
+        raise refusal_at(path, joints[joint_of[link]], problem) from error
+    roots = [link for link in links if link not in parent_of]
     if len(roots) > 1:
         problem = diagnose("several-roots", links=roots, count=len(roots))
         raise refusal_at(path, links[roots[1]], problem)
 
 
-# URDFs as they are used, for readers that know less of joints without limits.
+# Joints without limits: normalisation for the readers of the engines.
 
-ENDLESS_SLIDE = 1e3
-"""Limit of a slide that has none (m): a URDF's must have two, which are 0 where left out. No robot
-slides so far, and a number with 12 digits is a nanometre still."""
+MAX_SLIDE_POSITION = 1e3
+"""Limit of a slide without limits [m]. URDF requires two limits, whose defaults are 0. No robot
+moves as far, and with 12 digits the resolution is a nanometre."""
 
-_DEMANDED = ("effort", "velocity")
-"""What the format demands of a <limit>, and some exporters leave out."""
+_REQUIRED_LIMITS = ("effort", "velocity")
+"""Attributes of ``<limit>`` that the format requires, and that some exporters omit."""
 
 
 def complete_limits(root: etree._Element) -> Diagnostic | None:
-    """Gives each <limit> the effort and the velocity that it lacks, in place: 0, which is none.
+    """Set missing efforts and velocities of ``<limit>`` to 0, which means no limit, in place.
 
-    Pinocchio's reader refuses a joint without them, though nobody's effort is known.
+    Pinocchio's reader rejects joints without these attributes.
 
     Returns:
-        Which joints they were; None if there was none.
+        Diagnostic with the names of the joints; None if nothing was missing.
     """
     names = []
     for name, joint in UrdfTree(root).joints.items():
         for limit in joint.element.findall("limit"):
-            missing = [word for word in _DEMANDED if limit.get(word) is None]
+            missing = [attribute for attribute in _REQUIRED_LIMITS if limit.get(attribute) is None]
             names += [name] if missing else []
             limit.attrib.update(dict.fromkeys(missing, "0"))
     return diagnose("effort-or-velocity-unstated", names=names) if names else None
 
 
 def states_no_limits(joint: UrdfJoint) -> bool:
-    """Tells whether a revolute joint's <limit> says nothing of its range.
+    """Return True if the ``<limit>`` of a revolute joint contains no information about the range.
 
-    ``lower`` and ``upper`` count as 0 where they are left out, as many exporters do where nothing
-    is known, and some write all of 0 there, the effort too. A range of 0 to 0 with an effort stays
-    what it says.
+    This is the case without ``lower`` and ``upper``, or if lower, upper and effort are all zero or
+    missing: exporters omit these attributes, or write zeros, if the limits are unknown. A range
+    from 0 to 0 with an effort is a valid range.
     """
     limit = joint.element.find("limit")
     if joint.kind != "revolute" or limit is None:
@@ -433,16 +483,16 @@ def states_no_limits(joint: UrdfJoint) -> bool:
     try:
         return not any(float(word or 0.0) for word in words)
     except ValueError:
-        return False  # no number: whoever reads it says so
+        return False  # invalid number, reported by the validation
 
 
 def unlimited_joints(root: etree._Element) -> list[UrdfJoint]:
-    """Returns the joints of a URDF that state no limits; see ``states_no_limits``."""
+    """Return the joints of a URDF without limits; see ``states_no_limits``."""
     return [joint for joint in UrdfTree(root).joints.values() if states_no_limits(joint)]
 
 
 def for_engines(root: etree._Element) -> str:
-    """Writes a URDF as it is understood here: hinges without limits are continuous."""
+    """Return the XML of a URDF in which revolute joints without limits are continuous."""
     if unlimited_joints(root):
         root = deepcopy(root)
         for joint in unlimited_joints(root):

@@ -1,6 +1,6 @@
-"""A URDF's links and joints: what is fixed to what, what moves, and edits of that structure.
+"""``UrdfTree``: links and joints of a URDF, with queries and edits of the kinematic tree.
 
-This is the one place that walks over the elements of a URDF; all others ask it.
+Other modules access the links and joints of a URDF by this class.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 
 def origin_of(element: etree._Element | None) -> pin.SE3:
-    """Returns the pose that an element's ``<origin>`` states: none is the parent's own."""
+    """Return the pose in the ``<origin>`` of an element; the identity if there is none."""
     origin = None if element is None else element.find("origin")
     if origin is None:
         return pin.SE3.Identity()
@@ -43,178 +43,188 @@ def origin_of(element: etree._Element | None) -> pin.SE3:
     return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
 
 
-def set_origin(element: etree._Element, placed: pin.SE3, digits: int | None = None) -> None:
-    """States an element's pose, in the place of what it states; what is zero is left out.
+def set_origin(element: etree._Element, placement: pin.SE3, digits: int | None = None) -> None:
+    """Replace the ``<origin>`` of an element. Zero translations and rotations are left out.
 
-    With all digits, or so many significant ones of lengths.
+    Args:
+        element: Element to modify.
+        placement: New pose.
+        digits: Number of significant digits of lengths; None for all.
     """
     for old in element.findall("origin"):
         element.remove(old)
-    angles = pin.rpy.matrixToRpy(np.array(placed.rotation))
-    xyz = write_numbers(placed.translation, scale=1.0, digits=digits)  # m
+    angles = pin.rpy.matrixToRpy(np.array(placement.rotation))
+    xyz = write_numbers(placement.translation, scale=1.0, digits=digits)  # m
     rpy = write_numbers(angles, scale=1.0, digits=digits and NUM_ANGLE_DIGITS)  # rad
     if not (is_zero(xyz) and is_zero(rpy)):
         add_element(element, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
 
 
-_NO_LIMIT = {"effort": "0", "velocity": "0"}
-"""What a <limit> must state, and means none: the readers of both engines take no ``inf``."""
+_UNSPECIFIED_LIMITS = {"effort": "0", "velocity": "0"}
+"""Required attributes of ``<limit>``, with the values that mean no limit. The readers of both
+engines do not accept ``inf``."""
 
 
 @dataclass(frozen=True, eq=False)
 class UrdfElement:
-    """A link or a joint.
+    """Link or joint of a URDF.
 
     Attributes:
-        element: Its XML.
+        element: XML element.
     """
 
     element: etree._Element
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the element."""
         return str(self.element.get("name"))
 
     def remove(self, *tags: str) -> None:
-        """Takes its children of some tags out of it."""
+        """Remove the children with some tags."""
         for tag in tags:
             for child in self.element.findall(tag):
                 self.element.remove(child)
 
 
 class UrdfLink(UrdfElement):
-    """A link."""
+    """Link of a URDF."""
 
     @property
     def inertial(self) -> etree._Element | None:
-        """Its ``<inertial>``; None if it states none."""
+        """``<inertial>`` element; None if missing."""
         return self.element.find("inertial")
 
     @property
     def inertia(self) -> pin.Inertia | None:
-        """What it states that it weighs, in its own frame; None if it states nothing."""
-        stated = self.inertial
-        if stated is None:
+        """Specified spatial inertia, in the link frame; None without ``<inertial>``."""
+        inertial = self.inertial
+        if inertial is None:
             return None
-        mass, entries = stated.find("mass"), stated.find("inertia")
+        mass, entries = inertial.find("mass"), inertial.find("inertia")
         texts = [entries.get(word) if entries is not None else None for word in INERTIA_ENTRIES]
         tensor = inertia_tensor(float(text or 0.0) for text in texts)
-        weight = 0.0 if mass is None else float(mass.get("value") or 0.0)
-        return origin_of(stated).act(inertia_of(weight, np.zeros(3), tensor))
+        mass_value = 0.0 if mass is None else float(mass.get("value") or 0.0)
+        return origin_of(inertial).act(inertia_of(mass_value, np.zeros(3), tensor))
 
     def set_inertia(self, inertia: pin.Inertia, digits: int | None = None) -> None:
-        """States an inertia, in its own frame, in the place of what it states."""
+        """Replace the ``<inertial>`` element by an inertia in the link frame."""
         self.remove("inertial")
-        stated = etree.SubElement(self.element, "inertial")
-        add_element(stated, "origin", xyz=write_numbers(inertia.lever, digits=digits))
-        add_element(stated, "mass", value=write_numbers(inertia.mass, digits=digits))
+        inertial = etree.SubElement(self.element, "inertial")
+        add_element(inertial, "origin", xyz=write_numbers(inertia.lever, digits=digits))
+        add_element(inertial, "mass", value=write_numbers(inertia.mass, digits=digits))
         tensor = inertia_entries(np.array(inertia.inertia))
         entries = write_numbers(tensor, digits=digits).split()
-        etree.SubElement(stated, "inertia", dict(zip(INERTIA_ENTRIES, entries, strict=True)))
+        etree.SubElement(inertial, "inertia", dict(zip(INERTIA_ENTRIES, entries, strict=True)))
 
     @property
     def shapes(self) -> Iterator[tuple[str, etree._Element, etree._Element | None]]:
-        """Its visuals, then its collision shapes: tag, element, and the element of its form."""
+        """Visual shapes, then collision shapes: (tag, element, element inside ``<geometry>``)."""
         for tag in ("visual", "collision"):
             for shape in self.element.iterfind(tag):
-                around = shape.find("geometry")
-                yield tag, shape, None if around is None else next(iter(around), None)
+                geometry = shape.find("geometry")
+                yield tag, shape, None if geometry is None else next(iter(geometry), None)
 
     @property
     def touches(self) -> bool:
-        """Whether it has a collision shape."""
+        """Whether the link has a collision shape."""
         return self.element.find("collision/geometry/*") is not None
 
     @property
     def mass(self) -> float | None:
-        """What it weighs (kg); None if it states no mass."""
+        """Specified mass [kg]; None if missing."""
         element = self.element.find("inertial/mass")
         return None if element is None else float(element.get("value"))
 
 
 class UrdfJoint(UrdfElement):
-    """A joint."""
+    """Joint of a URDF."""
 
     @property
     def kind(self) -> str:
-        """Its type: ``revolute``, ``continuous``, ``prismatic``, ``fixed``, ``floating``, ..."""
+        """Type: ``revolute``, ``continuous``, ``prismatic``, ``fixed``, ``floating`` ..."""
         return str(self.element.get("type"))
 
     @property
     def is_fixed(self) -> bool:
-        """Whether its link is fixed to the parent."""
+        """Whether the joint is fixed."""
         return self.kind == "fixed"
 
     @property
     def moves(self) -> bool:
-        """Whether it is a hinge or a slide."""
+        """Whether the joint is a hinge or a slide."""
         return self.kind in ("revolute", "continuous", "prismatic")
 
     @property
     def parent(self) -> str:
-        """The name of the link that carries it."""
-        return self._end("parent")
+        """Name of the parent link."""
+        return self._link_name("parent")
 
     @property
     def child(self) -> str:
-        """The name of the link that it moves."""
-        return self._end("child")
+        """Name of the child link."""
+        return self._link_name("child")
 
-    def _end(self, tag: str) -> str:
-        end = self.element.find(tag)
-        return "" if end is None else str(end.get("link"))
+    def _link_name(self, tag: str) -> str:
+        element = self.element.find(tag)
+        return "" if element is None else str(element.get("link"))
 
     @property
     def mimic(self) -> etree._Element | None:
-        """Its ``<mimic>``; None if it follows no other joint."""
+        """``<mimic>`` element; None if missing."""
         return self.element.find("mimic")
 
     @property
     def origin(self) -> pin.SE3:
-        """Where its frame is in the parent's."""
+        """Pose of the joint frame in the parent link."""
         return origin_of(self.element)
 
     def stated(self, attribute: JointAttribute) -> str | None:
-        """Returns one of its numbers as it is written; None where the file states none."""
+        """Return the text of a joint parameter; None if missing or not supported by URDF."""
         if attribute.urdf is None:
             return None
         element = self.element.find(attribute.urdf[0])
         return None if element is None else element.get(attribute.urdf[1])
 
     def state(self, attribute: JointAttribute, value: float) -> None:
-        """States one of its numbers, which a URDF has words for."""
+        """Set a joint parameter, which URDF must support."""
         assert attribute.urdf is not None, f"a URDF has no words for {attribute.kind}"
         tag, word = attribute.urdf
         element = self.element.find(tag)
         if element is None:
-            element = etree.SubElement(self.element, tag, _NO_LIMIT if tag == "limit" else {})
+            element = etree.SubElement(
+                self.element, tag, _UNSPECIFIED_LIMITS if tag == "limit" else {}
+            )
         element.set(word, repr(float(value)))
 
     def follow(
         self, leader: str, multiplier: float, offset: float, digits: int | None = None
     ) -> None:
-        """Makes it mimic another joint: q = multiplier q of the leader + offset."""
-        one, two = (write_numbers(value, digits=digits) for value in (multiplier, offset))
-        add_element(self.element, "mimic", joint=leader, multiplier=one, offset=two)
+        """Add a ``<mimic>`` element: q = multiplier q_leader + offset."""
+        multiplier_text, offset_text = (
+            write_numbers(value, digits=digits) for value in (multiplier, offset)
+        )
+        add_element(
+            self.element, "mimic", joint=leader, multiplier=multiplier_text, offset=offset_text
+        )
 
     def set_axis(self, axis: Array, digits: int | None = None) -> None:
-        """States the axis of a joint that states none."""
+        """Add the ``<axis>`` of a joint without an axis."""
         add_element(self.element, "axis", xyz=write_numbers(axis, digits=digits))
 
     def fix(self) -> None:
-        """Makes it a fixed joint."""
+        """Change the type to ``fixed``."""
         self.element.set("type", "fixed")
 
     def set_range(self, lower: float, upper: float) -> None:
-        """Limits a joint (rad, m); one that turned without end no longer does."""
+        """Set the limits [rad, m]; a continuous joint becomes revolute."""
         if self.kind == "continuous":
             self.element.set("type", "revolute")
         self.state(BY_KIND["lower limit"], lower)
         self.state(BY_KIND["upper limit"], upper)
 
 
-def _scale(element: etree._Element | None, attribute: str, factor: float) -> None:
+def _scale_attribute(element: etree._Element | None, attribute: str, factor: float) -> None:
     text = None if element is None else element.get(attribute)
     if element is not None and text is not None:
         element.set(attribute, repr(float(text) * float(factor)))
@@ -222,146 +232,147 @@ def _scale(element: etree._Element | None, attribute: str, factor: float) -> Non
 
 @dataclass(frozen=True, eq=False)
 class UrdfTree:
-    """The links and joints of a URDF.
+    """Links and joints of a URDF.
 
-    Whoever adds or removes elements by other means than its methods makes a new one.
+    Links and joints are cached. After adding or removing elements by other means than the methods
+    of this class, create a new tree.
 
     Attributes:
-        root: The ``<robot>``.
+        root: ``<robot>`` element.
     """
 
     root: etree._Element
 
     @staticmethod
     def of(text: str) -> UrdfTree:
-        """Parses a URDF's text, which has been read before."""
+        """Parse the text of a valid URDF."""
         return UrdfTree(parse_text(text))
 
     def copy(self) -> UrdfTree:
-        """Returns a tree with XML of its own."""
+        """Return a deep copy."""
         return UrdfTree(copy.deepcopy(self.root))
 
     @cached_property
     def links(self) -> dict[str, UrdfLink]:
-        """{name: link}, in the file's order."""
+        """{name: link}, in the order of the file."""
         links = map(UrdfLink, self.root.findall("link"))
         return {link.name: link for link in links}
 
     @cached_property
     def joints(self) -> dict[str, UrdfJoint]:
-        """{name: joint}, in the file's order."""
+        """{name: joint}, in the order of the file."""
         joints = map(UrdfJoint, self.root.findall("joint"))
         return {joint.name: joint for joint in joints}
 
     @cached_property
     def above(self) -> dict[str, UrdfJoint]:
-        """{link: the joint that moves or holds it}; the base has none."""
+        """{link: joint whose child is the link}; the base has no entry."""
         return {joint.child: joint for joint in self.joints.values()}
 
     @cached_property
     def below(self) -> dict[str, list[UrdfJoint]]:
-        """{link: the joints that it carries}, of those that carry any."""
-        found: dict[str, list[UrdfJoint]] = {}
+        """{link: joints whose parent is the link}, for links with such joints."""
+        joints_by_parent: dict[str, list[UrdfJoint]] = {}
         for joint in self.joints.values():
-            found.setdefault(joint.parent, []).append(joint)
-        return found
+            joints_by_parent.setdefault(joint.parent, []).append(joint)
+        return joints_by_parent
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The links, in the file's order."""
+        """Names of the links, in the order of the file."""
         return tuple(self.links)
 
     def parent(self, link: str) -> str | None:
-        """Returns the link that carries one; None for the base."""
+        """Return the parent link; None for the base."""
         return self.above[link].parent if link in self.above else None
 
     def movers(self, link: str) -> tuple[str, ...]:
-        """Returns the joint that moves a link; none of one that is fixed, and of the base."""
+        """Return the name of the joint that moves a link as a tuple; empty if fixed or the base."""
         joint = self.above.get(link)
         return () if joint is None or joint.is_fixed else (joint.name,)
 
     def moved_by(self, joint: str) -> str | None:
-        """Returns the link that a joint moves; None if there is no such joint."""
+        """Return the child link of a joint; None if there is no such joint."""
         return self.joints[joint].child if joint in self.joints else None
 
     def weight(self, link: str) -> float:
-        """Returns the mass that a link states (kg); 0 where it states none."""
+        """Return the specified mass of a link [kg]; 0 if missing."""
         return self.links[link].mass or 0.0
 
     @property
     def base(self) -> UrdfLink:
-        """The link that no joint moves."""
+        """Link without a parent."""
         return next(link for name, link in self.links.items() if name not in self.above)
 
     @property
     def moving(self) -> list[UrdfJoint]:
-        """The hinges and slides."""
+        """Hinges and slides."""
         return [joint for joint in self.joints.values() if joint.moves]
 
     @property
     def moved_links(self) -> dict[str, str]:
-        """{joint: the link that it moves}."""
+        """{joint: child link}."""
         return {name: joint.child for name, joint in self.joints.items()}
 
     def fixed_group(self, link: str) -> list[str]:
-        """Returns a link, and all that is fixed to it and carried by it, nearest first."""
+        """Return a link and all descendants that are fixed to it, breadth first."""
         group = [link]
         for name in group:
             group += [joint.child for joint in self.below.get(name, ()) if joint.is_fixed]
         return group
 
     def subtree(self, link: str) -> Iterator[str]:
-        """Yields a link and all that it carries, branch by branch."""
-        waiting = [link]
-        while waiting:
-            name = waiting.pop()
+        """Yield a link and its descendants, depth first."""
+        pending = [link]
+        while pending:
+            name = pending.pop()
             yield name
-            waiting += [joint.child for joint in reversed(self.below.get(name, ()))]
+            pending += [joint.child for joint in reversed(self.below.get(name, ()))]
 
     def chain(self, link: str) -> Iterator[UrdfJoint]:
-        """Yields the joints between a link and the base, from the link on."""
+        """Yield the joints from a link to the base."""
         while link in self.above:
             yield self.above[link]
             link = self.above[link].parent
 
     def fix(self, names: Collection[str]) -> None:
-        """Makes joints fixed."""
+        """Change joints to fixed joints; unknown names are ignored."""
         for name in names:
             if name in self.joints:
                 self.joints[name].fix()
 
     def remove_shapes(self) -> None:
-        """Takes all visuals and collision shapes out."""
+        """Remove all visual and collision shapes."""
         for link in self.links.values():
             link.remove("visual", "collision")
 
     def remove_subtree(self, link: str) -> None:
-        """Takes a link out, with all that it carries and the joint that holds it."""
+        """Remove a link, its descendants and its joints."""
         for name in list(self.subtree(link)):
             if name in self.above:
                 self.root.remove(self.above[name].element)
             self.root.remove(self.links[name].element)
-        self._forget()
+        self._clear_cache()
 
     def remove_base(self) -> None:
-        """Takes out the base, and the joints that it carries."""
+        """Remove the base and the joints on it."""
         base = self.base
         for joint in self.below.get(base.name, ()):
             self.root.remove(joint.element)
         self.root.remove(base.element)
-        self._forget()
+        self._clear_cache()
 
     def add_link(
         self, name: str, parent: str, joint: str, place: Array, inertia: pin.Inertia | None = None
     ) -> None:
-        """Adds a link that is fixed to another, with its axes.
+        """Add a link that is fixed to another link, with parallel axes.
 
         Args:
-            name: The link's.
-            parent: What it is fixed to.
-            joint: The name of the joint between them, where the format has one.
-            place: (3,) of its frame in the parent's (m).
-            inertia: What it weighs, in its own frame; None: nothing is stated.
+            name: Name of the new link.
+            parent: Parent link.
+            joint: Name of the fixed joint.
+            place: Position (3,) [m] in the parent frame.
+            inertia: Spatial inertia in the frame of the new link; None for no ``<inertial>``.
         """
         link = self.new_link(name)
         if inertia is not None:
@@ -369,8 +380,8 @@ class UrdfTree:
         self.new_joint(joint, "fixed", parent, name, pin.SE3(np.eye(3), place))
 
     def new_link(self, name: str) -> UrdfLink:
-        """Adds a link that nothing holds yet."""
-        self._forget()
+        """Add a link without a joint."""
+        self._clear_cache()
         return UrdfLink(etree.SubElement(self.root, "link", name=name))
 
     def new_joint(
@@ -382,8 +393,17 @@ class UrdfTree:
         placed: pin.SE3,
         digits: int | None = None,
     ) -> UrdfJoint:
-        """Adds a joint of a kind of URDF's between two links, of where the child is at zero."""
-        self._forget()
+        """Add a joint between two links.
+
+        Args:
+            name: Name of the joint.
+            kind: Type of the joint in URDF.
+            parent: Parent link.
+            child: Child link.
+            placed: Pose of the child in the parent at zero.
+            digits: Number of significant digits of lengths; None for all.
+        """
+        self._clear_cache()
         element = add_element(self.root, "joint", name=name, type=kind)
         add_element(element, "parent", link=parent)
         add_element(element, "child", link=child)
@@ -391,19 +411,19 @@ class UrdfTree:
         return UrdfJoint(element)
 
     def scale_mass(self, link: str, factor: float) -> None:
-        """Multiplies the mass of one link, and its inertia with it."""
+        """Multiply mass and inertia of a link by a factor."""
         inertial = self.links[link].inertial
-        _scale(None if inertial is None else inertial.find("mass"), "value", factor)
+        _scale_attribute(None if inertial is None else inertial.find("mass"), "value", factor)
         self.scale_inertia(link, factor)
 
     def scale_inertia(self, link: str, factor: float) -> None:
-        """Multiplies the inertia of one link about its com."""
+        """Multiply the inertia of a link about its CoM by a factor."""
         inertial = self.links[link].inertial
         for entry in INERTIA_ENTRIES:
-            _scale(None if inertial is None else inertial.find("inertia"), entry, factor)
+            _scale_attribute(None if inertial is None else inertial.find("inertia"), entry, factor)
 
     def move_com(self, link: str, offset: Array) -> None:
-        """Moves the com of one link by an offset (3,) in its own axes (m)."""
+        """Translate the CoM of a link by an offset (3,) [m] in the link frame."""
         inertial = self.links[link].inertial
         if inertial is None:
             return
@@ -414,11 +434,11 @@ class UrdfTree:
         origin.set("xyz", write_numbers(place, digits=None))
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
-        """Multiplies a number of a joint; what is not stated, or has no words, stays so."""
+        """Multiply a joint parameter by a factor; no effect if the parameter is missing."""
         text = self.joints[joint].stated(attribute)
         if text is not None:
             self.joints[joint].state(attribute, float(text) * float(factor))
 
-    def _forget(self) -> None:
+    def _clear_cache(self) -> None:
         for name in ("links", "joints", "above", "below"):
             self.__dict__.pop(name, None)

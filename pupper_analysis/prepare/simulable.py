@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.units import EARTH
 from pupper_analysis.models.additions import Options
-from pupper_analysis.models.mjcf import TIMESTEPS
+from pupper_analysis.models.mjcf import TIMESTEP_RANGE
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
@@ -67,7 +67,7 @@ def check_simulable(mjcf: MjcfFile) -> None:
 def _bounded(model: mujoco.MjModel) -> Iterator[tuple[str, str, ArrayLike, tuple[float, float]]]:
     """Yields elements and attributes, their numbers, and between which these have a meaning."""
     option, near, any_mass = model.opt, (-_FARTHEST, _FARTHEST), (0.0, math.inf)
-    yield "option", "timestep", [option.timestep], TIMESTEPS
+    yield "option", "timestep", [option.timestep], TIMESTEP_RANGE
     yield "option", "impratio", [option.impratio], (_LEAST, math.inf)
     yield "option", "iterations", [option.iterations], (1, math.inf)
     yield "option", "tolerance", [option.tolerance], (0.0, _TOLERANCE)

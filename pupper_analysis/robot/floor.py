@@ -11,7 +11,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
-from pupper_analysis.models.mjcf import CONTACT_OF_GEOM
+from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS
 from pupper_analysis.models.spec_tree import SpecTree
 
 Array = NDArray[np.float64]
@@ -110,7 +110,7 @@ def _laid(
     if best is not None:
         return floors[0], []
     old, new = floors[0], spec.worldbody.add_geom()
-    for word in (*CONTACT_OF_GEOM, "type", "size", "material", "rgba"):
+    for word in (*GEOM_CONTACT_WORDS, "type", "size", "material", "rgba"):
         setattr(new, word, getattr(old, word))
     name = old.name
     spec.delete(old)

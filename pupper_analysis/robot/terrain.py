@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.mjcf import CONTACT_OF_GEOM
+from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.contact import ContactParameters
@@ -197,7 +197,7 @@ def _state_contact(geom: mujoco.MjsGeom, parameters: ContactParameters, priority
 
 def _like_floor(geom: mujoco.MjsGeom, floor: mujoco.MjsGeom) -> None:
     """Gives a geom the floor's contact parameters, but for what it touches."""
-    for word in CONTACT_OF_GEOM:
+    for word in GEOM_CONTACT_WORDS:
         if word not in ("contype", "conaffinity", "group"):
             setattr(geom, word, getattr(floor, word))
 

@@ -1,4 +1,4 @@
-"""Reads the model of an MJCF, and its other elements' numbers, from what MuJoCo makes of it."""
+"""Reading of the `stated` robot model, and of other parameters, from a compiled MJCF."""
 
 from __future__ import annotations
 
@@ -36,37 +36,38 @@ from pupper_analysis.models.stated.model import (
 )
 from pupper_analysis.models.stated.urdf import half_digit
 
-KINDS: dict[int, str] = {
+JOINT_KINDS: dict[int, str] = {
     JointKind.FREE: FREE,
     JointKind.BALL: BALL,
     JointKind.SLIDE: SLIDE,
     JointKind.HINGE: HINGE,
 }
+"""{type of MuJoCo: kind of `stated.model`}."""
 
 
 def read_mjcf_model(file: MjcfFile) -> MjcfModel:
-    """Returns the model of an MJCF; empty if MuJoCo refuses it."""
+    """Return the model of an MJCF; a model without links if MuJoCo does not compile the file."""
     if file.refusal is not None:
         return MjcfModel("mjcf", "body", "", {}, file.notes, file, None, file.refusal, ())
     spec = file.spec.copy()
     spec.compiler.fusestatic = False  # links are kept apart, as in the file
-    model = spec.compile()  # numbers the elements of this spec
+    model = spec.compile()  # sets the ids of the elements of this spec
     names = body_names(model)
-    base = _base(model)
+    base = _find_base(model)
     data = mujoco.MjData(model)
     data.qpos[:] = zero_configuration(model)
     mujoco.mj_kinematics(model, data)
     to_base = Pose.of_body(data, base).inverse()
-    stated = {
+    explicit_inertials = {
         copied.id: original
         for original, copied in zip(file.spec.bodies, spec.bodies, strict=True)
         if original.explicitinertial and file.spec.compiler.inertiafromgeom != 1
     }
-    written = {
+    spec_joints = {
         copied.id: original for original, copied in zip(file.spec.joints, spec.joints, strict=True)
     }
     frames: dict[int, list[Frame]] = {}
-    bare = set(file.bare)
+    bodies_without_meshes = set(file.bare)
     for site in range(model.nsite):
         frame = Frame(model.site(site).name, np.array(model.site_pos[site]))
         frames.setdefault(int(model.site_bodyid[site]), []).append(frame)
@@ -79,88 +80,95 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
             parent=names[parent] if parent else None,
             pose=pose,
             joints=tuple(
-                _joint(file, model, data, joint, names, to_base, written.get(joint))
-                for joint in _range(model.body_jntadr[body], model.body_jntnum[body])
+                _make_joint(file, model, data, joint, names, to_base, spec_joints.get(joint))
+                for joint in _id_range(model.body_jntadr[body], model.body_jntnum[body])
             ),
-            inertial=_inertial(model, body, stated.get(body)),
+            inertial=_make_inertial(model, body, explicit_inertials.get(body)),
             shapes=(
                 *(
                     read_shape(model, geom)
-                    for geom in _range(model.body_geomadr[body], model.body_geomnum[body])
+                    for geom in _id_range(model.body_geomadr[body], model.body_geomnum[body])
                 ),
-                *([Shape("", "mesh", Pose(), (), collides=False)] if names[body] in bare else []),
+                *(
+                    [Shape("", "mesh", Pose(), (), collides=False)]
+                    if names[body] in bodies_without_meshes
+                    else []
+                ),
             ),
             frames=tuple(frames.get(body, ())),
         )
-    said = file.as_it_is
+    refusal = file.as_it_is
     return MjcfModel(
-        "mjcf", "body", names[base], bodies, file.notes, file, model, said, tuple(names)
+        "mjcf", "body", names[base], bodies, file.notes, file, model, refusal, tuple(names)
     )
 
 
 def body_names(model: mujoco.MjModel) -> list[str]:
-    """Returns the name of each body; one without is called after its place in the order, #3."""
+    """Return the name of each body by id; "#3" for the body 3 without a name."""
     return [model.body(body).name or f"#{body}" for body in range(model.nbody)]
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """Returns a joint's name; one without is called after its body: ``(FL_calf)``."""
+    """Return the name of a joint; "(BODY)" for the joint of a body if the joint has no name."""
     body = int(model.jnt_bodyid[joint])
     return str(model.joint(joint).name) or f"({model.body(body).name or f'#{body}'})"
 
 
 def line_of(file: MjcfFile, element: object, body: str) -> Place:
-    """Returns the place of an element without a name: MuJoCo's parser notes lines of the main file.
+    """Return the location of an element without a name, from the line that MuJoCo's parser records.
 
     Args:
         file: The file.
-        element: Of the spec.
-        body: A named body around it; its place is returned where there is no such line.
+        element: Element of the spec.
+        body: Named body around the element. Its location is returned if no line is recorded.
     """
-    found = re.search(r"line ([1-9]\d*)", getattr(element, "info", ""))
-    around = file.place("body", body)
-    return Place(around.file, int(found[1])) if found else around
+    match = re.search(r"line ([1-9]\d*)", getattr(element, "info", ""))
+    body_place = file.place("body", body)
+    return Place(body_place.file, int(match[1])) if match else body_place
 
 
 def zero_configuration(model: mujoco.MjModel) -> Array:
-    """Returns the qpos (nq,) in which all angles are zero; free and ball joints as they start."""
+    """Return qpos (nq,) with hinges and slides at zero; free and ball joints as in ``qpos0``."""
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):
-        if KINDS[int(model.jnt_type[joint])] in (HINGE, SLIDE):
+        if JOINT_KINDS[int(model.jnt_type[joint])] in (HINGE, SLIDE):
             qpos[model.jnt_qposadr[joint]] = 0.0
     return qpos
 
 
-def _base(model: mujoco.MjModel) -> int:
-    """Returns the root of the heaviest tree, one with a free joint first; 0 without any body."""
+def _find_base(model: mujoco.MjModel) -> int:
+    """Return the root body of the heaviest tree; 0 if there is no body.
+
+    Trees with a free joint and further bodies with joints have priority.
+    """
     best, best_score = 0, (-1, -1.0)
     for body in range(1, model.nbody):
         first = int(model.body_jntadr[body])
         if int(model.body_parentid[body]) != 0:
             continue
-        free = first >= 0 and model.jnt_type[first] == JointKind.FREE
-        in_tree = int(np.sum((model.body_rootid == body) & (model.body_jntnum > 0)))
-        score = (int(bool(free) and in_tree > 1), float(model.body_subtreemass[body]))
+        is_free = first >= 0 and model.jnt_type[first] == JointKind.FREE
+        num_jointed_bodies = int(np.sum((model.body_rootid == body) & (model.body_jntnum > 0)))
+        score = (int(bool(is_free) and num_jointed_bodies > 1), float(model.body_subtreemass[body]))
         if score > best_score:
             best, best_score = body, score
     return best
 
 
-def _range(first: int, count: int) -> range:
+def _id_range(first: int, count: int) -> range:
     return range(int(first), int(first) + int(count))
 
 
-def _joint(
+def _make_joint(
     file: MjcfFile,
     model: mujoco.MjModel,
     data: mujoco.MjData,
     joint: int,
     names: list[str],
     to_base: Pose,
-    written: mujoco.MjsJoint | None,
+    spec_joint: mujoco.MjsJoint | None,
 ) -> Joint:
     body = int(model.jnt_bodyid[joint])
-    kind = KINDS[int(model.jnt_type[joint])]
+    kind = JOINT_KINDS[int(model.jnt_type[joint])]
     limited = bool(model.jnt_limited[joint]) and kind in (HINGE, SLIDE)
     lower, upper = model.jnt_range[joint] if limited else (-math.inf, math.inf)
     limits = {"lower": float(lower), "upper": float(upper), "effort": effort_limit(model, joint)}
@@ -171,83 +179,98 @@ def _joint(
         child=names[body],
         position=to_base.point(data.xanchor[joint]),
         axis=to_base.rotation @ data.xaxis[joint] if kind in (HINGE, SLIDE) else np.zeros(3),
-        raw_axis=np.array(model.jnt_axis[joint] if written is None else written.axis),
-        stated=_stated(file, model, joint, names[body], written, limits),
+        raw_axis=np.array(model.jnt_axis[joint] if spec_joint is None else spec_joint.axis),
+        stated=_stated_values(file, model, joint, names[body], spec_joint, limits),
         **limits,
     )
 
 
-def _stated(
+def _stated_values(
     file: MjcfFile,
     model: mujoco.MjModel,
     joint: int,
     body: str,
-    written: mujoco.MjsJoint | None,
+    spec_joint: mujoco.MjsJoint | None,
     limits: Mapping[str, float],
 ) -> dict[str, float]:
-    """Returns what a file states of a joint; zero is stated where an element or a class says so."""
-    found = {one.kind: limits[one.field] for one in TREE_ATTRIBUTES if one.field in limits}
-    found = {kind: value for kind, value in found.items() if math.isfinite(value)}
-    if written is None:
-        return found
-    for one in COMPILED_ATTRIBUTES:
-        own, *others = one.mjcf
-        value = float(np.atleast_1d(getattr(written, own))[0])
-        if any(np.any(getattr(written, other)) for other in others):  # it goes before its own
-            value = one.compiled(model, joint)
-        if value or file.stated("joint", written.name or body, one.mjcf) is not None:
-            found[one.kind] = value
-    return found
+    """Return {kind: value} of the joint parameters that the file specifies, including defaults.
+
+    A zero counts only if the joint or a default class contains the attribute.
+    """
+    values = {
+        attribute.kind: limits[attribute.field]
+        for attribute in TREE_ATTRIBUTES
+        if attribute.field in limits
+    }
+    values = {kind: value for kind, value in values.items() if math.isfinite(value)}
+    if spec_joint is None:
+        return values
+    for attribute in COMPILED_ATTRIBUTES:
+        main_word, *other_words = attribute.mjcf
+        value = float(np.atleast_1d(getattr(spec_joint, main_word))[0])
+        # springdamper has priority over stiffness and damping
+        if any(np.any(getattr(spec_joint, word)) for word in other_words):
+            value = attribute.compiled(model, joint)
+        if value or file.stated("joint", spec_joint.name or body, attribute.mjcf) is not None:
+            values[attribute.kind] = value
+    return values
 
 
-def _inertial(model: mujoco.MjModel, body: int, stated: mujoco.MjsBody | None) -> Inertial | None:
+def _make_inertial(
+    model: mujoco.MjModel, body: int, spec_body: mujoco.MjsBody | None
+) -> Inertial | None:
     axes = rotation_from_quaternion(model.body_iquat[body])
-    if stated is not None:
-        written = np.array(stated.fullinertia)
-        tensor = inertia_tensor(written)
-        if math.isnan(written[0]):
-            written = np.array(stated.inertia)
-            tensor = axes @ np.diag(written) @ axes.T
-        rounding = max(half_digit(repr(float(value))) for value in written)
-        return Inertial(float(stated.mass), np.array(stated.ipos), tensor, True, rounding)
+    if spec_body is not None:
+        entries = np.array(spec_body.fullinertia)
+        tensor = inertia_tensor(entries)
+        if math.isnan(entries[0]):
+            entries = np.array(spec_body.inertia)
+            tensor = axes @ np.diag(entries) @ axes.T
+        rounding = max(half_digit(repr(float(value))) for value in entries)
+        return Inertial(float(spec_body.mass), np.array(spec_body.ipos), tensor, True, rounding)
     if model.body_mass[body] == 0:
         return None
     return Inertial.of(inertia_of_body(model, body), stated=False)
 
 
-# Numbers of an MJCF besides bodies and joints: of geoms, contact pairs, options, keyframes.
+# Parameters of other elements of an MJCF: geoms, contact pairs, options, keyframes.
 
 
 Value = tuple[float, ...]
+"""Values of a parameter, flattened."""
 
 
 def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
-    """Finds where a geom's attribute is stated, in itself or a default class.
+    """Return the location of an attribute of a geom, in the geom or in a default class.
 
     Args:
-        file: What it is of.
-        geom: Its row in MuJoCo's arrays.
-        word: The attribute; ``"shape"`` is any that a shape has, ``"touches"`` any that says what
-            it touches, ``""`` is the geom itself.
+        file: The file.
+        geom: Id of the geom.
+        word: Attribute. ``"shape"`` and ``"touches"`` are groups of attributes; ``""`` is the geom
+            itself.
     """
     model = file.model
     name, body = model.geom(geom).name, model.geom_bodyid[geom]
-    words = _WORDS_OF.get(word, (word,))
+    words = _WORD_GROUPS.get(word, (word,))
     if not name:
         number = geom - int(model.body_geomadr[body])
         return file.nth(model.body(body).name, "geom", number, words)
     return (file.stated("geom", name, words) if words else None) or file.place("geom", name)
 
 
-_WORDS_OF: Final = {
+_WORD_GROUPS: Final = {
     "shape": ("size", "fromto", "type", "pos", "quat", "mesh"),
     "touches": ("contype", "conaffinity"),
     "": (),
 }
+"""{group: its attributes}."""
 
 
 def touching_geoms(model: mujoco.MjModel) -> set[int]:
-    """Returns the geoms that can touch anything, by their bits or in a pair; others are seen."""
+    """Return the ids of the geoms that can collide, by their contact bits or in a contact pair.
+
+    The result is empty if contacts are disabled. Other geoms are only visual.
+    """
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
         return set()
     bits = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
@@ -255,23 +278,28 @@ def touching_geoms(model: mujoco.MjModel) -> set[int]:
 
 
 def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, Value]:
-    """Returns an element's numbers, those of a table's rows that it has."""
-    rows = [one for one in ELEMENT_ATTRIBUTES if one.element == element]
+    """Return {attribute: values} of an element, for the rows of the table with its tag."""
+    attributes = [attribute for attribute in ELEMENT_ATTRIBUTES if attribute.element == element]
     if element == "option":
-        return {one.word: _numbers(getattr(model.opt, one.mujoco)) for one in rows}
+        return {
+            attribute.word: _to_tuple(getattr(model.opt, attribute.mujoco))
+            for attribute in attributes
+        }
     return {
-        one.word: _numbers(getattr(model, one.mujoco)[rows_of(model, one.mujoco, row)])
-        for one in rows
+        attribute.word: _to_tuple(
+            getattr(model, attribute.mujoco)[rows_of(model, attribute.mujoco, row)]
+        )
+        for attribute in attributes
     }
 
 
 def rows_of(model: mujoco.MjModel, array: str, row: int) -> int | slice:
-    """Returns an element's row in one of MuJoCo's arrays; of velocities, all of its joint."""
+    """Return the row of an element in an array; for ``dof_`` arrays, a slice of the joint."""
     if not array.startswith("dof_"):
         return row
-    later = model.jnt_dofadr[row + 1] if row + 1 < model.njnt else model.nv
-    return slice(int(model.jnt_dofadr[row]), int(later))
+    next_address = model.jnt_dofadr[row + 1] if row + 1 < model.njnt else model.nv
+    return slice(int(model.jnt_dofadr[row]), int(next_address))
 
 
-def _numbers(value: object) -> Value:
+def _to_tuple(value: object) -> Value:
     return tuple(np.asarray(value, dtype=float).ravel().tolist())

@@ -1,6 +1,6 @@
-"""A robot as its file states it, the same for each format: what looks at it is written once.
+"""Robot model as specified by a file, independent of the format.
 
-Unlike in an engine's model, links that are fixed to others are kept apart, as in the file.
+Links that are fixed to others remain separate, unlike in the models of the engines.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ HINGE, SLIDE, BALL, FREE, FIXED = "hinge", "slide", "ball", "free", "fixed"
 
 @dataclass(frozen=True, eq=False)
 class Inertial:
-    """What a file states, or what follows from shapes.
+    """Mass, CoM and inertia of a link, specified by the file or derived from the shapes.
 
     Attributes:
-        mass: kg.
-        com: (3,) in the body's frame (m).
-        inertia: (3, 3) about the com, in the body's axes (kg m^2).
-        stated: Whether the file states it, and does not leave it to the shapes.
-        rounding: Half a unit of the last digit of the stated inertia, at most (kg m^2).
+        mass: Mass [kg].
+        com: Centre of mass (3,) [m] in the frame of the body.
+        inertia: Inertia (3, 3) [kg m^2] about the CoM, in the axes of the body.
+        stated: Whether the file specifies the values; otherwise they are derived from the shapes.
+        rounding: Upper bound [kg m^2] of half a unit of the last digit of the specified entries.
     """
 
     mass: float
@@ -48,18 +48,18 @@ class Inertial:
 
     @staticmethod
     def of(inertia: pin.Inertia, *, stated: bool, rounding: float = 0.0) -> Inertial:
-        """Returns what an inertia is, in the body's frame."""
+        """Return the values of a spatial inertia."""
         com, tensor = np.array(inertia.lever), np.array(inertia.inertia)
         return Inertial(float(inertia.mass), com, tensor, stated, rounding)
 
     @property
     def rigid(self) -> pin.Inertia:
-        """The same, as it is moved and added up."""
+        """The spatial inertia, as Pinocchio's type."""
         return inertia_of(self.mass, self.com, self.inertia)
 
     @property
     def moments(self) -> Array:
-        """The principal moments (kg m^2), ascending; NaN if the inertia is beyond all numbers."""
+        """Principal moments (3,) [kg m^2], ascending; NaN if the inertia is not finite."""
         if not np.isfinite(self.inertia).all():
             return np.full(3, np.nan)
         return np.asarray(np.linalg.eigvalsh(self.inertia), dtype=np.float64)
@@ -67,22 +67,22 @@ class Inertial:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint.
+    """Joint of a robot model.
 
     Attributes:
-        name: Its name.
+        name: Name of the joint.
         kind: One of HINGE, SLIDE, BALL, FREE, FIXED.
-        parent: The body it is fixed to.
-        child: The body it moves.
-        position: (3,) at zero angles, in the base frame (m).
-        axis: (3,) unit vector at zero angles, in the base frame; (0, 0, 0) where it has none.
-        raw_axis: (3,) as written.
-        stated: {kind of a number: its value} of what the file states of it, as in `attributes`: in
-            the unit of the format's joints, an effort as it acts at the joint. What it does not
-            state is not there: unknown is not zero.
-        lower: rad or m; -inf if unlimited.
-        upper: rad or m.
-        effort: N m or N; inf if unlimited.
+        parent: Body that carries the joint.
+        child: Body that the joint moves.
+        position: Position (3,) [m] at zero angles, in the base frame.
+        axis: Unit vector (3,) at zero angles, in the base frame; (0, 0, 0) for joints without an
+            axis.
+        raw_axis: Axis (3,) as in the file.
+        stated: {kind of `attributes`: value} of the parameters that the file specifies, in the unit
+            of the joint; an effort acts at the joint. Missing parameters are unknown, not zero.
+        lower: Lower limit [rad, m]; -inf if unlimited.
+        upper: Upper limit [rad, m]; inf if unlimited.
+        effort: Effort limit [N m, N]; inf if unlimited.
     """
 
     name: str
@@ -99,22 +99,22 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether it is a hinge or a slide."""
+        """Whether the joint is a hinge or a slide."""
         return self.kind in (HINGE, SLIDE)
 
     @property
     def unit(self) -> str:
-        """The unit of its coordinate."""
+        """Unit of the joint coordinate."""
         return "m" if self.kind == SLIDE else "rad"
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A named frame on a body: a site of an MJCF.
+    """Named frame on a body: a site of an MJCF.
 
     Attributes:
-        name: Its name.
-        position: (3,) in the body's frame (m).
+        name: Name of the frame.
+        position: Position (3,) [m] in the frame of the body.
     """
 
     name: str
@@ -123,16 +123,16 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A link of a URDF, a body of an MJCF.
+    """Link of a URDF, or body of an MJCF.
 
     Attributes:
-        name: Its name.
-        parent: Its parent's; None for a root (a child of the world).
-        pose: At zero angles, in the base frame.
-        joints: Those between its parent and it (several only in an MJCF).
-        inertial: None if the file gives it neither mass nor shapes with mass.
-        shapes: Drawn or touching.
-        frames: Named frames on it.
+        name: Name of the link.
+        parent: Parent link; None for a root (a child of the world).
+        pose: Pose at zero angles, in the base frame.
+        joints: Joints between the parent and the link; an MJCF may have several.
+        inertial: Inertia; None if the file specifies neither mass nor shapes with mass.
+        shapes: Visual and collision shapes.
+        frames: Named frames on the link.
     """
 
     name: str
@@ -145,25 +145,25 @@ class Link:
 
     @property
     def moving(self) -> bool:
-        """Whether it can move relative to its parent."""
+        """Whether the link can move relative to its parent."""
         return any(joint.kind != FIXED for joint in self.joints)
 
     @property
     def mass(self) -> float:
-        """In kg; 0 where none is stated."""
+        """Mass [kg]; 0 if the file specifies none."""
         return 0.0 if self.inertial is None else self.inertial.mass
 
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """A model.
+    """Robot model in any format.
 
     Attributes:
-        format: ``"urdf"``, ``"mjcf"``, or the name of another.
-        link_tag: What a body is called in the format.
-        base: The name of the base; "" if there is no body.
-        links: By name, parents first.
-        notes: What was left out.
+        format: ``"urdf"``, ``"mjcf"``, or the name of another format.
+        link_tag: Tag of a body in the format.
+        base: Name of the base; "" if there is no body.
+        links: {name: link}, parents first.
+        notes: Diagnostics of elements that were left out.
     """
 
     format: str
@@ -174,16 +174,16 @@ class RobotModel:
 
     @cached_property
     def joints(self) -> dict[str, Joint]:
-        """All joints, by name."""
+        """{name: joint} of all joints."""
         return {joint.name: joint for body in self.links.values() for joint in body.joints}
 
     @cached_property
     def total_mass(self) -> float:
-        """Of all bodies (kg)."""
+        """Mass of all bodies [kg]."""
         return sum(body.mass for body in self.links.values())
 
     @cached_property
-    def _children(self) -> dict[str, list[Link]]:
+    def _children_by_name(self) -> dict[str, list[Link]]:
         children: dict[str, list[Link]] = {name: [] for name in self.links}
         for body in self.links.values():
             if body.parent is not None:
@@ -192,31 +192,31 @@ class RobotModel:
 
     @property
     def in_degrees(self) -> bool:
-        """Whether the file states angles in degrees."""
+        """Whether the file specifies angles in degrees."""
         return False
 
     def inertial_part(self, part: str) -> str:
-        """Returns where the mass, origin or inertia of a body stands below it in the format."""
+        """Return the path below a body to its ``mass``, ``origin`` or ``inertia`` in the format."""
         return f"inertial/{part}" if self.format == "urdf" else "inertial"
 
     def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Returns what a joint's number is called in the format, and where it is below a joint."""
+        """Return the name of a joint parameter in the format, and its child element (or None)."""
         if self.format == "urdf" and attribute.urdf is not None:
             return " ".join(attribute.urdf), attribute.urdf[0]
         return (attribute.mjcf or (attribute.kind,))[0], None
 
     def children(self, name: str) -> list[Link]:
-        """Returns the bodies whose parent is the one named."""
-        return self._children[name]
+        """Return the children of a body."""
+        return self._children_by_name[name]
 
     def descendants(self, name: str) -> Iterator[Link]:
-        """Yields the children of a body, their children, and so on."""
+        """Yield the descendants of a body, depth first."""
         for child in self.children(name):
             yield child
             yield from self.descendants(child.name)
 
     def fixed_group(self, name: str) -> list[Link]:
-        """Returns a body and all that is fixed to it, directly or not; nothing of the world."""
+        """Return a body and all descendants fixed to it, directly or not; empty for the world."""
         if name not in self.links:
             return []
         group = [self.links[name]]
@@ -226,7 +226,7 @@ class RobotModel:
         return group
 
     def carrier(self, name: str) -> str:
-        """Returns the moving body, or root, to which a body is fixed; the world is its own."""
+        """Return the nearest ancestor that moves, or the root; the body itself if it moves."""
         link = self.links.get(name)
         while link is not None and not link.moving and link.parent is not None:
             name = link.parent
@@ -234,11 +234,11 @@ class RobotModel:
         return name
 
     def is_negligible(self, body: Link) -> bool:
-        """Whether a body weighs less than 1e-4 of all: a placeholder, or a label stuck on."""
+        """Return True if a body has less than 1e-4 of the total mass, for example a placeholder."""
         return body.mass < 1e-4 * self.total_mass
 
     def ancestors(self, name: str) -> Iterator[str]:
-        """Yields the parent of a body, its parent, and so on."""
+        """Yield the names of the ancestors of a body, from the parent to the root."""
         parent = self.links[name].parent
         while parent is not None:
             yield parent
@@ -247,7 +247,7 @@ class RobotModel:
 
 @dataclass(frozen=True, eq=False)
 class UrdfModel(RobotModel):
-    """A model in a URDF.
+    """Robot model of a URDF.
 
     Attributes:
         file: The file.
@@ -258,13 +258,13 @@ class UrdfModel(RobotModel):
 
 @dataclass(frozen=True, eq=False)
 class MjcfModel(RobotModel):
-    """A model in an MJCF.
+    """Robot model of an MJCF.
 
     Attributes:
         file: The file.
-        mj_model: What MuJoCo makes of it; None if it refuses it.
-        refusal: MuJoCo's message if it refuses the file as it stands, and the place it names.
-        body_names: The name here of each of MuJoCo's bodies, by id.
+        mj_model: Compiled model; None if MuJoCo does not compile the file.
+        refusal: Message of MuJoCo and its location, if the unmodified file does not compile.
+        body_names: Name in ``links`` of each body of MuJoCo, by id.
     """
 
     file: MjcfFile
@@ -274,5 +274,5 @@ class MjcfModel(RobotModel):
 
     @property
     def in_degrees(self) -> bool:
-        """Whether the file states angles in degrees."""
+        """Whether the file specifies angles in degrees."""
         return bool(self.file.spec.compiler.degree)

@@ -1,4 +1,4 @@
-"""Reads the model of a URDF, built from its XML."""
+"""Reading of the `stated` robot model of a URDF from its XML, including meshes."""
 
 from __future__ import annotations
 
@@ -29,34 +29,36 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, origin_of
 from pupper_analysis.models.xml import parse_numbers
 
-_KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "fixed": FIXED}
+_JOINT_KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "fixed": FIXED}
 
 
 def read_urdf_model(file: UrdfFile) -> UrdfModel:
-    """Returns the model of a URDF; the reader has made sure that it is one tree."""
+    """Return the model of a URDF, whose links must form a single tree."""
     tree = file.tree
     root = tree.base
-    bodies = {root.name: _body(file, root, None, Pose(), ())}
-    for parent in (waiting := [root.name]):
+    bodies = {root.name: _make_link(file, root, None, Pose(), ())}
+    for parent in (pending := [root.name]):
         for joint in tree.below.get(parent, []):
             name = joint.child
-            pose = bodies[parent].pose * _placed(joint.element)
-            bodies[name] = _body(file, tree.links[name], parent, pose, (_joint(joint, pose),))
-            waiting.append(name)
+            pose = bodies[parent].pose * _read_origin(joint.element)
+            bodies[name] = _make_link(
+                file, tree.links[name], parent, pose, (_make_joint(joint, pose),)
+            )
+            pending.append(name)
     return UrdfModel("urdf", "link", root.name, bodies, file.notes, file)
 
 
-def _placed(element: etree._Element) -> Pose:
-    """Returns the pose that an element's ``<origin>`` states."""
+def _read_origin(element: etree._Element) -> Pose:
+    """Return the pose in the ``<origin>`` of an element."""
     return Pose.of(origin_of(element))
 
 
-def _number(element: etree._Element | None, attribute: str, default: float) -> float:
+def _read_number(element: etree._Element | None, attribute: str, default: float) -> float:
     text = None if element is None else element.get(attribute)
     return default if text is None else float(text)
 
 
-def _joint(joint: UrdfJoint, pose: Pose) -> Joint:
+def _make_joint(joint: UrdfJoint, pose: Pose) -> Joint:
     element = joint.element
     axis = element.find("axis")
     raw = parse_numbers(None if axis is None else axis.get("xyz"), "1 0 0")
@@ -65,25 +67,26 @@ def _joint(joint: UrdfJoint, pose: Pose) -> Joint:
     limited = joint.kind in ("revolute", "prismatic") and limit is not None
     return Joint(
         name=joint.name,
-        kind=_KINDS.get(joint.kind, FREE),
+        kind=_JOINT_KINDS.get(joint.kind, FREE),
         parent=joint.parent,
         child=joint.child,
         position=pose.position,
         axis=pose.rotation @ raw / length if length > 0 else np.zeros(3),
         raw_axis=raw,
-        stated=_stated(joint),
-        lower=_number(limit, "lower", 0.0) if limited else -math.inf,
-        upper=_number(limit, "upper", 0.0) if limited else math.inf,
-        effort=_number(limit, "effort", math.inf),
+        stated=_stated_values(joint),
+        lower=_read_number(limit, "lower", 0.0) if limited else -math.inf,
+        upper=_read_number(limit, "upper", 0.0) if limited else math.inf,
+        effort=_read_number(limit, "effort", math.inf),
     )
 
 
-def _stated(joint: UrdfJoint) -> dict[str, float]:
-    texts = {one.kind: joint.stated(one) for one in JOINT_ATTRIBUTES}
+def _stated_values(joint: UrdfJoint) -> dict[str, float]:
+    """Return {kind: value} of the joint parameters that the file specifies."""
+    texts = {attribute.kind: joint.stated(attribute) for attribute in JOINT_ATTRIBUTES}
     return {kind: float(text) for kind, text in texts.items() if text is not None}
 
 
-def _body(
+def _make_link(
     file: UrdfFile,
     link: UrdfLink,
     parent: str | None,
@@ -91,22 +94,23 @@ def _body(
     joints: tuple[Joint, ...],
 ) -> Link:
     shapes = [
-        _shape(file, shape, geometry, tag == "collision") for tag, shape, geometry in link.shapes
+        _make_shape(file, shape, geometry, tag == "collision")
+        for tag, shape, geometry in link.shapes
     ]
-    return Link(link.name, parent, pose, joints, _inertial(link), tuple(shapes))
+    return Link(link.name, parent, pose, joints, _make_inertial(link), tuple(shapes))
 
 
-def _inertial(link: UrdfLink) -> Inertial | None:
-    element, stated = link.inertial, link.inertia
-    if element is None or stated is None:
+def _make_inertial(link: UrdfLink) -> Inertial | None:
+    element, inertia = link.inertial, link.inertia
+    if element is None or inertia is None:
         return None
     tag = element.find("inertia")
-    words = ["0" if tag is None else tag.get(word, "0") for word in INERTIA_ENTRIES]
-    return Inertial.of(stated, stated=True, rounding=max(map(half_digit, words)))
+    texts = ["0" if tag is None else tag.get(word, "0") for word in INERTIA_ENTRIES]
+    return Inertial.of(inertia, stated=True, rounding=max(map(half_digit, texts)))
 
 
 def half_digit(text: str) -> float:
-    """Returns half a unit of the last digit of a number as it is written; 0 for a zero."""
+    """Return half a unit of the last digit of a number in a text; 0 for zero or invalid texts."""
     try:
         value = Decimal(text.strip())
     except InvalidOperation:
@@ -115,10 +119,10 @@ def half_digit(text: str) -> float:
     return 0.0 if value == 0 or not isinstance(exponent, int) else 0.5 * 10.0**exponent
 
 
-def _shape(
+def _make_shape(
     file: UrdfFile, element: etree._Element, tag: etree._Element | None, collides: bool
 ) -> Shape:
-    pose, name = _placed(element), element.get("name", "")
+    pose, name = _read_origin(element), element.get("name", "")
     if tag is None:
         return Shape(name, "none", pose, (), collides)
     kind = str(tag.tag)
@@ -126,9 +130,9 @@ def _shape(
         case "box":
             size = tuple(parse_numbers(tag.get("size"), "0 0 0") / 2)
         case "sphere":
-            size = (_number(tag, "radius", 0.0),)
+            size = (_read_number(tag, "radius", 0.0),)
         case "cylinder" | "capsule":
-            size = (_number(tag, "radius", 0.0), _number(tag, "length", 0.0) / 2)
+            size = (_read_number(tag, "radius", 0.0), _read_number(tag, "length", 0.0) / 2)
         case _:
             size = ()
     read = partial(_read_mesh, file, tag) if kind == "mesh" else lambda: None
@@ -137,39 +141,41 @@ def _shape(
 
 def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
     path = file.resolve_mesh(tag.get("filename", ""))
-    found = None if path is None else mesh_hull(path)
+    hull = None if path is None else mesh_hull(path)
     scale = parse_numbers(tag.get("scale"), "1 1 1")
-    return None if found is None else Mesh(found.vertices * scale, found.faces)
-
-
-# The convex hulls of meshes' files.
+    return None if hull is None else Mesh(hull.vertices * scale, hull.faces)
 
 
 def mesh_hull(path: Path) -> Mesh | None:
-    """Returns an STL or OBJ file's convex hull; None if it cannot be read.
+    """Return the convex hull of an STL or OBJ file; None if the file cannot be read.
 
-    Other kinds (COLLADA) carry units and poses of their own and are not read.
+    Other formats, such as COLLADA, contain units and poses and are not supported.
     """
     if path.suffix.lower() not in (".stl", ".obj"):
         return None
-    found = read_mesh_file(path, path.stat().st_mtime_ns)
-    return None if isinstance(found, Diagnostic) else found
+    result = read_mesh_file(path, path.stat().st_mtime_ns)
+    return None if isinstance(result, Diagnostic) else result
 
 
-LARGEST_MESH = 200_000_000
-"""Bytes: the greatest meshes that are published have a quarter of it."""
+MAX_MESH_BYTES = 200_000_000
+"""Maximum size of a mesh file; the largest published meshes have a quarter of this size."""
 
 
 @lru_cache(maxsize=256)
 def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
-    """Returns a mesh's convex hull (m), or what is wrong with the file."""
+    """Return the convex hull [m] of a mesh file, or a diagnostic if the file is invalid.
+
+    Args:
+        path: The file.
+        _changed: Modification time [ns]; only a part of the cache key.
+    """
     import trimesh  # slow to import; yourdfpy depends on it
 
     try:
         mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
         points = np.asarray(mesh.vertices, dtype=float)
         faces = np.asarray(mesh.faces)
-    except Exception as error:  # whatever a broken mesh makes a parser raise
+    except Exception as error:  # parsers raise various exceptions for broken meshes
         return diagnose("no-mesh", problem=one_line(error) or type(error).__name__)
     if not len(points) or not len(faces):
         return diagnose("mesh-without-triangle")

@@ -29,7 +29,7 @@ from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, ha
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.models.spec_tree import join_free_base
-from pupper_analysis.models.urdf_file import ENDLESS_SLIDE
+from pupper_analysis.models.urdf_file import MAX_SLIDE_POSITION
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree, set_origin
 from pupper_analysis.models.xml import (
     NUM_DIGITS,
@@ -157,9 +157,9 @@ class UrdfLinks:
             limit.set("lower", write_numbers(low))
             limit.set("upper", write_numbers(high))
         elif kind == "prismatic":
-            limit.set("lower", write_numbers(-ENDLESS_SLIDE))
-            limit.set("upper", write_numbers(ENDLESS_SLIDE))
-            most = Quantity(ENDLESS_SLIDE, "m")
+            limit.set("lower", write_numbers(-MAX_SLIDE_POSITION))
+            limit.set("upper", write_numbers(MAX_SLIDE_POSITION))
+            most = Quantity(MAX_SLIDE_POSITION, "m")
             self.left.append(diagnose("slide-without-limits", subject=("joint", name), limit=most))
         dof = int(model.jnt_dofadr[joint])
         passive = {

@@ -35,7 +35,7 @@ from pupper_analysis.models.multibody import (
     TreeJoint,
     with_value_of,
 )
-from pupper_analysis.models.urdf_file import ENDLESS_SLIDE
+from pupper_analysis.models.urdf_file import MAX_SLIDE_POSITION
 from pupper_analysis.robot.matching.alignment import with_base
 from pupper_analysis.robot.matching.conventions import Conventions, describe_pose, with_zero
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -591,7 +591,9 @@ def _joint_numbers(
             continue
         if kind == "effort" and a == 0 and math.isinf(b) and not sides.alike:
             continue  # neither states one
-        endless = kind in ("lower limit", "upper limit") and one.slides and abs(a) >= ENDLESS_SLIDE
+        endless = (
+            kind in ("lower limit", "upper limit") and one.slides and abs(a) >= MAX_SLIDE_POSITION
+        )
         if endless and math.isinf(b) and not sides.alike:
             continue  # a URDF cannot state a slide without
         guess = in_degrees(a, b)

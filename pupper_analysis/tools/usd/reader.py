@@ -25,12 +25,12 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.shapes import Pose
 from pupper_analysis.models.spec_tree import (
-    NARROW,
+    MIN_RANGE,
     SpecTree,
     set_inertia,
     state_number,
 )
-from pupper_analysis.models.stated.mjcf import KINDS
+from pupper_analysis.models.stated.mjcf import JOINT_KINDS
 from pupper_analysis.models.stated.model import (
     BALL,
     FIXED,
@@ -41,7 +41,7 @@ from pupper_analysis.models.stated.model import (
     Joint,
     Link,
 )
-from pupper_analysis.models.urdf_file import ENDLESS_SLIDE, UrdfFile, urdf_from
+from pupper_analysis.models.urdf_file import MAX_SLIDE_POSITION, UrdfFile, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.tools.usd.file import PrimPlaces, UsdFile
@@ -137,7 +137,7 @@ def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str
     added.set_axis(frame.rotation.T @ joint.axis)
     stated: Mapping[str, float] = joint.stated
     if not (endless and joint.kind == HINGE):
-        ends = np.clip((joint.lower, joint.upper), -ENDLESS_SLIDE, ENDLESS_SLIDE)
+        ends = np.clip((joint.lower, joint.upper), -MAX_SLIDE_POSITION, MAX_SLIDE_POSITION)
         stated = {**stated, "lower limit": float(ends[0]), "upper limit": float(ends[1])}
     for one in JOINT_ATTRIBUTES:
         if one.urdf is not None and one.kind in stated:
@@ -147,7 +147,7 @@ def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str
         added.follow(*mimic)
 
 
-_TYPES = {kind: mujoco.mjtJoint(int(number)) for number, kind in KINDS.items()}
+_TYPES = {kind: mujoco.mjtJoint(int(number)) for number, kind in JOINT_KINDS.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +265,7 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
         if math.isfinite(joint.lower) or math.isfinite(joint.upper):
             added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
             lower, upper = np.clip((joint.lower, joint.upper), -_NO_LIMIT, _NO_LIMIT)
-            added.range = lower, upper + (NARROW if lower == upper else 0.0)
+            added.range = lower, upper + (MIN_RANGE if lower == upper else 0.0)
         for kind in ("armature", "damping", "friction", "spring", "effort"):
             if kind in joint.stated:
                 state_number(added, BY_KIND[kind], joint.stated[kind])

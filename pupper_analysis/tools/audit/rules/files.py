@@ -16,7 +16,7 @@ from pupper_analysis.models.stated.model import (
     MjcfModel,
     UrdfModel,
 )
-from pupper_analysis.models.stated.urdf import LARGEST_MESH, read_mesh_file
+from pupper_analysis.models.stated.urdf import MAX_MESH_BYTES, read_mesh_file
 from pupper_analysis.tools.audit.registry import rule
 
 
@@ -102,13 +102,13 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
 def mesh_problem(path: Path) -> Diagnostic | None:
     """Says what keeps a file from being a mesh; None if nothing does, or it is not read here.
 
-    STL and OBJ are read, of COLLADA the start. A file of more than ``LARGEST_MESH`` bytes is not
+    STL and OBJ are read, of COLLADA the start. A file of more than ``MAX_MESH_BYTES`` bytes is not
     opened.
     """
     ending = path.suffix.lower()
     if ending not in _FORMATS and format_of(path) is None:
         return diagnose("mesh-of-no-format", ending=ending)
-    if path.stat().st_size > LARGEST_MESH:
+    if path.stat().st_size > MAX_MESH_BYTES:
         return None
     if ending == ".dae":
         with path.open("rb") as file:

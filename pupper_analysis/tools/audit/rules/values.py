@@ -15,7 +15,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.loading import CheckFinding
-from pupper_analysis.models.mjcf import TIMESTEPS
+from pupper_analysis.models.mjcf import TIMESTEP_RANGE
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.mjcf import line_of
 from pupper_analysis.models.stated.model import MjcfModel, RobotModel, UrdfModel
@@ -112,7 +112,7 @@ def mesh_mirrored(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 _OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
-    "timestep": (*TIMESTEPS, Severity.ERROR, "s"),
+    "timestep": (*TIMESTEP_RANGE, Severity.ERROR, "s"),
     "impratio": (1e-3, 1e6, Severity.ERROR, ""),
     "iterations": (1, math.inf, Severity.ERROR, ""),
     "ls_iterations": (1, math.inf, Severity.ERROR, ""),
