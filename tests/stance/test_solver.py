@@ -1,0 +1,67 @@
+"""The IK solver: error and configuration of a result belong together."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.stance import solver
+from pupper_analysis.stance.problem import Goal, make_goal
+from pupper_analysis.stance.solver import SearchContext, SolverResult, StanceSolver
+from tests.support.bound import four_bars
+from tests.support.variants import load
+
+
+def foot_error(robot: pa.Robot, goal: Goal, result: SolverResult) -> float:
+    """Return the largest distance [m] between contact point and target, by Pinocchio."""
+    positions = Configuration(robot, result.qpos).foot_positions()
+    return max(float(np.linalg.norm(positions[foot] - goal.targets[foot])) for foot in positions)
+
+
+@pytest.mark.slow
+def test_a_result_has_closed_loops_if_the_first_step_opens_them(tmp_path: Path) -> None:
+    """Reference: the loop residual of MuJoCo's constraint, by ``Closure.open``.
+
+    After the first step for this goal Newton's method does not close the loops. The step was kept,
+    and the result had loops open by 2.6 mm.
+    """
+    pair = four_bars(tmp_path, 0.04)
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    task = pa.StandTask(
+        height=0.5525012854090647,
+        roll=0.06446372553820813,
+        pitch=-0.37288812214878087,
+        yaw=1.4357836689067494,
+    )
+    goal = make_goal(robot, task, {})
+    result = SearchContext(robot).solver.solve_from_joints(goal, robot.home[7:])
+    assert robot.closure is not None
+    assert robot.closure.open(result.qpos) < 1e-6
+    assert result.foot_error == pytest.approx(foot_error(robot, goal, result), abs=1e-9)
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_the_error_is_that_of_the_configuration_if_all_steps_are_rejected(
+    monkeypatch: pytest.MonkeyPatch, iterations: int
+) -> None:
+    """Reference: Pinocchio's foot positions at the initial guess, 1 um from the targets.
+
+    A full step from there reaches the targets within 4e-12 m.
+    """
+    robot = load("v3")
+    joints = pa.solve_stand(robot).qpos[7:]
+    goal = make_goal(robot, pa.StandTask(height=robot.stand_height + 1e-6), {})
+    stance_solver = SearchContext(robot).solver
+    monkeypatch.setattr(solver, "_MAX_ITERATIONS", iterations)
+    monkeypatch.setattr(StanceSolver, "_take_full_steps", lambda _: None)
+    monkeypatch.setattr(StanceSolver, "_close_loops", lambda *_: False)
+    result = stance_solver.solve_from_joints(goal, joints)
+    expected = foot_error(robot, goal, result)
+    assert 5e-7 < expected < math.inf
+    assert result.foot_error == pytest.approx(expected, abs=1e-10)
+    assert not result.converged
