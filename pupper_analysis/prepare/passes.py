@@ -26,6 +26,7 @@ from pupper_analysis.models.additions import (
     Addition,
     Floor,
     Options,
+    Untouching,
 )
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import has_free_joint, name_all
@@ -122,6 +123,8 @@ class Draft:
         found: Whose joint is whose; from the pass ``match`` on.
         description: Both files made alike; from the pass ``match`` on.
         built: The robot; from the pass ``build`` on.
+        footless: Robot before feet were added; from the pass ``put-feet`` on.
+        feet: Feet; from the pass ``put-feet`` on.
         refused: Why no robot with a free base can be made: then only ``hold-base`` applies.
         runs: The passes that were run.
     """
@@ -134,6 +137,8 @@ class Draft:
     found: Match | None = None
     description: Description | None = None
     built: Robot | None = None
+    footless: Robot | None = None
+    feet: tuple[Foot, ...] = ()
     refused: ModelError | None = None
     runs: tuple[PassRun, ...] = ()
 
@@ -379,7 +384,7 @@ def _put_feet(draft: Draft) -> Made:
         if not contact_points_moved(feet, again):
             break
         feet, robot = again, build_robot(with_feet(bare, again, balls))
-    return replace(draft, built=robot), messages
+    return replace(draft, built=robot, footless=bare, feet=tuple(feet)), messages
 
 
 _MAX_ELLIPSOID_FITS = 6
@@ -404,6 +409,26 @@ def _start_pose(draft: Draft) -> Made:
     sunk = start.resting_depths(draft.mjcf.model)
     robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk)
     return replace(draft, built=robot), (*notes.tell_planar(robot), *pose)
+
+
+@_pass(Term("takes hulls that carry most of the load as contact points"), _altered)
+def _stand_on_hulls(draft: Draft) -> Made:
+    if draft.footless is None or draft.robot.closure is not None:
+        return draft, ()
+    hulls = touching.find_carrying_hulls(draft.footless, draft.robot, draft.feet)
+    if hulls is None:
+        return draft, ()
+    feet, message = hulls
+    balls = notes.tell_balls(draft.footless, feet)
+    own = draft.robot.description.foot_geoms
+    kept = {foot.name for foot in draft.feet if foot in feet}
+    soft = tuple(geom for name, (geom, _) in own.items() if name not in kept)
+    described = with_feet(draft.footless, feet, balls).given(Untouching(message, soft))
+    sunk = start.resting_depths(draft.mjcf.model)
+    robot, pose = find_start_pose(build_robot(described), draft.keyframes, sunk)
+    if start.first_stand(robot) is None:
+        return draft, ()
+    return replace(draft, built=robot, feet=feet), (message, *dict.fromkeys(balls.values()), *pose)
 
 
 @_pass(Term("lets feet alone touch the ground"), _altered)

@@ -6,6 +6,8 @@ And those that are only seen: a robot in the making is compiled without.
 from __future__ import annotations
 
 import contextlib
+import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -14,8 +16,11 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.additions import Apart, Untouching
-from pupper_analysis.prepare import start
-from pupper_analysis.robot.build import equipped_robot
+from pupper_analysis.prepare import notes, start
+from pupper_analysis.prepare.contact_points import contact_points, lowest_point
+from pupper_analysis.prepare.feet import Foot, geoms_of, joints_to, with_feet
+from pupper_analysis.robot.build import build_robot, equipped_robot
+from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.posture import find_posture
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
@@ -44,6 +49,71 @@ def take_visuals_of(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
 
 
 Array = NDArray[np.float64]
+
+_MAX_FOOT_SHARE = 0.5
+"""Load share of a foot's own shape above which the foot keeps it as contact point. If the hull
+beside it carries more than the rest, the hull is the better single contact point. Chosen."""
+
+
+def find_carrying_hulls(
+    footless: Robot, robot: Robot, feet: Sequence[Foot]
+) -> tuple[tuple[Foot, ...], Diagnostic] | None:
+    """Find the shapes beside soft feet that carry most of the load in the published model.
+
+    A soft foot may penetrate the ground so far that another shape of its body, such as the convex
+    hull of the shank, touches too and is stiffer. If both carry the load, they penetrate equally:
+    the share of the foot is its force at the penetration at which the hull alone carries the load.
+
+    Args:
+        footless: Robot before feet were added.
+        robot: Robot with these feet, and a start pose.
+        feet: Feet, each with its contact points.
+
+    Returns:
+        Feet, with hulls as contact points, and a note. None if no hull carries most of the load.
+    """
+    try:
+        stand = solve_stand_on_soft_ground(start.with_bare_feet(robot), explain=False)
+    except PupperAnalysisError:
+        return None
+    model = footless.mj_model
+    data = footless.placed(footless.posed(stand.joint_positions(robot)))
+    changed: dict[str, Foot] = {}
+    gaps, depths = dict[str, float](), dict[str, float]()
+    for foot in feet:
+        if len(foot.points) != 1 or foot.name not in stand.depths:
+            continue  # a sole is flat: what is beside it is above it
+        own, depth = foot.points[0].geom, stand.depths[foot.name]
+        others = [geom for geom in geoms_of(model, foot.body) if geom != own]
+        bottom = lowest_point(model, data, [own])
+        hull = min(others, key=lambda geom: lowest_point(model, data, [geom]), default=None)
+        gap = math.inf if hull is None else lowest_point(model, data, [hull]) - bottom
+        if hull is None or not gap < depth:
+            continue
+        points = contact_points(model, data, foot.body, [hull], joints_to(footless, foot.body))
+        if len(points) == 1:
+            changed[foot.name] = Foot(foot.name, foot.body, points)
+            gaps[foot.name], depths[foot.name] = gap, depth
+    if not changed:
+        return None
+    new = tuple(changed.get(foot.name, foot) for foot in feet)
+    hulled = build_robot(with_feet(footless, new, notes.tell_balls(footless, new)))
+    shares = []
+    for name, gap in gaps.items():
+        soft = GroundLaw.of(robot, name)
+        load = soft.force(depths[name])
+        shares.append(soft.force(gap + GroundLaw.of(hulled, name).depth(load)) / load)
+    if np.mean(shares) > _MAX_FOOT_SHARE:  # one decision for all feet: like limbs stay alike
+        return None
+    message = diagnose(
+        "hulls-carry-instead-of-feet",
+        feet=list(changed),
+        bodies=sorted({str(model.body(foot.body).name) for foot in changed.values()}),
+        gap=Quantity(max(gaps.values()), "m"),
+        depth=Quantity(max(depths.values()), "m"),
+    )
+    return new, message
+
 
 _BESIDE = 5e-3
 """Shapes that are no further above the ground than this beside a sunk foot may touch it (m)."""

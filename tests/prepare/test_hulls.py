@@ -1,0 +1,64 @@
+"""Shapes beside soft feet: the contact points are those that touch in the published model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.prepare.judge import judge_stand
+from tests.support.legged import quadruped, rewritten
+
+_SHANK = '<geom type="capsule" size="0.01" fromto="0 0 -0.1 0 0 -0.2" solref="0.004 1"/>'
+
+
+def _soft_footed(folder: Path, gap: float) -> pa.Robot:
+    """A quadruped with soft feet, and stiff shanks that end higher than the feet by a gap [m]."""
+    foot = f'<geom type="sphere" size="{0.01 + gap}" pos="0 0 -0.2" solimp="0.015 1 0.036"/>'
+    pair = quadruped(folder, foot=foot + _SHANK, floor=True)
+    rewritten(pair.mjcf, ("<worldbody>", '<option cone="elliptic"/><worldbody>'), count=1)
+    return pa.load_robot(pair.mjcf)
+
+
+def _height_at_rest(robot: pa.Robot, stand: pa.Stand, kp: float, kd: float) -> float:
+    """Return the base height [m] at which bare MuJoCo holds a stand on the unmodified shapes."""
+    assert robot.published is not None
+    assert robot.published.file is not None
+    spec = robot.published.file.spec.copy()
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    for name in robot.joint_names:
+        servo = spec.add_actuator(target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.gainprm[0], servo.biastype = kp, mujoco.mjtBias.mjBIAS_AFFINE
+        servo.biasprm[1], servo.biasprm[2] = -kp, -kd
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.timestep = 5e-4
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    data.ctrl[:] = stand.joint_positions(robot)
+    mujoco.mj_step(model, data, nstep=round(4.0 / model.opt.timestep))
+    assert np.abs(data.qvel).max() < 1e-3
+    return float(data.qpos[2])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("gap", "hull"), [(0.003, True), (0.03, False)])
+def test_a_stiff_shank_beside_a_soft_foot_is_the_contact_point(
+    tmp_path: Path, gap: float, hull: bool
+) -> None:
+    """The prediction is compared with bare MuJoCo, on the unmodified shapes and very stiff servos.
+
+    The soft feet alone would sink by more than the gap of 3 mm, and by less than that of 30 mm.
+    """
+    robot = _soft_footed(tmp_path, gap)
+    assert ("hulls-carry-instead-of-feet" in {note.code for note in robot.notes}) is hull
+    radii = list(robot.contact_radius.values())
+    assert radii == pytest.approx([0.01 if hull else 0.01 + gap] * 4)
+    stand = pa.solve_stand(robot)
+    held = pa.solve_stand_as_simulated(robot, stand)
+    assert _height_at_rest(robot, held, 4000.0, 200.0) == pytest.approx(held.qpos[2], abs=5e-4)
+    assert judge_stand(robot, stand).passed
