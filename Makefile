@@ -2,9 +2,21 @@
 
 PYTHON ?= python3
 
+# A Python that is named and is not the version of .venv has a virtual environment of its own, such
+# as .venv-3.12.
+EXISTING := $(shell sed -n 's/^version *= *\([0-9]*\.[0-9]*\).*/\1/p' .venv/pyvenv.cfg 2> /dev/null)
+ifeq ($(origin PYTHON),file)
 VENV := .venv
+else
+NAMED := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2> /dev/null)
+VENV := $(if $(filter-out $(NAMED),$(EXISTING)),.venv-$(NAMED),.venv)
+endif
 BIN := $(VENV)/bin
 LOWEST := .venv-lowest
+# Robots of other packages: the tests read their files.
+ROBOTS := build/robots
+# Converters to USD depend on another OpenUSD than the project's.
+CONVERTERS := build/converters
 # Quick ones, which between them use every package that is required.
 LOWEST_TESTS := $(addprefix tests/,$(addsuffix .py,base/test_results cli/test_shared \
   models/test_loading present/test_figures present/test_printed tools/crosscheck/test_crosscheck robot/test_robot \
@@ -25,12 +37,17 @@ unexport PYTHONPATH PYTHONHOME
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest test-all browser fuzz coverage benchmark benchmark-quick benchmark-ratios lint types docs docs-links wheel dist clean
+.PHONY: help setup setup-quick setup-ci analyze test test-slow test-lowest test-all fuzz coverage benchmark benchmark-quick benchmark-ratios lint types docs docs-links wheel dist clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
 
 setup: $(VENV)/.ready ## only set up the virtual environment
+
+setup-quick: $(VENV)/.ready-ci $(ROBOTS)/.ready ## install what the quick tests need, so that none is skipped
+	.ci/system
+
+setup-ci: setup-quick $(VENV)/.ready-torch $(CONVERTERS)/.ready ## install what all tests need, so that none is skipped
 
 analyze: $(VENV)/.ready ## analyse all variants; figures go to output/
 	$(BIN)/python scripts/analyze_variant.py
@@ -46,9 +63,6 @@ test-slow: $(VENV)/.ready ## run the tests that make test leaves out
 
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
 	$(LOWEST)/bin/python -m pytest -m "not slow" -W ignore::DeprecationWarning $(LOWEST_TESTS)
-
-browser: $(VENV)/.ready-dev ## see to a browser for the tests of pages: apt or Playwright install chromium
-	.ci/browser
 
 fuzz: $(VENV)/.ready ## spoil N files and commands; no traceback, hang or lost file may come of it
 	$(BIN)/python tests/damaged.py 500
@@ -91,7 +105,7 @@ dist: $(VENV)/.ready-dev ## build wheel and source distribution into dist/, as a
 	$(BIN)/python scripts/check_release.py --dist dist
 
 clean: ## delete the virtual environment and all that was made
-	rm -rf $(VENV) $(LOWEST) build dist output .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	rm -rf .venv .venv-* build dist output .pytest_cache .hypothesis .mypy_cache .ruff_cache
 
 $(VENV)/.ready: pyproject.toml $(VENV)/.created
 	$(BIN)/python -m pip install --quiet --editable . --group test
@@ -99,6 +113,25 @@ $(VENV)/.ready: pyproject.toml $(VENV)/.created
 
 $(VENV)/.ready-dev: $(VENV)/.ready
 	$(BIN)/python -m pip install --quiet --group dev
+	@touch $@
+
+# With the versions of the engines that tests/data/recorded.json was computed with.
+$(VENV)/.ready-ci: $(VENV)/.ready-dev
+	$(BIN)/python -m pip install --quiet --group recorded
+	@touch $@
+
+$(VENV)/.ready-torch: $(VENV)/.ready-ci
+	$(BIN)/python -m pip install --quiet --group torch
+	@touch $@
+
+$(ROBOTS)/.ready: pyproject.toml | $(VENV)/.ready
+	rm -rf $(ROBOTS)
+	$(BIN)/python -m pip install --quiet --no-deps --target $(ROBOTS) --group robots
+	@touch $@
+
+$(CONVERTERS)/.ready: pyproject.toml | $(VENV)/.ready
+	$(BIN)/python -m venv --clear $(CONVERTERS)
+	$(BIN)/python -m pip --python $(CONVERTERS)/bin/python install --quiet --group converters
 	@touch $@
 
 $(VENV)/.ready-benchmark: $(VENV)/.ready

@@ -25,6 +25,7 @@ def test_what_one_command_prints_others_confirm(seed: int | None, tmp_path: Path
     assert ("converted, 8deg" in found.codes) is (len(files) == 1 and seed is not None)
 
 
+@pytest.mark.slow
 def test_an_arm_holds_what_it_is_said_to_hold(tmp_path: Path) -> None:
     urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES["as it is"])
     place = tmp_path / "answers"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from functools import cache
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 import orjson
 import pytest
 
-from tests.recorded import COARSE, FILE, JOBS, computed, setting
+from tests.recorded import COARSE, ENGINES, FILE, JOBS, computed, setting
+from tests.support.repository import ROOT
 from tests.support.variants import NAMES
 
 QUICK_JOBS = [name for name, job in JOBS.items() if not job.slow]
@@ -73,3 +75,11 @@ def test_all_jobs_of_all_variants_are_recorded() -> None:
     assert list(recorded()["results"]) == list(NAMES)
     for results in recorded()["results"].values():
         assert list(results) == list(JOBS)
+
+
+def test_the_group_recorded_installs_the_recorded_engines() -> None:
+    """``make setup-quick`` installs it; with other engines the tests above may be skipped."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    then = recorded()["setting"]
+    pinned = [f"{name}=={then[name]}" for name in ENGINES]
+    assert project["dependency-groups"]["recorded"] == pinned

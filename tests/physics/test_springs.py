@@ -124,6 +124,7 @@ def test_gravity_compensation_takes_weight_off_motors_and_feet(
     verified(robot, stand)
 
 
+@pytest.mark.slow
 def test_the_stiffness_of_springs_counts_in_the_sag(tmp_path: Path) -> None:
     robot = load(with_springs(quadruped(tmp_path), "_knee"))
     stand = pa.solve_stand(robot)

@@ -71,12 +71,14 @@ def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule
     assert message in said
 
 
+@pytest.mark.slow
 def test_dry_friction_below_zero_stands_in_the_verdict(tmp_path: Path) -> None:
     _, mjcf = features.files(tmp_path, features.FEATURES["frictionloss -1"])
     said = in_words(verdict_of(pa.load_robot(mjcf)))
     assert "dry friction is negative, and counts as none, at FL_knee, FR_knee, RL_knee" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("slip", "message"),
     [

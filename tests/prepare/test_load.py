@@ -178,6 +178,7 @@ def test_a_base_frame_on_the_ground_between_the_feet(
     assert not [note for note in plain.notes if note.code == "base-frame-lifted"]
 
 
+@pytest.mark.slow
 def test_a_base_frame_that_is_not_level_is_said(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     text = re.sub(r"<keyframe>.*</keyframe>", "", pair.mjcf.read_text(), flags=re.DOTALL)
@@ -214,6 +215,7 @@ def test_a_urdf_whose_base_is_not_upright_is_refused_with_what_to_do(
 MESH = '<asset><mesh name="{}" vertex="{}"/></asset><worldbody>'
 
 
+@pytest.mark.slow
 def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     """MuJoCo's contacts of a mesh jump from vertex to vertex; the sphere through them does not."""
     directions = np.random.default_rng(0).normal(size=(600, 3))
@@ -357,6 +359,7 @@ def test_feet_behind_a_slide_are_where_they_are(tmp_path: Path) -> None:
     stands(robot)
 
 
+@pytest.mark.slow
 def test_a_base_that_is_free_by_slides_and_a_ball_joint(tmp_path: Path) -> None:
     """As XBot-L's, which was taken for one that hangs in the world."""
     whole = load(quadruped(tmp_path))

@@ -91,6 +91,7 @@ def test_what_sleeps_is_judged(tmp_path: Path) -> None:
     assert "sleep-not-differentiated" in {note.code for note in robot.notes}
 
 
+@pytest.mark.slow
 def test_what_the_file_does_is_no_matter_of_what_a_task_welds(tmp_path: Path) -> None:
     """A foot that is welded carries nothing; in the file it carries as the others do."""
 

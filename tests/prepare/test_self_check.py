@@ -164,6 +164,7 @@ def test_a_file_that_falls_by_itself_does_not_hold(tmp_path: Path, name: str, sa
     assert said in in_words(verdict)
 
 
+@pytest.mark.slow
 def test_what_is_replaced_is_named(tmp_path: Path) -> None:
     """The servo of one knee, with its own gains, and never as if there were none."""
     pair = slipped(tmp_path, "kp of one has the wrong sign", seed=3)

@@ -49,6 +49,7 @@ def shown(text: str) -> str:
     return "".join(letter if letter in "\r\n" else escape_control(letter) for letter in text)
 
 
+@pytest.mark.slow
 @given(title=TEXT, message=TEXT)
 def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
     level, properties, read = read_command(

@@ -197,6 +197,7 @@ def evil_analysis() -> pa.analysis.Analysis:
     )
 
 
+@pytest.mark.slow
 def test_names_cannot_become_markup() -> None:
     tame, wild = page_of(analysis()), Page(written(evil_analysis(), robots=False))
     assert len(wild.strict.scripts) == 2  # the words of the scripts, and the page's own

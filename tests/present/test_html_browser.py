@@ -18,6 +18,8 @@ from pupper_analysis.tools.analyze.document import compare_with_base, comparison
 from tests.present.test_html import EVIL, analysis, evil_analysis
 from tests.support.variants import load
 
+pytestmark = pytest.mark.slow  # a chromium needs seconds of processor to start
+
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = ("--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader")
 
@@ -256,7 +258,6 @@ def test_a_page_begins_in_the_language_of_a_chinese_browser(browser: Any, file: 
     one.close()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_page_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme: str) -> None:
     one = Opened(browser, file, viewport={"width": 360, "height": 740}, color_scheme=scheme)
@@ -293,7 +294,6 @@ def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
     one.close()
 
 
-@pytest.mark.slow
 def test_parts_are_folded_and_verdicts_are_seen_on_a_screen(browser: Any, tmp_path: Path) -> None:
     """Of two robots: each part is opened by its link, and on paper, where a view is there once."""
     file = tmp_path / "two.html"

@@ -29,6 +29,7 @@ def test_all_is_said_in_both_languages(words: dict[str, dict[str, str]]) -> None
         assert not re.search(r"[,;:?!](?=[\u4e00-\u9fff])", chinese), f"punctuation of {chinese}"
 
 
+@pytest.mark.slow
 def test_no_text_is_left_over() -> None:
     measures = {f"metric-{name.replace('_', '-')}" for name in METRICS}
     left = set(TEXTS) - written() - measures

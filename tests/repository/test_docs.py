@@ -139,6 +139,7 @@ def test_the_reference_has_all_there_is(generated: Path) -> None:
     assert tables.count("\n## ") == len(list(DATA.glob("*.csv")))
 
 
+@pytest.mark.slow
 def test_the_picture_of_the_architecture_is_current() -> None:
     drawing = script("docs/draw_architecture.py")
     assert drawing.embedded() == drawing.facts(drawing.folder_graph(), drawing.tool_graph()), (

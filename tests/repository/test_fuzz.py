@@ -18,6 +18,7 @@ def test_seeds_that_once_failed_pass(path: Path) -> None:
     assert fuzz.found_in(fuzz.Case.from_json(path.read_text())) == []
 
 
+@pytest.mark.slow
 @settings(max_examples=15, suppress_health_check=list(HealthCheck))
 @given(fuzz.on_files())
 def test_spoilt_files_are_refused(case: fuzz.Case) -> None:

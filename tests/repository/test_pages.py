@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -13,19 +14,14 @@ from tests.support.repository import ROOT
 BLOCKS = {path.relative_to(ROOT).as_posix(): pages.blocks_of(path) for path in pages.pages()}
 BLOCKS |= {f"{name} --help": pages.blocks_of_help(name) for name in cli.COMMANDS}
 BLOCKS = {name: found for name, found in BLOCKS.items() if found}
-LATE = [name for name, found in BLOCKS.items() if any(pages.late_lines(block) for block in found)]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BLOCKS)
 def test_blocks_of_a_page_run_and_print_what_it_says(name: str, tmp_path: Path) -> None:
+    if any("| jq" in block.text for block in BLOCKS[name]) and not shutil.which("jq"):
+        pytest.skip("jq is not installed")
     pages.run_page(BLOCKS[name], tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", LATE)
-def test_blocks_that_take_minutes_run(name: str, tmp_path: Path) -> None:
-    pages.run_page(BLOCKS[name], tmp_path, late=True)
 
 
 def test_few_blocks_are_run_nowhere() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.alike import structure
@@ -21,6 +23,7 @@ def test_four_legs_that_are_alike_are_no_news(tmp_path: Path) -> None:
     assert structure(pa.load_robot(standing_urdf(tmp_path))) == ()
 
 
+@pytest.mark.slow
 def test_a_leg_whose_calf_is_elsewhere_has_no_foot(tmp_path: Path) -> None:
     """One digit, -0.2 -> -0.02, and the robot stands on three feet: that is no HOLDS."""
     path = slipped(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.02"')

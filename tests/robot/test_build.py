@@ -35,6 +35,7 @@ def test_without_weight_nothing_stands(option: str, tmp_path: Path) -> None:
         pa.solve_stand(robot)
 
 
+@pytest.mark.slow
 def test_a_base_does_not_hang_by_its_free_joint(tmp_path: Path) -> None:
     """With 500 N of dry friction it would stand on servos that are switched off, too."""
     free = '<joint type="free" frictionloss="500" damping="0" armature="0"/>'

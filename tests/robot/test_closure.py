@@ -85,6 +85,7 @@ def without_loops(robot: Robot, qpos: np.ndarray, forces: dict[str, np.ndarray])
     return left[robot.mj_convention.qvel_index[6:]]
 
 
+@pytest.mark.slow
 def test_a_belts_motor_holds_what_the_knee_would(tmp_path: Path) -> None:
     """In closed form: q_knee = -0.2 - 0.8 q_motor, so tau_motor = tau'_motor - 0.8 tau'_knee."""
     robot = load(belts(tmp_path))
@@ -290,6 +291,7 @@ def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     assert at(robot, held.joint_torques, "FL_knee") != 0
 
 
+@pytest.mark.slow
 def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()

@@ -86,6 +86,7 @@ def test_jacobians_are_derivatives(any_robot: pa.Robot, data: st.DataObject) -> 
     np.testing.assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], omega, atol=1e-7)
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_contact_jacobian_follows_the_material_point(
     any_robot: pa.Robot, data: st.DataObject
@@ -111,6 +112,7 @@ def test_contact_jacobian_follows_the_material_point(
 # ------------------------------------------------------------------------------------- dynamics
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_mass_matrix_is_mujocos_and_positive_definite(
     any_robot: pa.Robot, data: st.DataObject

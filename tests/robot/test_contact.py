@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -48,6 +49,7 @@ def ball_on_plane(ball: dict[str, object], plane: dict[str, object]) -> mujoco.M
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(ball=geoms, plane=geoms)
 def test_combination_is_mujocos(ball: dict[str, object], plane: dict[str, object]) -> None:

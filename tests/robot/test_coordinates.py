@@ -11,6 +11,7 @@ from tests.support.engines import integrate, velocity_map
 from tests.support.states import positions, velocities
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_velocity_map_agrees_with_both_engines_integration(
     any_robot: pa.Robot, data: st.DataObject

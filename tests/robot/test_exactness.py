@@ -71,6 +71,7 @@ def test_dense_matrices_are_taken_where_sparse_ones_leave_forces_out(tmp_path: P
     assert 'jacobian="dense"' in said
 
 
+@pytest.mark.slow
 def test_an_inexact_solver_is_told_and_stays(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     option = '<option solver="CG" iterations="1" ls_iterations="1"/>'

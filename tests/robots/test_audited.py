@@ -69,6 +69,7 @@ def test_inertials_and_ranges_that_nobody_meant_are_named_and_others_are_not(nam
     assert bool(list(CHECKS["range-placeholder"](model))) == (name in TURNS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
@@ -92,6 +93,7 @@ def _found(audit: Audit) -> Counter[tuple[str, str]]:
     return Counter((found.rule, found.element) for found in audit.findings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LEGGED)
 def test_slips_that_all_legs_share_are_found(name: str, tmp_path: Path) -> None:
     source = file(URDF, f"{name}.urdf")

@@ -84,6 +84,7 @@ def test_joints_with_more_than_a_turn_of_range_are_not_wound_up(tmp_path: Path) 
     holds(robot)
 
 
+@pytest.mark.slow
 def test_why_it_does_not_settle_on_a_slope(tmp_path: Path) -> None:
     """MuJoCo's friction creeps, by as much as its law says."""
     robot = load(planar(quadruped(tmp_path)))

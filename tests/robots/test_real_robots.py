@@ -94,6 +94,7 @@ LEGS = ("FL", "FR", "RL", "RR")
 JOINTS = {f"{leg}_{part}_joint" for leg in LEGS for part in ("hip", "thigh", "calf")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PAIRS)
 def test_every_deviation_of_a_real_pair_is_explained(name: str) -> None:
     comparison = comparison_of(name)

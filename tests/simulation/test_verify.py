@@ -66,6 +66,7 @@ def test_stand_is_verified(variant: str) -> None:
         np.testing.assert_array_equal(result.predicted_forces[foot], force)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 @pytest.mark.parametrize("feedforward", [True, False])
 def test_settles_where_a_plain_simulation_does(name: str, feedforward: bool) -> None:

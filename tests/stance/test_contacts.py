@@ -99,6 +99,7 @@ def test_what_presses_a_foot_is_measured_along_the_normal_of_its_plane() -> None
     assert stand.ways_out(robot)["FL"] @ stand.normals["FL"] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("com", [None, (0.05, 0.02)])
 def test_mujoco_holds_a_stand_with_a_hand_on_a_table(
     armed: pa.Robot, com: tuple[float, float] | None
@@ -292,6 +293,7 @@ def test_a_hand_is_a_ball_that_weighs_nothing_and_touches_its_plane_alone(armed:
     assert meets == [f"{HAND} (contact)"]
 
 
+@pytest.mark.slow
 def test_soles_and_a_hand_have_each_their_own_ground(tmp_path: Path) -> None:
     """Contact points are in one order in all that goes through them, the hand's behind."""
     robot = pa.load_robot(*with_arm(biped(tmp_path), "", "pelvis"))
@@ -447,6 +449,7 @@ def test_what_is_no_contact_is_refused_in_a_line(make: object, match: str) -> No
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("radius", "lean"), [(0.01, 0.0), (0.001, 0.0), (0.02, 0.1)])
 def test_a_foot_stands_on_a_bar_and_on_an_edge(radius: float, lean: float) -> None:
     """By default on its top; else where its place says, and the normal is away from the axis."""

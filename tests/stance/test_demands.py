@@ -123,6 +123,7 @@ def test_rounding_is_away_from_what_was_asked_and_by_little() -> None:
     assert round_demands(robot, near, asked, demands) == near
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "task"),
     [

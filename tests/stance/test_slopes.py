@@ -36,6 +36,7 @@ def sideways(degrees: float, *, roof: bool) -> Contacts:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "contacts"),
     [

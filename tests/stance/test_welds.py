@@ -221,6 +221,7 @@ def test_forces_are_those_of_a_cone_programme_on_mujocos_numbers(
                 np.testing.assert_allclose(ours.contact_forces[point], force, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_hand_that_grips_pulls_where_the_com_is_beyond_the_feet(armed: pa.Robot) -> None:
     """Its force is MuJoCo's constraint's, and the com is where no polygon has it."""
     stand = pa.solve_stand_as_simulated(armed, gripping(armed, beyond=0.02))
@@ -427,6 +428,7 @@ def test_where_servos_let_a_welded_robot_sag(arm: pa.Robot) -> None:
         assert not sag.failures
 
 
+@pytest.mark.slow
 def test_a_bolted_arm_carries_what_its_motors_hold(arm: pa.Robot) -> None:
     task = pa.StandTask(contacts=BOLTED, posture={"turn": 0.7, "bend": 0.5, "nod": 0.0})
     limit = pytest.importorskip("pupper_analysis.tools.payload.limit")

@@ -2,7 +2,6 @@
 
 A block that cannot run is marked in its page, with the reason: `<!-- not run: REASON -->` on the
 line above it; `<!-- not run 'WORDS': REASON -->` means those of its lines that hold these words.
-What takes minutes has `<!-- longest -->`, or `<!-- longest 'WORDS' -->`: the longest tests run it.
 What is in a Chinese page exactly as in the English one runs once. A command whose line ends with
 `# exits 1` must. The lines of a block of text below are its output: `...` stands for any, and
 numbers have the digits that are printed. What is a reader's own makes `own_files.py`.
@@ -15,7 +14,6 @@ import io
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -39,8 +37,6 @@ FOLDERS = ("docs/how-to", "docs/tutorials", "docs/explanation", "docs/zh", "docs
 """Of pages whose every block is run, beside the README."""
 
 NEVER = {"pip install": "it needs the network", "--bridge ros2": "it needs a robot's own computer"}
-if shutil.which("jq") is None:
-    NEVER["| jq"] = "jq is not there"
 """Lines that are run nowhere: {their words: why}."""
 
 HELP_EXITS = {"longer.urdf": 1, "mjcf:effort": 1}
@@ -48,12 +44,6 @@ HELP_EXITS = {"longer.urdf": 1, "mjcf:effort": 1}
 
 SPEED = "0.13,0,0"
 """m/s, m/s, rad/s."""
-
-HELP_LONGEST = (
-    *("study", "--seeds 20", "--vary", "--orders", "best payload", "payload v3-long"),
-    "fit v3 --log",
-)
-"""Words of those that take minutes."""
 
 
 @dataclass
@@ -66,7 +56,6 @@ class Block:
         language: `sh` or `python`.
         text: What is in it.
         marks: {words in the lines that are not run (empty: all): reason}.
-        longest: Words in the lines that only the longest tests run (empty: all).
         exits: {words in the lines that end with another exit status than 0: which}.
         output: Text that is shown below it, in order.
     """
@@ -76,7 +65,6 @@ class Block:
     language: str
     text: str
     marks: dict[str, str] = field(default_factory=dict)
-    longest: tuple[str, ...] = ()
     exits: dict[str, int] = field(default_factory=dict)
     output: list[str] = field(default_factory=list)
 
@@ -84,15 +72,11 @@ class Block:
         """Why a line is not run; empty if it is."""
         return next((why for words, why in (NEVER | self.marks).items() if words in line), "")
 
-    def late(self, line: str = "") -> bool:
-        """Whether only the longest tests run a line."""
-        return any(words in line for words in self.longest)
-
-    def lines(self, *, late: bool = True) -> Iterator[tuple[str, int]]:
+    def lines(self) -> Iterator[tuple[str, int]]:
         """Yields the commands of a shell block that are run, and their exit status."""
         for line in self.text.replace("\\\n", " ").splitlines():
             command, _, comment = line.partition("  #")
-            if command.strip() and not self.reason(line) and (late or not self.late(line)):
+            if command.strip() and not self.reason(line):
                 stated = re.search(r"exits (\d)", comment)
                 other = next((code for words, code in self.exits.items() if words in line), 0)
                 yield command.strip(), int(stated[1]) if stated else other
@@ -102,13 +86,6 @@ class Block:
         """{line that is not run: why}."""
         lines = self.text.replace("\\\n", " ").splitlines() if self.language == "sh" else ["python"]
         return {line: why for line in lines if line.strip() and (why := self.reason(line))}
-
-
-def late_lines(block: Block) -> int:
-    """How many commands, or blocks of Python, of a block the longest tests run alone."""
-    if block.language == "python":
-        return int(block.late() and not block.reason())
-    return len(list(block.lines())) - len(list(block.lines(late=False)))
 
 
 def pages() -> list[Path]:
@@ -128,27 +105,23 @@ def blocks_of(page: Path) -> list[Block]:
     """The blocks of a page, each with its marks and its output."""
     found: list[Block] = []
     marks: dict[str, str] = {}
-    longest: tuple[str, ...] = ()
     lines = page.read_text("utf-8").splitlines()
     index = 0
     while index < len(lines):
         line = lines[index]
         mark = re.fullmatch(r"<!-- not run(?: '(.+)')?: (.+) -->", line)
-        late = re.fullmatch(r"<!-- longest(?: '(.+)')? -->", line)
         fence = re.fullmatch(r"```(\w+)", line)
         if mark:
             marks[mark[1] or ""] = mark[2]
-        elif late:
-            longest = (*longest, late[1] or "")
         elif fence:
             end = lines.index("```", index)
             text = "\n".join(lines[index + 1 : end]) + "\n"
             if fence[1] in ("sh", "python"):
                 name = page.relative_to(ROOT).as_posix()
-                found.append(Block(name, index + 1, fence[1], text, marks, longest))
+                found.append(Block(name, index + 1, fence[1], text, marks))
             elif fence[1] == "text" and found and not marks:
                 found[-1].output.append(text)
-            marks, longest, index = {}, (), end
+            marks, index = {}, end
         index += 1
     if "zh" in page.parts and (twin := english(page)).exists():
         theirs = {block.text: "".join(block.output) for block in blocks_of(twin)}
@@ -170,7 +143,7 @@ def blocks_of_help(command: str) -> list[Block]:
         if re.match(r"\W*(xacro .*\| )?pupper-analysis ", line)
     ]
     text = "\n".join(line for line in lines if line.strip() not in elsewhere) + "\n"
-    block = Block(f"{command} --help", 0, "sh", text, longest=HELP_LONGEST, exits=HELP_EXITS)
+    block = Block(f"{command} --help", 0, "sh", text, exits=HELP_EXITS)
     return [block] if text.strip() else []
 
 
@@ -262,13 +235,12 @@ def misses(shown: str, printed: str) -> list[str]:
     return [part for part in parts if " ".join(part.split()) not in flat]
 
 
-def run_page(blocks: list[Block], folder: Path, *, late: bool = False) -> Counter[str]:
+def run_page(blocks: list[Block], folder: Path) -> Counter[str]:
     """Runs the blocks of a page one after the other, in one folder, and compares what they print.
 
     Args:
         blocks: The blocks.
         folder: Where.
-        late: Whether to run those of the longest tests, too.
 
     Returns:
         How many commands and blocks of Python were run.
@@ -284,10 +256,10 @@ def run_page(blocks: list[Block], folder: Path, *, late: bool = False) -> Counte
         where = f"{block.page}:{block.line}"
         furnish(folder, block)
         printed = ""
-        if block.language == "python" and not block.reason() and (late or not block.late()):
+        if block.language == "python" and not block.reason():
             printed = run_python(block, folder, names)
             count["python"] += 1
-        for command, status in block.lines(late=late) if block.language == "sh" else ():
+        for command, status in block.lines() if block.language == "sh" else ():
             done = run_shell(command, folder)
             printed += done.stdout + done.stderr
             said = f"{where}: {command}\n{done.stdout[-2000:]}{done.stderr[-2000:]}"

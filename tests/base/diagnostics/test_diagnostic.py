@@ -133,6 +133,7 @@ def literals(node: ast.expr, where: str, tree: ast.Module) -> Iterator[str]:
         yield str(node.value)
 
 
+@pytest.mark.slow
 def test_the_tables_are_those_that_toml_reads_and_no_code_is_in_two() -> None:
     found = []
     for read in WORDS.values():

@@ -72,6 +72,7 @@ def test_each_file_alone_is_the_robot_of_both(
     assert pa.cross_check(one).passed  # Pinocchio against MuJoCo
 
 
+@pytest.mark.slow
 def test_the_made_model_has_what_only_the_other_engine_reads(
     of_urdf: pa.Robot, of_mjcf: pa.Robot
 ) -> None:

@@ -136,6 +136,7 @@ def test_who_frees_a_base_and_lays_the_ground_says_how_it_grips(
     assert robot.mj_model.opt.impratio == (5 if stated else 100)
 
 
+@pytest.mark.slow
 def test_what_is_tied_to_the_world_is_written_with_the_servos_that_it_stands_on(
     tmp_path: Path,
 ) -> None:

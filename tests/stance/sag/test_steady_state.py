@@ -213,6 +213,7 @@ def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
     assert pose.base_height == pytest.approx(run.base_height, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
     robot, stand = load("v3"), lifted("v3", "RR", 0.02)
     kp = minimum_stiffness(robot, stand, tolerance=0.02)

@@ -439,6 +439,7 @@ def test_our_own_models_are_sound(path: Path) -> None:
     assert result.counts["warning"] == 0, [str(finding) for finding in result.findings]
 
 
+@pytest.mark.slow
 def test_derived_variants_are_sound(variant: str, tmp_path: Path) -> None:
     for path in pa.pupper.write_variant(variant, tmp_path):
         result = audit_model(path)
@@ -523,6 +524,7 @@ LOST_SIGNS = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rule", "target", "old", "new"), LOST_SIGNS)
 def test_lost_signs_between_links_with_rotated_frames(
     rule: str, target: str, old: str, new: str, tmp_path: Path

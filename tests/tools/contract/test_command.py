@@ -34,6 +34,7 @@ def run(folder: Path, *arguments: object) -> Answer:
     return answer("contract", "--no-stand", *map(str, arguments), folder=folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 def test_bad_input_is_one_line(tmp_path: Path, name: str) -> None:
     text, problem = BAD[name]

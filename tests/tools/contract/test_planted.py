@@ -77,6 +77,7 @@ SOUND: dict[str, tuple[str, Callable[[str], str]]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "quadruped"])
 @pytest.mark.parametrize("sound", SOUND)
 def test_what_is_no_slip_is_silent(tmp_path: Path, name: str, sound: str) -> None:

@@ -363,6 +363,7 @@ def test_a_hand_is_no_legged_robot(tmp_path: Path) -> None:
     assert not is_free(compiled(mjcf))
 
 
+@pytest.mark.slow
 def test_feet_hold_on_a_slope(quad: Path) -> None:
     """On 17 degrees, with a friction of 1: by MuJoCo's default contacts they creep by 26 mm/s."""
     speeds = {}

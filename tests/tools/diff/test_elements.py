@@ -117,6 +117,7 @@ def in_a_scene(file: Path) -> Path:
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["conaffinity", "shape", "solref", "condim", "contacts off"])
 def test_robots_without_a_ground_are_put_on_one(tmp_path: Path, name: str) -> None:
     """A robot's file has no ground; in the air, none of its feet's numbers does anything."""
@@ -140,6 +141,7 @@ FOOT = '<geom class="collision" type="sphere" size="0.01995"'
 DRAWN = '<geom class="visual" type="sphere" material="rubber" size="0.01995"'
 
 
+@pytest.mark.slow
 def test_a_number_in_the_file_is_no_change(tmp_path: Path) -> None:
     """Geoms without a name are known again by what they are: drawn ones come and go before."""
     file = copied(tmp_path) / "pupper_v3_body.xml"

@@ -21,6 +21,7 @@ def test_what_moves_v3_is_told(tmp_path: Path) -> None:
     assert any(one.truth > FELT for one in found)
 
 
+@pytest.mark.slow
 def test_what_a_file_is_built_from_is_told(tmp_path: Path) -> None:
     """Classes, the compiler, memory, keyframes, parts that are included, attached or repeated."""
     (tmp_path / "drawn").mkdir()

@@ -72,6 +72,7 @@ def test_a_plan_has_a_known_mass_on_turned_stands_and_few_on_three_feet(tmp_path
     assert narrowed["added base_link"] > 0.9 * 0.005
 
 
+@pytest.mark.slow
 def test_servos_that_are_too_soft_hold_no_stand() -> None:
     with pytest.raises(MeasurementError, match="only 0 of 3"):
         plan_stands(load_variant("v3"), 3, kp=0.3)

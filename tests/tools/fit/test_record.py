@@ -59,6 +59,7 @@ def plan(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_rows_are_what_encoders_show_of_a_robot_at_rest(
     robot: Robot, plan: Path, tmp_path: Path
 ) -> None:
@@ -129,6 +130,7 @@ def sound(robot: Robot, plan: Path, tmp_path_factory: pytest.TempPathFactory) ->
 STOPPED = ["servo-does-not-follow", "rows-withdrawn"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "codes", "taken"),
     [
@@ -216,6 +218,7 @@ def test_a_second_recording_into_one_file_is_refused_before_anything_moves(
     assert not lock.exists()
 
 
+@pytest.mark.slow
 def test_a_message_that_comes_late_is_waited_for(robot: Robot, plan: Path, tmp_path: Path) -> None:
     one = Faulty(robot, 3)
     one.lost = 8.0, 8.2

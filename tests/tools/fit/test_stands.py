@@ -329,6 +329,7 @@ def test_the_whole_com_is_that_of_the_planted_robot(
     assert abs(truth[0] - com(robot)[0]) > half[0]
 
 
+@pytest.mark.slow
 def test_friction_of_one_sign_where_a_known_mass_is_on_is_within_what_is_said(
     robot: Robot, planted: Robot, with_mass: MeasuredStands
 ) -> None:

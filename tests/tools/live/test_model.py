@@ -178,6 +178,7 @@ def outcome(found: Answer) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[typ
     return found.stand.qpos, found.statics.joint_torques
 
 
+@pytest.mark.slow
 def test_the_file_that_is_saved_makes_the_same_stand(tmp_path: Path) -> None:
     qpos, _ = outcome(model_of().answer(RICH))
     (tmp_path / "stance.toml").write_text(write_stance_file(RICH))

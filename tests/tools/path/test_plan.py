@@ -189,6 +189,7 @@ def test_beyond_what_contacts_allow() -> None:
     assert used.max() == pytest.approx(path.peak_utilisation)
 
 
+@pytest.mark.slow
 def test_a_foot_is_unloaded_before_it_lifts() -> None:
     path = path_of("v3", "lift")
     foot, leg = path.feet.index("FL"), (len(path.time) - 1) // 5

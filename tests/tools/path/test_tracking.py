@@ -174,6 +174,7 @@ def test_pushing_and_rolling_share_one_cone_as_in_mujoco() -> None:
     assert (parts[0] / up).max() > 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mass", "passes"), [(5.0, True), (7.0, False)])
 def test_a_path_leads_to_where_the_robot_stays(mass: float, passes: bool) -> None:
     """With 7 kg v3 follows it for a second, on its joints' dry friction, and buckles later."""

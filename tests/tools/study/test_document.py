@@ -55,6 +55,7 @@ def test_the_report_counts_what_the_table_has() -> None:
     assert found.robot == "v3"
 
 
+@pytest.mark.slow
 def test_the_front_is_of_what_stands() -> None:
     found = outcome()
     assert found.objectives == {"peak_utilisation": "min", "servo_sag": "min"}

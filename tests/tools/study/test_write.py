@@ -33,6 +33,7 @@ def heavy(tmp_path_factory: pytest.TempPathFactory) -> WrittenDesign:
     return written("v3", vary, tmp_path_factory.mktemp("study"), 2)
 
 
+@pytest.mark.slow
 def test_files_give_what_the_study_measured(heavy: WrittenDesign) -> None:
     assert heavy.passed
     assert heavy.numbers == {"leg_scale": 1.2, "mass:*_1": 1.1, "kp": 10.0}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -20,6 +21,8 @@ from pupper_analysis.tools.usd.reader import mjspec_of
 from tests.support.repository import ROOT
 from tests.tools.usd import written as usd
 
+CONVERTERS = ROOT / "build" / "converters" / "bin"
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -28,8 +31,8 @@ from tests.tools.usd import written as usd
 def test_what_converters_write_of_our_files_agrees(
     converter: str, folder: str, tmp_path: Path
 ) -> None:
-    """Where they are on the path, from an environment of their own: they want other libraries."""
-    command = shutil.which(converter)
+    """The converters depend on other libraries and have an environment of their own."""
+    command = shutil.which(converter, path=f"{CONVERTERS}{os.pathsep}{os.environ['PATH']}")
     if command is None:
         pytest.skip(f"{converter} is not installed")
     urdf, mjcf = ROOT / "urdf/pupper_v3.urdf", ROOT / "mjcf/pupper_v3.xml"

@@ -206,7 +206,7 @@ def _saved(torch: Any, module: Any, path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow  # torch is no package that CI installs
+@pytest.mark.slow
 def test_torchscript_as_by_loops(torch: Any, tmp_path: Path) -> None:
     layers = torch.nn.Linear(7, 9), torch.nn.ELU(), torch.nn.Linear(9, 4)
     path = _saved(torch, torch.nn.Sequential(*layers), tmp_path / "plain.pt")
