@@ -1,7 +1,8 @@
-"""A shape: its kind, its size and where it is, the same for what draws it, touches or weighs it.
+"""Geometry of shapes, used for display, contact and inertia.
 
-It is the sum of a point, bars, an ellipse, a ball and a hull: all that is asked of its surface
-follows from these terms, whichever its kind.
+Each shape is the Minkowski sum of a point, line segments (bars), an ellipse or ellipsoid, a ball
+and a convex hull. Support function, lowest point and outline are computed from these terms,
+independent of the kind of shape.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ Direction = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A pose: x = position + rotation x'.
+    """Rigid transformation x = position + rotation x'.
 
     Attributes:
-        position: (3,) (m).
-        rotation: (3, 3).
+        position: Translation (3,) [m].
+        rotation: Rotation matrix (3, 3).
     """
 
     position: Array = field(default_factory=lambda: np.zeros(3))
@@ -43,68 +44,73 @@ class Pose:
         return Pose(self.point(other.position), self.rotation @ other.rotation)
 
     def point(self, local: Array) -> Array:
-        """Returns a point (3,), or points (n, 3), given in this pose's frame, in the outer one."""
-        moved: Array = local @ self.rotation.T + self.position
-        return moved
+        """Transform a point (3,), or points (n, 3), from this frame to the outer frame."""
+        transformed: Array = local @ self.rotation.T + self.position
+        return transformed
 
     @property
     def placed(self) -> pin.SE3:
-        """The same, as Pinocchio has it."""
+        """The pose as Pinocchio's type."""
         return pin.SE3(self.rotation, self.position)
 
     def inverse(self) -> Pose:
-        """Returns the pose of the outer frame in this one."""
+        """Return the pose of the outer frame in the frame of this pose."""
         return Pose(-self.rotation.T @ self.position, self.rotation.T)
 
     @staticmethod
     def of(placement: pin.SE3) -> Pose:
-        """Returns a placement of Pinocchio's."""
+        """Return the pose of a placement of Pinocchio."""
         return Pose(np.array(placement.translation), np.array(placement.rotation))
 
     @staticmethod
     def of_body(data: mujoco.MjData, body: int) -> Pose:
-        """Returns where a body is in MuJoCo's world."""
+        """Return the world pose of a body in MuJoCo."""
         return Pose(data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy())
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles.
+    """Triangle mesh.
 
     Attributes:
-        vertices: (n, 3) (m).
-        faces: (m, 3) numbers of vertices.
+        vertices: Vertices (n, 3) [m].
+        faces: Triangles (m, 3), as row numbers of the vertices.
     """
 
     vertices: Array
     faces: Integers
 
     def part(self, numbers: Array | Integers, faces: Array | Integers) -> Mesh:
-        """Returns those of the vertices, and triangles of them: all by their numbers so far."""
-        order = np.full(len(self.vertices), -1, dtype=np.int64)
-        order[numbers] = np.arange(len(numbers))
-        return Mesh(self.vertices[numbers], order[faces])
+        """Return a mesh of some vertices and triangles.
+
+        Args:
+            numbers: Numbers of the vertices, shape (k,).
+            faces: Triangles (m, 3), in the vertex numbers of this mesh.
+        """
+        new_numbers = np.full(len(self.vertices), -1, dtype=np.int64)
+        new_numbers[numbers] = np.arange(len(numbers))
+        return Mesh(self.vertices[numbers], new_numbers[faces])
 
     def hull(self) -> Mesh:
-        """Returns the convex hull; all, if the vertices lie in a plane."""
+        """Return the convex hull; the mesh itself if the vertices lie in a plane."""
         from scipy.spatial import ConvexHull, QhullError  # slow to import
 
         try:
-            found = ConvexHull(self.vertices)
+            hull = ConvexHull(self.vertices)
         except (QhullError, ValueError):
             return self
-        return self.part(found.vertices, found.simplices)
+        return self.part(hull.vertices, hull.simplices)
 
 
 class Terms(NamedTuple):
-    """The convex sets whose sum a shape is, in its body's frame (m).
+    """Convex sets whose Minkowski sum is a shape, in the frame of its body [m].
 
     Attributes:
-        centre: A point.
-        bars: Half of each: a box is the sum of three, a capsule that of one and a ball.
-        radii: Those of an ellipse, two at right angles, or of an ellipsoid, three; () without one.
-        ball: The ball's radius.
-        hull: (n, 3) corners of a convex hull, from the centre; None without one.
+        centre: Point (3,).
+        bars: Half vectors of line segments: three for a box, one for a capsule.
+        radii: Semi-axes of an ellipse (two) or of an ellipsoid (three); () if there is none.
+        ball: Radius of the ball.
+        hull: Vertices (n, 3) of a convex hull, relative to the centre; None if there is none.
     """
 
     centre: Direction
@@ -116,15 +122,16 @@ class Terms(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A shape that is drawn or touches things.
+    """Visual or collision shape.
 
     Attributes:
-        name: Its name, "" if it has none.
+        name: Name; "" if there is none.
         kind: ``sphere``, ``box``, ``cylinder``, ``capsule``, ``ellipsoid``, ``mesh`` or another.
-        pose: In its body's frame.
-        size: Radius; radius and half length; or three half sizes (m).
-        collides: Whether it can touch things.
-        read: Returns a mesh in the shape's frame, or the hull of it that touches; None if unknown.
+        pose: Pose in the frame of the body.
+        size: Radius; radius and half length; or three half sizes [m].
+        collides: Whether the shape can collide.
+        read: Function that returns the mesh, or its hull for collisions, in the frame of the shape;
+            None if unknown.
     """
 
     name: str
@@ -136,24 +143,24 @@ class Shape:
 
     @cached_property
     def mesh(self) -> Mesh | None:
-        """What was read: only its convex hull counts here, as in the engines' collisions."""
+        """Mesh of the shape, read once. As in MuJoCo, only its convex hull matters."""
         return self.read()
 
     def placed_in(self, pose: Pose) -> Shape:
-        """Returns the same shape in the frame in which its body has a pose."""
+        """Return the shape, expressed in the frame in which its body has a pose."""
         return replace(self, pose=pose * self.pose)
 
     @property
     def diagnostic(self) -> Diagnostic:
-        """The shape as a fact: its kind, sizes and place."""
+        """Kind, sizes and position as a diagnostic."""
         x, y, z = (Quantity(float(value), "m") for value in self.pose.position)
         sizes = tuple(Quantity(size, "m") for size in self.size)
         return diagnose("shape", kind=Term(self.kind), sizes=sizes, x=x, y=y, z=z)
 
     @cached_property
     def terms(self) -> Terms | None:
-        """What it is the sum of; None if its extent is not known (a missing mesh, a plane)."""
-        turn, size, hull = self.pose.rotation, self.size, None
+        """Terms of the Minkowski sum; None if the extent is unknown (missing mesh, plane)."""
+        rotation, size, hull = self.pose.rotation, self.size, None
         bars, radii, ball = list[tuple[int, float]](), list[tuple[int, float]](), 0.0
         match self.kind:
             case "sphere":
@@ -169,12 +176,12 @@ class Shape:
             case "capsule":
                 bars, ball = [(2, size[1])], size[0]
             case "mesh" if self.mesh is not None:
-                hull = np.ascontiguousarray(self.mesh.vertices @ turn.T)
+                hull = np.ascontiguousarray(self.mesh.vertices @ rotation.T)
             case _:
                 return None
 
-        def along(axis: int, length: float) -> Direction:
-            x, y, z = (length * turn[:, axis]).tolist()
+        def along(axis: int, half_length: float) -> Direction:
+            x, y, z = (half_length * rotation[:, axis]).tolist()
             return x, y, z
 
         x, y, z = self.pose.position.tolist()
@@ -187,47 +194,48 @@ class Shape:
         )
 
     def support(self, directions: Array) -> Array | None:
-        """Returns the support function of its convex hull, in its body's frame.
+        """Return the support function of the convex hull, in the frame of the body.
 
-        h(d) = max over points x of the hull of d'x, which of a sum of convex sets is the sum of
-        theirs. Two shapes have one hull if their functions are the same, wherever their axes point:
-        MuJoCo and most engines touch with the hull.
+        h(d) = max over points x of the hull of d^T x. The support function of a Minkowski sum is
+        the sum of the support functions of its terms. Two shapes have the same convex hull if their
+        support functions are equal; MuJoCo and most other engines collide convex hulls.
 
         Args:
-            directions: (n, 3) unit vectors in the body's frame.
+            directions: Unit vectors (n, 3) in the frame of the body.
 
         Returns:
-            (n,) (m); None if the extent is not known.
+            Values (n,) [m]; None if the extent is unknown.
         """
         if self.terms is None:
             return None
         centre, bars, radii, ball, hull = self.terms
-        reach = directions @ np.array(centre) + ball
+        support = directions @ np.array(centre) + ball
         if bars:
-            reach += np.abs(directions @ np.array(bars).T).sum(axis=1)
+            support += np.abs(directions @ np.array(bars).T).sum(axis=1)
         if radii:
-            reach += np.linalg.norm(directions @ np.array(radii).T, axis=1)
+            support += np.linalg.norm(directions @ np.array(radii).T, axis=1)
         if hull is not None:
-            reach += (directions @ hull.T).max(axis=1)
-        return np.asarray(reach)
+            support += (directions @ hull.T).max(axis=1)
+        return np.asarray(support)
 
     def height(self, link: tuple[Array, Array], normal: Direction) -> float:
-        """Returns how high its lowest point is above a plane through the origin (m).
+        """Return the height [m] of the lowest point above a plane through the world origin.
 
-        It reaches below its centre by its support function.
+        The lowest point is below the centre by the value of the support function at -normal. Scalar
+        arithmetic is used because this function is called often.
 
         Args:
-            link: Rotation (3, 3) and place (3,) of its body.
-            normal: Of the plane, a unit vector.
+            link: Rotation (3, 3) and position (3,) [m] of the body.
+            normal: Unit normal of the plane.
         """
-        turn, place = link
+        rotation, position = link
         a, b, c = normal
-        # The normal in the link's axes, and the height of the link's origin.
+        # Normal in the axes of the link, and height of the link's origin.
         if a == 0.0 and b == 0.0:
-            (u, v, w), height = turn[2].tolist(), place.item(2)
+            (u, v, w), height = rotation[2].tolist(), position.item(2)
         else:
-            (xx, xy, xz), (yx, yy, yz), (u, v, w) = turn.tolist()
-            at_x, at_y, height = place.tolist()
+            (xx, xy, xz), (yx, yy, yz), (u, v, w) = rotation.tolist()
+            at_x, at_y, height = position.tolist()
             u, v, w = a * xx + b * yx + c * u, a * xy + b * yy + c * v, a * xz + b * yz + c * w
             height = a * at_x + b * at_y + c * height
         (x, y, z), bars, radii, ball, hull = self.terms  # type: ignore[misc]
@@ -241,56 +249,60 @@ class Shape:
         return float(height)
 
     def lowest(self, link: tuple[Array, Array], normal: Array) -> Array:
-        """Returns the point (3,) in the world that is lowest above a plane; see ``height`` (m)."""
-        turn, place = link
-        own = turn.T @ normal
+        """Return the lowest point (3,) [m] in the world above a plane; see ``height``."""
+        rotation, position = link
+        local_normal = rotation.T @ normal
         centre, bars, radii, ball, hull = self.terms  # type: ignore[misc]
-        point = np.array(centre) - ball * own
+        point = np.array(centre) - ball * local_normal
         for bar in bars:
-            point -= math.copysign(1.0, own @ bar) * np.array(bar)
+            point -= math.copysign(1.0, local_normal @ bar) * np.array(bar)
         if radii:
-            reach = np.array(radii) @ own
-            point -= np.array(radii).T @ reach / max(float(np.linalg.norm(reach)), 1e-300)
+            projections = np.array(radii) @ local_normal
+            point -= (
+                np.array(radii).T @ projections / max(float(np.linalg.norm(projections)), 1e-300)
+            )
         if hull is not None:
-            point += hull[(hull @ own).argmin()]
-        lowest: Array = turn @ point + place
+            point += hull[(hull @ local_normal).argmin()]
+        lowest: Array = rotation @ point + position
         return lowest
 
     def outline(self, circle: Array, globe: Array) -> Array | None:
-        """Returns the centres (n, 3) of balls, each of the terms' radius, whose hull is the shape.
+        """Return centres (n, 3) [m] of balls with the radius of the terms, whose hull is the shape.
+
+        Ellipses and ellipsoids are approximated by points.
 
         Args:
-            circle: (n, 2) unit vectors, the points of ellipses that count.
-            globe: (n, 3) unit vectors, those of ellipsoids.
+            circle: Unit vectors (n, 2), the sampled points of ellipses.
+            globe: Unit vectors (n, 3), the sampled points of ellipsoids.
 
         Returns:
-            In the body's frame (m); None if the extent is not known.
+            Centres in the frame of the body; None if the extent is unknown.
         """
         if self.terms is None:
             return None
         centre, bars, radii, _, hull = self.terms
         points: Array = np.array([centre]) if hull is None else centre + hull
-        sums = [np.array([[-1.0], [1.0]]) * bar for bar in bars]
+        summands = [np.array([[-1.0], [1.0]]) * bar for bar in bars]
         if radii:
-            sums.append((circle if len(radii) == 2 else globe) @ np.array(radii))
-        for one in sums:
-            points = (points[:, None] + one).reshape(-1, 3)
+            summands.append((circle if len(radii) == 2 else globe) @ np.array(radii))
+        for summand in summands:
+            points = (points[:, None] + summand).reshape(-1, 3)
         return points
 
     @property
     def points(self) -> Array | None:
-        """Points (n, 3) in the body's frame whose convex hull is the shape's, nearly (m).
+        """Points (n, 3) [m] in the frame of the body, with approximately the hull of the shape.
 
-        None if the extent is not known.
+        None if the extent is unknown.
         """
-        centres = self.outline(_CIRCLE, _GLOBE)
+        centres = self.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
         if centres is None or self.terms is None or not self.terms.ball:
             return centres
-        return (centres[:, None] + self.terms.ball * _GLOBE).reshape(-1, 3)
+        return (centres[:, None] + self.terms.ball * _SPHERE_POINTS).reshape(-1, 3)
 
     @cached_property
     def collision(self) -> coal.CollisionGeometry:
-        """The shape in coal; it is one of ``CONVEX``, its mesh known."""
+        """Shape in coal. The kind must be in ``NUM_SIZES``, and a mesh must be known."""
         match self.kind, self.size:
             case "sphere", (r,):
                 return coal.Sphere(r)
@@ -309,27 +321,35 @@ class Shape:
         return coal.Convex(corners, triangles)
 
 
-_GLOBE = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-_GLOBE /= np.linalg.norm(_GLOBE, axis=1, keepdims=True)
-_CIRCLE = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 17)[:-1]])
+_SPHERE_POINTS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+_SPHERE_POINTS /= np.linalg.norm(_SPHERE_POINTS, axis=1, keepdims=True)
+_CIRCLE_POINTS = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 17)[:-1]])
 
-_SAMPLES = np.concatenate([np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(60, 3))])
-DIRECTIONS = _SAMPLES / np.linalg.norm(_SAMPLES, axis=1, keepdims=True)
-"""(66, 3) in which the extents of two shapes are compared: axes, and enough others that no turn of
-a box or a cylinder hides between them."""
+_SAMPLE_VECTORS = np.concatenate(
+    [np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(60, 3))]
+)
+COMPARISON_DIRECTIONS = _SAMPLE_VECTORS / np.linalg.norm(_SAMPLE_VECTORS, axis=1, keepdims=True)
+"""Directions (66, 3) in which the extents of two shapes are compared: the axes and 60 random
+directions, so that rotations of a box or a cylinder are detected."""
 
-CONVEX: Final = {"sphere": 1, "box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2, "mesh": 0}
-"""{kind: how many sizes it has} of MuJoCo's shapes that have an extent."""
+NUM_SIZES: Final = {"sphere": 1, "box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2, "mesh": 0}
+"""{kind: number of sizes} of MuJoCo's shapes with a finite extent."""
 
 
 def read_shape(model: mujoco.MjModel, geom: int, data: mujoco.MjData | None = None) -> Shape:
-    """Returns the shape of a geom, in its body's frame; in the world where ``data`` has it."""
+    """Return the shape of a geom in the frame of its body, or in the world frame.
+
+    Args:
+        model: MuJoCo model.
+        geom: Id of the geom.
+        data: If given, the shape is expressed in the world frame at this state.
+    """
     kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
     if data is None:
         pose = Pose(np.array(model.geom_pos[geom]), rotation_from_quaternion(model.geom_quat[geom]))
     else:
         pose = Pose(data.geom_xpos[geom].copy(), data.geom_xmat[geom].reshape(3, 3).copy())
-    size = tuple(model.geom_size[geom][: CONVEX.get(kind, 0)].tolist())
+    size = tuple(model.geom_size[geom][: NUM_SIZES.get(kind, 0)].tolist())
     collides = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
     name = model.geom(geom).name
     if kind != "mesh":
@@ -339,25 +359,27 @@ def read_shape(model: mujoco.MjModel, geom: int, data: mujoco.MjData | None = No
 
 
 def read_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
-    """Returns a mesh of MuJoCo's."""
-    start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    begin, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    """Return a mesh of a MuJoCo model."""
+    first_vertex, num_vertices = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    first_face, num_faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     return Mesh(
-        np.array(model.mesh_vert[start : start + count], dtype=float),
-        np.array(model.mesh_face[begin : begin + number], dtype=np.int64),
+        np.array(model.mesh_vert[first_vertex : first_vertex + num_vertices], dtype=float),
+        np.array(model.mesh_face[first_face : first_face + num_faces], dtype=np.int64),
     )
 
 
 def _read_hull(model: mujoco.MjModel, mesh: int) -> Mesh:
-    """Returns the convex hull of a mesh: MuJoCo's own, if any collision asks for it.
+    """Return the convex hull of a mesh: that of MuJoCo if available, otherwise computed.
 
-    See the compiler's ``mesh_graph``: numbers of corners and faces, where each corner's edges
-    begin, the corners' numbers in the mesh, the edges, and the faces by numbers in the mesh.
+    The layout of ``mesh_graph`` is that of MuJoCo's compiler: numbers of vertices and faces,
+    address of the edges of each vertex, mesh numbers of the vertices, edges, faces as mesh numbers.
     """
-    graph, whole = int(model.mesh_graphadr[mesh]), read_mesh(model, mesh)
-    if graph < 0:
-        return whole.hull()
-    corners, faces = model.mesh_graph[graph : graph + 2].tolist()
-    numbers = model.mesh_graph[graph + 2 + corners : graph + 2 + 2 * corners]
-    at = graph + 2 + 3 * corners + 3 * faces
-    return whole.part(numbers, model.mesh_graph[at : at + 3 * faces].reshape(-1, 3))
+    address, mesh_with_all_vertices = int(model.mesh_graphadr[mesh]), read_mesh(model, mesh)
+    if address < 0:
+        return mesh_with_all_vertices.hull()
+    num_corners, num_faces = model.mesh_graph[address : address + 2].tolist()
+    numbers = model.mesh_graph[address + 2 + num_corners : address + 2 + 2 * num_corners]
+    faces_address = address + 2 + 3 * num_corners + 3 * num_faces
+    return mesh_with_all_vertices.part(
+        numbers, model.mesh_graph[faces_address : faces_address + 3 * num_faces].reshape(-1, 3)
+    )

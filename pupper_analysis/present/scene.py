@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from pupper_analysis.models.shapes import CONVEX, Mesh, Shape, read_mesh, read_shape
+from pupper_analysis.models.shapes import NUM_SIZES, Mesh, Shape, read_mesh, read_shape
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground, Step
 from pupper_analysis.robot.robot import Robot
@@ -252,7 +252,7 @@ def shown_geoms(model: mujoco.MjModel) -> list[int]:
     own = [
         geom
         for geom in range(model.ngeom)
-        if model.geom_bodyid[geom] and read_shape(model, geom).kind in CONVEX
+        if model.geom_bodyid[geom] and read_shape(model, geom).kind in NUM_SIZES
     ]
     return [geom for geom in own if model.geom_group[geom] < SHOWN_GROUPS] or own
 

@@ -1,8 +1,8 @@
-"""Limbs that are alike: what some of them carry, and others do not.
+"""Detection of a limb without a foot among limbs with the same structure.
 
-Structure is a witness that no number is. Limbs with the same joints and the same masses are made to
-do the same; where most end in a foot on the ground and one does not, a digit of its file is wrong,
-or a shape is missing.
+Limbs with the same joints, and with equal masses or dimensions, have the same function. If most of
+these limbs end in a foot on the ground and one does not, its file contains a wrong value or lacks a
+shape.
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-_ALIKE = 0.05
-"""Masses of links that are alike differ by no more than this part of them, and the ways from joint
-to joint by no more than this part of a limb: left and right ones of published robots are within
-1 %. One of the two is enough: a digit that is wrong is in one of them."""
+_SIMILARITY_TOLERANCE = 0.05
+"""Tolerance for similar limbs: of masses, relative; of distances between joints, relative to the
+length of the limb; of |cos| between axes, absolute. Left and right limbs of published robots agree
+within 1 %. Either masses or dimensions must agree, because a single wrong value affects only one of
+them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A limb, from the base outwards.
+    """Limb, from the base to its end.
 
     Attributes:
-        bodies: The ids of its moving bodies.
-        kinds: Its joints' kinds.
-        masses: What its bodies weigh, with what is fixed to them (kg).
-        lengths: From one joint to the next (m), which no mirror changes.
-        turns: |cos| between their axes, likewise.
+        bodies: Ids of the moving bodies.
+        kinds: Types of the joints.
+        masses: Masses [kg] of the bodies, with the bodies fixed to them.
+        lengths: Distances [m] between successive joints, invariant under mirroring.
+        turns: |cos| of the angles between successive joint axes, invariant under mirroring.
     """
 
     bodies: tuple[int, ...]
@@ -43,27 +44,35 @@ class Limb:
     turns: Array
 
     def like(self, other: Limb) -> bool:
-        """Tells whether two limbs have the same joints, and are of one weight or one shape."""
+        """Return True if two limbs have the same joint types and similar masses or dimensions."""
         if self.kinds != other.kinds:
             return False
-        size = np.maximum(self.lengths, other.lengths).sum()
-        long = np.abs(self.lengths - other.lengths) <= _ALIKE * size
-        if size and long.all() and (np.abs(self.turns - other.turns) <= _ALIKE).all():
+        total_length = np.maximum(self.lengths, other.lengths).sum()
+        are_lengths_similar = (
+            np.abs(self.lengths - other.lengths) <= _SIMILARITY_TOLERANCE * total_length
+        )
+        if (
+            total_length
+            and are_lengths_similar.all()
+            and (np.abs(self.turns - other.turns) <= _SIMILARITY_TOLERANCE).all()
+        ):
             return True
         if len(self.masses) != len(other.masses):
             return False
-        most = np.maximum(self.masses, other.masses)
-        return bool((np.abs(self.masses - other.masses) <= _ALIKE * most).all())
+        larger_mass = np.maximum(self.masses, other.masses)
+        return bool(
+            (np.abs(self.masses - other.masses) <= _SIMILARITY_TOLERANCE * larger_mass).all()
+        )
 
 
 def limbs_of(robot: Robot) -> list[Limb]:
-    """Returns the limbs of a robot, each to an end that carries nothing that moves."""
+    """Return the limbs of a robot, from the base to each body that carries no moving body."""
     model, data = robot.mj_model, robot.placed()
     weld, base = model.body_weldid, int(model.body_weldid[model.body(robot.mj_base).id])
-    found = []
-    for end in limb_ends(model):
+    limbs = []
+    for end_body in limb_ends(model):
         bodies: list[int] = []
-        body = int(end)
+        body = int(end_body)
         while body not in (0, base):
             if int(weld[body]) == body:
                 bodies.insert(0, body)
@@ -72,41 +81,46 @@ def limbs_of(robot: Robot) -> list[Limb]:
             continue
         joints = np.flatnonzero(np.isin(model.jnt_bodyid, bodies))
         joints = joints[
-            np.argsort([bodies.index(at) for at in model.jnt_bodyid[joints]], kind="stable")
+            np.argsort(
+                [bodies.index(body_of_joint) for body_of_joint in model.jnt_bodyid[joints]],
+                kind="stable",
+            )
         ]
         masses = [float(model.body_mass[weld == body].sum()) for body in bodies]
         kinds = tuple(model.jnt_type[joints].tolist())
         lengths = np.linalg.norm(np.diff(data.xanchor[joints], axis=0), axis=1)
         axes = data.xaxis[joints]
         turns = np.abs((axes[1:] * axes[:-1]).sum(axis=1))
-        found.append(Limb(tuple(bodies), kinds, np.array(masses), lengths, turns))
-    return found
+        limbs.append(Limb(tuple(bodies), kinds, np.array(masses), lengths, turns))
+    return limbs
 
 
 def structure(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Tells of limbs that have no foot, where limbs that are alike have one.
+    """Report the limbs without a foot if at least half of the similar limbs have a foot.
 
-    Feet that were named are as they were named, and no limb is missed.
+    The result is empty if the user named the feet.
     """
     if not any(note.code == "feet-found" for note in robot.notes):
         return ()
     model, messages, limbs = robot.mj_model, [], limbs_of(robot)
-    own = (body for point, (body, _) in robot.contact_places.items() if point not in robot.hands)
-    carrying = {int(model.body_weldid[body]) for body in own}
-    footed = [limb for limb in limbs if limb.bodies[-1] in carrying]
+    foot_bodies = (
+        body for point, (body, _) in robot.contact_places.items() if point not in robot.hands
+    )
+    moving_foot_bodies = {int(model.body_weldid[body]) for body in foot_bodies}
+    limbs_with_foot = [limb for limb in limbs if limb.bodies[-1] in moving_foot_bodies]
     for limb in limbs:
-        alike = [other for other in footed if other.like(limb)]
-        if limb in footed or not alike:
+        similar_with_foot = [other for other in limbs_with_foot if other.like(limb)]
+        if limb in limbs_with_foot or not similar_with_foot:
             continue
-        every = [other for other in limbs if other.like(limb)]
-        if len(alike) * 2 < len(every):
+        similar = [other for other in limbs if other.like(limb)]
+        if len(similar_with_foot) * 2 < len(similar):
             continue
         messages.append(
             diagnose(
                 "limb-without-foot",
                 subject=("body", model.body(limb.bodies[-1]).name),
-                feet=len(alike),
-                alike=len(every),
+                feet=len(similar_with_foot),
+                alike=len(similar),
             )
         )
     return tuple(messages)

@@ -1,4 +1,4 @@
-"""How soft the ground under a foot is in MuJoCo, at rest and creeping."""
+"""Static stiffness and creep viscosity of MuJoCo's contact between a foot and the ground."""
 
 from __future__ import annotations
 
@@ -11,38 +11,43 @@ import mujoco
 from pupper_analysis.robot.impedance import clip_solimp, solimp_impedance
 from pupper_analysis.robot.robot import Robot
 
-_MAX_ITERATIONS = 200  # in search of a depth: 5 do, but for laws that no Newton step fits
+_MAX_ITERATIONS = 200
+"""Maximum number of iterations for a depth. Usually 5 are sufficient; bisection needs more."""
 
-_FREELY = 4  # Newton steps from a depth that is not far off; two do
+_NUM_UNBOUNDED_STEPS = 4
+"""Maximum number of Newton steps from a given nearby depth; usually two are sufficient."""
 
-_QUADRATIC = 1e-9  # of a depth: a Newton step as short as that leaves the square of it
+_STEP_RTOL = 1e-9
+"""Relative length of a Newton step after which the iteration ends. The remaining error is of the
+order of its square."""
 
-_ROUNDING = 4e-16  # of a depth
+_DEPTH_RTOL = 4e-16
+"""Relative distance of the bounds of a depth at which the iteration ends: rounding error."""
 
 
 @dataclass(frozen=True)
 class GroundLaw:
-    """The ground under one foot, as MuJoCo has it at rest.
+    """Force law of the ground under one foot, as in MuJoCo at rest.
 
-    With r the penetration, and the contact's margin, d(r) the impedance of ``solimp`` and A the
-    ``diagApprox`` of the contact, R = (1 - d)/d A; a constraint at rest has the force aref / R,
-    aref = k d r - b v. So
+    r is the penetration plus the contact margin, d(r) the impedance of ``solimp``, A the
+    ``diagApprox`` of the contact, and R = (1 - d)/d A. A constraint at rest has the force aref / R,
+    aref = k d r - b v. Therefore
 
         normal force:      f = k d(r)^2 r / ((1 - d(r)) A)
         tangential force:  f = -c v, c = b d / ((1 - d) A_t), A_t = A / impratio  (a creeping foot)
 
     with k = 1/(dmax timeconst dampratio)^2 and b = 2/(dmax timeconst), or -solref/(dmax^2, dmax).
 
-    Source: MuJoCo documentation, "Computation: Solver parameters"; engine_core_constraint.c.
+    Source: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 
     Attributes:
-        stiffness: k (1/s^2).
-        damping: b (1/s).
-        solimp: dmin, dmax, width (m), midpoint, power; within MuJoCo's bounds.
-        normal: A (1/kg).
-        tangential: A_t (1/kg); infinite without friction.
-        margin: Height above the ground from which on the contact pushes (m). Depths are those of
-            the shapes: they begin at -margin.
+        stiffness: k [1/s^2].
+        damping: b [1/s].
+        solimp: dmin, dmax, width [m], midpoint, power; within MuJoCo's bounds.
+        normal: A [1/kg].
+        tangential: A_t [1/kg]; infinite without friction.
+        margin: Height [m] above the ground at which the contact begins. Depths are penetrations of
+            the shapes, and start at -margin.
     """
 
     stiffness: float
@@ -54,7 +59,7 @@ class GroundLaw:
 
     @staticmethod
     def of(robot: Robot, foot: str) -> GroundLaw:
-        """Returns the law of one foot's contact with the ground, cone elliptic or pyramidal."""
+        """Return the law of the contact between a foot and the ground, for either friction cone."""
         model, parameters = robot.mj_model, robot.contacts[foot]
         solimp = clip_solimp(parameters.solimp)
         dmax = solimp[1]
@@ -66,12 +71,12 @@ class GroundLaw:
         else:
             stiffness, damping = -first / dmax**2, -second / dmax
         normal = float(model.body_invweight0[robot.contact_places[foot][0], 0])
-        # Bounded as MuJoCo bounds it (mj_makeImpedance): an impratio may be infinite.
+        # Same bounds as in MuJoCo (mj_makeImpedance), because impratio may be infinite.
         ratio, mu = max(mujoco.mjMINVAL, float(model.opt.impratio)), parameters.sliding_friction
         tangential = max(mujoco.mjMINVAL, normal / ratio)
         if mu > 0 and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value:
             tangential *= 1 + mu**2
-            normal = tangential * mu**2 / (parameters.condim - 1)  # of its 2 (condim - 1) edges
+            normal = tangential * mu**2 / (parameters.condim - 1)  # 2 (condim - 1) edges
         return GroundLaw(
             stiffness=float(stiffness),
             damping=float(damping),
@@ -82,81 +87,85 @@ class GroundLaw:
         )
 
     def impedance(self, depth: float) -> float:
-        """Returns d at a penetration (m): from dmin at none to dmax at ``width``."""
-        return float(self._impeded(depth)[0])
+        """Return d at a penetration [m]."""
+        return float(self._impedance_and_slope(depth)[0])
 
-    def _impeded(self, depth: float) -> tuple[float, float]:
-        """Returns ``impedance`` and its derivative (1/m)."""
+    def _impedance_and_slope(self, depth: float) -> tuple[float, float]:
+        """Return d and its derivative [1/m] at a penetration [m]."""
         return solimp_impedance(self.solimp, depth + self.margin)
 
     def force(self, depth: float) -> float:
-        """Returns the normal force (N) at a penetration (m) at rest."""
-        d, _ = self._impeded(depth)
+        """Return the normal force [N] at a penetration [m] at rest."""
+        d, _ = self._impedance_and_slope(depth)
         return self.stiffness * d**2 * (depth + self.margin) / ((1 - d) * self.normal)
 
     def rate(self, depth: float) -> float:
-        """Returns the normal stiffness (N/m) at a penetration (m)."""
+        """Return the normal stiffness [N/m] at a penetration [m], by finite differences."""
         start = -self.margin
         low, high = max(depth - 1e-8, start), max(depth, start) + 1e-8
         return (self.force(high) - self.force(low)) / (high - low)
 
     @cached_property
-    def _first_rate(self) -> float:
-        """The normal stiffness (N/m) where the contact begins."""
+    def _initial_stiffness(self) -> float:
+        """Normal stiffness [N/m] at the start of the contact."""
         return self.rate(-self.margin)
 
     def depth(self, force: float, near: float | None = None) -> float:
-        """Returns the penetration (m) under a normal force (N); linear where the foot pulls.
+        """Return the penetration [m] under a normal force; extrapolated linearly if the foot pulls.
+
+        Newton's method, first without bounds from ``near``, then with bounds. A step that leaves
+        the bounds, or that does not halve the residual, is replaced by the geometric mean of the
+        bounds.
 
         Args:
-            force: The force.
-            near: A penetration that is not far from it (m), to begin with.
+            force: Normal force [N].
+            near: Initial guess of the penetration [m], close to the solution.
         """
         start = -self.margin
-        if not self._first_rate:  # a solref of zeros: nothing pushes back
+        if not self._initial_stiffness:  # solref is zero: no contact force
             return math.inf if force > 0 else start
-        linear = force / self._first_rate
+        linear = force / self._initial_stiffness
         if force <= 0:
             return start + linear
-        if near is not None:  # where Newton's iteration converges, as a rule: bounds cost as much
+        if near is not None:  # computing bounds would take as long as Newton's method
             x = near - start
-            for _ in range(_FREELY):
+            for _ in range(_NUM_UNBOUNDED_STEPS):
                 if not x > 0:
                     break
-                found, slope = self._pressed(start + x)
+                pressed_force, slope = self._force_and_stiffness(start + x)
                 if not slope > 0:
                     break
-                last, x = x, x - (found - force) / slope
-                if abs(x - last) <= _QUADRATIC * last:
+                previous, x = x, x - (pressed_force - force) / slope
+                if abs(x - previous) <= _STEP_RTOL * previous:
                     return start + x
         high = 2 * linear
-        while self.force(start + high) < force:  # on ground that gets softer as a foot sinks
+        while self.force(start + high) < force:  # ground that softens with depth
             high *= 2
-        # Newton's iteration, held between bounds that close in on x, how deep beyond the margin.
-        low, x, last = 0.0, linear, math.inf
+        # x is the penetration plus the margin.
+        low, x, previous = 0.0, linear, math.inf
         for _ in range(_MAX_ITERATIONS):
-            found, slope = self._pressed(start + x)
-            left = found - force
-            low, high = (x, high) if left < 0 else (low, x)
-            tried = x - left / slope if slope > 0 else math.inf
-            if abs(tried - x) <= _QUADRATIC * x:
-                return start + tried
-            if not low < tried < high or abs(left) > last / 2:
-                tried = math.sqrt(low * high) or high / 2
-            if high - low <= _ROUNDING * x:
-                return start + tried
-            x, last = tried, abs(left)
+            pressed_force, slope = self._force_and_stiffness(start + x)
+            residual = pressed_force - force
+            low, high = (x, high) if residual < 0 else (low, x)
+            candidate = x - residual / slope if slope > 0 else math.inf
+            if abs(candidate - x) <= _STEP_RTOL * x:
+                return start + candidate
+            if not low < candidate < high or abs(residual) > previous / 2:
+                candidate = math.sqrt(low * high) or high / 2
+            if high - low <= _DEPTH_RTOL * x:
+                return start + candidate
+            x, previous = candidate, abs(residual)
         return start + x
 
-    def _pressed(self, depth: float) -> tuple[float, float]:
-        """Returns ``force`` (N) and its derivative (N/m)."""
-        d, steeper = self._impeded(depth)
-        deep = depth + self.margin
-        changing = steeper * (2 - d) * d / (1 - d) ** 2 * deep
-        force = self.stiffness * d**2 * deep / ((1 - d) * self.normal)
-        return force, self.stiffness * (changing + d**2 / (1 - d)) / self.normal
+    def _force_and_stiffness(self, depth: float) -> tuple[float, float]:
+        """Return the normal force [N] and its derivative [N/m] at a penetration [m]."""
+        d, impedance_slope = self._impedance_and_slope(depth)
+        penetration = depth + self.margin
+        slope_term = impedance_slope * (2 - d) * d / (1 - d) ** 2 * penetration
+        force = self.stiffness * d**2 * penetration / ((1 - d) * self.normal)
+        return force, self.stiffness * (slope_term + d**2 / (1 - d)) / self.normal
 
     def viscosity(self, depth: float) -> float:
-        """Returns c (N s/m), tangential force per creep velocity, at a penetration (m)."""
+        """Return c [N s/m], tangential force per creep velocity, at a penetration [m]."""
         d = self.impedance(depth)
         return self.damping * d / ((1 - d) * self.tangential)

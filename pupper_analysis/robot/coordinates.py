@@ -1,17 +1,17 @@
-"""The one convention of the public interface, and the way from it to each engine's own.
+"""Public generalised coordinates, and their maps to the coordinates of Pinocchio and MuJoCo.
 
 Public coordinates are MuJoCo's, with the joints in actuator order:
 
-* ``qpos`` (nq,): base position in the world (m), base quaternion (w, x, y, z), joint positions;
-* ``qvel`` (nv,): base linear velocity in the world frame (m/s), base angular velocity in the base
-  frame (rad/s), joint velocities;
-* generalised forces and Jacobian columns are dual to that ``qvel``.
+* ``qpos`` (nq,): base position [m] in the world, base quaternion (w, x, y, z), joint positions;
+* ``qvel`` (nv,): base linear velocity [m/s] in the world frame, base angular velocity [rad/s] in
+  the base frame, joint velocities;
+* generalised forces and Jacobian columns are dual to ``qvel``.
 
-A robot with a fixed base has the joints alone. Every joint has one coordinate.
+A robot with a fixed base has the joint coordinates only. Each joint has one coordinate.
 
-With R the base's rotation, Pinocchio's velocity is v_pin = T qvel with T = diag(R^T, 1, P), P a
-permutation, so that M = T^T M_pin T, J = J_pin T and g = T^T g_pin; because T changes with R, the
-velocity-dependent forces are h = T^T (h_pin + M_pin dT/dt qvel).
+With R the rotation of the base, Pinocchio's velocity is v_pin = T qvel with T = diag(R^T, 1, P), P
+a permutation. Therefore M = T^T M_pin T, J = J_pin T and g = T^T g_pin. Because T changes with R,
+the velocity-dependent forces are h = T^T (h_pin + M_pin dT/dt qvel).
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ IntArray = NDArray[np.int64]
 
 
 def normalise_quaternion(qpos: Array) -> None:
-    """Normalises the quaternion of a free base, in place.
+    """Normalise the quaternion of a free base, in place.
 
     Raises:
-        ConfigurationError: If it is zero.
+        ConfigurationError: If the quaternion is zero.
     """
     norm = math.hypot(*qpos[3:7].tolist())
     if norm < 1e-9:
@@ -50,13 +50,16 @@ def normalise_quaternion(qpos: Array) -> None:
 
 @dataclass(frozen=True, eq=False)
 class PinocchioConvention:
-    """Maps public coordinates to those of a Pinocchio model, whose joints are in another order.
+    """Maps between public coordinates and those of a Pinocchio model with another joint order.
 
     Attributes:
         floating: Whether the first joint is a free flyer.
-        q_index: (n,) where each joint's coordinate starts in Pinocchio's q.
-        v_index: (n,) where each joint's velocity is in Pinocchio's v.
-        unbounded: (n,) whether the joint is ``continuous``, held as (cos, sin).
+        nq: Size of Pinocchio's q.
+        nv: Size of Pinocchio's v.
+        q_index: Address (n,) of each joint in Pinocchio's q.
+        v_index: Address (n,) of each joint in Pinocchio's v.
+        unbounded: Whether each joint is ``continuous``, with the coordinates (cos, sin), shape
+            (n,).
     """
 
     floating: bool
@@ -68,7 +71,7 @@ class PinocchioConvention:
 
     @staticmethod
     def of(model: pin.Model, joint_names: Sequence[str]) -> PinocchioConvention:
-        """Returns the maps between ``joint_names`` in their order and a model."""
+        """Return the maps between ``joint_names``, in this order, and a model."""
         joints = [model.joints[model.getJointId(name)] for name in joint_names]
         return PinocchioConvention(
             floating=model.nv > sum(joint.nv for joint in joints),
@@ -81,20 +84,20 @@ class PinocchioConvention:
 
     @property
     def base_nv(self) -> int:
-        """6 for a floating base, 0 for a fixed one."""
+        """Degrees of freedom of the base: 6 if floating, 0 if fixed."""
         return 6 if self.floating else 0
 
     def q(self, qpos: Array) -> Array:
-        """Returns Pinocchio's q (model.nq,) of a public qpos."""
+        """Return Pinocchio's q (model.nq,) for a public qpos; the quaternion is normalised."""
         q = self.unit_q(qpos)
         if self.floating:
             q[3:7] /= math.hypot(*q[3:7].tolist())
         return q
 
     def unit_q(self, qpos: Array) -> Array:
-        """Returns Pinocchio's q (model.nq,) of a public qpos whose quaternion is normalised."""
-        if self._order is not None:
-            q: Array = qpos.take(self._order)
+        """Return Pinocchio's q (model.nq,) for a public qpos with a normalised quaternion."""
+        if self._qpos_address_of_q is not None:
+            q: Array = qpos.take(self._qpos_address_of_q)
             return q
         q = self.with_joints(np.empty(self.nq), qpos[7 if self.floating else 0 :])
         if self.floating:
@@ -102,8 +105,8 @@ class PinocchioConvention:
         return q
 
     @cached_property
-    def _order(self) -> IntArray | None:
-        """Where each element of q is in qpos; None where one is a cosine."""
+    def _qpos_address_of_q(self) -> IntArray | None:
+        """Address in qpos of each element of q; None if the robot has continuous joints."""
         if self.unbounded.any():
             return None
         base = [0, 1, 2, 4, 5, 6, 3] if self.floating else []
@@ -113,27 +116,27 @@ class PinocchioConvention:
         return order
 
     @cached_property
-    def _back(self) -> IntArray | None:
-        """Where each element of qpos is in q; None where one is an angle of a cosine."""
-        return None if self._order is None else np.argsort(self._order)
+    def _q_address_of_qpos(self) -> IntArray | None:
+        """Address in q of each element of qpos; None if the robot has continuous joints."""
+        return None if self._qpos_address_of_q is None else np.argsort(self._qpos_address_of_q)
 
     def with_joints(self, q: Array, joints: Array) -> Array:
-        """Returns Pinocchio's q (model.nq,) with other joint positions (n,), and the same base."""
-        other = q.copy()
-        turning = self.unbounded
-        other[self.q_index[~turning]] = joints[~turning]
-        other[self.q_index[turning]] = np.cos(joints[turning])
-        other[self.q_index[turning] + 1] = np.sin(joints[turning])
-        return other
+        """Return a copy of Pinocchio's q (model.nq,) with other joint positions (n,)."""
+        result = q.copy()
+        unbounded = self.unbounded
+        result[self.q_index[~unbounded]] = joints[~unbounded]
+        result[self.q_index[unbounded]] = np.cos(joints[unbounded])
+        result[self.q_index[unbounded] + 1] = np.sin(joints[unbounded])
+        return result
 
     def qpos(self, q: Array) -> Array:
-        """Returns the public qpos of Pinocchio's q; a continuous joint's is in (-pi, pi]."""
-        if self._back is not None:
-            there: Array = q.take(self._back)
-            return there
+        """Return the public qpos for Pinocchio's q; continuous joints are in (-pi, pi]."""
+        if self._q_address_of_qpos is not None:
+            qpos: Array = q.take(self._q_address_of_qpos)
+            return qpos
         joints = q[self.q_index]
-        turning = self.q_index[self.unbounded]
-        joints[self.unbounded] = np.arctan2(q[turning + 1], q[turning])
+        cosine_address = self.q_index[self.unbounded]
+        joints[self.unbounded] = np.arctan2(q[cosine_address + 1], q[cosine_address])
         if not self.floating:
             return joints
         return np.concatenate([q[:3], q[[6, 3, 4, 5]], joints])
@@ -141,14 +144,16 @@ class PinocchioConvention:
 
 @dataclass(frozen=True, eq=False)
 class MujocoConvention:
-    """Maps public coordinates to those of a MuJoCo model.
+    """Maps between public coordinates and those of a MuJoCo model, which differ in their order.
 
-    MuJoCo's are the public ones but for the order: ``data.qpos[qpos_index]`` is the public qpos,
-    and likewise for velocities. A motor's first control is in ``data.ctrl`` at
-    ``model.actuator_ctrladr[actuator_index]``.
+    ``data.qpos[qpos_index]`` is the public qpos, ``data.qvel[qvel_index]`` the public qvel. The
+    first control of an actuator is ``data.ctrl[model.actuator_ctrladr[actuator_index]]``.
 
     Attributes:
-        actuator_index: (n,) the actuator of each joint, -1 where it has none.
+        qpos_index: Address (nq,) of each public coordinate in MuJoCo's qpos.
+        qvel_index: Address (nv,) of each public velocity in MuJoCo's qvel.
+        actuator_index: Actuator (n,) of each joint; -1 if there is none. If a joint has several,
+            the last.
     """
 
     qpos_index: IntArray
@@ -157,17 +162,17 @@ class MujocoConvention:
 
     @staticmethod
     def of(model: mujoco.MjModel, joint_names: Sequence[str]) -> MujocoConvention:
-        """Returns the maps between ``joint_names`` in their order and a model."""
+        """Return the maps between ``joint_names``, in this order, and a model."""
         qpos: list[int] = []
         qvel: list[int] = []
         free = free_joints(model)
         if free:
             qpos += range(model.jnt_qposadr[free[0]], model.jnt_qposadr[free[0]] + 7)
             qvel += range(model.jnt_dofadr[free[0]], model.jnt_dofadr[free[0]] + 6)
-        drives = {
-            model.joint(int(model.actuator_trnid[a, 0])).name: a
-            for a in range(model.nactuator)
-            if is_at_one_joint(model, a)
+        actuator_by_joint = {
+            model.joint(int(model.actuator_trnid[actuator, 0])).name: actuator
+            for actuator in range(model.nactuator)
+            if is_at_one_joint(model, actuator)
         }
         for name in joint_names:
             joint = model.joint(name).id
@@ -176,10 +181,12 @@ class MujocoConvention:
         return MujocoConvention(
             qpos_index=np.array(qpos, dtype=np.int64),
             qvel_index=np.array(qvel, dtype=np.int64),
-            actuator_index=np.array([drives.get(name, -1) for name in joint_names], dtype=np.int64),
+            actuator_index=np.array(
+                [actuator_by_joint.get(name, -1) for name in joint_names], dtype=np.int64
+            ),
         )
 
     def set_state(self, data: mujoco.MjData, qpos: Array, qvel: Array | None = None) -> None:
-        """Writes a public state into MuJoCo's data, and computes nothing."""
+        """Write a public state to MuJoCo's data without computing anything; default qvel is 0."""
         data.qpos[self.qpos_index] = qpos
         data.qvel[self.qvel_index] = 0.0 if qvel is None else qvel

@@ -1,4 +1,4 @@
-"""The ground of an MJCF: the plane on which its robot stands."""
+"""Ground plane of an MJCF: search, removal, and levelling."""
 
 from __future__ import annotations
 
@@ -16,70 +16,72 @@ from pupper_analysis.models.spec_tree import SpecTree
 
 Array = NDArray[np.float64]
 
-_LEVEL = 1e-9
-"""A floor that is no further from z = 0 (m), nor tilted by more (1 - cosine), is there already."""
+_LEVEL_ATOL = 1e-9
+"""Tolerance of a floor that needs no change: distance from z = 0 [m], and x and y components of its
+quaternion."""
 
 
 def floor_of(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
-    """Returns the plane that is fixed to the world."""
+    """Return the first plane that is fixed to the world; None if there is none."""
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
 
 
 def leave_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
-    """Lets planes and height fields of the world touch nothing, in place: a robot hangs there.
+    """Disable the contacts of planes and height fields of the world, in place.
 
     Returns:
-        What was done.
+        Diagnostic of the change; empty if there is no ground.
     """
-    ground = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
-    left = [geom for geom in spec.worldbody.geoms if geom.type in ground]
-    for geom in left:
+    ground_types = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
+    ground_geoms = [geom for geom in spec.worldbody.geoms if geom.type in ground_types]
+    for geom in ground_geoms:
         geom.contype = geom.conaffinity = 0
-        for pair in [one for one in spec.pairs if geom.name in (one.geomname1, one.geomname2)]:
+        for pair in [pair for pair in spec.pairs if geom.name in (pair.geomname1, pair.geomname2)]:
             spec.delete(pair)
-    return [diagnose("ground-touches-nothing")] if left else []
+    return [diagnose("ground-touches-nothing")] if ground_geoms else []
 
 
 def turn_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
-    """Gives a floor an orientation (w, x, y, z), in place of the Euler angles, say, that it has."""
+    """Set the orientation of a floor to a quaternion (w, x, y, z), which replaces other forms."""
     floor.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     floor.quat = quat
 
 
 def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
-    """Makes the ground of an MJCF a level plane at z = 0 in the world, in place.
+    """Make the ground of an MJCF a level plane at z = 0 in the world, in place.
 
-    A floor that belongs to a body is put into the world; one that is tilted, or higher, is laid
-    down. What else stands in the world, stairs, tables and walls, is kept from touching: a robot
-    stands on its ground alone, and slopes and steps are asked for. What a ``<pair>`` says of a
-    contact with the floor becomes that of the geom.
+    A floor on another body is moved to the world, and a tilted or higher floor is levelled.
+    Contacts of other fixed geoms (stairs, tables, walls) are disabled, because slopes and steps are
+    part of the task. Parameters of a ``<pair>`` with the floor are moved to the geom.
 
     Returns:
-        What was done.
+        Diagnostics of the changes.
     """
-    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2) if name}
-    solid = [
+    paired_names = {
+        name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2) if name
+    }
+    collidable_geoms = [
         geom
         for geom in spec.geoms
-        if (geom.contype or geom.conaffinity or geom.name in paired) and is_fixed(geom.parent)
+        if (geom.contype or geom.conaffinity or geom.name in paired_names) and is_fixed(geom.parent)
     ]
-    floors = [geom for geom in solid if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
-    others = [geom for geom in solid if geom not in floors]
-    done: list[Diagnostic] = []
+    floors = [geom for geom in collidable_geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
+    others = [geom for geom in collidable_geoms if geom not in floors]
+    notes: list[Diagnostic] = []
     if floors:
-        floor, done = _laid(spec, floors)
+        floor, notes = _level_floor(spec, floors)
     else:
-        known = floor_of(spec)
-        floor = known or SpecTree(spec).add_floor()
-        done = [] if known else [diagnose("ground-added")]
-    done += _take_pairs(spec, floor)
-    scenery = [*others, *(geom for geom in floors[1:] if not _is_at_home(geom))]
-    return done + _leave_out(scenery)
+        existing = floor_of(spec)
+        floor = existing or SpecTree(spec).add_floor()
+        notes = [] if existing else [diagnose("ground-added")]
+    notes += _replace_pairs(spec, floor)
+    scenery = [*others, *(geom for geom in floors[1:] if not _is_level_at_zero(geom))]
+    return notes + _disable_scenery(scenery)
 
 
 def is_fixed(body: mujoco.MjsBody | None) -> bool:
-    """Tells whether a body stands in the world: no joint is between."""
+    """Return True if a body is fixed to the world: no joint between, and no mocap body."""
     while body is not None and body.name != "world":
         if body.joints or body.mocap:
             return False
@@ -87,27 +89,27 @@ def is_fixed(body: mujoco.MjsBody | None) -> bool:
     return True
 
 
-def _is_at_home(floor: mujoco.MjsGeom) -> bool:
-    """Tells whether a plane is level at z = 0 by what is written, in the world's own axes."""
+def _is_level_at_zero(floor: mujoco.MjsGeom) -> bool:
+    """Return True if a plane is level at z = 0 by its own attributes in the world body."""
     return bool(
         floor.parent.name == "world"
         and floor.frame is None
         and floor.alt.type == mujoco.mjtOrientation.mjORIENTATION_QUAT
-        and abs(floor.pos[2]) < _LEVEL
-        and np.abs(floor.quat[1:3]).max() < _LEVEL
+        and abs(floor.pos[2]) < _LEVEL_ATOL
+        and np.abs(floor.quat[1:3]).max() < _LEVEL_ATOL
     )
 
 
-def _laid(
+def _level_floor(
     spec: mujoco.MjSpec, floors: list[mujoco.MjsGeom]
 ) -> tuple[mujoco.MjsGeom, list[Diagnostic]]:
-    """Returns the floor, which it lays down if need be, in the place of the one that there was.
+    """Return the floor; if no plane is level at z = 0, replace the first by a level plane.
 
-    Of several planes it is one that is at home; ``floors`` begins with it afterwards.
+    The list ``floors`` is reordered so that the result is its first element.
     """
-    best = next((i for i, floor in enumerate(floors) if _is_at_home(floor)), None)
-    floors.insert(0, floors.pop(best or 0))
-    if best is not None:
+    level_index = next((i for i, floor in enumerate(floors) if _is_level_at_zero(floor)), None)
+    floors.insert(0, floors.pop(level_index or 0))
+    if level_index is not None:
         return floors[0], []
     old, new = floors[0], spec.worldbody.add_geom()
     for word in (*GEOM_CONTACT_WORDS, "type", "size", "material", "rgba"):
@@ -119,42 +121,42 @@ def _laid(
     return new, [diagnose("floor-laid-level")]
 
 
-def _leave_out(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
-    """Keeps geoms from touching, and names the bodies or geoms that they are."""
+def _disable_scenery(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
+    """Disable the contacts of geoms, and report the names of geoms or bodies."""
     names: list[str | Diagnostic] = []
     for geom in geoms:
         geom.contype = geom.conaffinity = 0
-        own = geom.name or (geom.parent.name if geom.parent.name != "world" else "")
+        name = geom.name or (geom.parent.name if geom.parent.name != "world" else "")
         kind = Term(geom.type.name.removeprefix("mjGEOM_").lower())
-        names.append(own or diagnose("geom-without-name", kind=kind))
+        names.append(name or diagnose("geom-without-name", kind=kind))
     return [diagnose("scenery-left-out", names=dict.fromkeys(names))] if names else []
 
 
-def _take_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> list[Diagnostic]:
-    """Gives geoms that touch the floor by a ``<pair>`` the contact parameters of the pair."""
+def _replace_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> list[Diagnostic]:
+    """Move the contact parameters of each ``<pair>`` with the floor to its geom, in place."""
     geoms = {geom.name: geom for geom in spec.geoms if geom.name}
-    taken = floor.contype | floor.conaffinity
+    used_bits = floor.contype | floor.conaffinity
     for geom in spec.geoms:
-        taken |= geom.contype | geom.conaffinity
-    bit = next((1 << n for n in range(31) if not taken & 1 << n), 1)
-    named, done = [], []
+        used_bits |= geom.contype | geom.conaffinity
+    free_bit = next((1 << n for n in range(31) if not used_bits & 1 << n), 1)
+    replaced, notes = [], []
     for pair in list(spec.pairs):
-        both = (pair.geomname1, pair.geomname2)
-        other = next((name for name in both if name != floor.name), "")
-        if not floor.name or floor.name not in both or other not in geoms:
+        pair_names = (pair.geomname1, pair.geomname2)
+        other_name = next((name for name in pair_names if name != floor.name), "")
+        if not floor.name or floor.name not in pair_names or other_name not in geoms:
             continue
-        geom = geoms[other]
-        geom.contype |= bit
-        floor.conaffinity |= bit
-        geom.priority = floor.priority + 1  # its parameters count alone, as those of the pair did
+        geom = geoms[other_name]
+        geom.contype |= free_bit
+        floor.conaffinity |= free_bit
+        geom.priority = floor.priority + 1  # the floor's parameters are ignored, as in the pair
         geom.condim, geom.solref, geom.solimp = pair.condim, pair.solref, pair.solimp
-        # A geom has one along both axes: what holds by the lesser holds by both.
+        # A geom has one coefficient for both directions; the smaller is conservative.
         geom.friction = np.minimum(pair.friction[[0, 2, 3]], pair.friction[[1, 2, 4]])
         geom.margin, geom.gap = pair.margin - floor.margin, pair.gap - floor.gap
         if pair.friction[0] != pair.friction[1] or pair.friction[3] != pair.friction[4]:
-            done.append(diagnose("friction-sideways-dropped", subject=("geom", other)))
-        if np.any(pair.solreffriction):  # which no geom has
-            done.append(diagnose("friction-softness-dropped", subject=("geom", other)))
+            notes.append(diagnose("friction-sideways-dropped", subject=("geom", other_name)))
+        if np.any(pair.solreffriction):  # not available for geoms
+            notes.append(diagnose("friction-softness-dropped", subject=("geom", other_name)))
         spec.delete(pair)
-        named.append(other)
-    return [*done, diagnose("pairs-became-geoms", geoms=named)] if named else done
+        replaced.append(other_name)
+    return [*notes, diagnose("pairs-became-geoms", geoms=replaced)] if replaced else notes

@@ -1,4 +1,7 @@
-"""MuJoCo's soft constraints: their impedance, and by how much they open under a force, at rest."""
+"""MuJoCo's soft constraints: impedance, and static deflection under a force.
+
+Sources: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
+"""
 
 from __future__ import annotations
 
@@ -10,27 +13,28 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_DISTANCES = {
+_NUM_EQUATIONS = {
     mujoco.mjtEq.mjEQ_CONNECT.value: 3,
     mujoco.mjtEq.mjEQ_WELD.value: 6,
 }
-"""Equations of a constraint whose impedance is that at their common length; others have one."""
+"""Number of equations of a constraint whose impedance depends on their common norm; 1 for others.
+"""
 
 _DEFAULT_REFERENCE = (0.02, 1.0)
-"""Time constant (s) and damping ratio: MuJoCo's mj_defaultSolRefImp."""
+"""Time constant [s] and damping ratio of MuJoCo's mj_defaultSolRefImp."""
 
-_HALVINGS = 60
-"""Of the bounds of an opening: to rounding."""
+_NUM_BISECTIONS = 60
+"""Number of bisections of the bounds of an opening; sufficient for double precision."""
 
 _MAX_ITERATIONS = 1000
-"""Of repeated substitution, which rises to the least opening."""
+"""Maximum number of fixed-point iterations, which increase to the smallest solution."""
 
-_EXACT = 1e-14
-"""Of an opening."""
+_OPENING_RTOL = 1e-14
+"""Relative change of an opening at which the fixed-point iteration ends."""
 
 
 def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
-    """Returns dmin, dmax, width, midpoint and power within the bounds that MuJoCo sets them."""
+    """Return dmin, dmax, width, midpoint and power, clipped to MuJoCo's bounds."""
     dmin, dmax, width, midpoint, power = (float(value) for value in solimp)
     dmin, dmax, midpoint = (
         min(max(value, mujoco.mjMINIMP), mujoco.mjMAXIMP) for value in (dmin, dmax, midpoint)
@@ -39,101 +43,113 @@ def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
 
 
 def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
-    """Returns solref as MuJoCo takes it: one number above zero and one not are its default.
+    """Return the solref that MuJoCo uses: the default if exactly one value is positive.
 
-    Two above zero are a time constant and a damping ratio; else they are stiffness and damping.
+    Two positive values are time constant and damping ratio; otherwise, the values are negative
+    stiffness and damping.
 
-    Source: MuJoCo's getsolparam in engine_core_constraint.c; it warns.
+    Source: getsolparam in MuJoCo's ``engine_core_constraint.c``, which prints a warning.
     """
     first, second = (float(value) for value in solref)
     return (first, second) if (first > 0) == (second > 0) else _DEFAULT_REFERENCE
 
 
 def solimp_impedance(solimp: tuple[float, ...], opened: float) -> tuple[float, float]:
-    """Returns a constraint's impedance d, and its derivative (1/m), where it is open (m or rad).
+    """Return the impedance d of a constraint, and its derivative [1/m, 1/rad].
+
+    d increases from dmin at zero to dmax at ``width``. Source: MuJoCo documentation, "Computation:
+    Solver parameters"; ``engine_core_constraint.c``.
 
     Args:
-        solimp: As ``clip_solimp`` returns it.
-        opened: From the constraint's margin; d is dmin at none, and dmax at ``width``.
-
-    Source: MuJoCo documentation, "Computation: Solver parameters"; engine_core_constraint.c.
+        solimp: Parameters from ``clip_solimp``.
+        opened: Distance [m, rad] from the margin of the constraint.
     """
     dmin, dmax, width, midpoint, power = solimp
     if dmin == dmax or width <= mujoco.mjMINVAL:
         return (dmin + dmax) / 2, 0.0
     x, rise = min(abs(opened) / width, 1.0), dmax - dmin
     if x <= midpoint:
-        share = x / midpoint
-        y = midpoint * share**power
+        fraction = x / midpoint
+        y = midpoint * fraction**power
     else:
-        share = (1 - x) / (1 - midpoint)
-        y = 1 - (1 - midpoint) * share**power
-    steeper = power * share ** (power - 1) * rise / width if x < 1 else 0.0
-    return dmin + y * rise, steeper
+        fraction = (1 - x) / (1 - midpoint)
+        y = 1 - (1 - midpoint) * fraction**power
+    slope = power * fraction ** (power - 1) * rise / width if x < 1 else 0.0
+    return dmin + y * rise, slope
 
 
 class Softness:
-    """How soft a model's equality constraints are, at a configuration, however far they are open.
+    """Compliance of the equality constraints of a model at a configuration, for any opening.
 
-    At rest a constraint that is open by x pushes with k d^2 x / ((1 - d) A), with the impedance d
-    at the length of x; A and k do not depend on it.
+    At rest a constraint with opening x has the force k d^2 x / ((1 - d) A), with the impedance d at
+    |x|; A and k do not depend on x.
 
     Args:
-        model: The model.
-        data: Its data, with its constraints' rows; they are read at once.
+        model: MuJoCo model.
+        data: Data with constraint rows; not referenced afterwards.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         impedance = data.efc_KBIP[:, 2]
-        self._here: Array = 1 / (data.efc_D * data.efc_KBIP[:, 0] * impedance)
-        self._per_law: Array = self._here * impedance**2 / (1 - impedance)
-        self._groups: list[tuple[slice, tuple[float, ...]]] = []
+        self._compliance: Array = 1 / (data.efc_D * data.efc_KBIP[:, 0] * impedance)
+        self._base_compliance: Array = self._compliance * impedance**2 / (1 - impedance)
+        self._row_groups: list[tuple[slice, tuple[float, ...]]] = []
         row = 0
         while row < data.nefc:
-            number = int(data.efc_id[row])
-            count = _DISTANCES.get(int(model.eq_type[number]), 1)
-            self._groups.append((slice(row, row + count), clip_solimp(model.eq_solimp[number])))
-            row += count
+            constraint = int(data.efc_id[row])
+            num_rows = _NUM_EQUATIONS.get(int(model.eq_type[constraint]), 1)
+            self._row_groups.append(
+                (slice(row, row + num_rows), clip_solimp(model.eq_solimp[constraint]))
+            )
+            row += num_rows
 
     def here(self) -> Array:
-        """Returns by how much each equation opens per force (m,), where it is as open as it is."""
-        return self._here.copy()
+        """Return the compliance of each equation (m,) at its current opening [m/N, rad/(N m)]."""
+        return self._compliance.copy()
 
     def most(self) -> Array:
-        """Returns the same, where constraints are the softest that they ever are."""
-        soft = self._per_law.copy()
-        for rows, solimp in self._groups:
-            soft[rows] *= max(_law(solimp, 0.0), _law(solimp, solimp[2]))
-        return soft
+        """Return the largest compliance of each equation (m,) over all openings."""
+        compliance = self._base_compliance.copy()
+        for rows, solimp in self._row_groups:
+            compliance[rows] *= max(
+                _compliance_factor(solimp, 0.0), _compliance_factor(solimp, solimp[2])
+            )
+        return compliance
 
     def opened(self, forces: Array) -> Array:
-        """Returns by how much the equations open (m,) under forces (m,), at rest."""
-        found = self._per_law * forces
-        for rows, solimp in self._groups:
-            found[rows] *= _law(solimp, _length(solimp, float(np.linalg.norm(found[rows]))))
-        return found
+        """Return the openings of the equations (m,) [m, rad] under forces (m,) [N, N m] at rest."""
+        openings = self._base_compliance * forces
+        for rows, solimp in self._row_groups:
+            openings[rows] *= _compliance_factor(
+                solimp, _solve_opening(solimp, float(np.linalg.norm(openings[rows])))
+            )
+        return openings
 
 
-def _length(solimp: tuple[float, ...], force: float) -> float:
-    """Returns by how much a constraint is open under a force: x = force law(x)."""
-    low, high = (force * _law(solimp, at) for at in (0.0, solimp[2]))
-    if low < high:  # the softer the more it is open: as far as it goes when it begins closed
+def _solve_opening(solimp: tuple[float, ...], force: float) -> float:
+    """Return the smallest opening x of a constraint that satisfies x = force (1 - d) / d^2 at x.
+
+    If the constraint softens with increasing opening, the fixed-point iteration increases to the
+    smallest solution. Otherwise, the solution is bisected.
+    """
+    low, high = (force * _compliance_factor(solimp, opening) for opening in (0.0, solimp[2]))
+    if low < high:
         for _ in range(_MAX_ITERATIONS):
-            last, low = low, force * _law(solimp, low)
-            if low - last <= _EXACT * low:
+            previous, low = low, force * _compliance_factor(solimp, low)
+            if low - previous <= _OPENING_RTOL * low:
                 break
         return low
     if high >= solimp[2]:
         return high
     low, high = high, low
-    for _ in range(_HALVINGS):
+    for _ in range(_NUM_BISECTIONS):
         middle = (low + high) / 2
-        beyond = middle > force * _law(solimp, middle)
-        low, high = (low, middle) if beyond else (middle, high)
+        exceeds_solution = middle > force * _compliance_factor(solimp, middle)
+        low, high = (low, middle) if exceeds_solution else (middle, high)
     return (low + high) / 2
 
 
-def _law(solimp: tuple[float, ...], opened: float) -> float:
-    """Returns (1 - d) / d^2: how soft a constraint is for its impedance."""
+def _compliance_factor(solimp: tuple[float, ...], opened: float) -> float:
+    """Return (1 - d) / d^2 at an opening, the factor of the compliance that depends on d."""
     d, _ = solimp_impedance(solimp, opened)
     return (1 - d) / d**2

@@ -1,4 +1,4 @@
-"""The joints of a robot: what each does, how long legs are, where those are that carry no foot."""
+"""Joints of a robot: motion types, legs, and positions of joints that carry no foot."""
 
 from __future__ import annotations
 
@@ -21,39 +21,39 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 
-OBLIQUE = ("oblique", "oblique slide")
-"""What a joint does whose axis is along none of the base's: turns, or slides."""
+OBLIQUE_MOTIONS = ("oblique", "oblique slide")
+"""Motion types of hinges and slides whose axis is not parallel to an axis of the base."""
 
 
 def joint_motions(robot: Robot) -> dict[str, str]:
-    """Returns {joint: what it does, as words of how its axis lies in the base at zero angles}."""
-    rest = Configuration(robot, robot.neutral())
+    """Return {joint: motion type}, by the direction of the axis in the base at zero angles."""
+    zero_configuration = Configuration(robot, robot.neutral())
     return {
-        name: _motion(rest.joint_axis(name), is_slide=is_slide(robot, name))
+        name: _classify_motion(zero_configuration.joint_axis(name), is_slide=is_slide(robot, name))
         for name in robot.joint_names
     }
 
 
 def is_slide(robot: Robot, joint: str) -> bool:
-    """Tells whether a joint slides."""
+    """Return True if a joint is a slide."""
     kind = robot.mj_model.jnt_type[robot.mj_model.joint(joint).id]
     return bool(kind == JointKind.SLIDE)
 
 
-def _motion(axis: Array, *, is_slide: bool) -> str:
-    """Returns the word for what a joint does."""
+def _classify_motion(axis: Array, *, is_slide: bool) -> str:
+    """Return the motion type of a joint: the base axis within 1 degree of its axis, or oblique."""
     direction = int(np.argmax(np.abs(axis)))
     aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
     if is_slide:
-        return f"along {'xyz'[direction]}" if aligned else OBLIQUE[1]
-    return ("roll", "pitch", "yaw")[direction] if aligned else OBLIQUE[0]
+        return f"along {'xyz'[direction]}" if aligned else OBLIQUE_MOTIONS[1]
+    return ("roll", "pitch", "yaw")[direction] if aligned else OBLIQUE_MOTIONS[0]
 
 
 def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
-    """Returns the joints that move a foot against the base, from the base outwards.
+    """Return the joints that move a foot relative to the base, from the base to the foot.
 
     Raises:
-        UnknownNameError: If the foot is unknown.
+        UnknownNameError: If there is no such foot.
     """
     model = robot.pin_model
     frame = model.frames[
@@ -63,21 +63,22 @@ def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
     return tuple(name for name in support if name in robot.joint_names)
 
 
-_ROUNDED = 1e-6
-"""A position that is further beyond a limit is out of range (rad, m): both are typed."""
+_LIMIT_ATOL = 1e-6
+"""Tolerance [rad, m] for positions beyond a limit, because users type rounded values of both."""
 
 
 def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
-    """Returns {joint: its position} of a stand's posture.
+    """Return {joint: position} of the joints in the posture of a stand.
 
     Args:
         robot: The robot.
-        posture: {joint, or a pattern such as ``*elbow*``: its position (rad, m)}; of patterns that
-            match the same joint the last counts.
+        posture: {joint, or pattern such as ``*elbow*``: position [rad, m]}. If several patterns
+            match a joint, the last counts.
 
     Raises:
-        UnknownNameError: If there is no such joint; the message lists those that are.
-        ConfigurationError: If a joint carries a foot or is part of a loop.
+        UnknownNameError: If a pattern matches no joint; the message lists the joints.
+        ConfigurationError: If a joint carries a foot or is part of a loop, or a position is not
+            valid.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
     free = free_joints(robot) if placed else ()
@@ -88,51 +89,55 @@ def placed_joints(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, fl
 
 
 def free_joints(robot: Robot) -> tuple[str, ...]:
-    """Returns the joints that carry no foot and are in no loop or coupling, in actuator order."""
+    """Return the joints that carry no foot and are not coupled, in actuator order."""
     model = robot.structure.model
-    bound = {
-        model.names[one]
+    foot_or_coupled_joints = {
+        model.names[joint]
         for foot in robot.structure.parents.values()
-        for one in list(model.supports[foot])
+        for joint in list(model.supports[foot])
     }
     if robot.closure is not None:
-        both = (*robot.closure.following.tolist(), *robot.closure.leading.tolist())
-        bound |= {robot.joint_names[joint] for joint in both}
-    return tuple(joint for joint in robot.joint_names if joint not in bound)
+        coupled = (*robot.closure.following.tolist(), *robot.closure.leading.tolist())
+        foot_or_coupled_joints |= {robot.joint_names[joint] for joint in coupled}
+    return tuple(joint for joint in robot.joint_names if joint not in foot_or_coupled_joints)
 
 
 def named_positions(
     robot: Robot, joints: Mapping[str, float], argument: str = "joints"
 ) -> dict[str, Position]:
-    """Returns {joint: its position, with its unit} of {joint, or a pattern: position}.
+    """Return {joint: position with unit} of {joint, or pattern: position}.
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
-        ConfigurationError: If a position is no finite number, or a length of what turns.
+        ConfigurationError: If a position is not finite, or its unit is that of the other joint
+            type.
     """
-    given: dict[str, Position] = {}
+    positions: dict[str, Position] = {}
     for pattern, value in joints.items():
         chosen = [joint for joint in robot.joint_names if fnmatchcase(joint, pattern)]
         if not chosen:
             raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).at(argument)
-        place = check_finite(f"{argument} {pattern!r}", value)
+        position = check_finite(f"{argument} {pattern!r}", value)
         for joint in chosen:
-            given[joint] = Position(place, joint_unit(robot, joint))
-            if getattr(value, "unit", "rad or m") not in ("rad or m", given[joint].unit):
+            positions[joint] = Position(position, joint_unit(robot, joint))
+            if getattr(value, "unit", "rad or m") not in ("rad or m", positions[joint].unit):
                 slides = is_slide(robot, joint)
                 problem = diagnose("joint-slides-or-turns", joint=joint, slides=slides)
                 raise ConfigurationError(argument, problem)
-    return given
+    return positions
 
 
 def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
-    """Returns a stand's posture with the unit of the joints that each position is of."""
-    found = dict(posture)
+    """Return a posture in which each position has the unit of the matching joints.
+
+    A position stays without unit if its pattern matches both hinges and slides.
+    """
+    result = dict(posture)
     for pattern, value in posture.items():
         placed = named_positions(robot, {pattern: value}, "posture")
-        units = {one.unit for one in placed.values()}
-        found[pattern] = Position(value, *units) if len(units) == 1 else value
-    return found
+        units = {position.unit for position in placed.values()}
+        result[pattern] = Position(value, *units) if len(units) == 1 else value
+    return result
 
 
 def check_in_range(
@@ -143,21 +148,29 @@ def check_in_range(
     argument: str,
     bonds: tuple[str, ...] = (),
 ) -> None:
-    """Checks that a joint's position is within its range.
+    """Raise an error if the position of a joint is out of range.
+
+    Args:
+        robot: The robot.
+        joint: Joint.
+        position: Position [rad, m].
+        ends: Lower and upper limit [rad, m].
+        argument: Name of the argument, for the message.
+        bonds: Names of the constraints that restrict the range, for the message.
 
     Raises:
-        ConfigurationError: If it is not.
+        ConfigurationError: If so.
     """
     low, high = ends
-    if not low - _ROUNDED <= position <= high + _ROUNDED:
+    if not low - _LIMIT_ATOL <= position <= high + _LIMIT_ATOL:
         unit, degrees = joint_unit(robot, joint), math.radians(position)
-        typed = unit == "rad" and argument != "keyframe"
+        may_be_degrees = unit == "rad" and argument != "keyframe"
         problem = diagnose(
             "joint-out-of-range",
             subject=("joint", joint),
             position=Quantity(round(position, 9), unit),
             bonds=bonds or None,
-            degrees=position if typed and low <= degrees <= high else None,
+            degrees=position if may_be_degrees and low <= degrees <= high else None,
             low=Quantity(low, unit),
             high=Quantity(high, unit),
         )
@@ -165,5 +178,5 @@ def check_in_range(
 
 
 def joint_unit(robot: Robot, joint: str) -> str:
-    """Returns the unit of a joint's position: rad, or m of one that slides."""
+    """Return the unit of the position of a joint: m for slides, rad for hinges."""
     return "m" if is_slide(robot, joint) else "rad"

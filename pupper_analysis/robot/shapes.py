@@ -1,8 +1,7 @@
-"""The shapes with which a robot touches, as MuJoCo has them, in the frames of its links.
+"""Collision shapes of a robot, in the frames of the URDF's links.
 
-What MuJoCo's collisions know of a robot is in its compiled model: primitives, and of each mesh the
-convex hull. Those are its shapes here, so that what is judged before a simulation is what the
-simulation finds.
+The shapes are those of MuJoCo's compiled model: primitives and convex hulls of meshes. Clearances
+that are computed before a simulation therefore agree with MuJoCo's collisions.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Term, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.shapes import CONVEX, Pose, Shape, read_shape
+from pupper_analysis.models.shapes import NUM_SIZES, Pose, Shape, read_shape
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.structure import Structure
@@ -27,15 +26,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CarriedShape:
-    """A geom that touches things, and the link that carries it.
+    """Collision geom, and the link that carries it.
 
     Attributes:
-        geom: Its id in ``mj_model``.
-        body: The body that it belongs to (its id).
-        link: The URDF's link that moves with it.
-        joint: The joint that moves it; empty for the base.
-        form: The shape, in the link's frame.
-        on_ground: Whether MuJoCo lets it touch the ground.
+        geom: Id of the geom in ``mj_model``.
+        body: Id of the body of the geom.
+        link: Link of the URDF that moves with the geom.
+        joint: Joint that moves the geom; "" for the base.
+        form: Shape in the frame of the link.
+        on_ground: Whether MuJoCo detects contacts of the geom with the ground.
     """
 
     geom: int
@@ -54,115 +53,120 @@ def shapes_of(
     neutral: Array,
     source: Path,
 ) -> tuple[CarriedShape, ...]:
-    """Returns the shapes of a robot's moving bodies that touch anything, in MuJoCo's order.
+    """Return the collision shapes of the moving bodies, including feet, in order of the geom ids.
 
-    Feet included. Where a body is in its link's frame is found at zero angles, at which both models
-    are one robot.
+    The pose of a body in its link is computed at zero angles, for which both models agree.
 
     Args:
         model: MuJoCo's model of the MJCF.
-        convention: Its maps.
-        structure: Of the URDF's model.
-        bases: The base's link and its body.
-        neutral: (nq,) with every joint at zero.
-        source: The MJCF's file.
+        convention: Coordinate maps of the model.
+        structure: Structure of the URDF's model.
+        bases: Link and body of the base.
+        neutral: Configuration (nq,) with all joints at zero.
+        source: File of the MJCF, for messages.
 
     Raises:
-        ModelError: If one is a signed distance field, whose distances nothing here can tell.
+        ModelError: If a collision geom is of a type without distance computation, such as a signed
+            distance field.
     """
     data = mujoco.MjData(model)
     convention.set_state(data, neutral)
     mujoco.mj_kinematics(model, data)
     ground = contact.ground_geom(model)
-    carriers = _Carriers(model, structure, bases, neutral)
+    carriers = _LinkFinder(model, structure, bases, neutral)
     paired = {int(geom) for pair in (model.pair_geom1, model.pair_geom2) for geom in pair}
-    found = []
+    shapes = []
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
-        touches = model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
-        moving = int(model.body_weldid[body])
-        if not touches or moving not in carriers.joints:
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
+        moving_body = int(model.body_weldid[body])
+        if not collides or moving_body not in carriers.joints:
             continue
-        form = read_shape(model, geom, data)
-        if form.kind not in CONVEX:
+        shape = read_shape(model, geom, data)
+        if shape.kind not in NUM_SIZES:
             problem = diagnose(
                 "geom-without-distances",
-                geom=form.name,
+                geom=shape.name,
                 body=model.body(body).name,
-                kind=Term(form.kind),
+                kind=Term(shape.kind),
             )
             raise ModelError(source, problem)
-        link, place = carriers.link(model.body(body).name, moving)
-        found.append(
+        link, place = carriers.link(model.body(body).name, moving_body)
+        shapes.append(
             CarriedShape(
                 geom=geom,
                 body=body,
                 link=link,
-                joint=carriers.joints[moving],
-                form=replace(form, pose=Pose.of(place.actInv(form.pose.placed))),
+                joint=carriers.joints[moving_body],
+                form=replace(shape, pose=Pose.of(place.actInv(shape.pose.placed))),
                 on_ground=ground is not None and may_touch(model, geom, ground),
             )
         )
-    return tuple(found)
+    return tuple(shapes)
 
 
-class _Carriers:
-    """Which links carry what of a robot at zero angles, the base's and those that it carries.
+class _LinkFinder:
+    """Assignment of MuJoCo bodies to links of the URDF, at zero angles.
 
     Attributes:
-        joints: {moving body: the joint that moves it}; the base's is "".
+        joints: {moving body: joint that moves the body}; the joint of the base is "".
     """
 
     def __init__(
-        self, model: mujoco.MjModel, own: Structure, bases: tuple[str, str], neutral: Array
+        self, model: mujoco.MjModel, structure: Structure, bases: tuple[str, str], neutral: Array
     ) -> None:
         base, mj_base = bases
-        self._links, self._frames = own.links, own.model.frames
-        self._data = own.model.createData()
-        pin.framesForwardKinematics(own.model, self._data, own.convention.unit_q(neutral))
-        moving = {int(model.jnt_bodyid[model.joint(name).id]): name for name in own.joints}
-        self.joints = {int(model.body(mj_base).id): ""} | moving
-        self._first = {"": base}
-        names = {number: name for name, number in own.joints.items()}
-        for name, number in sorted(own.links.items(), key=lambda link: link[1]):
-            joint = names.get(int(self._frames[number].parentJoint))
+        self._links, self._frames = structure.links, structure.model.frames
+        self._data = structure.model.createData()
+        pin.framesForwardKinematics(
+            structure.model, self._data, structure.convention.unit_q(neutral)
+        )
+        joint_by_body = {
+            int(model.jnt_bodyid[model.joint(name).id]): name for name in structure.joints
+        }
+        self.joints = {int(model.body(mj_base).id): ""} | joint_by_body
+        self._first_link_by_joint = {"": base}
+        joint_names = {index: name for name, index in structure.joints.items()}
+        for name, index in sorted(structure.links.items(), key=lambda link: link[1]):
+            joint = joint_names.get(int(self._frames[index].parentJoint))
             if joint is not None:
-                self._first.setdefault(joint, name)
+                self._first_link_by_joint.setdefault(joint, name)
 
     def link(self, body: str, moving: int) -> tuple[str, pin.SE3]:
-        """Returns the link that carries a body, and where it is.
+        """Return the link that carries a body, and its world placement at zero angles.
 
-        It is the link of the body's name, if that moves with it, or else what the joint moves.
+        The link has the name of the body if such a link moves with the body. Otherwise, it is the
+        first link that moves with the body.
 
         Args:
-            body: The body's name.
-            moving: The moving body (its id) to which it belongs.
+            body: Name of the body.
+            moving: Id of the moving body that the body belongs to.
         """
-        first = self._first[self.joints[moving]]
-        joint = self._frames[self._links[first]].parentJoint
-        own = body in self._links and self._frames[self._links[body]].parentJoint == joint
-        link = body if own else first
+        first_link = self._first_link_by_joint[self.joints[moving]]
+        joint = self._frames[self._links[first_link]].parentJoint
+        has_own_link = body in self._links and self._frames[self._links[body]].parentJoint == joint
+        link = body if has_own_link else first_link
         return link, self._data.oMf[self._links[link]]
 
 
 def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
-    """Tells whether MuJoCo looks for contacts of a geom and a ground, by bits or in a pair.
+    """Return True if MuJoCo detects contacts between a geom and a ground, by bits or by a pair.
 
-    A ground that the model lacks (None) has MuJoCo's own bits, as scenes have it.
+    If the model has no ground (None), a plane with MuJoCo's default bits is assumed.
     """
     if ground is None:
         return bool((model.geom_contype[geom] | model.geom_conaffinity[geom]) & 1)
-    for one, two in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
-        if {one, two} == {geom, ground}:
+    for first, second in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
+        if {first, second} == {geom, ground}:
             return True
-    bits, floor = model.geom_contype, model.geom_conaffinity
-    met = (bits[geom] & floor[ground]) or (bits[ground] & floor[geom])
+    contype, conaffinity = model.geom_contype, model.geom_conaffinity
+    do_bits_match = (contype[geom] & conaffinity[ground]) or (contype[ground] & conaffinity[geom])
     bodies = frozenset(model.geom_bodyid[[geom, ground]].tolist())
-    return bool(met) and bodies not in excluded_pairs(model)
+    return bool(do_bits_match) and bodies not in excluded_pairs(model)
 
 
 def excluded_pairs(model: mujoco.MjModel) -> set[frozenset[int]]:
-    """Returns the pairs of bodies (ids) that the MJCF excludes from touching each other."""
+    """Return the pairs of body ids whose contacts the MJCF excludes."""
     return {
         frozenset((int(signature) >> 16, int(signature) & 0xFFFF))
         for signature in model.exclude_signature

@@ -1,7 +1,7 @@
-"""Which constraints of an MJCF no stand knows of: it is said on loading.
+"""Reports of MuJoCo constraints that the stance solver ignores.
 
-What an MJCF lets joints do together a URDF cannot express. Ranges of tendons, and constraints that
-bind no joints, act in MuJoCo's simulation alone: postures are found without them.
+Equality constraints of flexes and ranges of tendons act in MuJoCo's simulation only; stances are
+computed without these. A URDF cannot express either.
 """
 
 from __future__ import annotations
@@ -18,24 +18,28 @@ BONDS = frozenset(
         mujoco.mjtEq.mjEQ_TENDON,
     }
 )
-"""Equality constraints that bind joints: stands keep them (``closure``)."""
+"""Equality constraints of joints that stances satisfy (see ``closure``)."""
 
-_OFF = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value | mujoco.mjtDisableBit.mjDSBL_LIMIT.value
+_DISABLING_FLAGS = (
+    mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value | mujoco.mjtDisableBit.mjDSBL_LIMIT.value
+)
 
 
 def tell_bonds_not_kept(model: mujoco.MjModel) -> list[Diagnostic]:
-    """Tells which equality constraints MuJoCo acts by, and no posture knows of: those of flexes."""
+    """Report the types of active equality constraints that stances ignore, such as flexes."""
     kinds = [mujoco.mjtEq(int(kind)) for kind in model.eq_type[model.eq_active0.astype(bool)]]
-    left = sorted({kind.name.removeprefix("mjEQ_").lower() for kind in kinds if kind not in BONDS})
-    return [diagnose("equalities-not-kept", kinds=left)] if left else []
+    ignored = sorted(
+        {kind.name.removeprefix("mjEQ_").lower() for kind in kinds if kind not in BONDS}
+    )
+    return [diagnose("equalities-not-kept", kinds=ignored)] if ignored else []
 
 
 def tell_ranges_not_kept(model: mujoco.MjModel) -> list[Diagnostic]:
-    """Tells which tendons have a range: MuJoCo keeps it, and no posture knows of it."""
+    """Report the tendons with a range, which MuJoCo enforces and stances ignore."""
     messages = []
     for tendon in model.tendon_limited.nonzero()[0].tolist():
         lower, upper = model.tendon_range[tendon].tolist()
-        named = ("tendon", str(model.tendon(tendon).name) or f"#{tendon}")
-        messages.append(diagnose("tendon-with-range", subject=named, lower=lower, upper=upper))
-    kept = messages and not model.opt.disableflags & _OFF
-    return [diagnose("tendon-ranges-not-kept", tendons=messages)] if kept else []
+        subject = ("tendon", str(model.tendon(tendon).name) or f"#{tendon}")
+        messages.append(diagnose("tendon-with-range", subject=subject, lower=lower, upper=upper))
+    are_enforced = messages and not model.opt.disableflags & _DISABLING_FLAGS
+    return [diagnose("tendon-ranges-not-kept", tendons=messages)] if are_enforced else []

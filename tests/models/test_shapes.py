@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.models.shapes import CONVEX, Mesh, Pose, Shape, read_shape
+from pupper_analysis.models.shapes import NUM_SIZES, Mesh, Pose, Shape, read_shape
 
 TETRAHEDRON = "0 0 0  0.3 0 0  0 0.2 0  0 0 0.1  0.05 0.05 0.02"  # the last is inside
 SIZES = {
@@ -121,7 +121,7 @@ def test_what_has_no_extent_is_known_as_such() -> None:
         shape = Shape("", kind, Pose(), size, collides=True)
         assert (shape.support(np.eye(3)), shape.points) == (None, None)
     assert read_shape(model_of("box"), 0).kind == "plane"
-    assert {*CONVEX} == {*SIZES}
+    assert {*NUM_SIZES} == {*SIZES}
 
 
 def test_points_in_a_plane_are_their_own_hull() -> None:

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.robot.impedance import Softness, _length, clip_solimp, solimp_impedance
+from pupper_analysis.robot.impedance import Softness, _solve_opening, clip_solimp, solimp_impedance
 
 KINDS = {
     "joint": '<joint joint1="a" joint2="b" {words}/>',
@@ -95,7 +95,7 @@ def test_impedance_is_mujocos(seed: int) -> None:
 def test_an_opening_is_that_of_its_own_impedance(force: float) -> None:
     """It is within the width over which the impedance rises: x = F (1 - d(x)) / d(x)^2."""
     solimp = clip_solimp((0.6, 0.95, 0.01, 0.5, 2))
-    opened = _length(solimp, force)
+    opened = _solve_opening(solimp, force)
     d, _ = solimp_impedance(solimp, opened)
     assert 0 < opened < solimp[2]
     assert opened == pytest.approx(force * (1 - d) / d**2, rel=1e-12)

@@ -36,7 +36,7 @@ from pupper_analysis.models.loading import reader_of
 from pupper_analysis.models.mjcf import silence_mujoco, start_data
 from pupper_analysis.models.mjcf_file import MjcfFile, gives_mass, read_mjcf
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.shapes import DIRECTIONS, Pose, Shape, read_shape
+from pupper_analysis.models.shapes import COMPARISON_DIRECTIONS, Pose, Shape, read_shape
 from pupper_analysis.models.sides import LEG_JOINT_NAME
 from pupper_analysis.models.stated.mjcf import place_of_geom, read_mjcf_model, touching_geoms
 from pupper_analysis.models.stated.model import RobotModel
@@ -174,7 +174,9 @@ def _of_limb(
         if moving[geom]
     )
     points = any(not any(one.shape.size) and one.shape.kind != "mesh" for one in urdf)
-    if points or any(placed.world.support(DIRECTIONS[:1]) is None for placed in (*urdf, *mjcf)):
+    if points or any(
+        placed.world.support(COMPARISON_DIRECTIONS[:1]) is None for placed in (*urdf, *mjcf)
+    ):
         return None
     return urdf, mjcf
 

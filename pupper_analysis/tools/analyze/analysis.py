@@ -14,7 +14,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.joints import OBLIQUE, joint_motions, leg_joints
+from pupper_analysis.robot.joints import OBLIQUE_MOTIONS, joint_motions, leg_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.verdict import Verdict
@@ -68,12 +68,12 @@ class JointSummary(Result):
     @property
     def oblique(self) -> bool:
         """Whether its axis is along none of the base's."""
-        return self.motion in OBLIQUE
+        return self.motion in OBLIQUE_MOTIONS
 
     @property
     def slides(self) -> bool:
         """Whether it slides, and does not turn."""
-        return self.motion.startswith("along ") or self.motion == OBLIQUE[1]
+        return self.motion.startswith("along ") or self.motion == OBLIQUE_MOTIONS[1]
 
 
 def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:

@@ -35,7 +35,7 @@ from pupper_analysis.models.mjcf import (
 )
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.shapes import DIRECTIONS, Shape, read_shape
+from pupper_analysis.models.shapes import COMPARISON_DIRECTIONS, Shape, read_shape
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.mjcf import (
     Value,
@@ -266,7 +266,7 @@ def apart(one: Shape, two: Shape) -> float:
     Of shapes without extents (planes, missing meshes) their places and sizes are compared: infinite
     if they differ.
     """
-    first, second = (shape.support(DIRECTIONS) for shape in (one, two))
+    first, second = (shape.support(COMPARISON_DIRECTIONS) for shape in (one, two))
     if first is not None and second is not None:
         return float(np.abs(first - second).max())
     ends = [(shape.pose.position, shape.pose.rotation, shape.size) for shape in (one, two)]
