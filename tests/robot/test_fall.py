@@ -1,4 +1,4 @@
-"""Heights at reset, against closed forms."""
+"""Heights at reset, against closed forms, and simulations that MuJoCo resets."""
 
 from __future__ import annotations
 
@@ -8,7 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.robot.fall import BodyMotion, initial_height
+from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.robot.fall import (
+    BodyMotion,
+    began_anew,
+    held_motion,
+    initial_height,
+    own_motion,
+)
 
 TETRAHEDRON = '<mesh name="tetrahedron" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/>'
 FLOOR = '<geom type="plane" size="1 1 1" pos="0 0 {height}"/>'
@@ -67,3 +74,32 @@ def test_a_drop_counts_as_lost_height_only_if_the_robot_lies_at_the_end() -> Non
     lies = BodyMotion(5.0, 0.2, 0.18, 0.0, 0.0, diverged=False, clearance=0.1, lies=True)
     assert not lands.collapses
     assert lies.collapses
+
+
+SERVO = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="0 0 1"/>
+<body pos="0 0 0.1"><freejoint/><geom type="box" size="0.1 0.1 0.1" mass="1"/>
+<body><joint name="wheel" armature="0.1"/>
+<geom size="0.01" mass="0.1" contype="0" conaffinity="0"/></body></body>
+</worldbody><actuator><position joint="wheel" kp="10" kv="1"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("ctrl", "lost"), [(0.0, False), (1.0, False), (9e9, True)])
+def test_a_simulation_that_mujoco_resets_in_its_first_step_has_diverged(
+    ctrl: float, lost: bool
+) -> None:
+    """Reference: a command of 9e9 N m overflows, 0 and 1 N m do not.
+
+    MuJoCo resets a diverged state, its command and its time, so that it seems to be at rest.
+    """
+    model = mujoco.MjModel.from_xml_string(SERVO)
+    start = mujoco.MjData(model)
+    start.ctrl[:] = ctrl
+
+    def advance(data: mujoco.MjData, seconds: float) -> None:
+        mujoco.mj_step(model, data, round(seconds / model.opt.timestep))
+
+    with silence_mujoco():
+        motion, end = own_motion(model, start, 1, 0.0, advance)
+        held, _ = held_motion(model, start, advance)
+    assert end.time == pytest.approx(motion.duration, abs=2 * model.opt.timestep)
+    assert began_anew(end) is motion.diverged is motion.collapses is held.diverged is lost

@@ -1,0 +1,38 @@
+"""The verdict of a path contains the simulation of the unmodified file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.prepare.own_run import own_run
+from pupper_analysis.present.verdict import lines_to_read
+from pupper_analysis.simulation.verdict import Asked, Verdict
+from pupper_analysis.tools.path.tracking import study_path
+from tests.prepare.test_imported import four_legs
+from tests.prepare.test_own_run import codes, slipped
+
+
+def judged(robot: pa.Robot) -> Verdict:
+    return study_path(robot, pa.StandTask(height=0.33), 1.0).verdict
+
+
+@pytest.mark.slow
+def test_the_verdict_of_a_tracked_path_reports_the_own_run(tmp_path: Path) -> None:
+    verdict = judged(slipped(tmp_path, lambda text: text + "\n"))
+    assert verdict.asked is Asked.TRACKED
+    assert verdict.passed
+    assert codes(verdict)[-1] == "own-run"
+    # A short answer has it, too, though it is not against the verdict.
+    first, _ = lines_to_read(verdict)
+    assert any("the file by itself" in str(line) for line in first)
+
+
+@pytest.mark.slow
+def test_the_own_run_of_a_path_is_that_of_the_robot(tmp_path: Path) -> None:
+    robot = pa.load_robot(four_legs(tmp_path))
+    found = judged(robot)
+    assert found.own == own_run(robot)
+    assert "own-run" in codes(found)
