@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +24,7 @@ from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING, judge_c
 from pupper_analysis.stance.problem import Goal, feet_centre, raise_feet
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import gripped_places, stated_forces
+from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import support_corners
 
 Array = NDArray[np.float64]
@@ -83,6 +86,29 @@ class Stand(Tabular):
     iterations: int = 0
     robot: str
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_statics"}
+
+    @cached_property
+    def _statics(self) -> list[tuple[ref[Robot], str, GravityCompensation]]:
+        return []
+
+    def cached_statics(
+        self, robot: Robot, distribution: str, compute: Callable[[], GravityCompensation]
+    ) -> GravityCompensation:
+        """Return the statics of this stand, computed at the first call for the same arguments.
+
+        Args:
+            robot: The robot whose masses and limits count; compared by identity.
+            distribution: The criterion that selects the contact forces.
+            compute: Computes the statics.
+        """
+        for whose, criterion, statics in self._statics:
+            if whose() is robot and criterion == distribution:
+                return statics
+        self._statics.append((ref(robot), distribution, compute()))
+        return self._statics[-1][2]
+
     def _columns(self) -> dict[str, Any]:
         """One row per foot: where its sphere's centre shall be (m), if it carries, how deep (m)."""
         feet = list(self.foot_targets)
@@ -139,7 +165,9 @@ class Stand(Tabular):
 
     def of_task(self, task: StandTask) -> Stand:
         """Returns the same stand as that of another task, which it satisfies as well."""
-        return replace(self, task=task.filled(ground=self.task.ground))  # with its planes
+        other = replace(self, task=task.filled(ground=self.task.ground))  # with its planes
+        other._statics.extend(self._statics)
+        return other
 
     @property
     def blocked(self) -> tuple[Diagnostic, ...]:

@@ -101,8 +101,12 @@ def stand_statics(
         StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
     """
     robot = stand.check(robot)
-    config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
-    return balance_load(config, config.load(), carrying, distribution=distribution)
+
+    def compute() -> GravityCompensation:
+        config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
+        return balance_load(config, config.load(), carrying, distribution=distribution)
+
+    return stand.cached_statics(robot, distribution, compute)
 
 
 def stand_contacts(robot: Robot, stand: Stand) -> Contacts:

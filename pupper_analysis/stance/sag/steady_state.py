@@ -138,6 +138,9 @@ _LEAST_STEP = 1 / 64  # of the feed-forward, in one step
 _CAREFUL = 1 / 64  # likewise: an unstable equilibrium is one only if such small steps lead to it
 _SHARE_TOLERANCE = 1e-7  # of the feed-forward: when a foot touches or lets go, to nanometres
 _MAX_EVENTS = 24  # feet that touch or let go on the way: more is chatter
+_FRICTION_SHARE_OF_SLIDING = 0.95
+"""Share of the friction limit above which a foot is reported as about to slide where no equilibrium
+follows. Chosen: the last equilibrium is up to `_LEAST_STEP` of the feed-forward before the end."""
 CREEP_STEPS = 20
 """Backward Euler steps in which feet creep: with 20 a robot that falls after 15 s does after 14."""
 
@@ -215,6 +218,7 @@ class HomotopyPath:
                         # Joints that follow others have none.
                         kp=Quantity(self.system.kp[self.system.kp > 0].min(), "N m/rad"),
                         share=self.share,
+                        sliding=self._feet_about_to_slide(),
                     ),
                 )
 
@@ -258,6 +262,17 @@ class HomotopyPath:
             self.crept += step
             left -= step
             self._euler = 2 * step
+
+    def _feet_about_to_slide(self) -> list[str]:
+        """Return the pinned feet whose tangential force is close to the limit of their friction."""
+        if self.system.feet != "pinned":
+            return []
+        friction = self.system.sliding_friction
+        return [
+            foot
+            for foot, force in self.solution.forces.items()
+            if np.linalg.norm(force[:2]) > _FRICTION_SHARE_OF_SLIDING * friction[foot] * force[2]
+        ]
 
     def _command(self, share: float) -> None:
         system = self.system

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.diagnostics import Subject
+from pupper_analysis.base.diagnostics import Diagnostic, Subject
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.sag import steady_state as settle
@@ -301,6 +301,19 @@ def test_instability_is_reported() -> None:
     assert any(one.code == "equilibrium-not-stable" for one in pose.failures)
     run = pa.verify_stand(robot, stand, kp=0.1, kd=0.1, duration=20, nudged=0)
     assert any(one.code == "fell-over" for one in run.failures)
+
+
+@pytest.mark.slow
+def test_a_missing_equilibrium_names_the_feet_that_begin_to_slide() -> None:
+    """Reference: symmetry. Facing up a slope, left and right feet slide together."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.6)))
+    with pytest.raises(pa.NoEquilibriumError) as caught:
+        steady_state(robot, stand, kp=0.3)
+    problem = caught.value.diagnostic.values["problem"]
+    assert isinstance(problem, Diagnostic)
+    assert problem.code == "feed-forward-needed"
+    assert set(problem.values["sliding"]) == {"RR", "RL"}  # type: ignore[arg-type]
 
 
 def test_steady_state_refuses_wrong_requests() -> None:
