@@ -1,4 +1,4 @@
-"""Import of MuJoCo if the requested OpenGL is not available.
+"""Import of MuJoCo if the requested OpenGL is not available, and MuJoCo's log file.
 
 MuJoCo imports the OpenGL backend named in the environment variable MUJOCO_GL during its own import.
 MuJoCo ignores an ImportError of the backend, but PyOpenGL also raises other exceptions. The
@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from typing import Any
 
 
 def import_mujoco() -> None:
@@ -44,3 +47,24 @@ def import_without_opengl() -> None:
             del os.environ["MUJOCO_GL"]
         else:
             os.environ["MUJOCO_GL"] = previous
+
+
+@contextmanager
+def no_mujoco_log() -> Iterator[None]:
+    """Keep MuJoCo from writing MUJOCO_LOG.TXT into the current folder, in the whole process.
+
+    For commands, whose process does nothing else. Its warnings still go to standard error.
+    """
+    log: Any = import_module("mujoco").MjLogConfig
+    before = log.get().logto_file
+    _write_log(log, enabled=False)
+    try:
+        yield
+    finally:
+        _write_log(log, enabled=before)
+
+
+def _write_log(log: Any, *, enabled: bool) -> None:
+    config = log.get()
+    config.logto_file = enabled
+    log.set(config)

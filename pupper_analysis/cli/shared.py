@@ -13,7 +13,7 @@ from click.core import ParameterSource
 
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.base.drivers import import_without_opengl
+from pupper_analysis.base.drivers import import_without_opengl, no_mujoco_log
 from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.base.kinds import Folder, Kind
 from pupper_analysis.base.runs import note_input, running
@@ -103,6 +103,7 @@ class Command(click.Command):
             note_input(name)
         _check_outputs(self, context)
         import_without_opengl()
+        context.with_resource(no_mujoco_log())
         return super().invoke(context)
 
 

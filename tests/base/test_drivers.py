@@ -81,3 +81,50 @@ main()
     result = run("-c", code, *command, folder=tmp_path, gl="")
     assert result.stderr == ""
     assert result.stdout.splitlines()[-1] == "['mujoco'] ''"
+
+
+DIVERGES = """
+import mujoco
+def diverge():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint type="slide"/><geom size=".1"/></body>'
+        '</worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    data.qpos[:] = float("nan")
+    mujoco.mj_step(model, data)
+    print("warnings:", sum(one.number for one in data.warning))
+"""
+"""A step whose warning MuJoCo writes to MUJOCO_LOG.TXT."""
+COMMAND = (
+    DIVERGES
+    + """
+from pupper_analysis.cli import run, shared
+@shared.command()
+def command():
+    diverge()
+try:
+    run(command, [])
+finally:
+    print("restored:", mujoco.MjLogConfig.get().logto_file)
+"""
+)
+WORKER = f"""
+{DIVERGES}
+from pupper_analysis.tools.study.running import begin_worker
+begin_worker()
+diverge()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("code", "log"),
+    [(DIVERGES + "diverge()", True), (COMMAND, False), (WORKER, False)],
+    ids=["MuJoCo", "command", "worker of a study"],
+)
+def test_commands_leave_no_log_of_mujoco(code: str, log: bool, tmp_path: Path) -> None:
+    result = run("-c", code, folder=tmp_path, gl="")
+    assert "warnings: 1\n" in result.stdout
+    assert "restored: False" not in result.stdout
+    assert [path.name for path in tmp_path.iterdir()] == (["MUJOCO_LOG.TXT"] if log else [])

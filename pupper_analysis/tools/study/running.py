@@ -26,11 +26,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import parent_process, resource_tracker
 from multiprocessing.process import BaseProcess
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.drivers import no_mujoco_log
 from pupper_analysis.base.errors import PupperAnalysisError, StudyError
 from pupper_analysis.base.provenance import list_versions
 from pupper_analysis.stance.task import StandTask
@@ -167,8 +169,16 @@ def _time_limit(limit: float | None) -> Iterator[None]:
         _alone.release()
 
 
+_worker_context: Final = contextlib.ExitStack()
+"""Holds what lasts as long as a worker process."""
+
+
 def begin_worker() -> None:
-    """Makes a process ready to work: it ignores Ctrl-C, and ends when its parent has gone."""
+    """Makes a process ready to work: it ignores Ctrl-C, and ends when its parent has gone.
+
+    MuJoCo writes no log file in it.
+    """
+    _worker_context.enter_context(no_mujoco_log())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):  # it was kept back so far
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
