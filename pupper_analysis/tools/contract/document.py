@@ -97,7 +97,7 @@ def _poses(contract: Contract) -> doc.Table:
     )  # fmt: skip
     notes = tuple(text("contract-pose-note", source=pose.source, why=doc.tell(pose.problem))
                   for pose in contract.poses if pose.problem is not None)  # fmt: skip
-    source = (page_of("how-to/contract.md", "How it stands"),)
+    source = (page_of("how-to/contract.md", "The default poses"),)
     return doc.Table(text("contract-poses"), columns, rows, notes, source)
 
 
