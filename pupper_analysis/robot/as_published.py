@@ -1,7 +1,7 @@
-"""What a robot's MJCF does by itself, as it was published, and what was made up beside it.
+"""Results about the robot as published: own simulation, servos, and causes of deviations.
 
-Facts, with names and numbers; ``prepare`` finds them, ``simulation/verdict.py`` weighs them, and
-``present/verdict.py`` puts them into words.
+Data only: ``prepare`` computes the results, ``simulation/verdict.py`` evaluates them, and
+``present/verdict.py`` formats them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pupper_analysis.robot.fall import BodyMotion
 
 
 class ServoSource(StrEnum):
-    """Where the gains of a robot's servos are from."""
+    """Origin of the servo gains."""
 
     FILE = "the MJCF's"
     ADDED = "added"
@@ -24,14 +24,16 @@ class ServoSource(StrEnum):
 
 @dataclass(frozen=True)
 class ServosUsed:
-    """The servos on which a result rests.
+    """Servos that a result depends on.
 
     Attributes:
-        source: Where their gains are from: the MJCF; made up on loading, at one joint or more, as
-            the MJCF has none there, or bad ones; or given by the caller.
-        kp: The least and the greatest stiffness (N m/rad) of those that were made up, or else all.
-        kd: The least and the greatest damping (N m s/rad), likewise.
-        made: Those that were made up on loading, and are used.
+        source: Origin of the gains: the MJCF; added on loading at one or more joints, where the
+            MJCF has no servo or an invalid one; or passed by the caller.
+        kp: Minimum and maximum stiffness (N m/rad) of the added servos; of all servos if none was
+            added.
+        kd: Minimum and maximum damping (N m s/rad) of the added servos; of all servos if none was
+            added.
+        made: Added servos that are in use.
     """
 
     source: ServoSource
@@ -41,32 +43,33 @@ class ServosUsed:
 
     @property
     def replaced(self) -> tuple[MadeServo, ...]:
-        """Those in the place of one in the MJCF that is meant to hold the joint, and does not."""
+        """Added servos that replace a servo of the MJCF with invalid parameters."""
         return tuple(servo for servo in self.made if servo.instead_of.bad)
 
 
 GIVES_WAY = 0.05
-"""rad, m: a joint among servos that has none, and is so far off, was held by nothing: what has no
-stiffness does not sag, it goes until something stops it."""
+"""Minimum displacement [rad, m] of a joint without servo, in a robot with servos, that counts as
+not held. Such a joint has no stiffness, and moves until a stop."""
 
 
 CLOSE = 0.05
-"""Share of the largest torque within which the published robot is as the computed one, but for
-what was altered on loading (Solo 12's balls for mesh feet: 0.016). Paths are tracked as well."""
+"""Maximum torque deviation of a published robot that agrees with the computed robot, relative to
+the largest torque. Solo 12, with spheres instead of mesh feet, deviates by 0.016. Paths are tracked
+as accurately."""
 
 CLOSE_IMPORTED = 0.1
-"""The same of a URDF as MuJoCo imports it, on its own shapes and on servos that were added: where
-those are of meshes, feet touch millimetres elsewhere (Go2's: 0.065)."""
+"""As ``CLOSE``, for MuJoCo's import of a URDF with its own shapes and with added servos. Feet with
+meshes have contacts at slightly different positions (Go2: 0.065)."""
 
 CLOSE_JOINT = 0.02
-"""rad, m: the same of a joint that is told its torque ahead; v3's is off by 5e-5."""
+"""Maximum joint deviation [rad, m] of a published robot with feed-forward; v3 deviates by 5e-5."""
 
 LEFT = 0.5
-"""rad, m: a joint that ends further from the posture in which it was held has left it."""
+"""Minimum displacement [rad, m] of a joint that has left its posture."""
 
 
 class OwnCommands(StrEnum):
-    """What a file's actuators are given in its own run."""
+    """Commands of the actuators in the simulation of a published file."""
 
     STATED = "the keyframe's ctrl"
     ABSENT = "the zeros of a keyframe without ctrl"
@@ -75,14 +78,13 @@ class OwnCommands(StrEnum):
 
 @dataclass(frozen=True)
 class JointOff:
-    """A joint that is not where it began.
+    """Displacement of a joint in a simulation.
 
     Attributes:
-        joint: Its name.
-        off: Where it is less where it was (rad, m).
-        drive: What drives it in the file.
-        commanded: Where its servo is commanded to be less where it was (rad, m); None where it has
-            none.
+        joint: Name of the joint.
+        off: Final minus initial position (rad, m).
+        drive: Actuator type in the file.
+        commanded: Commanded minus initial position (rad, m); None without a servo.
     """
 
     joint: str
@@ -92,7 +94,11 @@ class JointOff:
 
     @property
     def commanded_away(self) -> bool:
-        """Whether its own servo was commanded to go there: what is commanded is another pose."""
+        """Whether the servo was commanded away from the initial position.
+
+        True if the displacement exceeds ``GIVES_WAY`` and the absolute commanded offset exceeds
+        half of the displacement.
+        """
         if self.commanded is None or abs(self.off) <= GIVES_WAY:
             return False
         return abs(self.commanded) > abs(self.off) / 2
@@ -100,15 +106,15 @@ class JointOff:
 
 @dataclass(frozen=True)
 class Cause:
-    """An element of the MJCF, or a change of it on loading, that makes it do other than predicted.
+    """Element of the MJCF, or change on loading, that causes a deviation from the prediction.
 
     Attributes:
-        code: What it is; see ``present.verdict.cause_text``.
-        elements: Its name, or the names of all that are alike.
-        line: Where the first stands in the file; None where that is not known.
-        remaining: The largest deviation of a torque / the largest predicted torque that is left
-            with all causes switched off; None where it cannot be switched off.
-        difference: The first in which the two files differ, if that is the cause.
+        code: Code; see ``present.verdict.cause_text``.
+        elements: Names of the elements.
+        line: Line of the first element in the file; None if unknown.
+        remaining: Largest torque deviation with all causes disabled, relative to the largest
+            predicted torque. None if the cause cannot be disabled.
+        difference: First difference between the two files, if that is the cause.
     """
 
     code: str
@@ -119,28 +125,29 @@ class Cause:
 
 
 OF_PREPARATION = {"shapes-beside-feet", "balls", "other-drive"}
-"""Codes of causes that are changes made on loading. A verdict is about the published robot: if it
-stands, such a difference is reported, and never fails it."""
+"""Codes of causes that are changes on loading. If the published robot stands, such a deviation is
+reported, but does not fail the verdict."""
 
 
 @dataclass(frozen=True)
 class OwnRun(BodyMotion):
-    """What MuJoCo makes of a file from its keyframe, nudged, exactly as a reset leaves it.
+    """Simulation of a published file from its keyframe, with a nudge and without other changes.
 
     Attributes:
-        imported: Whether it is MuJoCo's own import of a URDF, given what the robot was: a free
-            base, a floor, servos ... but for its shapes.
-        timestep: Of such an import (s), if it is finer than the robot's, as its shapes need.
-        keyframe: Its name; empty where the file has none: from the nominal stand.
-        commands: What its actuators are given.
-        limp: Whether most joints have motors, or nothing, which nobody commands.
-        worst: The joint that is furthest from where it began; None where it diverged.
-        unheld: The same of the joints without a servo, among others that have one, if that is more
-            than ``GIVES_WAY``.
-        held: Where the keyframe states no ctrl, the same with its servos told its angles.
-        standing: Whether it stands on the ground; else its base is held in a posture, which a joint
-            leaves that ends ``LEFT`` away from it, and what stands above means nothing.
-        causes: What makes it fail, where that is found.
+        imported: Whether the model is MuJoCo's import of a URDF, completed by free base, floor,
+            servos etc., but with its own shapes.
+        timestep: Time step (s) of an import, if smaller than the robot's because of its shapes.
+        keyframe: Name of the keyframe; "" if the run starts at the nominal stand.
+        commands: Commands of the actuators.
+        limp: Whether most joints have torque motors, or no actuators, without commands.
+        worst: Joint with the largest displacement; None if the simulation diverged.
+        unheld: Joint without servo with the largest displacement, in a robot with servos; None
+            below ``GIVES_WAY``.
+        held: If the keyframe has no ctrl, a second run in which the servos hold the joint
+            positions.
+        standing: Whether the robot stands on the ground. Otherwise the base is fixed, and a joint
+            that ends ``LEFT`` away has left the posture.
+        causes: Causes of a failure, if found.
     """
 
     imported: bool = False
@@ -156,23 +163,22 @@ class OwnRun(BodyMotion):
 
     @property
     def left(self) -> bool:
-        """Whether a joint of what is held has left its posture, and was not told to."""
+        """Whether a joint of a robot with fixed base has left its posture without such command."""
         worst = None if self.standing else self.worst
         return worst is not None and abs(worst.off) > LEFT and not worst.commanded_away
 
     @property
     def falls(self) -> bool:
-        """Whether it does not stay where it was to: by collapse, or by a joint that gives way."""
+        """Whether the robot collapses, or a joint leaves its position."""
         return self.collapses or self.left or self.unheld is not None
 
     @property
     def fails(self) -> bool:
-        """Whether no verdict may be a good one.
+        """Whether the run rules out a positive verdict.
 
-        What a keyframe states is the file's word, zeros included. Where it states no ctrl, a reset
-        fills in zeros that nobody wrote; then the file is taken to mean that its servos hold the
-        angles. Where no keyframe says how it stands, ``Published`` decides whether servos carry it,
-        and this whether all joints have one.
+        The ctrl of a keyframe is taken as specified, including zeros. For a keyframe without ctrl,
+        the run ``held`` counts. Without a keyframe, ``Published`` decides whether the servos
+        support the robot, and this property only whether all joints have servos.
         """
         run = self.held or self
         if run.limp or run.commands is OwnCommands.ABSENT:
@@ -182,20 +188,20 @@ class OwnRun(BodyMotion):
 
 @dataclass(frozen=True)
 class PublishedRun:
-    """What the MJCF does from a predicted state, with nothing in it edited, against the prediction.
+    """Simulation of the unmodified MJCF from a predicted state, compared with the prediction.
 
     Attributes:
-        feedforward: Whether its servos were told to hold the prediction; else the pose alone.
-        duration: s; it is nudged after the first.
-        torque_error: Largest deviation of a joint's torque / largest predicted torque, at any time
-            of the last second.
-        height_error: Height of the centre of mass less the predicted one (m); None where the base
-            is held.
-        joint_error: Largest deviation of a joint (rad).
-        collapses: Whether it has fallen, sunk by ``robot.fall.SUNKEN`` of its height, travelled
-            by its height, or diverged; of what is held, whether a joint has left the posture.
-        differs: Whether it does, or is off by more than a verified stand may be.
-        imported: Whether it is MuJoCo's own import of a URDF.
+        feedforward: Whether the commands include feed-forward; otherwise positions only.
+        duration: Simulated time (s); the nudge is applied after the first second.
+        torque_error: Largest torque deviation within the last second, relative to the largest
+            predicted torque.
+        height_error: Final minus predicted height of the CoM (m); None if the base is fixed.
+        joint_error: Largest joint deviation (rad).
+        collapses: Whether the robot has fallen, sunk by ``robot.fall.SUNKEN`` of its height,
+            travelled by its height, or diverged. For a fixed base, whether a joint has left the
+            posture.
+        differs: Whether the robot collapses, or deviates by more than a verified stand may.
+        imported: Whether the model is MuJoCo's import of a URDF.
     """
 
     feedforward: bool
@@ -209,7 +215,7 @@ class PublishedRun:
 
     @property
     def close(self) -> bool:
-        """Whether it is as computed, but for what was altered on loading."""
+        """Whether the run agrees with the prediction, except for changes on loading."""
         near = not self.feedforward or self.joint_error <= CLOSE_JOINT
         most = CLOSE_IMPORTED if self.imported else CLOSE
         return not self.collapses and self.torque_error <= most and near
@@ -217,12 +223,12 @@ class PublishedRun:
 
 @dataclass(frozen=True)
 class Published:
-    """How the MJCF as it was published differs from what is computed.
+    """Deviations of the published MJCF from the prediction.
 
     Attributes:
-        runs: What was simulated of it.
-        causes: What makes it differ; empty if it does not, or nothing is found that does.
-        differs: Whether it is not as predicted, or cannot be simulated as it is.
+        runs: Simulations.
+        causes: Causes of a deviation; empty if there is none, or none was found.
+        differs: Whether the file deviates, or cannot be simulated without changes.
     """
 
     runs: tuple[PublishedRun, ...]
@@ -231,13 +237,13 @@ class Published:
 
     @property
     def is_altered_only(self) -> bool:
-        """Whether the published robot stands, and only our own preparation makes it differ."""
+        """Whether the published robot stands, and deviates only because of changes on loading."""
         codes = {cause.code for cause in self.causes}
         run = self.worst
         return run is not None and not run.collapses and bool(codes) and codes <= OF_PREPARATION
 
     @property
     def worst(self) -> PublishedRun | None:
-        """The run that differs: one that collapses, else with feed-forward first."""
-        off = (run for run in self.runs if run.differs)
-        return max(off, key=lambda run: (run.collapses, run.feedforward), default=None)
+        """Deviating run, preferably one that collapses, then one with feed-forward; or None."""
+        deviating = (run for run in self.runs if run.differs)
+        return max(deviating, key=lambda run: (run.collapses, run.feedforward), default=None)

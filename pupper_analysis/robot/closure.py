@@ -1,17 +1,16 @@
-"""Closed loops and couplings of joints: what an MJCF's equality constraints ask of them.
+"""Closed kinematic loops and joint couplings from the equality constraints of an MJCF.
 
-A URDF is a tree, and states none of it but ``<mimic>``. MuJoCo's residuals phi(q) are zero where
-loops are closed; with A their derivative, A qvel = 0, and the constraints push with A^T lambda.
-Joints without a motor that are bound so carry nothing themselves:
+A URDF is a tree, and can only express ``<mimic>``. MuJoCo's residuals phi(q) are zero if the loops
+are closed. With their Jacobian A, A qvel = 0, and the constraints exert A^T lambda. The dependent
+joints F have no motor and carry no torque:
 
     0 = x_F - A_F^T lambda,    x' = x - A^T lambda
 
-for a load x that motors have to hold, F being the joints that follow: what would be theirs to carry
-is carried by those that drive them (virtual work).
+for a generalised load x. The motors of the independent joints hold x' (principle of virtual work).
 
-MuJoCo's constraints are soft: at rest each is open by its ``give``, in proportion to its force, as
-the ground is. Where there are more constraints than joints that they bind (a loop in a plane has
-three equations, one of which says nothing), the softness says which carries what.
+MuJoCo's constraints are soft: at rest each has an opening (``give``) that depends on its force. If
+there are more equations than dependent joints (a planar loop has three equations, of which one is
+redundant), the compliances determine the distribution of the load.
 """
 
 from __future__ import annotations
@@ -33,338 +32,380 @@ from pupper_analysis.robot.impedance import Softness
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-CLOSED = 1e-10
-"""What may be left of a loop that is closed (m, rad)."""
+CLOSED_ATOL = 1e-10
+"""Maximum residual of a closed loop [m, rad]."""
 
-OPEN = 1e-6
-"""A loop that is open by more than this, and than its own softness, is not the robot's (m, rad)."""
+MAX_OPENING = 1e-6
+"""Maximum opening of a loop [m, rad] beyond the static deflection. A configuration with larger
+openings is rejected."""
 
-_INDEPENDENT = 1e-7
-"""Constraints whose singular value is less, in parts of the greatest, say nothing new: a planar
-loop's equations across its plane, which rounded files leave with 1e-9."""
+_RANK_RTOL = 1e-7
+"""Relative lower bound of the singular values of independent constraints. The redundant equation of
+a planar loop has up to 1e-9 in files with rounded numbers."""
 
 _MAX_ITERATIONS = 50
-_LONGEST_NEWTON_STEP = 0.3  # rad, m: a longer Newton step is shortened
+"""Maximum number of Newton iterations."""
 
-_NEARLY = 1e-3
-"""Loops of a file's own start are closed to rounding, or in a keyframe to a millimetre (m, rad)."""
+_MAX_NEWTON_STEP = 0.3
+"""Maximum displacement of a joint [rad, m] per Newton step; longer steps are shortened."""
+
+_START_ATOL = 1e-3
+"""Maximum opening [m, rad] of the loops at the initial configuration of the file. Loops in qpos0
+are closed to rounding, in keyframes to a millimetre."""
 
 _DIFFERENCE_STEP = 1e-7
-"""Of central differences (rad, m): softness changes within a millimetre."""
+"""Step of central differences [rad, m]. Constraint stiffness varies within a millimetre."""
 
-_SOFTER = 2.0
-"""What a loop may be open by, in parts of its give where it is softest: forces are others where
-it is closed, as at first a search has it."""
+_MAX_COMPLIANCE_FACTOR = 2.0
+"""Maximum opening relative to the static deflection at maximum compliance. The forces differ from
+those of the closed loop, from which a search starts."""
 
-_UNMOVED = 1e-2
-"""How much joints that place feet move, in parts of what others do, when a loop is closed: a start
-that was made for the feet is to stay one."""
+_FOOT_JOINT_MOBILITY = 1e-2
+"""Mobility of joints that place feet, relative to other joints, while a loop is closed. The
+positions of the feet in the initial guess should change little."""
 
-_OFF = (
+_DISABLE_FLAGS = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),
     "mjDSBL_SENSOR",
 )
 
 
 class Closure:
-    """The loops and couplings of a robot.
+    """Closed loops and couplings of a robot.
 
     Args:
-        model: The robot's, in MuJoCo.
-        convention: Its maps.
-        joint_names: In actuator order.
+        model: MuJoCo model of the robot.
+        convention: Coordinate maps of the model.
+        joint_names: Joints in actuator order.
 
     Attributes:
-        following: (k,) numbers of the joints that others move: they have no motor.
-        leading: (n,) numbers of those that move them, or are bound to each other.
-        bonds: The equality constraints that bind them: their kinds and names.
-        tethered: Whether something of it holds the robot in the world, which is not computed.
+        following: Indices (k,) of the dependent joints, which have no motor.
+        leading: Indices (n,) of the other joints in loops and couplings.
+        bonds: Types and names of the active equality constraints.
+        tethered: Whether a constraint couples the robot to the world, which is not supported.
     """
 
     def __init__(
         self, model: mujoco.MjModel, convention: MujocoConvention, joint_names: Sequence[str]
     ) -> None:
         self._model = copy.copy(model)
-        for flag in _OFF:
+        for flag in _DISABLE_FLAGS:
             self._model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, flag))
         self._model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE.value
         self._convention, self._joint_names = convention, tuple(joint_names)
-        self._first = len(convention.qvel_index) - len(joint_names)
-        self._size = len(convention.qpos_index)
-        self._own = threading.local()
-        self.bonds = _bonds(model)
-        self._used: NDArray[np.bool_] | None = None
+        self._first_dof = len(convention.qvel_index) - len(joint_names)
+        self._num_coordinates = len(convention.qpos_index)
+        self._thread_data = threading.local()
+        self.bonds = _list_constraints(model)
+        self._is_used: NDArray[np.bool_] | None = None
         self._rank = len(joint_names)
-        self._reference = self._closed_start()
-        rows = self._generic()
-        used = np.flatnonzero(np.abs(rows).max(axis=0, initial=0.0) > _INDEPENDENT)
-        self.following = self._followers(rows, used)
+        self._reference_qpos = self._find_closed_start()
+        rows = self._generic_jacobian()
+        used = np.flatnonzero(np.abs(rows).max(axis=0, initial=0.0) > _RANK_RTOL)
+        self.following = self._select_followers(rows, used)
         self.leading = np.setdiff1d(used, self.following)
-        # What turns a loop as a whole matters to one that is open alone, and then it turns with it.
-        self._used = np.isin(np.arange(len(joint_names)), used)
-        self._rank = len(self._turned(rows))
-        self._loops = self._components(rows)
-        self._held = self.rows(self._reference)[:, self.following]
+        # Joints that rotate a loop as a whole only matter while the loop is open.
+        self._is_used = np.isin(np.arange(len(joint_names)), used)
+        self._rank = len(self._independent_combinations(rows))
+        self._loops = self._find_loops(rows)
+        self._reference_rows = self.rows(self._reference_qpos)[:, self.following]
 
     def residual(self, qpos: Array) -> Array:
-        """Returns by how much the constraints are open (m,), in metres and radians."""
-        opened: Array = self._look(qpos).efc_pos.copy()
-        return opened
+        """Return the openings of the constraints (m,) [m, rad]."""
+        openings: Array = self._evaluate_constraints(qpos).efc_pos.copy()
+        return openings
 
     def rows(self, qpos: Array) -> Array:
-        """Returns their derivative (m, nu) by the joints; the base does not matter to them."""
-        rows = self._jacobian(self._look(qpos))[:, self._first :]
-        return rows if self._used is None else rows * self._used
+        """Return the Jacobian (m, nu) of the openings; the base has no effect."""
+        rows = self._jacobian(self._evaluate_constraints(qpos))[:, self._first_dof :]
+        return rows if self._is_used is None else rows * self._is_used
 
     def give(self, qpos: Array, load: Array) -> Array:
-        """Returns by how much the constraints are open at rest under a load.
+        """Return the static deflection of the constraints (m,) under a load; compare ``residual``.
 
         Args:
-            qpos: (nq,) the configuration.
-            load: (nu,) what motors and constraints hold (N m).
-
-        Returns:
-            (m,) like ``residual``.
+            qpos: Configuration (nq,).
+            load: Load (nu,) of motors and constraints [N m, N].
         """
-        forces = self._shares(qpos) @ load[self.following]
-        return -self._softness(qpos).opened(forces)
+        forces = self._force_distribution(qpos) @ load[self.following]
+        return -self._make_softness(qpos).opened(forces)
 
     def push(self, qpos: Array) -> Array:
-        """Returns P (nu, nu): of a load x the constraints hold P x, so that motors hold x - P x."""
-        whole = np.zeros((len(self._joint_names), len(self._joint_names)))
-        whole[:, self.following] = self.rows(qpos).T @ self._shares(qpos)
-        # Exactly: what follows has no motor.
-        whole[self.following] = np.eye(len(self._joint_names))[self.following]
-        return whole
+        """Return P (nu, nu): of a load x, the constraints carry P x, and the motors x - P x."""
+        matrix = np.zeros((len(self._joint_names), len(self._joint_names)))
+        matrix[:, self.following] = self.rows(qpos).T @ self._force_distribution(qpos)
+        # Exact, because dependent joints have no motor.
+        matrix[self.following] = np.eye(len(self._joint_names))[self.following]
+        return matrix
 
     def springs(self, qpos: Array) -> Array:
-        """Returns what the constraints, as open as they are, push joints with (nu,), at rest."""
-        pushed: Array = self.rows(qpos).T @ (-self.residual(qpos) / self._softness(qpos).here())
-        return pushed
+        """Return the joint forces (nu,) of the constraints at rest at their current openings."""
+        forces: Array = self.rows(qpos).T @ (
+            -self.residual(qpos) / self._make_softness(qpos).here()
+        )
+        return forces
 
     def spring_rates(self, qpos: Array) -> Array:
-        """Returns the derivative (nu, nu) of ``springs`` by the joints, by central differences."""
-        first, columns = self._size - len(self._joint_names), []
-        for joint in range(first, self._size):
-            ends = []
-            for way in (_DIFFERENCE_STEP, -_DIFFERENCE_STEP):
+        """Return the derivative (nu, nu) of ``springs`` by the joints, by central differences."""
+        first, columns = self._num_coordinates - len(self._joint_names), []
+        for joint in range(first, self._num_coordinates):
+            values = []
+            for step in (_DIFFERENCE_STEP, -_DIFFERENCE_STEP):
                 moved = qpos.copy()
-                moved[joint] += way
-                ends.append(self.springs(moved))
-            columns.append((ends[0] - ends[1]) / (2 * _DIFFERENCE_STEP))
+                moved[joint] += step
+                values.append(self.springs(moved))
+            columns.append((values[0] - values[1]) / (2 * _DIFFERENCE_STEP))
         return np.array(columns).T
 
     def null_space(self, qpos: Array) -> Array:
-        """Returns a basis (nu, n) of the joints' velocities that keep the loops closed."""
+        """Return a basis (nu, n) of the joint velocities that keep the loops closed."""
         _, _, right = np.linalg.svd(self.rows(qpos))
         basis: Array = right[self._rank :].T
         return basis
 
     def bound(self, qpos: Array) -> tuple[Array, Array]:
-        """Returns independent rows (r, nu) of the derivative, and the residuals (r,) along them."""
+        """Return independent rows (r, nu) of the Jacobian, and the openings (r,) along these."""
         rows = self.rows(qpos)
-        turned = self._turned(rows)
-        return turned @ rows, turned @ self.residual(qpos)
+        combinations = self._independent_combinations(rows)
+        return combinations @ rows, combinations @ self.residual(qpos)
 
     def closed(self, qpos: Array, moving: Array, give: Array | None = None) -> Array | None:
-        """Closes the loops near a configuration, by Newton's iteration of least movement.
+        """Close the loops near a configuration, by Newton's method with minimum weighted step norm.
 
         Args:
-            qpos: (nq,) the configuration.
-            moving: (nu,) how readily each joint moves; see ``readiness``.
-            give: (m,) by how much they are to stay open; 0 by default.
+            qpos: Configuration (nq,).
+            moving: Mobility (nu,) of each joint; see ``readiness``.
+            give: Required openings (m,); 0 by default.
 
         Returns:
-            (nq,) with other joints; None if it does not converge.
+            Configuration (nq,) with the same base. None if the iteration does not converge, or
+            converges to another assembly mode.
         """
-        found = self._newton(qpos, moving, give)
-        return found if found is not None and self.as_built(found) else None
+        result = self._close_by_newton(qpos, moving, give)
+        return result if result is not None and self.as_built(result) else None
 
     def as_built(self, qpos: Array) -> bool:
-        """Tells whether loops are assembled as at the start, and not as beyond a dead point.
+        """Return True if the loops have the assembly mode of the reference configuration.
 
-        There the determinant that closes a loop changes its sign: a four-bar's rods, say, cross.
+        In another assembly mode (for example, with crossed rods of a four-bar linkage), the
+        determinant of the loop's Jacobian has the opposite sign.
         """
-        held = self.rows(qpos)[:, self.following]
+        rows = self.rows(qpos)[:, self.following]
         return all(
-            float(np.linalg.det(held[:, loop].T @ self._held[:, loop])) >= -_INDEPENDENT
+            float(np.linalg.det(rows[:, loop].T @ self._reference_rows[:, loop])) >= -_RANK_RTOL
             for loop in self._loops
         )
 
-    def _newton(self, qpos: Array, moving: Array, give: Array | None) -> Array | None:
-        """See ``closed``; whichever way the loops come to be assembled."""
-        found = qpos.copy()
-        joints = found[self._size - len(self._joint_names) :]  # a view
+    def _close_by_newton(self, qpos: Array, moving: Array, give: Array | None) -> Array | None:
+        """Close the loops as ``closed``, in any assembly mode."""
+        result = qpos.copy()
+        joints = result[self._num_coordinates - len(self._joint_names) :]  # a view
         for _ in range(_MAX_ITERATIONS):
-            left = self.residual(found) - (0.0 if give is None else give)
-            rows = self.rows(found)
-            turned = self._turned(rows)
-            if np.abs(turned @ left).max(initial=0.0) < CLOSED:
-                return found if give is not None or np.abs(left).max(initial=0.0) < OPEN else None
-            step = -moving * (np.linalg.pinv(turned @ rows * moving) @ (turned @ left))
-            joints += step * min(1.0, _LONGEST_NEWTON_STEP / max(float(np.abs(step).max()), 1e-300))
+            error = self.residual(result) - (0.0 if give is None else give)
+            rows = self.rows(result)
+            combinations = self._independent_combinations(rows)
+            if np.abs(combinations @ error).max(initial=0.0) < CLOSED_ATOL:
+                return (
+                    result
+                    if give is not None or np.abs(error).max(initial=0.0) < MAX_OPENING
+                    else None
+                )
+            step = -moving * (np.linalg.pinv(combinations @ rows * moving) @ (combinations @ error))
+            joints += step * min(1.0, _MAX_NEWTON_STEP / max(float(np.abs(step).max()), 1e-300))
         return None
 
     def open(self, qpos: Array) -> float:
-        """Returns by how much the loops and couplings are open (m, rad)."""
+        """Return the largest opening of the loops and couplings [m, rad]."""
         return float(np.abs(self.residual(qpos)).max(initial=0.0))
 
     def open_by(self, qpos: Array, give: Array | None = None) -> float:
-        """Returns by how much the loops are open beyond what they give way (m, rad).
+        """Return the largest opening beyond the required openings [m, rad].
 
-        As far as they can be closed: in rounded files a planar loop's ends are nanometres apart.
+        Only independent combinations of equations count: in files with rounded numbers, a planar
+        loop is open by nanometres in the redundant direction.
         """
-        turned = self._turned(self.rows(qpos))
-        left = self.residual(qpos) - (0.0 if give is None else give)
-        return float(np.abs(turned @ left).max(initial=0.0))
+        combinations = self._independent_combinations(self.rows(qpos))
+        error = self.residual(qpos) - (0.0 if give is None else give)
+        return float(np.abs(combinations @ error).max(initial=0.0))
 
     def check(self, qpos: Array, load: Array) -> None:
-        """Checks that a configuration is one of the robot's, its loops closed but for their give.
+        """Raise an error unless the loops are closed, up to static deflections.
 
         Raises:
-            ConfigurationError: If it is not, or if it is a dead point.
+            ConfigurationError: If a loop is open, or the configuration is singular.
         """
-        forces = self._shares(qpos) @ load[self.following]
-        allowed = OPEN + _SOFTER * self._softness(qpos).most() * np.abs(forces)
-        off = np.abs(self.residual(qpos))
-        if (off > allowed).any():
-            most = Quantity(off.max(), "rad or m")
-            raise ConfigurationError("qpos", diagnose("loops-open", bonds=self.bonds, off=most))
+        forces = self._force_distribution(qpos) @ load[self.following]
+        allowed = MAX_OPENING + _MAX_COMPLIANCE_FACTOR * self._make_softness(qpos).most() * np.abs(
+            forces
+        )
+        openings = np.abs(self.residual(qpos))
+        if (openings > allowed).any():
+            max_opening = Quantity(openings.max(), "rad or m")
+            raise ConfigurationError(
+                "qpos", diagnose("loops-open", bonds=self.bonds, off=max_opening)
+            )
 
     def readiness(self, placing: IntArray) -> Array:
-        """Returns ``moving`` (nu,) for ``closed`` where some joints place feet, and are to stay."""
-        moving = np.ones(len(self._joint_names))
-        moving[placing] = _UNMOVED
-        return moving
+        """Return the joint mobilities (nu,) for ``closed``, with low values for joints of feet.
+
+        Args:
+            placing: Indices of the joints that place feet.
+        """
+        mobility = np.ones(len(self._joint_names))
+        mobility[placing] = _FOOT_JOINT_MOBILITY
+        return mobility
 
     def describe(self) -> Diagnostic:
-        """Tells which joints follow which."""
+        """Return a diagnostic of the dependent and independent joints."""
         following = [self._joint_names[joint] for joint in self.following]
         leading = [self._joint_names[joint] for joint in self.leading]
         if not following:
             return diagnose("joints-bound", joints=leading)
         return diagnose("joints-follow", following=following, leading=leading)
 
-    def _look(self, qpos: Array) -> mujoco.MjData:
-        """Returns MuJoCo's data, a thread's own, at a configuration, with the constraints' rows."""
-        own, model = self._own, self._model
-        if not hasattr(own, "data"):
-            own.data, own.at = mujoco.MjData(model), np.full(len(qpos), np.nan)
-        if not np.array_equal(qpos, own.at):
-            self._convention.set_state(own.data, qpos)
-            mujoco.mj_kinematics(model, own.data)
-            mujoco.mj_comPos(model, own.data)
-            mujoco.mj_tendon(model, own.data)
-            mujoco.mj_makeConstraint(model, own.data)
-            own.at = qpos.copy()
-        data: mujoco.MjData = own.data
+    def _evaluate_constraints(self, qpos: Array) -> mujoco.MjData:
+        """Return MuJoCo data of the current thread with constraint rows at a configuration."""
+        thread_data, model = self._thread_data, self._model
+        if not hasattr(thread_data, "data"):
+            thread_data.data, thread_data.at = mujoco.MjData(model), np.full(len(qpos), np.nan)
+        if not np.array_equal(qpos, thread_data.at):
+            self._convention.set_state(thread_data.data, qpos)
+            mujoco.mj_kinematics(model, thread_data.data)
+            mujoco.mj_comPos(model, thread_data.data)
+            mujoco.mj_tendon(model, thread_data.data)
+            mujoco.mj_makeConstraint(model, thread_data.data)
+            thread_data.at = qpos.copy()
+        data: mujoco.MjData = thread_data.data
         return data
 
     def _jacobian(self, data: mujoco.MjData) -> Array:
-        """Returns the derivative (m, nv) in public coordinates where the data are."""
-        held = data.efc_J[: data.nefc * self._model.nv]  # room is made for bodies that cannot move
-        rows: Array = held.reshape(-1, self._model.nv)[:, self._convention.qvel_index]
+        """Return the Jacobian (m, nv) in public coordinates from MuJoCo's data."""
+        values = data.efc_J[: data.nefc * self._model.nv]  # MuJoCo may allocate more rows
+        rows: Array = values.reshape(-1, self._model.nv)[:, self._convention.qvel_index]
         return rows
 
-    def _softness(self, qpos: Array) -> Softness:
-        return Softness(self._model, self._look(qpos))
+    def _make_softness(self, qpos: Array) -> Softness:
+        return Softness(self._model, self._evaluate_constraints(qpos))
 
-    def _shares(self, qpos: Array) -> Array:
-        """Returns the constraints' forces (m, k) per load on the joints that follow.
+    def _force_distribution(self, qpos: Array) -> Array:
+        """Return the constraint forces (m, k) per unit load on the dependent joints.
 
-        Of all that hold these, the ones with the least energy in the constraints' springs.
+        Of all forces that balance the load, the forces with minimum elastic energy are selected.
 
         Raises:
-            ConfigurationError: If none do: at a dead point.
+            ConfigurationError: If the configuration is singular.
         """
-        stiff = 1 / self._softness(qpos).here()
-        held = self.rows(qpos)[:, self.following]
-        matrix = held.T @ (stiff[:, None] * held)
+        stiffness = 1 / self._make_softness(qpos).here()
+        rows = self.rows(qpos)[:, self.following]
+        matrix = rows.T @ (stiffness[:, None] * rows)
         scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled = scale[:, None] * matrix * scale
-        if len(matrix) and np.linalg.eigvalsh(scaled)[0] < _INDEPENDENT**2:
+        if len(matrix) and np.linalg.eigvalsh(scaled)[0] < _RANK_RTOL**2:
             raise ConfigurationError("qpos", diagnose("loops-at-dead-point", bonds=self.bonds))
-        solved = scale[:, None] * np.linalg.solve(scaled, scale[:, None] * held.T)
-        shares: Array = stiff[:, None] * solved.T
-        return shares
+        solution = scale[:, None] * np.linalg.solve(scaled, scale[:, None] * rows.T)
+        distribution: Array = stiffness[:, None] * solution.T
+        return distribution
 
-    def _closed_start(self) -> Array:
-        """Returns a configuration (nq,) in which loops are closed as they are built, or nearly."""
+    def _find_closed_start(self) -> Array:
+        """Return a configuration (nq,) with closed loops: qpos0, a keyframe, or Newton's result.
+
+        If Newton's method does not converge, the result is qpos0.
+        """
         model, index = self._model, self._convention.qpos_index
         starts = [np.array(pose)[index] for pose in (model.qpos0, *model.key_qpos)]
         for start in starts:
-            if np.abs(self.residual(start)).max(initial=0.0) < _NEARLY:
+            if np.abs(self.residual(start)).max(initial=0.0) < _START_ATOL:
                 return start
-        found = self._newton(starts[0], np.ones(len(self._joint_names)), None)
-        return starts[0] if found is None else found
+        closed = self._close_by_newton(starts[0], np.ones(len(self._joint_names)), None)
+        return starts[0] if closed is None else closed
 
-    def _generic(self) -> Array:
-        """Returns the derivative (m, nu) near the start, where no leg happens to be straight."""
-        qpos, size = self._reference.copy(), len(self._joint_names)
-        qpos[self._size - size :] += np.random.default_rng(0).uniform(-0.1, 0.1, size)
+    def _generic_jacobian(self) -> Array:
+        """Return the Jacobian (m, nu) near the reference configuration, where no leg is singular.
+
+        Also set ``tethered``.
+        """
+        qpos, size = self._reference_qpos.copy(), len(self._joint_names)
+        qpos[self._num_coordinates - size :] += np.random.default_rng(0).uniform(-0.1, 0.1, size)
         qpos = next(
-            (near for near in [self._newton(qpos, np.ones(size), None)] if near is not None), qpos
+            (
+                closed
+                for closed in [self._close_by_newton(qpos, np.ones(size), None)]
+                if closed is not None
+            ),
+            qpos,
         )
-        rows = self._jacobian(self._look(qpos))
-        # An open loop turns the base; only what is tied to the world pulls it along.
-        self.tethered = bool(np.abs(rows[:, : min(3, self._first)]).max(initial=0.0) > 1e-6)
-        return rows[:, self._first :]
+        rows = self._jacobian(self._evaluate_constraints(qpos))
+        # An open loop may rotate the base, but only a constraint with the world translates it.
+        self.tethered = bool(np.abs(rows[:, : min(3, self._first_dof)]).max(initial=0.0) > 1e-6)
+        return rows[:, self._first_dof :]
 
-    def _turned(self, rows: Array) -> Array:
-        """Returns what turns rows (m, nu) to those that are independent, (r, m)."""
-        left, lengths, _ = np.linalg.svd(rows, full_matrices=False)
-        count = int(np.count_nonzero(lengths > _INDEPENDENT * lengths.max(initial=0.0)))
-        turned: Array = left[:, : min(count, self._rank)].T
-        return turned
+    def _independent_combinations(self, rows: Array) -> Array:
+        """Return the combinations (r, m) of the rows (m, nu) that are independent."""
+        left_vectors, singular_values, _ = np.linalg.svd(rows, full_matrices=False)
+        count = int(
+            np.count_nonzero(singular_values > _RANK_RTOL * singular_values.max(initial=0.0))
+        )
+        combinations: Array = left_vectors[:, : min(count, self._rank)].T
+        return combinations
 
-    def _components(self, rows: Array) -> tuple[IntArray, ...]:
-        """Returns which of the joints that follow are in one loop, or in loops that share one."""
-        held = np.abs(rows[:, self.following]) > _INDEPENDENT
-        loops: list[tuple[set[int], NDArray[np.bool_]]] = []  # joints, and their equations
-        for joint in range(held.shape[1]):
-            joints, equations = {joint}, held[:, joint]
+    def _find_loops(self, rows: Array) -> tuple[IntArray, ...]:
+        """Return the positions in ``following`` of the joints of each group of connected loops."""
+        is_coupled = np.abs(rows[:, self.following]) > _RANK_RTOL
+        loops: list[tuple[set[int], NDArray[np.bool_]]] = []  # (joints, mask of their equations)
+        for joint in range(is_coupled.shape[1]):
+            joints, equations = {joint}, is_coupled[:, joint]
             for loop in [loop for loop in loops if (loop[1] & equations).any()]:
                 loops.remove(loop)
                 joints, equations = joints | loop[0], equations | loop[1]
             loops.append((joints, equations))
         return tuple(np.array(sorted(joints), dtype=np.int64) for joints, _ in loops)
 
-    def _followers(self, rows: Array, used: IntArray) -> IntArray:
-        """Finds joints without motors, as many as the constraints can move by the others."""
-        unmoved = [joint for joint in used if self._convention.actuator_index[joint] < 0]
+    def _select_followers(self, rows: Array, used: IntArray) -> IntArray:
+        """Return the dependent joints: as many undriven joints as the constraints can determine.
+
+        Followers of joint couplings are selected first.
+        """
+        undriven = [joint for joint in used if self._convention.actuator_index[joint] < 0]
         model = self._model
-        messages = [
+        coupled_joints = [
             self._joint_names.index(model.joint(int(model.eq_obj1id[index])).name)
             for index in range(model.neq)
             if model.eq_type[index] == mujoco.mjtEq.mjEQ_JOINT.value
             and model.joint(int(model.eq_obj1id[index])).name in self._joint_names
         ]
-        first = [joint for joint in messages if joint in unmoved]
-        order = list(dict.fromkeys([*first, *reversed(unmoved)]))
+        preferred = [joint for joint in coupled_joints if joint in undriven]
+        order = list(dict.fromkeys([*preferred, *reversed(undriven)]))
         chosen: list[int] = []
         for joint in order:
-            lengths = np.linalg.svd(rows[:, [*chosen, joint]], compute_uv=False)
-            if len(lengths) > len(chosen) and lengths[-1] > _INDEPENDENT * lengths[0]:
+            singular_values = np.linalg.svd(rows[:, [*chosen, joint]], compute_uv=False)
+            if (
+                len(singular_values) > len(chosen)
+                and singular_values[-1] > _RANK_RTOL * singular_values[0]
+            ):
                 chosen.append(int(joint))
         return np.array(sorted(chosen), dtype=np.int64)
 
 
-def _bonds(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names the equality constraints that act."""
-    messages = []
+def _list_constraints(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Return types and names of the active equality constraints."""
+    names = []
     for index in np.flatnonzero(model.eq_active0):
         kind = mujoco.mjtEq(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
-        messages.append(f"{kind} {equality_name(model, int(index))}")
-    return tuple(messages)
+        names.append(f"{kind} {equality_name(model, int(index))}")
+    return tuple(names)
 
 
 def closure_of(
     model: mujoco.MjModel, convention: MujocoConvention, joint_names: Sequence[str]
 ) -> Closure | None:
-    """Returns a robot's loops and couplings; None if its MJCF has none that act."""
+    """Return the loops and couplings of a robot; None if there are none.
+
+    The result is also None if the constraints are disabled, bind no joint, or couple the robot to
+    the world.
+    """
     disabled = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
     if not model.eq_active0.any() or model.opt.disableflags & int(disabled):
         return None
-    found = Closure(model, convention, joint_names)
-    bound = len(found.leading) + len(found.following) > 0
-    return found if bound and not found.tethered else None
+    closure = Closure(model, convention, joint_names)
+    has_joints = len(closure.leading) + len(closure.following) > 0
+    return closure if has_joints and not closure.tethered else None

@@ -1,4 +1,4 @@
-"""Feet and ground in MuJoCo: which geoms they are, where, and what MuJoCo makes of a contact."""
+"""Contacts of feet with the ground in MuJoCo: geoms, positions, forces and effective parameters."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ContactParameters:
-    """The effective parameters of the contact between two geoms.
+    """Effective parameters of the contact between two geoms.
 
     Attributes:
-        condim: 1 frictionless, 3 sliding, 4 torsional, 6 rolling friction too.
-        friction: (5,) sliding (twice, -), torsional (m), rolling (twice, m).
-        solref: (2,) time constant (s) and damping ratio.
-        solimp: (5,) dmin, dmax, width (m), midpoint, power.
-        margin: Distance from which on they push each other apart (m).
+        condim: 1 frictionless, 3 sliding, 4 plus torsional, 6 plus rolling friction.
+        friction: Coefficients (5,): sliding (twice, -), torsional [m], rolling (twice, [m]).
+        solref: Time constant [s] and damping ratio; or negative stiffness and damping.
+        solimp: dmin, dmax, width [m], midpoint, power.
+        margin: Distance [m] at which contact forces begin.
     """
 
     condim: int
@@ -39,39 +39,41 @@ class ContactParameters:
 
     @property
     def sliding_friction(self) -> float:
-        """The coefficient of the friction cone."""
+        """Coefficient of the friction cone; 0 for a frictionless contact."""
         return self.friction[0] if self.condim > 1 else 0.0
 
 
 def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> ContactParameters:
-    """Combines two geoms' parameters as MuJoCo does for a contact without a ``<pair>``.
+    """Return the contact parameters of two geoms without a ``<pair>``, as in MuJoCo.
 
-    The geom of higher priority wins. At equal priority: the greater condim, each greater friction
-    coefficient, and the mean of solref and solimp weighted by solmix (the lesser of each solref
-    where one is negative, that is, given as stiffness and damping). Margins add up.
+    If the priorities differ, the parameters of the geom with the higher priority are used.
+    Otherwise: the larger condim, the larger of each friction coefficient, and the means of solref
+    and solimp weighted by solmix. If a solref is not positive (stiffness and damping), the smaller
+    of each value is used. Margins are added.
 
     Source: MuJoCo documentation, "Computation: Contact parameters".
 
     Args:
-        model: The model.
-        first: A geom's id.
-        second: The other geom's id; None: a ground with MuJoCo's own numbers, as scenes have it.
+        model: MuJoCo model.
+        first: Id of a geom.
+        second: Id of the other geom; None for a plane with MuJoCo's default parameters.
     """
-    geoms = (model, first), (model, second) if second is not None else (_PLANE, 0)
+    geoms = (model, first), (model, second) if second is not None else (_DEFAULT_PLANE_MODEL, 0)
     priority, condims, frictions, weights, solrefs, solimps, margins = (
-        np.array([getattr(of, f"geom_{word}")[geom] for of, geom in geoms]) for word in _COMBINED
+        np.array([getattr(owner, f"geom_{word}")[geom] for owner, geom in geoms])
+        for word in _COMBINED_FIELDS
     )
     if priority[0] != priority[1]:
-        chosen = int(np.argmax(priority))
-        condim, friction = int(condims[chosen]), frictions[chosen]
-        solref, solimp = solrefs[chosen], solimps[chosen]
+        winner = int(np.argmax(priority))
+        condim, friction = int(condims[winner]), frictions[winner]
+        solref, solimp = solrefs[winner], solimps[winner]
     else:
         condim, friction = int(condims.max()), frictions.max(axis=0)
-        share = 0.5 if weights.sum() < mujoco.mjMINVAL else weights[0] / weights.sum()
-        solref = share * solrefs[0] + (1 - share) * solrefs[1]
+        weight = 0.5 if weights.sum() < mujoco.mjMINVAL else weights[0] / weights.sum()
+        solref = weight * solrefs[0] + (1 - weight) * solrefs[1]
         if solrefs[:, 0].min() <= 0:
             solref = solrefs.min(axis=0)
-        solimp = share * solimps[0] + (1 - share) * solimps[1]
+        solimp = weight * solimps[0] + (1 - weight) * solimps[1]
     slide, spin, roll = (float(value) for value in friction)
     return ContactParameters(
         condim=condim,
@@ -82,46 +84,46 @@ def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> Cont
     )
 
 
-_COMBINED = ("priority", "condim", "friction", "solmix", "solref", "solimp", "margin")
-_PLANE = mujoco.MjModel.from_xml_string(
+_COMBINED_FIELDS = ("priority", "condim", "friction", "solmix", "solref", "solimp", "margin")
+_DEFAULT_PLANE_MODEL = mujoco.MjModel.from_xml_string(
     "<mujoco><worldbody><geom type='plane' size='1 1 1'/></worldbody></mujoco>"
 )
 
 
 def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
-    """Returns the way (..., 3) from a foot's centre to the contact (m).
+    """Return the vector (..., 3) [m] from the centre of a foot to the contact.
 
-    MuJoCo has it half way into the penetration.
+    MuJoCo places the contact in the middle of the penetration.
 
     Args:
-        radius: (...) of the foot's sphere (m).
-        normal: (..., 3) out of the ground.
-        depth: (...) how deep the foot is in it (m).
+        radius: Radius (...) [m] of the foot's sphere.
+        normal: Normal (..., 3) of the ground.
+        depth: Penetration (...) [m].
     """
-    reach = np.asarray(radius) - np.asarray(depth) / 2
-    offset: Array = -reach[..., None] * normal
+    distance = np.asarray(radius) - np.asarray(depth) / 2
+    offset: Array = -distance[..., None] * normal
     return offset
 
 
 def ground_geom(model: mujoco.MjModel) -> int | None:
-    """Returns the id of the plane that is fixed to the world, or None."""
+    """Return the id of the first plane that is fixed to the world; None if there is none."""
     for geom in range(model.ngeom):
-        plane = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE.value
-        if plane and model.body_weldid[model.geom_bodyid[geom]] == 0:
+        is_plane = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE.value
+        if is_plane and model.body_weldid[model.geom_bodyid[geom]] == 0:
             return geom
     return None
 
 
 def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
-    """Returns the id of a body's sphere that touches things and is centred at ``position``.
+    """Return the id of a collision sphere of a body that is centred at a position.
 
     Args:
-        model: The model.
-        body: The id of the body that carries the foot.
-        position: (3,) of the foot's frame, in the body's frame (m).
+        model: MuJoCo model.
+        body: Id of the body.
+        position: Position (3,) [m] in the frame of the body.
 
     Returns:
-        The geom's id, or None if no such sphere is within 1 micrometre.
+        Id of the geom; None if there is no such sphere within 1 micrometre.
     """
     for geom in range(model.ngeom):
         if (
@@ -137,62 +139,63 @@ def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
 def ground_forces(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> tuple[dict[str, Array], set[str]]:
-    """Returns what the ground does to a robot at a state.
+    """Return the ground forces at a state.
 
     Args:
-        model: The model.
-        data: After ``mj_forward``.
-        foot_geoms: Which geom is which foot's.
+        model: MuJoCo model.
+        data: Data after ``mj_forward``.
+        foot_geoms: {geom: foot}.
 
     Returns:
-        The force on each foot that touches, {foot: (3,)}, in world axes (N); and the names of the
-        other bodies that touch.
+        {foot: force (3,) [N] in world axes} of the feet in contact, and the names of other bodies
+        in contact.
     """
     forces: dict[str, Array] = {}
-    others: set[str] = set()
+    other_bodies: set[str] = set()
     pairs = data.contact.geom
     wrenches = np.zeros((len(pairs), 6))
     for number, wrench in enumerate(wrenches):
         mujoco.mj_contactForce(model, data, number, wrench)
-    given = (wrenches[:, None, :3] @ data.contact.frame.reshape(-1, 3, 3))[:, 0]
+    world_forces = (wrenches[:, None, :3] @ data.contact.frame.reshape(-1, 3, 3))[:, 0]
     bodies = model.geom_bodyid[pairs].tolist()
-    for pair, (one, other), force in zip(pairs.tolist(), bodies, given, strict=True):
-        first = one == 0  # the floor, or a step
-        if first == (other == 0):
+    for pair, (body1, body2), force in zip(pairs.tolist(), bodies, world_forces, strict=True):
+        is_first_ground = body1 == 0  # floor or step
+        if is_first_ground == (body2 == 0):
             continue
-        geom = pair[1] if first else pair[0]
+        geom = pair[1] if is_first_ground else pair[0]
         foot = foot_geoms.get(geom)
         if foot is None:
-            others.add(model.body(other if first else one).name)
+            other_bodies.add(model.body(body2 if is_first_ground else body1).name)
         else:
-            forces[foot] = forces.get(foot, 0.0) + (force if first else -force)
-    return forces, others
+            forces[foot] = forces.get(foot, 0.0) + (force if is_first_ground else -force)
+    return forces, other_bodies
 
 
 def bodies_on_ground(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> set[str]:
-    """Returns the names of the bodies that touch the ground with other geoms than feet's.
+    """Return the names of the bodies with ground contacts of other geoms than those of feet.
 
     Args:
-        model: The model.
-        data: After ``mj_collision``.
-        foot_geoms: Which geom is which foot's.
+        model: MuJoCo model.
+        data: Data after ``mj_collision``.
+        foot_geoms: {geom: foot}.
     """
     pairs = data.contact.geom
-    still = model.geom_bodyid[pairs] == 0
-    geoms = set(pairs[still[:, ::-1] & ~still].tolist())  # of those whose other one is the ground's
+    is_fixed = model.geom_bodyid[pairs] == 0
+    # Geoms of moving bodies whose contact partner is fixed.
+    geoms = set(pairs[is_fixed[:, ::-1] & ~is_fixed].tolist())
     return {model.body(int(model.geom_bodyid[geom])).name for geom in geoms.difference(foot_geoms)}
 
 
 def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:
-    """Finds a foot's frame in a MuJoCo model: a site, body or geom of that name.
+    """Return the frame of a foot in a MuJoCo model: a site, body or geom with a name.
 
     Returns:
-        The id of the body that carries it, and its position (3,) in that body's frame (m).
+        Id of the body, and position (3,) [m] of the frame in the body.
 
     Raises:
-        UnknownNameError: If there is none; the message lists the sites.
+        UnknownNameError: If there is no such frame; the message lists the sites.
     """
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, frame)
     if site >= 0:
@@ -210,31 +213,31 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
 def foot_geoms(
     description: Description, model: mujoco.MjModel, places: Mapping[str, tuple[int, Array]]
 ) -> dict[str, tuple[int, float]]:
-    """Finds the geom that touches the ground at each contact point, and its radius there (m).
+    """Return {contact point: (id of its geom, radius [m])}.
 
     Raises:
-        ModelError: If there is none.
+        ModelError: If a contact point has no geom.
     """
-    found: dict[str, tuple[int, float]] = {}
+    geoms: dict[str, tuple[int, float]] = {}
     for foot, (body, position) in places.items():
         if foot in description.foot_geoms:
             name, radius = description.foot_geoms[foot]
-            found[foot] = int(model.geom(name).id), radius
+            geoms[foot] = int(model.geom(name).id), radius
             continue
         sphere = foot_geom(model, body, position)
         if sphere is None:
             frame = description.contact_points[foot][1]
-            where = {"body": model.body(body).name, "frame": frame}
-            problem = diagnose("foot-without-sphere", subject=("foot", foot), **where)
+            details = {"body": model.body(body).name, "frame": frame}
+            problem = diagnose("foot-without-sphere", subject=("foot", foot), **details)
             raise ModelError(description.mjcf_source, problem)
-        found[foot] = sphere, float(model.geom_size[sphere, 0])
-    return found
+        geoms[foot] = sphere, float(model.geom_size[sphere, 0])
+    return geoms
 
 
 def ground_contacts(
     model: mujoco.MjModel, geoms: Mapping[str, tuple[int, float]]
 ) -> Mapping[str, ContactParameters]:
-    """Returns the parameters of contacts with the ground, by their points' ``foot_geoms``."""
+    """Return {contact point: parameters of its contact with the ground}; empty without ground."""
     ground = ground_geom(model)
     if ground is None:
         return MappingProxyType({})
@@ -251,10 +254,18 @@ def stand_height(
     keyframe: Array,
     foot_depth: float | None,
 ) -> float:
-    """Returns the base's height (m) in the nominal stand.
+    """Return the height [m] of the base in the nominal stand.
 
-    With ``foot_depth``, the feet's centres are that far below the hips (the legs' first bodies);
-    otherwise the lowest foot touches the ground with the keyframe's joint positions.
+    With ``foot_depth``, the centres of the feet are this distance below the first bodies of their
+    legs. Otherwise, the lowest foot touches the ground with the joint positions of the keyframe.
+
+    Args:
+        model: MuJoCo model.
+        base: Name of the base body.
+        places: {foot: (body id, position (3,) [m] in the body)}.
+        radius: {foot: radius [m]}.
+        keyframe: Configuration, public or of MuJoCo; only the last ``model.nq`` values are used.
+        foot_depth: Distance [m] below the hips, or None.
     """
     data = mujoco.MjData(model)
     if foot_depth is None:
@@ -262,20 +273,20 @@ def stand_height(
     mujoco.mj_kinematics(model, data)
     base_id = model.body(base).id
     rotation = data.xmat[base_id].reshape(3, 3)
-    below: list[float] = []
+    heights: list[float] = []
     for foot, (body, position) in places.items():
         if foot_depth is None:
-            at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+            foot_position = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
         else:
             while model.body_parentid[body] not in (base_id, 0):
                 body = int(model.body_parentid[body])
-            at = data.xpos[body] - foot_depth * rotation[:, 2]
-        below.append(float(rotation[:, 2] @ (data.xpos[base_id] - at)) + radius[foot])
-    return max(below, default=0.0)
+            foot_position = data.xpos[body] - foot_depth * rotation[:, 2]
+        heights.append(float(rotation[:, 2] @ (data.xpos[base_id] - foot_position)) + radius[foot])
+    return max(heights, default=0.0)
 
 
 def limb_ends(model: mujoco.MjModel) -> list[int]:
-    """Returns the ids of the bodies with joints that carry no others with joints."""
-    moving = [b for b in range(1, model.nbody) if int(model.body_weldid[b]) == b]
-    carrying = {int(model.body_weldid[model.body_parentid[body]]) for body in moving}
-    return [body for body in moving if body not in carrying and model.body_jntnum[body]]
+    """Return the ids of the bodies with joints that carry no other moving body."""
+    moving_bodies = [body for body in range(1, model.nbody) if int(model.body_weldid[body]) == body]
+    parents = {int(model.body_weldid[model.body_parentid[body]]) for body in moving_bodies}
+    return [body for body in moving_bodies if body not in parents and model.body_jntnum[body]]

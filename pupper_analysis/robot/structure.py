@@ -1,8 +1,8 @@
-"""What depends on a robot alone: a model in public coordinates, numbers of frames and joints.
+"""``Structure``: data that depend on the robot only, and ``Kinematics``: positions of CoM and feet.
 
-It is worked out once per robot, so that a configuration, of which there may be thousands, looks
-up no name, turns no axes, and allocates nothing of Pinocchio's. Who asks for com and feet alone, as
-in judging a stand, has them of ``Kinematics``, at one configuration after another.
+Structure contains a Pinocchio model in public coordinates, and the indices of frames and joints. It
+is computed once per robot, so that a configuration needs no search for names, no rotation of axes,
+and no new Pinocchio data.
 """
 
 from __future__ import annotations
@@ -19,45 +19,47 @@ from pupper_analysis.robot.coordinates import PinocchioConvention, normalise_qua
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_MOST_SPARE = 32
-"""Workspaces that are kept for later (some 10 kB each); those that are in use are not counted."""
+_MAX_SPARE_DATA = 32
+"""Maximum number of unused Pinocchio data that are kept (some 10 kB each)."""
 
 
 class Workspace:
-    """A Pinocchio ``Data`` that belongs to its holder alone; another may have it afterwards.
+    """Pinocchio data with one owner; returned to the pool when the workspace is deleted.
 
     Attributes:
-        data: The data.
+        data: Pinocchio data.
     """
 
-    __slots__ = ("_spare", "data")
+    __slots__ = ("_spare_data", "data")
 
     def __init__(self, data: pin.Data, spare: list[pin.Data]) -> None:
-        self.data, self._spare = data, spare
+        self.data, self._spare_data = data, spare
 
     def __del__(self) -> None:
-        if len(self._spare) < _MOST_SPARE:
-            self._spare.append(self.data)
+        if len(self._spare_data) < _MAX_SPARE_DATA:
+            self._spare_data.append(self.data)
 
 
 class Structure:
-    """What depends on a robot alone.
+    """Model and indices of a robot.
 
     Attributes:
-        model: The robot's model in public coordinates; see ``in_public_coordinates``.
+        model: Pinocchio model in public coordinates; see ``in_public_coordinates``.
+        floating: Whether the base is free.
         nq: Size of the public qpos.
         nv: Size of the public qvel.
-        convention: The way from public coordinates to the model's.
-        links: {link: number of its frame}.
-        joints: {joint: its number}.
-        feet: {foot: number of its frame}.
-        parents: {foot: number of the joint that carries it}.
-        rest: (nv,) a velocity of zero, which nobody can change.
-        carried: (nv, nv) whether a coordinate (row) turns with another one (column), as far as
-            one carries the other: what is before it does so, and a ball's three do all.
-        total_mass: kg.
-        fixed: Mass of what does not move, a fixed base's, in parts of the total.
-        lever: (3,) its centre (m).
+        convention: Maps between public coordinates and those of the model.
+        links: {link: frame index}.
+        joints: {joint: joint index}.
+        feet: {foot: frame index}.
+        parents: {foot: index of the joint that moves the foot}.
+        rest: Zero velocity (nv,), read-only.
+        carried: Mask (nv, nv): whether coordinate i (row) is not before coordinate j (column) in
+            the model, or both are rotations of the base. For two coordinates on one chain: whether
+            j moves the axis of i.
+        total_mass: Mass [kg].
+        fixed: Mass that does not move (with a fixed base), relative to the total mass.
+        lever: CoM (3,) [m] of the fixed mass.
     """
 
     def __init__(
@@ -68,15 +70,17 @@ class Structure:
         contact_frames: Mapping[str, str],
     ) -> None:
         self.model = in_public_coordinates(model, joint_names)
-        self._given = model
+        self._original_model = model
         self.floating = convention.floating
         self.nv = convention.base_nv + len(joint_names)
         self.nq = self.nv + self.floating
-        # Of links of one name Pinocchio's own search finds the first.
+        # If several links have the same name, the first counts, as in Pinocchio.
         frames = [
-            (n, f.name) for n, f in enumerate(self.model.frames) if f.type == pin.FrameType.BODY
+            (index, frame.name)
+            for index, frame in enumerate(self.model.frames)
+            if frame.type == pin.FrameType.BODY
         ]
-        self.links: dict[str, int] = {name: number for number, name in reversed(frames)}
+        self.links: dict[str, int] = {name: index for index, name in reversed(frames)}
         self.joints: dict[str, int] = {
             name: int(self.model.getJointId(name)) for name in joint_names
         }
@@ -87,148 +91,161 @@ class Structure:
         self.total_mass = float(sum(inertia.mass for inertia in model.inertias))
         self.fixed = float(model.inertias[0].mass) / self.total_mass if self.total_mass else 0.0
         self.lever = np.array(model.inertias[0].lever)
-        # A view of what cannot be written to cannot be made writeable.
+        # A view of a read-only array cannot be made writeable.
         rest = np.zeros(self.nv)
         rest.flags.writeable = False
         self.rest = rest[:]
         self.convention = PinocchioConvention.of(self.model, joint_names)
-        self._order = np.arange(self.nv)  # of the given model's coordinates in the own one's
-        self._order[self.convention.v_index] = convention.v_index
+        # Index in the original model of each velocity coordinate of this model.
+        self._original_order = np.arange(self.nv)
+        self._original_order[self.convention.v_index] = convention.v_index
         columns = np.concatenate([np.arange(convention.base_nv), self.convention.v_index])
-        one, other = np.meshgrid(columns, columns, indexing="ij")
-        self._upper = np.minimum(one, other) * self.nv + np.maximum(one, other)
+        row, column = np.meshgrid(columns, columns, indexing="ij")
+        self._upper_triangle = np.minimum(row, column) * self.nv + np.maximum(row, column)
         self.carried = columns[:, None] >= columns
         if self.floating:
             self.carried[3:6, 3:6] = True
         in_order = bool((columns == np.arange(self.nv)).all())
-        self._columns: IntArray | None = None if in_order else columns
-        self._spare: list[pin.Data] = []
+        self._public_to_model: IntArray | None = None if in_order else columns
+        self._spare_data: list[pin.Data] = []
 
     def workspace(self) -> Workspace:
-        """Returns a workspace that nobody else holds."""
+        """Return a workspace that has no other owner."""
         try:
-            data = self._spare.pop()
+            data = self._spare_data.pop()
         except IndexError:
             data = self.model.createData()
-        return Workspace(data, self._spare)
+        return Workspace(data, self._spare_data)
 
     def loaded(self) -> pin.Model:
-        """Returns the model with the armature that the robot's has now: it may be changed."""
-        self.model.armature = self._given.armature.take(self._order)
+        """Return the model with the current armature of the robot, which may have been modified."""
+        self.model.armature = self._original_model.armature.take(self._original_order)
         return self.model
 
     def state(self, qpos: ArrayLike) -> Array:
-        """Returns a public qpos (nq,) of one's own, with its quaternion normalised.
+        """Return a copy of a public qpos (nq,) with normalised quaternion.
 
         Raises:
-            ConfigurationError: If it has a wrong length, a value is not finite, or the quaternion
-                is zero.
+            ConfigurationError: If the length is wrong, a value is not finite, or the quaternion is
+                zero.
         """
-        own = check_vector("qpos", qpos, self.nq)
+        result = check_vector("qpos", qpos, self.nq)
         if self.floating:
-            normalise_quaternion(own)
-        return own
+            normalise_quaternion(result)
+        return result
 
     def centre(self, moving: Array) -> Array:
-        """Returns the com (3,), of that of what moves: Pinocchio leaves out what does not (m)."""
+        """Return the total CoM (3,) [m] from that of the moving parts, without fixed mass."""
         if not self.fixed:
             return moving
         com: Array = moving + self.fixed * (self.lever - moving)
         return com
 
     def columns(self, jacobian: Array) -> Array:
-        """Returns the model's Jacobian (n, nv) with its columns in public order."""
-        if self.nv == 1:  # Pinocchio's is flat
+        """Return the model's Jacobian (n, nv) with columns in public order."""
+        if self.nv == 1:  # Pinocchio returns a vector
             jacobian = jacobian.reshape(-1, 1)
-        return jacobian if self._columns is None else jacobian.take(self._columns, axis=1)
+        return (
+            jacobian
+            if self._public_to_model is None
+            else jacobian.take(self._public_to_model, axis=1)
+        )
 
     def dual(self, forces: Array) -> Array:
-        """Returns the model's generalised forces, or accelerations, (nv,) in public order."""
-        public: Array = forces if self._columns is None else forces.take(self._columns)
+        """Return the model's generalised forces or accelerations (nv,) in public order."""
+        public: Array = (
+            forces if self._public_to_model is None else forces.take(self._public_to_model)
+        )
         return public.copy()
 
     def inertia(self, upper: Array) -> Array:
-        """Returns a symmetric matrix (nv, nv) of the model, whose upper triangle counts."""
-        symmetric: Array = upper.take(self._upper)
+        """Return a symmetric matrix (nv, nv) in public order from the model's upper triangle."""
+        symmetric: Array = upper.take(self._upper_triangle)
         return symmetric
 
     def square(self, matrix: Array) -> Array:
-        """Returns any matrix (nv, nv) of the model in public order."""
-        if self._columns is None:
+        """Return a matrix (nv, nv) of the model in public order."""
+        if self._public_to_model is None:
             return matrix.copy()
-        return matrix.take(self._columns, axis=0).take(self._columns, axis=1)
+        return matrix.take(self._public_to_model, axis=0).take(self._public_to_model, axis=1)
 
     def velocity(self, qvel: Array) -> Array:
-        """Returns the model's velocity, or force, (nv,) of a public one."""
-        if self._columns is None:
+        """Return a public velocity or force (nv,) in the order of the model."""
+        if self._public_to_model is None:
             return qvel
-        own = np.empty(self.nv)
-        own[self._columns] = qvel
-        return own
+        result = np.empty(self.nv)
+        result[self._public_to_model] = qvel
+        return result
 
 
 def in_public_coordinates(model: pin.Model, joint_names: Sequence[str]) -> pin.Model:
-    """Returns the same robot, without armature, in a model whose coordinates are the public ones.
+    """Return the Pinocchio model of the robot, without armature, in public coordinates.
 
-    What moves freely does so by a translation, whose velocity is in the world's axes, and a ball
-    joint, whose velocity is in its own: MuJoCo's free joint. Nothing has to be turned then that
-    Pinocchio computes. The joints are in actuator order, as far as Pinocchio, which wants each
-    with all that it carries behind it, can have them so; and q has the quaternion's w last.
+    A free flyer becomes a translation, with velocity in world axes, and a spherical joint, with
+    velocity in body axes, as in MuJoCo's free joint. Quantities that Pinocchio computes then need
+    no rotation. The joints are in actuator order, as far as Pinocchio's depth-first order permits;
+    the quaternion in q is (x, y, z, w).
 
     Args:
-        model: The robot, its base on a free flyer.
-        joint_names: In actuator order.
+        model: Model of the robot; a free base is a free flyer.
+        joint_names: Joints in actuator order.
     """
-    own = pin.Model()
-    own.name, own.gravity = model.name, model.gravity
-    numbers = {0: 0}
-    wanted = [int(model.getJointId(name)) for name in joint_names]
-    for joint in _carried_behind(model, wanted):
-        kind, parent = model.joints[joint], numbers[model.parents[joint]]
-        place, name = model.jointPlacements[joint], model.names[joint]
-        if kind.nv == 6:
-            parent = own.addJoint(parent, pin.JointModelTranslation(), place, f"{name} moves")
-            kind, place = pin.JointModelSpherical(), pin.SE3.Identity()
-        numbers[joint] = own.addJoint(parent, kind, place, name)
-    for joint, number in numbers.items():
-        own.appendBodyToJoint(number, model.inertias[joint], pin.SE3.Identity())
+    result = pin.Model()
+    result.name, result.gravity = model.name, model.gravity
+    new_indices = {0: 0}
+    joint_order = [int(model.getJointId(name)) for name in joint_names]
+    for joint in _sort_depth_first(model, joint_order):
+        joint_model, parent = model.joints[joint], new_indices[model.parents[joint]]
+        placement, name = model.jointPlacements[joint], model.names[joint]
+        if joint_model.nv == 6:
+            parent = result.addJoint(
+                parent, pin.JointModelTranslation(), placement, f"{name} moves"
+            )
+            joint_model, placement = pin.JointModelSpherical(), pin.SE3.Identity()
+        new_indices[joint] = result.addJoint(parent, joint_model, placement, name)
+    for joint, new_joint in new_indices.items():
+        result.appendBodyToJoint(new_joint, model.inertias[joint], pin.SE3.Identity())
     for frame in list(model.frames)[1:]:
-        joint = numbers[frame.parentJoint]
-        own.addFrame(pin.Frame(frame.name, joint, 0, frame.placement, frame.type), False)
-    return own
+        joint = new_indices[frame.parentJoint]
+        result.addFrame(pin.Frame(frame.name, joint, 0, frame.placement, frame.type), False)
+    return result
 
 
-def _carried_behind(model: pin.Model, wanted: Sequence[int]) -> Iterator[int]:
-    """Yields the joints, what each carries behind it, and in the wanted order among those."""
-    place = {joint: index for index, joint in enumerate(wanted)}
-    carried: dict[int, list[int]] = {}
-    for joint in sorted(range(1, model.njoints), key=lambda joint: -place.get(joint, -1)):
-        carried.setdefault(int(model.parents[joint]), []).append(joint)
-    ahead = carried.get(0, [])
-    while ahead:
-        joint = ahead.pop()
+def _sort_depth_first(model: pin.Model, preferred_order: Sequence[int]) -> Iterator[int]:
+    """Yield the joints in depth-first order; siblings in the preferred order.
+
+    Args:
+        model: Pinocchio model.
+        preferred_order: Joint indices.
+    """
+    rank = {joint: index for index, joint in enumerate(preferred_order)}
+    children: dict[int, list[int]] = {}
+    for joint in sorted(range(1, model.njoints), key=lambda joint: -rank.get(joint, -1)):
+        children.setdefault(int(model.parents[joint]), []).append(joint)
+    stack = children.get(0, [])
+    while stack:
+        joint = stack.pop()
         yield joint
-        ahead += carried.get(joint, ())
+        stack += children.get(joint, ())
 
 
 Place = tuple[Array, Array]
+"""Rotation (3, 3) and position (3,) [m]."""
 
 
 class Kinematics:
-    """Com, feet's centres and links, as a ``Configuration`` has them, without anything else.
-
-    One belongs to one thread.
+    """Positions of CoM, feet and links; cheaper than a ``Configuration``. Not thread-safe.
 
     Args:
-        structure: The robot's.
+        structure: Structure of the robot.
 
     Attributes:
-        qpos: (nq,) where it has been moved to; nobody can change it.
-        com: (x, y, z) in the world (m).
-        feet: {foot: (x, y, z) of its centre} in the world (m).
-        links: {link: its rotation (3, 3) and origin (3,) (m)} in the world. They are Pinocchio's
-            own memory: after the next ``move`` they are those there, unless it has copied them
-            instead; see ``is_pinocchio_memory``.
+        qpos: Current configuration (nq,), read-only.
+        com: CoM (x, y, z) [m] in the world.
+        feet: {foot: centre (x, y, z) [m]} in the world.
+        links: {link: rotation (3, 3) and origin (3,) [m]} in the world. The arrays are views of
+            Pinocchio's memory, and change with the next ``move``, unless memory sharing is disabled
+            (see ``is_pinocchio_memory``).
     """
 
     qpos: Array
@@ -244,36 +261,40 @@ class Kinematics:
         self._com = np.zeros(0)
 
     def move(self, qpos: ArrayLike) -> None:
-        """Takes com, feet and links to a configuration (nq,), whose quaternion is normalised.
+        """Compute CoM, feet and links at a configuration (nq,); its quaternion is normalised.
 
         Raises:
-            ConfigurationError: If it has a wrong length, a value is not finite, or the quaternion
-                is zero.
+            ConfigurationError: If the length is wrong, a value is not finite, or the quaternion is
+                zero.
         """
-        own = check_vector("qpos", qpos, self._structure.nq)
+        state = check_vector("qpos", qpos, self._structure.nq)
         if self._structure.floating:
-            normalise_quaternion(own)
-        pin.framesForwardKinematics(self._model, self._data, self._q(own))
+            normalise_quaternion(state)
+        pin.framesForwardKinematics(self._model, self._data, self._q(state))
         pin.centerOfMass(self._model, self._data, pin.POSITION, False)
         if not is_pinocchio_memory(self._com):
-            self._look()
-        own.flags.writeable = False
+            self._update_views()
+        state.flags.writeable = False
         com = self._structure.centre(self._com) if self._structure.fixed else self._com
-        self.qpos, self.com = own, com.tolist()
+        self.qpos, self.com = state, com.tolist()
         self.feet = {foot: place.tolist() for foot, place in self._feet.items()}
 
-    def _look(self) -> None:
-        """Takes hold of where Pinocchio writes: to read it there is quicker than to ask for it."""
+    def _update_views(self) -> None:
+        """Store views of Pinocchio's memory; reading views is faster than Pinocchio's accessors."""
         places, structure = self._data.oMf, self._structure
         self._com = self._data.com[0]
-        self._feet = {foot: places[at].translation for foot, at in structure.feet.items()}
-        at = {link: places[number] for link, number in structure.links.items()}
-        self.links = {link: (place.rotation, place.translation) for link, place in at.items()}
+        self._feet = {
+            foot: places[placement].translation for foot, placement in structure.feet.items()
+        }
+        placement = {link: places[frame] for link, frame in structure.links.items()}
+        self.links = {
+            link: (place.rotation, place.translation) for link, place in placement.items()
+        }
 
 
 def is_pinocchio_memory(array: Array) -> bool:
-    """Whether an array of Pinocchio's is its memory, which tells what is written there next.
+    """Return True if an array is a view of Pinocchio's memory, which later computations overwrite.
 
-    By default it is; who calls ``pin.sharedMemory(False)`` gets copies.
+    This is Pinocchio's default; after ``pin.sharedMemory(False)`` arrays are copies.
     """
     return not array.flags.owndata

@@ -1,4 +1,4 @@
-"""A robot's MuJoCo model on slopes and steps."""
+"""MuJoCo model of a robot on slopes and steps, and with welds to the world."""
 
 from __future__ import annotations
 
@@ -24,38 +24,37 @@ Array = NDArray[np.float64]
 
 
 def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:
-    """Puts a robot on a slope or on steps, in its MuJoCo model.
+    """Return a robot whose MuJoCo model has the ground and the welds of a task.
+
+    The floor is tilted, and a box is added for each step, with the contact parameters of the floor.
+    A foot on a step does not collide with the floor, because it would sink into the floor through a
+    low step, and the floor covers a step down. A flat foot collides with a plane on top of its box,
+    which no other geom touches: MuJoCo's contacts of a sole with a plane differ from those with a
+    box, and the contact points are those with a plane. Only the ball of a hand collides with the
+    hand's plane, because the hand's shapes surround the ball.
+
+    A welded part collides with none of these; its weld to the world is initially inactive (see
+    ``close_welds``).
 
     Args:
-        robot: The robot; its MJCF has a floor.
-        ground: The slope and the steps.
-        places: {contact point: (3,) where its centre will be, lifted or not, on rigid ground (m)},
-            for the steps.
-
-    Returns:
-        The same robot, whose MuJoCo model has the floor turned and a box for each step. The steps
-        have the floor's contact parameters. A foot on a step does not touch the floor, into which
-        it would sink through a low one, and which covers a step down. A flat foot touches a plane
-        on top of its box, which only it does: MuJoCo's contacts of a sole with a plane are other
-        than those with a box, and its contact points are those with a plane. What a hand touches
-        only its ball does: its own shapes are around it.
-
-        What is welded touches neither, and has a weld to the world, which ``close_welds`` closes.
+        robot: Robot whose MJCF has a floor.
+        ground: Slope and steps.
+        places: {contact point: centre (3,) [m] on rigid ground, lifted or not}, for the steps.
 
     Raises:
-        ModelError: If the MJCF leaves no bits of ``contype`` for that.
+        ModelError: If the MJCF has not enough unused bits of ``contype``.
     """
     if ground.level and not robot.welds:
         return robot
     spec = robot.description.mjcf.copy()
     if not ground.level:
-        _put_ground(robot, spec, ground, places)
-    _put_welds(robot, spec)
+        _add_ground(robot, spec, ground, places)
+    _add_welds(robot, spec)
     return replace(rebuild_robot(robot, mjcf=spec), fingerprint=robot.fingerprint)
 
 
-def _put_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
-    """Adds welds to the world, which are open, of what touches nothing else of it."""
+def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
+    """Add inactive welds of parts to the world, and exclude their contacts with the world."""
     model, tree = robot.mj_model, SpecTree(spec)
     for name, point in robot.welds.items():
         body = model.body(robot.mj_base if point is None else robot.contact_places[point][0]).name
@@ -63,30 +62,32 @@ def _put_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
         weld = spec.add_equality(name=weld_name(name), type=kind, name1=body)
         weld.objtype, weld.active = mujoco.mjtObj.mjOBJ_BODY, False
         weld.solref, weld.solimp[:2] = (2 * float(spec.option.timestep), 1.0), mujoco.mjMAXIMP
-        still = {geom.parent.name for geom in spec.geoms if is_fixed(geom.parent)} | {"world"}
-        for one in tree.fixed_group(body):
-            for other in still:
-                tree.exclude_contact(one, other)
+        fixed_bodies = {geom.parent.name for geom in spec.geoms if is_fixed(geom.parent)} | {
+            "world"
+        }
+        for welded_body in tree.fixed_group(body):
+            for fixed_body in fixed_bodies:
+                tree.exclude_contact(welded_body, fixed_body)
 
 
 def weld_name(name: str) -> str:
-    """Returns what the weld of a part is called in MuJoCo."""
+    """Return the name of the weld of a part in MuJoCo."""
     return f"weld_{name}"
 
 
 def close_welds(
     robot: Robot, model: mujoco.MjModel, qpos: Array, pushes: Mapping[str, Array]
 ) -> None:
-    """Closes the welds of a model, in place, where a configuration has them.
+    """Activate the welds of a model at a configuration, in place.
 
-    MuJoCo's constraints are soft: each is put as far off as it gives way, nanometres, so that what
-    it holds is exactly there.
+    MuJoCo's constraints are soft. Each weld is offset by its static deflection (nanometres), so
+    that the configuration is an equilibrium.
 
     Args:
-        robot: The robot, put ``on_ground``.
-        model: Its model, or a copy with servos.
-        qpos: (nq,) the configuration.
-        pushes: {what is welded: (nv,) the generalised force of its weld}.
+        robot: Robot ``on_ground``.
+        model: Model of the robot, or a copy with servos.
+        qpos: Configuration (nq,).
+        pushes: {welded part: generalised force (nv,) of its weld}.
     """
     welds = {name: model.equality(weld_name(name)).id for name in robot.welds}
     if not welds:
@@ -94,68 +95,82 @@ def close_welds(
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_kinematics(model, data)
-    for name, number in welds.items():
+    for name, weld_id in welds.items():
         if name in robot.grips:
-            model.eq_data[number, :3] = robot.contact_places[robot.feet[name][0]][1]
-        _place_weld(model, data, number, np.zeros(6))
-        model.eq_active0[number] = 1
+            model.eq_data[weld_id, :3] = robot.contact_places[robot.feet[name][0]][1]
+        _place_weld(model, data, weld_id, np.zeros(6))
+        model.eq_active0[weld_id] = 1
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_forward(model, data)
-    for name, number in welds.items():
-        rows = _rows(data, number)
-        moved, chosen = np.zeros((len(rows), model.nv)), np.zeros((len(rows), data.nefc))
-        chosen[np.arange(len(rows)), rows] = 1.0
-        for row, one in zip(moved, chosen, strict=True):
-            mujoco.mj_mulJacTVec(model, data, row, one)
-        push = pushes[name]
-        forces = np.linalg.lstsq(moved[:, robot.mj_convention.qvel_index].T, push)[0]
-        stiff, impedance = data.efc_KBIP[rows, 0], data.efc_KBIP[rows, 2]
-        _place_weld(model, data, number, -forces / (data.efc_D[rows] * stiff * impedance))
+    for name, weld_id in welds.items():
+        rows = _find_rows(data, weld_id)
+        jacobian, selection = np.zeros((len(rows), model.nv)), np.zeros((len(rows), data.nefc))
+        selection[np.arange(len(rows)), rows] = 1.0
+        for jacobian_row, selected in zip(jacobian, selection, strict=True):
+            mujoco.mj_mulJacTVec(model, data, jacobian_row, selected)
+        generalised_force = pushes[name]
+        forces = np.linalg.lstsq(jacobian[:, robot.mj_convention.qvel_index].T, generalised_force)[
+            0
+        ]
+        stiffness, impedance = data.efc_KBIP[rows, 0], data.efc_KBIP[rows, 2]
+        _place_weld(model, data, weld_id, -forces / (data.efc_D[rows] * stiffness * impedance))
 
 
 def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Array]:
-    """Returns {what is welded, or grips: (3,) the force of its constraint on it} (N)."""
+    """Return {welded or gripping part: force (3,) [N] of its constraint on the part}."""
     welds = {name: model.equality(weld_name(name)).id for name in robot.welds}
-    return {name: data.efc_force[_rows(data, number)[:3]] for name, number in welds.items()}
+    return {name: data.efc_force[_find_rows(data, weld_id)[:3]] for name, weld_id in welds.items()}
 
 
-def _rows(data: mujoco.MjData, number: int) -> NDArray[np.int64]:
-    """Returns the rows of an equality constraint; ways come before turns."""
-    own = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
-    return np.flatnonzero(own & (data.efc_id == number))
+def _find_rows(data: mujoco.MjData, equality: int) -> NDArray[np.int64]:
+    """Return the constraint rows of an equality; translations before rotations."""
+    is_equality = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
+    return np.flatnonzero(is_equality & (data.efc_id == equality))
 
 
 def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, opened: Array) -> None:
-    """Puts a weld where its body is, but for what it is open by (6,), way and half of the turn.
+    """Set the target of a weld to the pose of its body, minus an opening.
 
-    Of a grip, where the point of its body is: by a way (3,).
+    Args:
+        model: Model to modify.
+        data: Data with kinematics.
+        number: Id of the weld, or of the grip (connect).
+        opened: Opening (6,): translation [m] and half of the rotation vector [rad]. For a grip,
+            only the translation is used.
     """
-    body, turn, own = int(model.eq_obj1id[number]), np.zeros(4), np.zeros(4)
+    body, relative_quaternion, inverse_quaternion = (
+        int(model.eq_obj1id[number]),
+        np.zeros(4),
+        np.zeros(4),
+    )
     if model.eq_type[number] == mujoco.mjtEq.mjEQ_CONNECT.value:
-        place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.eq_data[number, :3]
-        model.eq_data[number, 3:6] = place - opened[:3]
+        anchor = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.eq_data[number, :3]
+        model.eq_data[number, 3:6] = anchor - opened[:3]
         return
-    mujoco.mju_negQuat(own, data.xquat[body])
-    mujoco.mju_mulQuat(turn, own, np.array([1.0, *opened[3:]]))
-    mujoco.mju_normalize4(turn)
+    mujoco.mju_negQuat(inverse_quaternion, data.xquat[body])
+    mujoco.mju_mulQuat(relative_quaternion, inverse_quaternion, np.array([1.0, *opened[3:]]))
+    mujoco.mju_normalize4(relative_quaternion)
     model.eq_data[number, :3] = data.xpos[body] - opened[:3]
-    model.eq_data[number, 3:6], model.eq_data[number, 6:10] = 0.0, turn
+    model.eq_data[number, 3:6], model.eq_data[number, 6:10] = 0.0, relative_quaternion
     model.eq_data[number, 10] = 1.0
 
 
-def _put_ground(
+def _add_ground(
     robot: Robot, spec: mujoco.MjSpec, ground: Ground, places: Mapping[str, Array]
 ) -> None:
-    """Turns the floor, and puts steps and planes into a model; see ``on_ground``."""
+    """Tilt the floor, and add steps and planes to a spec; see ``on_ground``."""
     floor = floor_of(spec) or SpecTree(spec).add_floor()
     turn_floor(floor, quaternion_from_rotation(ground.rotation()))
     steps = ground.steps(places)
     soles = [foot for foot in steps if len(robot.feet[foot]) > 1]
-    alone = [*soles, *(foot for foot in steps if foot in robot.hands and foot not in robot.grips)]
+    exclusive_feet = [
+        *soles,
+        *(foot for foot in steps if foot in robot.hands and foot not in robot.grips),
+    ]
     contype, conaffinity = floor.contype, floor.conaffinity
-    free = _leave_floor(robot, spec, floor, steps, alone)
-    highest = max(int(geom.priority) for geom in spec.geoms)
+    exclusive_bits = _separate_from_floor(robot, spec, floor, steps, exclusive_feet)
+    max_priority = max(int(geom.priority) for geom in spec.geoms)
     for foot, step in steps.items():
         box = spec.worldbody.add_geom(
             name=f"step_{foot}",
@@ -167,9 +182,9 @@ def _put_ground(
             conaffinity=conaffinity,
             rgba=(0.6, 0.62, 0.66, 1.0),
         )
-        _like_floor(box, floor)
+        _copy_floor_contact(box, floor)
         if foot in robot.hands or foot in robot.grips:
-            box.contype, box.conaffinity = 0, free.get(foot, 0)
+            box.contype, box.conaffinity = 0, exclusive_bits.get(foot, 0)
         if foot in soles:
             box.contype, box.conaffinity = 0, floor.conaffinity
             top = spec.worldbody.add_geom(
@@ -179,65 +194,72 @@ def _put_ground(
                 pos=step.top,
                 quat=step.turn,
                 contype=0,
-                conaffinity=free[foot],
+                conaffinity=exclusive_bits[foot],
                 rgba=(0.0, 0.0, 0.0, 0.0),
             )
-            _like_floor(top, floor)
+            _copy_floor_contact(top, floor)
             box = top
         if robot.touching.get(foot, Touching()).friction is not None:
-            _state_contact(box, robot.contacts[robot.feet[foot][0]], highest + 1)
+            _set_contact(box, robot.contacts[robot.feet[foot][0]], max_priority + 1)
 
 
-def _state_contact(geom: mujoco.MjsGeom, parameters: ContactParameters, priority: int) -> None:
-    """Has contacts with a geom be so, whatever the other one states; margins still add up."""
+def _set_contact(geom: mujoco.MjsGeom, parameters: ContactParameters, priority: int) -> None:
+    """Make the contacts of a geom use given parameters for any other geom; margins still add."""
     geom.priority, geom.condim = priority, parameters.condim
     geom.friction = np.take(parameters.friction, (0, 2, 3))
     geom.solref, geom.solimp = parameters.solref, parameters.solimp
 
 
-def _like_floor(geom: mujoco.MjsGeom, floor: mujoco.MjsGeom) -> None:
-    """Gives a geom the floor's contact parameters, but for what it touches."""
+def _copy_floor_contact(geom: mujoco.MjsGeom, floor: mujoco.MjsGeom) -> None:
+    """Copy the contact parameters of the floor to a geom, except contact bits and group."""
     for word in GEOM_CONTACT_WORDS:
         if word not in ("contype", "conaffinity", "group"):
             setattr(geom, word, getattr(floor, word))
 
 
-def _leave_floor(
+def _separate_from_floor(
     robot: Robot,
     spec: mujoco.MjSpec,
     floor: mujoco.MjsGeom,
     feet: Container[str],
     alone: Sequence[str],
 ) -> dict[str, int]:
-    """Lets all that touched the floor touch it, except some feet's foot_geoms.
+    """Keep the contacts of the floor, except with the geoms of some feet.
+
+    Args:
+        robot: Robot.
+        spec: Spec to modify.
+        floor: Floor of the spec.
+        feet: Feet that must not collide with the floor.
+        alone: Feet that get a contact bit of their own.
 
     Returns:
-        {foot in ``alone``: the bit of ``contype`` that only its geoms have}.
+        {foot in ``alone``: bit of ``contype`` that only its geoms have}.
 
     Raises:
-        ModelError: If the MJCF leaves no bits.
+        ModelError: If the MJCF has not enough unused bits.
     """
-    spec.compile()  # numbers the geoms
+    spec.compile()  # sets the ids of the geoms
     geoms = [geom for geom in spec.geoms if geom.id != floor.id]
-    touching = {
+    floor_contacts = {
         geom.id
         for geom in geoms
         if geom.contype & floor.conaffinity or geom.conaffinity & floor.contype
     }
-    taken = floor.contype | floor.conaffinity
+    used_bits = floor.contype | floor.conaffinity
     for geom in geoms:
-        taken |= geom.contype | geom.conaffinity
-    bits = [1 << bit for bit in range(31) if not taken & 1 << bit]
-    if len(bits) < 1 + len(alone):
+        used_bits |= geom.contype | geom.conaffinity
+    free_bits = [1 << bit for bit in range(31) if not used_bits & 1 << bit]
+    if len(free_bits) < 1 + len(alone):
         needed = 1 + len(alone)
-        problem = diagnose("bits-used-up", left=len(bits), feet=len(alone), needed=needed)
+        problem = diagnose("bits-used-up", left=len(free_bits), feet=len(alone), needed=needed)
         raise ModelError(robot.description.mjcf_source, problem)
-    own = dict(zip(alone, bits[1:], strict=False))
-    floor.contype, floor.conaffinity = 0, bits[0]
+    bit_by_foot = dict(zip(alone, free_bits[1:], strict=False))
+    floor.contype, floor.conaffinity = 0, free_bits[0]
     for geom in geoms:
         foot = robot.foot_geoms.get(geom.id)
-        if foot in own:  # a hand's touches nothing else
-            geom.contype |= own[foot]
-        elif foot not in feet and geom.id in touching:
-            geom.contype |= bits[0]
-    return own
+        if foot in bit_by_foot:  # geoms of hands collide with nothing else
+            geom.contype |= bit_by_foot[foot]
+        elif foot not in feet and geom.id in floor_contacts:
+            geom.contype |= free_bits[0]
+    return bit_by_foot

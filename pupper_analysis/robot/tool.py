@@ -1,4 +1,4 @@
-"""A point of a robot where it carries, or is pushed: its tool."""
+"""``Tool``: a point of a robot that carries a load or is pushed; payloads welded to a robot."""
 
 from __future__ import annotations
 
@@ -25,13 +25,16 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-_STEM, _FINGER = 3, 4
-"""A chain of three joints or more that ends in several of four at most is an arm with a hand: its
-tool is what carries the fingers."""
+_MIN_ARM_JOINTS = 3
+"""Minimum number of joints of an arm below its hand. The tool of an arm with a hand is the link
+that carries the fingers."""
+
+_MAX_FINGER_JOINTS = 4
+"""Maximum number of joints of a finger."""
 
 
-_FRAMED = 4
-"""Parts of a place in a frame: its name, x, y and z."""
+_NUM_FRAMED_VALUES = 4
+"""Number of elements of a place in a frame: name, x, y, z."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,85 +55,90 @@ class Tool(Result):
     chain: tuple[str, ...]
 
     def moved(self, way: ArrayLike) -> Tool:
-        """Returns the point that is so far (3,) from it, in its link's axes (m)."""
+        """Return the point translated by a vector (3,) [m], in the axes of the link."""
         return replace(self, offset=self.offset + check_point(way))
 
     def position(self, config: Configuration) -> Array:
-        """Returns where the point is (3,), in the world (m)."""
-        turned = config.frame_rotation(self.link) @ self.offset
-        place: Array = config.frame_position(self.link) + turned
-        return place
+        """Return the position (3,) [m] of the point in the world."""
+        rotated_offset = config.frame_rotation(self.link) @ self.offset
+        position: Array = config.frame_position(self.link) + rotated_offset
+        return position
 
     def in_mjcf(self, robot: Robot) -> tuple[str, Array]:
-        """Returns the body of the MJCF that carries the point, and its place (3,) in it (m)."""
+        """Return the body of the MJCF that carries the point, and the position (3,) [m] in it."""
         model, data = robot.mj_model, robot.placed()
         body = model.body(robot.mj_base).id
         if self.chain:
             body = int(model.jnt_bodyid[model.joint(self.chain[-1]).id])
         world = self.position(Configuration(robot, robot.neutral()))
-        place: Array = data.xmat[body].reshape(3, 3).T @ (world - data.xpos[body])
-        return str(model.body(body).name), place
+        position: Array = data.xmat[body].reshape(3, 3).T @ (world - data.xpos[body])
+        return str(model.body(body).name), position
 
     def jacobian(self, config: Configuration) -> Array:
-        """Returns the Jacobian (3, nv) of the point, in world axes."""
+        """Return the Jacobian (3, nv) of the point, in world axes."""
         return self.twist_jacobian(config)[:3]
 
     def twist_jacobian(self, config: Configuration) -> Array:
-        """Returns the Jacobian (6, nv) of the point and of its link's turning, in world axes."""
+        """Return the Jacobian (6, nv) of the point's velocity and the link's angular velocity.
+
+        Both velocities are expressed in world axes.
+        """
         return config.frame_jacobian(self.link, config.frame_rotation(self.link) @ self.offset)
 
     def load_per_mass(self, config: Configuration) -> Array:
-        """Returns what a mass at the point asks of the robot at rest (nv,) (N/kg)."""
+        """Return the generalised load (nv,) [N/kg, N m/kg] of a mass at the point: -J^T g."""
         load: Array = -config.robot.gravity @ self.jacobian(config)
         return load
 
 
 Place = Sequence[float] | Sequence[str | float] | Tool
-"""A point of a robot, as ``find_place`` takes it."""
+"""Point of a robot; see ``find_place``."""
 
 
 @check_arguments
 def find_tool(robot: Robot, name: str | None = None) -> Tool:
-    """Finds a robot's tool.
+    """Return the tool of a robot, or a named frame as a tool.
 
     Args:
         robot: The robot.
-        name: A link of the URDF, or a site, body or geom of the MJCF. By default the link at the
-            end of the longest chain of joints; where that is a finger of a gripper, the link that
-            carries the fingers.
+        name: Link of the URDF, or site, body or geom of the MJCF. By default, the link at the end
+            of the longest chain of joints; for a chain that ends in fingers, the link that carries
+            the fingers.
 
     Raises:
-        UnknownNameError: If there is no such frame; the message lists the links and sites.
+        UnknownNameError: If there is no such frame; the message lists links and sites.
     """
-    link = _end(robot) if name is None else name
+    link = _find_end_link(robot) if name is None else name
     if link in robot.structure.links:
-        return Tool(link, link, np.zeros(3), _chain(robot, link))
+        return Tool(link, link, np.zeros(3), _find_chain(robot, link))
     model, data = robot.mj_model, robot.placed()
     for kind, places, bodies in (
         (mujoco.mjtObj.mjOBJ_SITE, data.site_xpos, model.site_bodyid),
         (mujoco.mjtObj.mjOBJ_BODY, data.xpos, range(model.nbody)),
         (mujoco.mjtObj.mjOBJ_GEOM, data.geom_xpos, model.geom_bodyid),
     ):
-        found = mujoco.mj_name2id(model, kind, link)
-        if found >= 0:
-            carrier, offset = _carried(robot, int(bodies[found]), np.array(places[found]))
-            return Tool(link, carrier, offset, _chain(robot, carrier))
+        frame_id = mujoco.mj_name2id(model, kind, link)
+        if frame_id >= 0:
+            carrier, offset = _express_in_link(
+                robot, int(bodies[frame_id]), np.array(places[frame_id])
+            )
+            return Tool(link, carrier, offset, _find_chain(robot, carrier))
     sites = [model.site(index).name for index in range(model.nsite)]
     known = dict.fromkeys([*robot.structure.links, *filter(None, sites)])
     raise UnknownNameError(robot.name, "frame", link, tuple(known))
 
 
 def find_place(robot: Robot, point: Place) -> Tool:
-    """Returns a point of a robot.
+    """Return a point of a robot as a tool.
 
     Args:
         robot: The robot.
-        point: One of the base (3,), in its frame (m), or ``(frame, x, y, z)`` in the frame of a
-            link, site, body or geom, or a tool.
+        point: Point (3,) [m] in the base frame; or ``(frame, x, y, z)`` in the frame of a link,
+            site, body or geom; or a tool.
 
     Raises:
-        ConfigurationError: If it is none.
-        UnknownNameError: If the robot has no such frame, or no link that carries the tool.
+        ConfigurationError: If the point is not valid.
+        UnknownNameError: If the robot has no such frame, or lacks the link of the tool.
     """
     if not isinstance(point, Tool):
         frame, at = split_place(point)
@@ -143,17 +151,22 @@ def find_place(robot: Robot, point: Place) -> Tool:
 
 
 def split_place(point: Any) -> tuple[str, Any]:
-    """Returns the frame of a place, "" for the base's, and the point in it; see ``find_place``."""
-    if isinstance(point, Sequence) and len(point) == _FRAMED and isinstance(point[0], str):
+    """Return the frame of a place ("" for the base), and the coordinates; see ``find_place``."""
+    if (
+        isinstance(point, Sequence)
+        and len(point) == _NUM_FRAMED_VALUES
+        and isinstance(point[0], str)
+    ):
         return point[0], point[1:]
     return "", point
 
 
 def check_point(point: ArrayLike) -> Array:
-    """Returns a point (3,).
+    """Return a point (3,) [m].
 
     Raises:
-        ConfigurationError: If it is none.
+        ConfigurationError: If the point has another shape, or a coordinate is not finite or too
+            large.
     """
     place = real_array("point", point)
     if place.shape != (3,) or not np.isfinite(place).all():
@@ -161,57 +174,64 @@ def check_point(point: ArrayLike) -> Array:
     return np.array([check_length("point", value) for value in place])
 
 
-def _carried(robot: Robot, body: int, world: Array) -> tuple[str, Array]:
-    """Returns the link that moves with a body, and where a point (3,) of the world is in it."""
-    link, config = _carrier(robot, body), Configuration(robot, robot.neutral())
+def _express_in_link(robot: Robot, body: int, world: Array) -> tuple[str, Array]:
+    """Return the link that moves with a body, and a world point (3,) [m] in its frame."""
+    link, config = _find_carrying_link(robot, body), Configuration(robot, robot.neutral())
     return link, config.frame_rotation(link).T @ (world - config.frame_position(link))
 
 
-def _carrier(robot: Robot, body: int) -> str:
-    """Returns the link of the URDF that moves with a body of the MJCF."""
+def _find_carrying_link(robot: Robot, body: int) -> str:
+    """Return the first link of the URDF that moves with a body of the MJCF."""
     model = robot.mj_model
     while body and not model.body_jntnum[body]:
         body = int(model.body_parentid[body])
     if not body:
         return robot.base
-    last = int(model.body_jntadr[body] + model.body_jntnum[body]) - 1  # of several at one body
+    last = int(model.body_jntadr[body] + model.body_jntnum[body]) - 1  # last joint of the body
     joint = robot.structure.joints[model.joint(last).name]
     frames = robot.structure.model.frames
-    return str(next(f.name for n, f in _links(robot) if frames[n].parentJoint == joint))
+    return str(
+        next(
+            frame.name
+            for index, frame in _list_link_frames(robot)
+            if frames[index].parentJoint == joint
+        )
+    )
 
 
-def _links(robot: Robot) -> list[tuple[int, pin.Frame]]:
-    """Returns the frames of the URDF's links, and their numbers, carriers first."""
+def _list_link_frames(robot: Robot) -> list[tuple[int, pin.Frame]]:
+    """Return (index, frame) of the links of the URDF, parents first."""
     frames = robot.structure.model.frames
-    return [(number, frames[number]) for number in sorted(robot.structure.links.values())]
+    return [(index, frames[index]) for index in sorted(robot.structure.links.values())]
 
 
-def _chain(robot: Robot, link: str) -> tuple[str, ...]:
-    """Returns the joints that move a link, from the base outwards."""
+def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
+    """Return the joints that move a link, from the base to the link."""
     model = robot.structure.model
     joint = model.frames[robot.structure.links[link]].parentJoint
-    names = (model.names[one] for one in model.supports[joint])
+    names = (model.names[support] for support in model.supports[joint])
     return tuple(name for name in names if name in robot.structure.joints)
 
 
-def _end(robot: Robot) -> str:
-    """Returns the link at the end of the longest chain, or that carries the fingers there."""
+def _find_end_link(robot: Robot) -> str:
+    """Return the link at the end of the longest chain, or the link that carries its fingers."""
     model = robot.structure.model
     lengths = [len(support) - 1 for support in model.supports]
     last = int(np.argmax(lengths))  # the first of equals
-    for joint in list(model.supports[last])[_STEM:]:
-        beyond = [other for other in range(model.njoints) if model.parents[other] == joint]
-        deepest = max(lengths[other] for other in model.subtrees[joint]) - lengths[joint]
-        if len(beyond) > 1 and deepest <= _FINGER:
+    for joint in list(model.supports[last])[_MIN_ARM_JOINTS:]:
+        children = [child for child in range(model.njoints) if model.parents[child] == joint]
+        deepest = max(lengths[child] for child in model.subtrees[joint]) - lengths[joint]
+        if len(children) > 1 and deepest <= _MAX_FINGER_JOINTS:
             last = int(joint)
             break
-    # Fixed links come after those that carry them.
-    return str([frame.name for _, frame in _links(robot) if frame.parentJoint == last][-1])
+    # The last of the links on a joint; fixed links follow their parents.
+    return str(
+        [frame.name for _, frame in _list_link_frames(robot) if frame.parentJoint == last][-1]
+    )
 
 
-# A robot with a payload welded to it, in both of its models.
-
-_NAME = "payload"
+_PAYLOAD_NAME = "payload"
+"""Name of the link and body of a payload."""
 
 
 @check_arguments
@@ -220,25 +240,25 @@ def with_payload(
     mass: float,
     point: Place = (0.0, 0.0, 0.0),
 ) -> Robot:
-    """Welds a point mass to a robot, in the URDF's model and in the MJCF's.
+    """Return a robot with a point mass welded to both models.
 
-    All else stays: joints, limits, gains, feet, and the height of the nominal stand. MuJoCo derives
-    the softness of a contact from the mass behind it (``body_invweight0``): that is the loaded
-    robot's, so that every prediction and simulation of the robot returned is of the loaded one.
+    Joints, limits, gains, feet, and the height of the nominal stand are unchanged. MuJoCo derives
+    the softness of a contact from the mass of the body (``body_invweight0``), so predictions and
+    simulations of the result use the contacts of the loaded robot.
 
     Args:
         robot: The robot.
-        mass: Of the payload (kg), finite and >= 0.
-        point: (3,) where it is, in the base's frame (m); or in that of a link, site or body, as
-            ``("right_hand", 0.0, 0.0, 0.05)``, or a ``Tool``.
+        mass: Mass of the payload [kg], finite and >= 0.
+        point: Position (3,) [m] in the base frame; or in the frame of a link, site or body, as
+            ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
 
     Returns:
-        The loaded robot; the robot itself for no mass.
+        The loaded robot; the robot itself if the mass is zero.
 
     Raises:
-        ConfigurationError: If the mass or the point is none, or it is for a base that is fixed.
-        UnknownNameError: If the robot has no such link.
-        ModelError: If the MJCF's base is not where the URDF's is.
+        ConfigurationError: If mass or point is not valid, or the point is on a fixed base.
+        UnknownNameError: If the robot has no such frame.
+        ModelError: If the base frames of URDF and MJCF differ.
     """
     tool = find_place(robot, point)
     if not 0 <= mass < math.inf:
@@ -247,21 +267,24 @@ def with_payload(
         return robot
     if tool.link == robot.base:
         robot.check_floating()
-    link, place = tool.link, tool.offset
-    body, there = tool.in_mjcf(robot)
-    (urdf, mjcf), name = robot.description.trees(), _NAME
-    sides: tuple[tuple[ModelTree, str, Array], ...] = ((urdf, link, place), (mjcf, body, there))
+    link, offset = tool.link, tool.offset
+    body, mj_offset = tool.in_mjcf(robot)
+    (urdf, mjcf), name = robot.description.trees(), _PAYLOAD_NAME
+    sides: tuple[tuple[ModelTree, str, Array], ...] = (
+        (urdf, link, offset),
+        (mjcf, body, mj_offset),
+    )
     while any(name in tree.names for tree, _, _ in sides):
         name += "_"
-    mass = float(mass)  # pinocchio takes no NumPy's
+    mass = float(mass)  # Pinocchio does not accept NumPy scalars
     weight = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
-    for tree, carrier, at in sides:
-        tree.add_link(name, carrier, f"{name}_weld", at, weight)
+    for tree, carrier, position in sides:
+        tree.add_link(name, carrier, f"{name}_weld", position, weight)
     built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
-    # What was changed in Pinocchio's model since it was read, such as a limit, stays.
+    # Keep changes of Pinocchio's model since the files were read, such as limits.
     model = robot.pin_model.copy()
-    on = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
-    welded = on.placement.act(pin.Inertia(mass, place, np.zeros((3, 3))))
-    model.inertias[on.parentJoint] = model.inertias[on.parentJoint] + welded
-    # The unloaded robot's stands are its own.
+    frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+    welded = frame.placement.act(pin.Inertia(mass, offset, np.zeros((3, 3))))
+    model.inertias[frame.parentJoint] = model.inertias[frame.parentJoint] + welded
+
     return replace(built, pin_model=model, fingerprint=robot.fingerprint)

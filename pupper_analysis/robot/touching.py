@@ -1,4 +1,9 @@
-"""A robot as it is in a task that states contacts: with hands, and the friction of its planes."""
+"""Robot with the contacts of a task: hands, welds, and the friction of planes.
+
+Input: a robot and the contacts {foot or frame: contact}. Output: a robot with contact points for
+hands (massless balls), with the friction of the planes, and with a free base if a fixed base is
+welded by the task.
+"""
 
 from __future__ import annotations
 
@@ -28,85 +33,112 @@ from pupper_analysis.robot.robot import Robot, Touching
 from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.robot.tool import Tool, find_tool
 
-_VIEWS = 8
-"""Robots with contacts that are kept for later: as many as things that are lent."""
+_CACHE_SIZE = 8
+"""Maximum number of cached robots with contacts, the same as for borrowed objects."""
 
 
-_BOLTED = 1e4
-"""Masses of a robot by which a base that its file fixes is heavier when it is freed, and welded: as
-heavy as what it is bolted to. MuJoCo's welds are soft, and a light base shakes on one."""
+_BASE_ARMATURE_FACTOR = 1e4
+"""Armature of the free joint of a welded base [total masses of the robot]. It represents the
+environment to which the base is fixed: MuJoCo's welds are soft, and a light base would oscillate.
+"""
 
 
 def touching(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
-    """Returns a robot that can make a task's contacts; most often itself.
+    """Return a robot that can make the contacts of a task; often the robot itself.
 
-    A part that is no foot gets a contact point: a ball that weighs nothing, and touches nothing but
-    its plane. A plane's friction is that of the contact with it. What is welded touches nothing; of
-    a robot whose base its file fixes in the world it is free, and held by its weld.
+    A part other than a foot gets a contact point: a massless ball that collides only with its
+    plane. The friction of a plane is that of the contact. Welded parts do not collide. A base that
+    the file fixes to the world becomes free, and is held by its weld.
 
     Args:
-        robot: The robot, or what this has returned of it.
-        contacts: {foot, or another link, site, body or geom: what it touches}, of a task.
+        robot: Robot, which may already be the result of this function.
+        contacts: {foot, or other link, site, body or geom: contact} of a task.
 
     Raises:
         UnknownNameError: If there is no such foot or frame.
-        ConfigurationError: If a part is a foot, by another name, or a foot is given a ball; if two
-            are welded that move as one; or if the robot has other contacts, and was changed since.
+        ConfigurationError: If a part is a foot with another name, a foot has arguments of hands,
+            two welded parts move together, or the robot was changed after it got other contacts.
     """
     if not contacts and not robot.touching:
         return robot
-    own = {foot for foot in robot.feet if foot not in robot.hands}
-    wanted = {name: _touching(name, one, name in own) for name, one in contacts.items()}
-    for name, one in contacts.items():
-        round_ = isinstance(one.plane, Bar) or wanted[name].grip is not None
-        if round_ and name in own and len(robot.feet[name]) > 1:
+    own_feet = {foot for foot in robot.feet if foot not in robot.hands}
+    properties_by_name = {
+        name: _make_touching(name, contact, name in own_feet) for name, contact in contacts.items()
+    }
+    for name, contact in contacts.items():
+        is_round = isinstance(contact.plane, Bar) or properties_by_name[name].grip is not None
+        if is_round and name in own_feet and len(robot.feet[name]) > 1:
             raise ConfigurationError("contacts", diagnose("sole-on-a-bar", foot=name))
-    asked = FrozenDict({name: one for name, one in wanted.items() if one != Touching()})
-    if asked == robot.touching:
+    properties = FrozenDict(
+        {name: contact for name, contact in properties_by_name.items() if contact != Touching()}
+    )
+    if properties == robot.touching:
         return robot
     bare = robot if not robot.touching else robot.bare
     if bare is None:
         raise ConfigurationError("contacts", diagnose("made-for-other-contacts", robot=robot.name))
-    for name, one in contacts.items():
-        if isinstance(one, Weld) and one.place is not None:
-            _check_hand(name, name not in own and bool(_tool(bare, name).chain), "place")
-    return _with_contacts(bare, asked) if asked else bare
+    for name, contact in contacts.items():
+        if isinstance(contact, Weld) and contact.place is not None:
+            _require_hand(
+                name, name not in own_feet and bool(_find_frame(bare, name).chain), "place"
+            )
+    return _build_with_contacts(bare, properties) if properties else bare
 
 
-def _touching(name: str, one: Contact | Weld, foot: bool) -> Touching:
-    if isinstance(one, Weld):
-        _check_hand(name, not foot or not any(one.offset), "offset")
-        return Touching(offset=None if foot else one.offset, welded=True)
-    _check_hand(name, not foot or not (any(one.offset) or one.radius is not None), "offset, radius")
-    held, friction = one.grip is not None, one.plane.friction
-    offset = None if foot else one.offset
-    return Touching(None if held else friction, offset, one.radius, one.force, held, one.grip)
+def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
+    if isinstance(contact, Weld):
+        _require_hand(name, not foot or not any(contact.offset), "offset")
+        return Touching(offset=None if foot else contact.offset, welded=True)
+    _require_hand(
+        name, not foot or not (any(contact.offset) or contact.radius is not None), "offset, radius"
+    )
+    is_grip, friction = contact.grip is not None, contact.plane.friction
+    offset = None if foot else contact.offset
+    return Touching(
+        None if is_grip else friction, offset, contact.radius, contact.force, is_grip, contact.grip
+    )
 
 
-def _check_hand(name: str, is_one: bool, given: str) -> None:
-    if not is_one:
-        raise ConfigurationError("contacts", diagnose("foot-is-no-hand", foot=name, given=given))
+def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
+    if not is_hand:
+        raise ConfigurationError(
+            "contacts", diagnose("foot-is-no-hand", foot=name, given=arguments)
+        )
 
 
-@lru_cache(maxsize=_VIEWS)
-def _with_contacts(robot: Robot, asked: FrozenDict[str, Touching]) -> Robot:
-    tools = {name: _tool(robot, name) for name, one in asked.items() if one.offset is not None}
-    fixed = [name for name, tool in tools.items() if asked[name].welded and not tool.chain]
-    hands = {name: one for name, one in asked.items() if name in tools and name not in fixed}
-    ends = {name: tools[name].chain[-1:] for name in tools}
-    for name, end in ends.items():
-        twins = (one for one in ends if ends[one] == end and one != name and asked[one].welded)
-        for other in twins:
-            raise ConfigurationError("contacts", diagnose("welded-twice", name=name, other=other))
-    if any(any(asked[name].offset or ()) for name in fixed):
-        _check_hand(fixed[0], False, "offset")
-    made = _freed(robot) if fixed and not robot.floating else robot
-    made = _with_hands(made, hands) if hands else made
-    return replace(with_touching(made, robot, asked), bare=robot)
+@lru_cache(maxsize=_CACHE_SIZE)
+def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) -> Robot:
+    tools = {
+        name: _find_frame(robot, name)
+        for name, touching in properties.items()
+        if touching.offset is not None
+    }
+    fixed = [name for name, tool in tools.items() if properties[name].welded and not tool.chain]
+    hands = {
+        name: touching
+        for name, touching in properties.items()
+        if name in tools and name not in fixed
+    }
+    last_joints = {name: tools[name].chain[-1:] for name in tools}
+    for name, joint in last_joints.items():
+        others = (
+            touching
+            for touching in last_joints
+            if last_joints[touching] == joint and touching != name and properties[touching].welded
+        )
+        for other_name in others:
+            raise ConfigurationError(
+                "contacts", diagnose("welded-twice", name=name, other=other_name)
+            )
+    if any(any(properties[name].offset or ()) for name in fixed):
+        _require_hand(fixed[0], False, "offset")
+    built = _free_base(robot) if fixed and not robot.floating else robot
+    built = _add_hands(built, hands) if hands else built
+    return replace(with_touching(built, robot, properties), bare=robot)
 
 
-def _tool(robot: Robot, name: str) -> Tool:
-    """Returns the frame of a name; ``base`` is that of the base, if no other is called so."""
+def _find_frame(robot: Robot, name: str) -> Tool:
+    """Return the frame with a name; ``base`` is the base, unless another frame has this name."""
     try:
         return find_tool(robot, name)
     except UnknownNameError as error:
@@ -116,10 +148,10 @@ def _tool(robot: Robot, name: str) -> Tool:
         raise UnknownNameError(error.source, "foot or frame", name, known) from None
 
 
-def _freed(robot: Robot) -> Robot:
-    """Returns a robot with a free base where its file, or whoever loaded it, has it fixed."""
-    described, model = robot.description, robot.mj_model
-    spec, base = described.mjcf.copy(), model.body(robot.mj_base).id
+def _free_base(robot: Robot) -> Robot:
+    """Return a robot with a free base instead of one that the file or the caller fixed."""
+    description, model = robot.description, robot.mj_model
+    spec, base = description.mjcf.copy(), model.body(robot.mj_base).id
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     if not has_free_joint(spec):
@@ -133,98 +165,102 @@ def _freed(robot: Robot) -> Robot:
             problem = diagnose("base-without-mass", robot=robot.name, base=robot.mj_base)
             raise ConfigurationError("contacts", problem)
         pose = (*data.xpos[base], *data.xquat[base])
-        for one in chain:  # but for these the base may be in bodies that are empty
-            body = spec.body(model.body(one).name)
+        for body_id in chain:  # the bodies between world and base have no geoms
+            body = spec.body(model.body(body_id).name)
             body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
             body.pos, body.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
         body.pos, body.quat = pose[:3], pose[3:]
-        body.add_freejoint().armature = _BOLTED * robot.total_mass
+        body.add_freejoint().armature = _BASE_ARMATURE_FACTOR * robot.total_mass
         for key in spec.keys:
             key.qpos = np.insert(key.qpos, robot.mj_convention.qpos_index.min(), pose)
-    built = with_knowledge_of(build_robot(replace(described, mjcf=spec)), robot)
+    built = with_knowledge_of(build_robot(replace(description, mjcf=spec)), robot)
     for name in ("lowerPositionLimit", "upperPositionLimit", "effortLimit", "velocityLimit"):
-        own = getattr(robot.pin_model, name)  # what was changed since it was read stays
-        getattr(built.pin_model, name)[-len(own) :] = own
-    size = float(np.linalg.norm(data.xpos - data.xpos[base], axis=1).max()) / 2  # a scale
-    return built if robot.stand_height else replace(built, stand_height=size)
+        values = getattr(robot.pin_model, name)  # what was changed since it was read stays
+        getattr(built.pin_model, name)[-len(values) :] = values
+    half_extent = float(np.linalg.norm(data.xpos - data.xpos[base], axis=1).max()) / 2  # a scale
+    return built if robot.stand_height else replace(built, stand_height=half_extent)
 
 
-def _with_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
-    """Returns a robot with further contact points in both of its models."""
-    (urdf, mjcf), described = robot.description.trees(), robot.description
+def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
+    """Return a robot with additional contact points in both models."""
+    (urdf, mjcf), description = robot.description.trees(), robot.description
     model, frames = robot.pin_model.copy(), dict[str, tuple[str, str]]()
-    taken = {site.name for site in mjcf.spec.sites} | {geom.name for geom in mjcf.spec.geoms}
-    geoms, added, said = dict(described.foot_geoms), list[Addition](), list[Diagnostic]()
-    feet = (str(robot.mj_model.geom(geom).name) for geom in robot.foot_geoms)
-    like = next(filter(None, feet), None)
-    for name, one in hands.items():
-        tool = _tool(robot, name).moved(one.offset or (0.0, 0.0, 0.0))
-        _check_no_foot(robot, name, tool)
+    used_names = {site.name for site in mjcf.spec.sites} | {geom.name for geom in mjcf.spec.geoms}
+    geoms, added, notes = dict(description.foot_geoms), list[Addition](), list[Diagnostic]()
+    geom_names = (str(robot.mj_model.geom(geom).name) for geom in robot.foot_geoms)
+    model_geom = next(filter(None, geom_names), None)
+    for name, touching in hands.items():
+        tool = _find_frame(robot, name).moved(touching.offset or (0.0, 0.0, 0.0))
+        _refuse_foot_link(robot, name, tool)
         frame = f"{name} (contact)"
-        while frame in taken or frame in urdf.links:
+        while frame in used_names or frame in urdf.links:
             frame += "_"
         body, place = tool.in_mjcf(robot)
         urdf.add_link(frame, tool.link, f"to {frame}", tool.offset)
         mjcf.spec.body(body).add_site(name=frame, pos=place)
         carrier = model.frames[model.getFrameId(tool.link, pin.FrameType.BODY)]
-        there = carrier.placement * pin.SE3(np.eye(3), tool.offset)
+        placement = carrier.placement * pin.SE3(np.eye(3), tool.offset)
         parent = carrier.parentJoint
-        model.addFrame(pin.Frame(frame, parent, 0, there, pin.FrameType.BODY), False)
-        radius = one.radius or _room(robot, tool)
+        model.addFrame(pin.Frame(frame, parent, 0, placement, pin.FrameType.BODY), False)
+        radius = touching.radius or _inscribed_radius(robot, tool)
         size = Quantity(radius, "m")
         reason = diagnose("hand-touches-by-ball", name=name, radius=size)
-        said += [] if one.welded else [reason]
-        added.append(Ball(reason, frame, body, radius, tuple(place.tolist()), like))
-        added.append(Untouching(reason, (frame,)))  # but for its plane; see ``terrain``
+        notes += [] if touching.welded else [reason]
+        added.append(Ball(reason, frame, body, radius, tuple(place.tolist()), model_geom))
+        added.append(Untouching(reason, (frame,)))  # ``terrain`` enables contact with the plane
         frames[name], geoms[name] = (frame, frame), (frame, radius)
-    given = replace(described, mjcf=mjcf.spec).given(*added)
+    given = replace(description, mjcf=mjcf.spec).given(*added)
     built = rebuild_robot(
         robot,
         urdf=to_text(urdf.root),
         mjcf=given.mjcf,
         added=given.added,
-        contact_points={**described.contact_points, **frames},
+        contact_points={**description.contact_points, **frames},
         foot_geoms=geoms,
-        made_frames=described.made_frames | {frame for frame, _ in frames.values()},
+        made_frames=description.made_frames | {frame for frame, _ in frames.values()},
     )
-    # What was changed in Pinocchio's model since it was read, such as a limit, stays.
-    return replace(built, pin_model=model, notes=(*built.notes, *said))
+    # Keep changes of Pinocchio's model since the files were read, such as limits.
+    return replace(built, pin_model=model, notes=(*built.notes, *notes))
 
 
-_PROBE, _BALL = 1e-4, 1e-2
-"""Radius of the ball by which it is measured how deep a point is within shapes, and of that with
-which a part touches that has none there (m)."""
+_PROBE_RADIUS = 1e-4
+"""Radius [m] of the ball that measures the depth of a point within shapes."""
+
+_DEFAULT_BALL_RADIUS = 1e-2
+"""Radius [m] of the contact ball of a hand whose contact point is not inside a shape."""
 
 
-def _room(robot: Robot, tool: Tool) -> float:
-    """Returns the radius of the largest ball around a point that its link's shapes hold (m)."""
-    at, probe = Kinematics(robot.structure), coal.Sphere(_PROBE)
-    at.move(robot.neutral())
-    turn, place = at.links[tool.link]
-    there = coal.Transform3s(np.eye(3), turn @ tool.offset + place)
+def _inscribed_radius(robot: Robot, tool: Tool) -> float:
+    """Return the radius [m] of the largest ball at a point inside a collision shape of its link."""
+    kinematics, probe = Kinematics(robot.structure), coal.Sphere(_PROBE_RADIUS)
+    kinematics.move(robot.neutral())
+    rotation, position = kinematics.links[tool.link]
+    probe_pose = coal.Transform3s(np.eye(3), rotation @ tool.offset + position)
     depths = [0.0]
     for shape in robot.shapes:
         if shape.joint == (tool.chain or ("",))[-1]:
-            (turn, place), pose = at.links[shape.link], shape.form.pose
-            own = coal.Transform3s(turn @ pose.rotation, turn @ pose.position + place)
-            request, found = coal.DistanceRequest(), coal.DistanceResult()
-            coal.distance(shape.form.collision, own, probe, there, request, found)
-            depths.append(-found.min_distance - _PROBE)
-    return max(depths) if max(depths) > _PROBE else _BALL
+            (rotation, position), pose = kinematics.links[shape.link], shape.form.pose
+            shape_pose = coal.Transform3s(
+                rotation @ pose.rotation, rotation @ pose.position + position
+            )
+            request, result = coal.DistanceRequest(), coal.DistanceResult()
+            coal.distance(shape.form.collision, shape_pose, probe, probe_pose, request, result)
+            depths.append(-result.min_distance - _PROBE_RADIUS)
+    return max(depths) if max(depths) > _PROBE_RADIUS else _DEFAULT_BALL_RADIUS
 
 
-def _check_no_foot(robot: Robot, name: str, tool: Tool) -> None:
-    """Refuses a hand that is on a foot's link, or on the base, whose place is the task's own.
+def _refuse_foot_link(robot: Robot, name: str, tool: Tool) -> None:
+    """Raise an error if a hand moves with a foot, or with the base.
 
     Raises:
-        ConfigurationError: If it is.
+        ConfigurationError: If so.
     """
     if not tool.chain:
         raise ConfigurationError("contacts", diagnose("contact-is-on-the-base", name=name))
     structure = robot.structure
     joint = structure.model.frames[structure.links[tool.link]].parentJoint
-    for point, number in structure.parents.items():
-        if number == joint:
+    for point, foot_joint in structure.parents.items():
+        if foot_joint == joint:
             foot = robot.foot_of(point)
             problem = diagnose("contact-is-on-a-foot", name=name, foot=foot)
             raise ConfigurationError("contacts", problem)
