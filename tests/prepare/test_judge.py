@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.prepare.judge import remarks_of_files
 from pupper_analysis.present.verdict import in_words
 from tests.prepare.test_imported import four_legs, verdict_of
 from tests.support import features
-from tests.support.legged import edited_by
+from tests.support.legged import edited_by, quadruped
 
 Slip = Callable[[str], str]
 
@@ -69,6 +70,19 @@ def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule
     said = in_words(verdict)
     assert "on files with defects (audit lists them): " in said
     assert message in said
+
+
+@pytest.mark.parametrize(("gravity", "named"), [("0 0 -3.71", True), ("0 0 -9.81", False)])
+def test_a_gravity_that_is_not_the_earths_is_in_the_verdict(
+    tmp_path: Path, gravity: str, named: bool
+) -> None:
+    """Mars has 3.71 m/s^2."""
+    pair = quadruped(tmp_path, floor=True)
+    option = f'<option gravity="{gravity}"/><worldbody>'
+    edited_by(pair.mjcf, lambda text: text.replace("<worldbody>", option))
+    robot = pa.load_robot(*pair)
+    codes = {remark.code for remark in remarks_of_files(robot)}
+    assert ("gravity-not-the-earths" in codes) is named
 
 
 @pytest.mark.slow

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from copy import copy
 from pathlib import Path
 
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.prepare.own_run import own_run
+from pupper_analysis.prepare.own_run import own_run, rests_by_itself
 from pupper_analysis.present.verdict import verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
@@ -45,6 +46,21 @@ def judged(robot: pa.Robot) -> Verdict:
 
 def codes(verdict: Verdict) -> list[str]:
     return [clause.message.code for clause in verdict_clauses(verdict)]
+
+
+@pytest.mark.slow
+def test_a_file_rests_by_itself_only_if_the_motion_after_a_nudge_ends(tmp_path: Path) -> None:
+    """Reference: m dv/dt = c v, without gravity and contacts, grows by exp(c t / m), 100 in 2 s.
+
+    Such a robot stays at rest for ever if it is not nudged.
+    """
+    robot = pa.load_robot(*standing(tmp_path))
+    model = copy(robot.mj_model)
+    assert rests_by_itself(model, robot, robot.home)
+    model.opt.gravity[:] = 0.0
+    model.geom_contype[:] = model.geom_conaffinity[:] = 0
+    model.dof_damping[:3] = -2.4 * robot.total_mass
+    assert not rests_by_itself(model, robot, robot.home)
 
 
 @pytest.mark.parametrize("stated", [True, False])

@@ -24,9 +24,10 @@ from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.fit.measurements.stands import read_stands
 from pupper_analysis.tools.fit.record.bridge import open_bridge
-from pupper_analysis.tools.fit.record.recorder import SPEED, record_stands
+from pupper_analysis.tools.fit.record.recorder import SPEED, _margin, _Session, record_stands
 from pupper_analysis.tools.fit.record.simulated import SimulatedRobot
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, write_plan
 
@@ -86,6 +87,58 @@ def test_rows_are_what_encoders_show_of_a_robot_at_rest(
     again = SimulatedRobot(robot, 3)
     assert record_stands(robot, plan, path, again, again).taken == ()
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.25), (0.0, -0.25), (0.15, 0.1)])
+def test_balance_margin_before_a_recording_is_that_of_the_tilted_stand(
+    robot: Robot, roll: float, pitch: float
+) -> None:
+    """Reference: the same stand in the world, where the feet are on level ground."""
+    task = StandTask(roll=roll, pitch=pitch, offset=(0.03, 0.01))
+    stand = solve_stand(robot, task)
+    there = Configuration(robot, stand.qpos)
+    places = dict(zip(robot.contact_points, there.foot_places(robot.contact_points), strict=True))
+    expected = com_margin(there.center_of_mass(), places)
+    level = Configuration(robot, robot.posed(stand.qpos[7:]))
+    assert np.ptp(level.foot_places(robot.contact_points)[:, 2]) > 0.02  # as the base sees them
+    assert _margin(robot, stand.qpos[7:], ()) == pytest.approx(expected, abs=1e-9)
+
+
+class Reversed:
+    """Bridge of a robot whose first joint moves against its command; the others follow it."""
+
+    ramps = True
+
+    def __init__(self, robot: Robot) -> None:
+        self._first = robot.joint_names[0]
+        self._position = np.zeros(robot.nu)
+        self._time = 0.0
+
+    def read(self) -> tuple[float, Array]:
+        return self._time, self._position
+
+    def send(self, command: Array) -> None:
+        self._position = command * np.where(np.arange(len(command)) == 0, -0.7, 1.0)
+
+    def wait(self, seconds: float) -> None:
+        self._time += seconds
+
+    def now(self) -> float:
+        return self._time
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_joint_that_moves_against_its_command_is_not_recorded_as_alive(robot: Robot) -> None:
+    """It moves by 0.7 of its way, more than the 0.6 that show a working servo, but backwards."""
+    person = SimpleNamespace(stops=lambda: False)
+    session = _Session(robot, Reversed(robot), person)  # type: ignore[arg-type]
+    session._command = np.zeros(robot.nu)
+    target = np.full(robot.nu, 0.27)
+    named = dict(zip(robot.joint_names, target.tolist(), strict=True))
+    session._ramp(PlannedStand("s0", (), named, None), target, 3)
+    assert session._lived.tolist() == [0] + [3] * (robot.nu - 1)
 
 
 class Faulty(SimulatedRobot):

@@ -15,7 +15,6 @@ import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.tools.live.access import (
     COOKIE,
-    MOST_BYTES,
     Access,
     without_folders,
 )
@@ -163,8 +162,13 @@ def test_a_connection_of_another_page_is_refused_at_once(page: Page) -> None:
     assert not page.sessions
 
 
-def test_a_message_that_is_too_long_ends_the_connection(page: Page) -> None:
+@pytest.mark.parametrize(("mebibytes", "too_big"), [(2.0, True), (0.5, False)])
+def test_a_message_of_more_than_a_mebibyte_ends_the_connection_as_too_big(
+    page: Page, mebibytes: float, too_big: bool
+) -> None:
+    """RFC 6455, 7.4.1: code 1009. A shorter message that is not understood has another code."""
     closed = pytest.importorskip("websockets").exceptions.ConnectionClosed
-    with pytest.raises(closed):
-        asyncio.run(_talk(page.address, bytes(MOST_BYTES + 1), b"x"))
+    with pytest.raises(closed) as caught:
+        asyncio.run(_talk(page.address, bytes(int(mebibytes * 2**20)), b"x"))
+    assert (caught.value.rcvd.code == 1009) is too_big
     assert asked(page.address)[0] == 200

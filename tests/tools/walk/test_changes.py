@@ -14,6 +14,7 @@ import pytest
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.tools.walk.gait import follow
 from pupper_analysis.tools.walk.intervals import (
+    QUANTITIES,
     WARM_UP,
     changed_case,
     measured_intervals,
@@ -63,6 +64,74 @@ def test_what_is_changed(still: Policy) -> None:
     loaded = changed_case(stage, "payload", 0.5, np.zeros(3), 0).model
     assert loaded.body_mass.sum() == pytest.approx(1.5 * stage.model.body_mass.sum())
     assert changed_case(stage, "delay", 0.02, np.zeros(3), 0).delay == 0.02
+
+
+def test_the_mass_of_the_base_is_scaled_with_its_inertia(still: Policy) -> None:
+    """Reference: of a body of the same shape and twice the density all moments double."""
+    stage = stage_of(load("v3"), still)
+    base = stage.model.body("base_link").id
+    heavy = changed_case(stage, "mass", 2.0, np.zeros(3), 0).model
+    np.testing.assert_allclose(heavy.body_inertia[base], 2 * stage.model.body_inertia[base])
+    np.testing.assert_allclose(heavy.body_ipos[base], stage.model.body_ipos[base])
+
+
+def contact_friction(model: mujoco.MjModel) -> np.ndarray:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert len(data.contact) == 1
+    friction: np.ndarray = data.contact.friction[0].copy()
+    return friction
+
+
+@pytest.mark.parametrize("pair", ["", '<pair geom1="floor" geom2="ball" friction="0.6 0.4"/>'])
+def test_sliding_friction_of_geoms_and_of_pairs_is_scaled(pair: str) -> None:
+    """Reference: MuJoCo's effective friction of the contact; twisting and rolling stay."""
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1" friction="0.5"/>
+        <body pos="0 0 .099"><freejoint/><geom name="ball" size=".1" friction="0.8"/></body>
+        </worldbody><contact>{pair}</contact></mujoco>"""
+    )
+    stated = contact_friction(model)
+    change = QUANTITIES["friction"].apply
+    assert change is not None
+    change(None, model, 0.5)  # type: ignore[arg-type]
+    np.testing.assert_allclose(contact_friction(model), stated * [0.5, 0.5, 1, 1, 1])
+
+
+def test_changes_of_motors_and_of_the_com_are_those_of_mujocos_forces(still: Policy) -> None:
+    """Reference: forces of position servos, kp (ctrl - q) - kd v, and MuJoCo's subtree CoM."""
+    stage = stage_of(load("v3"), still)
+    robot, motors = stage.robot, stage.robot.mj_convention.actuator_index
+
+    def forces(model: mujoco.MjModel, lead: float, speed: float) -> np.ndarray:
+        data = mujoco.MjData(model)
+        robot.mj_convention.set_state(data, stage.default)
+        data.ctrl[motors] = stage.default[7:] + lead
+        data.qvel[robot.mj_convention.qvel_index[6:]] = speed
+        mujoco.mj_forward(model, data)
+        found: np.ndarray = data.actuator_force[motors].copy()
+        return found
+
+    def changed(quantity: str, value: float) -> mujoco.MjModel:
+        return changed_case(stage, quantity, value, np.zeros(3), 0).model
+
+    stated = stage.model
+    for lead in (0.1, -0.1):
+        np.testing.assert_allclose(forces(changed("kp", 2.0), lead, 0), 2 * forces(stated, lead, 0))
+        np.testing.assert_allclose(forces(changed("kd", 2.0), 0, lead), 2 * forces(stated, 0, lead))
+        np.testing.assert_allclose(
+            forces(changed("strength", 0.5), 1e3 * lead, 0), 0.5 * forces(stated, 1e3 * lead, 0)
+        )
+    base = robot.mj_model.body(robot.mj_base).id
+    moved = changed("com", 0.02)
+    share = stated.body_mass[base] / robot.total_mass
+    data, before = mujoco.MjData(moved), mujoco.MjData(stated)
+    for one, model in ((data, moved), (before, stated)):
+        robot.mj_convention.set_state(one, stage.default)
+        mujoco.mj_forward(model, one)
+    np.testing.assert_allclose(
+        data.subtree_com[0] - before.subtree_com[0], [0.02 * share, 0, 0], atol=1e-12
+    )
 
 
 def test_a_push_is_its_impulse(still: Policy) -> None:
