@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -404,10 +405,15 @@ def _add_motors(draft: Draft) -> Made:
     return replace(draft, built=drives.with_motors(draft.robot)), ()
 
 
+def _rest_depth(draft: Draft) -> Callable[[str], float | None]:
+    """Return the function from a keyframe to the penetration at which the file stands from it."""
+    return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
+
+
 @_pass(Term("finds a pose in which it stands"), _on_feet)
 def _start_pose(draft: Draft) -> Made:
     sunk = start.resting_depths(draft.mjcf.model)
-    robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk)
+    robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk, _rest_depth(draft))
     return replace(draft, built=robot), (*notes.tell_planar(robot), *pose)
 
 
@@ -425,7 +431,7 @@ def _stand_on_hulls(draft: Draft) -> Made:
     soft = tuple(geom for name, (geom, _) in own.items() if name not in kept)
     described = with_feet(draft.footless, feet, balls).given(Untouching(message, soft))
     sunk = start.resting_depths(draft.mjcf.model)
-    robot, pose = find_start_pose(build_robot(described), draft.keyframes, sunk)
+    robot, pose = find_start_pose(build_robot(described), draft.keyframes, sunk, _rest_depth(draft))
     if start.first_stand(robot) is None:
         return draft, ()
     return replace(draft, built=robot, feet=feet), (message, *dict.fromkeys(balls.values()), *pose)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -22,6 +22,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.feet import limbs_aside
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.fall import own_motion
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
@@ -424,31 +425,97 @@ def with_bare_feet(robot: Robot) -> Robot:
     return replace(robot, mj_model=model)
 
 
-def find_start_pose(
-    robot: Robot, known: Mapping[str, Mapping[str, float]], sunk: Mapping[str, float]
-) -> tuple[Robot, list[Diagnostic]]:
-    """Gives a robot a start pose: a keyframe's in which it stands, or one that is found.
-
-    What is on its feet's bodies beside the feet is not in the way: see ``touching``.
+def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
+    """Return the penetration of the feet [m] at which an unmodified model stands from a keyframe.
 
     Args:
-        robot: The robot with feet.
-        known: {keyframe: {joint: position}}, those to be tried first.
-        sunk: {keyframe in which it rests: how deep}; see ``keyframes.resting_depths``.
+        model: Model of the file.
+        name: Name of the keyframe; "keyframe 1" etc. for keyframes without a name.
 
     Returns:
-        The robot, and which pose it is.
+        Largest penetration of a contact with the world at the end of the simulation. None if the
+        model collapses with the ctrl of the keyframe, or if it has not exactly one free joint.
+    """
+    names = [model.key(key).name or f"keyframe {key + 1}" for key in range(model.nkey)]
+    free = free_joints(model)
+    if name not in names or len(free) != 1:
+        return None
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, names.index(name))
+
+    def advance(state: mujoco.MjData, seconds: float) -> None:
+        mujoco.mj_step(model, state, nstep=round(seconds / float(model.opt.timestep)))
+
+    with silence_mujoco():
+        motion, end = own_motion(model, data, int(model.jnt_bodyid[free[0]]), 0.0, advance)
+    if motion.collapses:
+        return None
+    grounded = (model.geom_bodyid[end.contact.geom] == 0).any(axis=1)
+    return max(0.0, -float(end.contact.dist[grounded].min(initial=0.0)))
+
+
+def _objections(robot: Robot, name: str, joints: Mapping[str, float]) -> tuple[Diagnostic, ...]:
+    """Return the reasons why ``stands_at`` rejects a keyframe: joint limits, uneven feet."""
+    subject = ("keyframe", name)
+    values = np.array([joints.get(joint, 0.0) for joint in robot.joint_names])
+    excess = np.abs(values - clip_to_limits(robot, joints))
+    beyond = np.flatnonzero(excess > _SLACK)
+    if not beyond.size:
+        return (diagnose("keyframe-feet-uneven", subject=subject),)
+    names = [robot.joint_names[joint] for joint in beyond]
+    angle = Quantity(float(excess.max()), "rad")
+    return (diagnose("keyframe-beyond-limits", subject=subject, joints=names, excess=angle),)
+
+
+def find_start_pose(
+    robot: Robot,
+    known: Mapping[str, Mapping[str, float]],
+    sunk: Mapping[str, float],
+    rest_depth: Callable[[str], float | None] | None = None,
+) -> tuple[Robot, list[Diagnostic]]:
+    """Give a robot a start pose: that of a keyframe, or one that is found.
+
+    A keyframe is taken if the feet are level, the joints within their limits, and the nominal stand
+    exists. If no keyframe has level feet within the limits, a keyframe from which the unmodified
+    file stands is taken, with its joints clipped to the limits. Shapes beside the feet are ignored
+    here: see ``touching``.
+
+    Args:
+        robot: Robot with feet.
+        known: {keyframe: {joint: position}}, in order of priority.
+        sunk: {keyframe: penetration of the feet [m]}; see ``resting_depths``.
+        rest_depth: Returns the penetration of the feet [m] at which the unmodified file stands
+            from a keyframe, or None if it falls. It is called only if needed.
+
+    Returns:
+        Robot, and notes: which pose was taken, and what speaks against a keyframe.
     """
     whole, robot = robot, with_bare_feet(robot)
     standing = {name: pose for name, pose in known.items() if stands_at(robot, pose)}
+    against: list[Diagnostic] = []
+    sunk = dict(sunk)
+    if not standing and rest_depth is not None:
+        for name, pose in known.items():
+            depth = rest_depth(name)
+            if depth is not None:
+                standing[name] = dict(
+                    zip(robot.joint_names, clip_to_limits(robot, pose).tolist(), strict=True)
+                )
+                against += _objections(robot, name, pose)
+                sunk[name] = depth  # straight legs are then a little bent, and not singular
     for name, pose in standing.items():
         home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
         at_home = _at(robot, home, sunk.get(name, 0.0))
-        for nominal in (home,) if name in sunk else (np.zeros(robot.nu), home):
-            tried = replace(at_home, nominal=nominal)
+        starts = [replace(at_home, nominal=home)]
+        if name not in sunk:
+            starts.insert(0, replace(at_home, nominal=np.zeros(robot.nu)))
+        elif against:  # a joint at its limit may not let the feet sink in
+            starts.append(replace(_at(robot, home, 0.0), nominal=home))
+        for tried in starts:
             if first_stand(tried) is not None:
                 notes = [diagnose("start-pose-is-keyframe", subject=("keyframe", name))]
-                if nominal is home:
+                notes += [note for note in against if note.subject == notes[0].subject]
+                if tried.nominal is home:
                     notes.append(diagnose("feet-placed-by-start-pose"))
                 return _kept(whole, tried), notes
     poses = [*(clip_to_limits(robot, pose) for pose in known.values()), clip_to_limits(robot)]
@@ -458,9 +525,10 @@ def find_start_pose(
     found = found_start(robot, [*poses, middle])
     if found is None:  # refused are then the pose that the file asks for, and why that is none
         kept = _kept(whole, replace(at_home, nominal=home)) if standing else whole
-        return kept, [diagnose("no-start-pose"), *limbs_aside(whole)]
+        return kept, [diagnose("no-start-pose"), *against, *limbs_aside(whole)]
     height = Quantity(found.stand_height, "m")
-    return _kept(whole, found), [diagnose("start-pose-found", height=height, keyframes=bool(known))]
+    notes = [diagnose("start-pose-found", height=height, keyframes=bool(known))]
+    return _kept(whole, found), [*notes, *against]
 
 
 def start_of(

@@ -7,6 +7,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from pupper_analysis.prepare.start import clip_to_limits
 from pupper_analysis.robot.servos import own_servos
 from tests.support import random_legged
 from tests.support.legged import biped, quadruped, rewritten
+from tests.support.slips import standing
 from tests.support.variants import load
 
 
@@ -97,3 +99,22 @@ def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> 
     assert start.first_stand(robot) is None
     assert own_servos(robot).keys() == set(robot.joint_names)
     assert {"no-start-pose", "servos-added"} <= {note.code for note in robot.notes}
+
+
+@pytest.mark.slow
+def test_a_keyframe_from_which_the_file_stands_is_the_start_pose(tmp_path: Path) -> None:
+    """Its knee is 3 mrad beyond the limit, as G1's thumb in the Menagerie; bare MuJoCo stands."""
+    pair = standing(tmp_path)
+    rewritten(pair.mjcf, (" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 0.6 -1.203"] * 4)))
+    rewritten(pair.mjcf, ('range="-2.6 -0.4"', 'range="-1.2 -0.4"'))
+    robot = pa.load_robot(*pair)
+    codes = {note.code for note in robot.notes}
+    assert codes >= {"start-pose-is-keyframe", "keyframe-beyond-limits"}
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, nstep=2000)
+    knees = robot.nominal[2::3]
+    np.testing.assert_allclose(knees, -1.2)
+    stand = pa.solve_stand_as_simulated(robot)
+    assert stand.qpos[2] == pytest.approx(float(data.qpos[2]), abs=0.02)
