@@ -1,0 +1,390 @@
+"""Plant faults in a copy of the package and count those that the tests detect.
+
+    python benchmarks/mutations.py --count 200 --seed 1 --csv docs/data/mutations.csv
+
+Each fault changes one operator, number, index or argument order of one module. The tests nearest to
+the module run first: those of the mirrored file, then those that import the module. If all of them
+pass, the quick tier runs (with ``--quick-tier``). A fault that no test detects has survived: a test
+is missing, or the change does not alter any result.
+
+The choice depends on the seed and on the source only. Faults that the CSV contains already are not
+run again, so an interrupted run can be continued. The checkout is not touched.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import csv
+import os
+import random
+import shutil
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate, islice, pairwise, zip_longest
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = "pupper_analysis"
+
+MAX_TEST_FILES = 6
+"""Upper bound of test files that count as near to a module. Chosen: about a minute of processor."""
+
+TIMEOUT_FACTOR = 10.0
+"""Factor of the duration without a fault. A run that takes longer is stopped: fault detected."""
+
+MIN_TIMEOUT = 120.0
+"""Lower bound of that limit [s]: an interpreter starts in up to 20 s on a busy machine."""
+
+COLUMNS = ("file", "line", "kind", "before", "after", "outcome", "detected_by")
+
+_OPERATORS: dict[type[ast.AST], tuple[str, str, str]] = {
+    ast.Add: ("sign", "+", "-"),
+    ast.Sub: ("sign", "-", "+"),
+    ast.Mult: ("unit", "*", "/"),
+    ast.Div: ("unit", "/", "*"),
+    ast.Lt: ("off-by-one", "<", "<="),
+    ast.LtE: ("off-by-one", "<=", "<"),
+    ast.Gt: ("off-by-one", ">", ">="),
+    ast.GtE: ("off-by-one", ">=", ">"),
+    ast.Eq: ("condition", "==", "!="),
+    ast.And: ("condition", "and", "or"),
+    ast.Or: ("condition", "or", "and"),
+}
+_CALLS = {
+    "radians": "degrees",
+    "degrees": "radians",
+    "sin": "cos",
+    "cos": "sin",
+    "min": "max",
+    "max": "min",
+    "minimum": "maximum",
+    "maximum": "minimum",
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One change of a source file.
+
+    Attributes:
+        file: Path in the repository.
+        line: Line number, from 1.
+        kind: ``sign``, ``unit``, ``index``, ``off-by-one``, ``condition``, ``extremum`` or
+            ``swap``.
+        start: Offset of the replaced text in the file's characters.
+        before: Replaced text.
+        after: New text.
+    """
+
+    file: str
+    line: int
+    kind: str
+    start: int
+    before: str
+    after: str
+
+
+def find_faults(path: Path) -> list[Fault]:
+    """Return all faults that can be planted in a module, in the order of the source."""
+    return _Finder(path).faults
+
+
+class _Finder:
+    """Faults of one module."""
+
+    def __init__(self, path: Path) -> None:
+        self.faults: list[Fault] = []
+        self._file = Path(*path.parts[path.parts.index(PACKAGE) :]).as_posix()
+        self._source = path.read_text(encoding="utf-8")
+        self._lines = self._source.splitlines(keepends=True)
+        self._starts = [0, *accumulate(map(len, self._lines))]
+        for node in _computing(ast.parse(self._source)):
+            self._visit_operators(node)
+            self._visit_numbers(node)
+            self._visit_calls(node)
+
+    def _offset(self, line: int, column: int) -> int:
+        """Return the offset in characters; ``ast`` counts columns in UTF-8 bytes."""
+        return self._starts[line - 1] + len(self._lines[line - 1].encode()[:column].decode())
+
+    def _range(self, node: ast.expr) -> tuple[int, int]:
+        end = self._offset(node.end_lineno or 1, node.end_col_offset or 0)
+        return self._offset(node.lineno, node.col_offset), end
+
+    def _text(self, node: ast.expr) -> str:
+        return self._source[slice(*self._range(node))]
+
+    def _add(self, line: int, kind: str, start: int, before: str, after: str) -> None:
+        self.faults.append(Fault(self._file, line, kind, start, before, after))
+
+    def _replace(self, node: ast.expr, kind: str, after: str) -> None:
+        self._add(node.lineno, kind, self._range(node)[0], self._text(node), after)
+
+    def _visit_operators(self, node: ast.AST) -> None:
+        match node:
+            case ast.BinOp(left=left, op=operator, right=right):
+                pass
+            case ast.Compare(left=left, ops=[operator], comparators=[right]):
+                pass
+            case ast.BoolOp(op=operator, values=[left, right, *_]):
+                pass
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                self._replace(node, "sign", self._text(operand))
+                return
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                self._replace(node, "condition", f"({self._text(operand)})")
+                return
+            case _:
+                return
+        text = isinstance(left, ast.Constant) and isinstance(left.value, str)
+        if type(operator) not in _OPERATORS or text:
+            return
+        kind, sign, other = _OPERATORS[type(operator)]
+        begin = self._range(left)[1]
+        gap = self._source[begin : self._range(right)[0]]
+        if sign in gap and "#" not in gap:
+            line = left.end_lineno or left.lineno
+            self._add(line, kind, begin + gap.index(sign), sign, other)
+
+    def _visit_numbers(self, node: ast.AST) -> None:
+        match node:
+            case ast.Subscript(slice=ast.Constant(value=int(number)) as at) if number in (0, 1, 2):
+                self._replace(at, "index", str((number + 1) % 3))
+            case ast.Slice(lower=lower, upper=upper):
+                for end in (lower, upper):
+                    if isinstance(end, ast.Constant) and isinstance(end.value, int):
+                        self._replace(end, "off-by-one", str(end.value + 1))
+            case ast.Constant(value=float(number)) if number not in (0.0, 1.0):
+                self._replace(node, "unit", f"({self._text(node)} * 1000)")
+
+    def _visit_calls(self, node: ast.AST) -> None:
+        match node:
+            case ast.Call(func=ast.Name(id=called) | ast.Attribute(attr=called) as function):
+                if called in _CALLS:
+                    begin = self._range(function)[1] - len(called)
+                    kind = "extremum" if called.startswith("m") else "unit"
+                    self._add(node.lineno, kind, begin, called, _CALLS[called])
+                self._add_swaps(node.args)
+            case ast.Tuple(elts=elements, ctx=ast.Load()):
+                self._add_swaps(elements)
+
+    def _add_swaps(self, elements: Sequence[ast.expr]) -> None:
+        """Add the exchanges of two neighbouring names, attributes or subscripts."""
+        for one, two in pairwise(elements):
+            if not isinstance(one, _PLAIN) or not isinstance(two, _PLAIN):
+                continue
+            first, second = self._text(one), self._text(two)
+            start, end = self._range(one)[0], self._range(two)[1]
+            before = f"{first}, {second}"
+            if first != second and self._source[start:end] == before:
+                self._add(one.lineno, "swap", start, before, f"{second}, {first}")
+
+
+_PLAIN = (ast.Name, ast.Attribute, ast.Subscript)
+
+
+def _computing(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield the nodes of a module without annotations, decorators, imports and strings."""
+    for field, value in ast.iter_fields(tree):
+        if field in ("annotation", "returns", "decorator_list", "type_params", "names"):
+            continue
+        for node in value if isinstance(value, list) else [value]:
+            if not isinstance(node, ast.AST) or isinstance(node, ast.JoinedStr | ast.Import):
+                continue
+            yield node
+            yield from _computing(node)
+
+
+def list_faults(package: Path) -> list[Fault]:
+    """Return the faults of all modules of a package, sorted by file and offset."""
+    faults = [fault for path in sorted(package.rglob("*.py")) for fault in find_faults(path)]
+    return sorted(faults, key=lambda fault: (fault.file, fault.start, fault.after))
+
+
+def draw_faults(faults: Sequence[Fault], count: int, seed: int) -> list[Fault]:
+    """Return a sample that contains the kinds of faults equally often, in turn."""
+    kinds: dict[str, list[Fault]] = {}
+    for fault in faults:
+        kinds.setdefault(fault.kind, []).append(fault)
+    for _, same in sorted(kinds.items()):
+        random.Random(seed).shuffle(same)
+    turns = (
+        fault for row in zip_longest(*(kinds[kind] for kind in sorted(kinds))) for fault in row
+    )
+    return list(islice(filter(None, turns), count))
+
+
+def near_tests(module: Path, tests: Path) -> list[Path]:
+    """Return the test files nearest to a module, at most ``MAX_TEST_FILES``.
+
+    First the mirrored file, then files that import the module, those in the mirrored folder first;
+    if there is none, the files of the nearest folder that exists.
+
+    Args:
+        module: Path in the package, without the package's name.
+        tests: Folder of the tests.
+    """
+    dotted = ".".join((PACKAGE, *module.with_suffix("").parts))
+    folder = tests / module.parent
+    mirrored = folder / f"test_{module.stem}.py"
+    importing = [
+        path
+        for path in sorted(tests.rglob("test_*.py"))
+        if path != mirrored
+        and (
+            f"from {dotted} import" in (text := path.read_text(encoding="utf-8"))
+            or f"from {dotted.rpartition('.')[0]} import {module.stem}\n" in text
+        )
+    ]
+    importing.sort(key=lambda path: (path.parent != folder, len(path.parts), path))
+    found = [mirrored] * mirrored.exists() + importing
+    while not found and folder != tests.parent:
+        found = sorted(folder.glob("test_*.py"))
+        folder = folder.parent
+    return found[:MAX_TEST_FILES]
+
+
+class Bench:
+    """Copy of the repository in which faults are planted.
+
+    Args:
+        folder: Folder of the copy; replaced if it exists.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        shutil.rmtree(folder, ignore_errors=True)
+        listed = subprocess.run(
+            ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True
+        )
+        for name in filter(None, listed.stdout.split("\0")):
+            if (ROOT / name).is_file():
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(ROOT / name, folder / name)
+        self._durations: dict[tuple[str, ...], float | None] = {}
+
+    def duration_without_fault(self, arguments: Sequence[str]) -> float | None:
+        """Return the duration [s] of tests that pass without a fault; None if they fail."""
+        key = tuple(arguments)
+        if key not in self._durations:
+            begin = time.monotonic()
+            passed = self._run(arguments, None) == ""
+            self._durations[key] = time.monotonic() - begin if passed else None
+        return self._durations[key]
+
+    def detecting_test(self, fault: Fault, arguments: Sequence[str]) -> str | None:
+        """Return the first test that fails with a fault, or "timeout"; None if all pass."""
+        duration = self.duration_without_fault(arguments)
+        if duration is None:
+            return None
+        path = self.folder / fault.file
+        source = path.read_text(encoding="utf-8")
+        end = fault.start + len(fault.before)
+        assert source[fault.start : end] == fault.before
+        path.write_text(source[: fault.start] + fault.after + source[end:], encoding="utf-8")
+        try:
+            failed = self._run(arguments, max(MIN_TIMEOUT, TIMEOUT_FACTOR * duration))
+        finally:
+            path.write_text(source, encoding="utf-8")
+        return failed or None
+
+    def _run(self, arguments: Sequence[str], seconds: float | None) -> str:
+        """Run tests until one fails; return its name, "timeout", or "" if all pass."""
+        command = [sys.executable, "-B", "-m", "pytest", "-n", "0", "-x", "-q", "--tb=no", "-rfE"]
+        environment = {**os.environ, "PYTHONPATH": str(self.folder)}
+        try:
+            done = subprocess.run(
+                [*command, "-p", "no:cacheprovider", *arguments],
+                cwd=self.folder,
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=seconds,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            return "timeout"
+        if done.returncode in (0, 5):  # 5: no test is selected
+            return ""
+        failed = (line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR")))
+        return next((line.split()[1] for line in failed), f"exit status {done.returncode}")
+
+
+def run_fault(bench: Bench, fault: Fault, *, quick_tier: bool) -> tuple[str, str]:
+    """Return the outcome of a fault, and the test that detects it.
+
+    The outcome is ``killed``, ``survived``, or ``untested`` if the tests fail without the fault or
+    there are none.
+    """
+    module = Path(fault.file).relative_to(PACKAGE)
+    near = [
+        str(path.relative_to(bench.folder)) for path in near_tests(module, bench.folder / "tests")
+    ]
+    steps = [["-m", "not slow", *near], ["-m", "slow", *near]] if near else []
+    if quick_tier:
+        steps.append(["-m", "not slow", "tests"])
+    tested = False
+    for arguments in steps:
+        tested |= bench.duration_without_fault(arguments) is not None
+        if found := bench.detecting_test(fault, arguments):
+            return "killed", found
+    return ("survived" if tested else "untested"), ""
+
+
+def main() -> int:
+    """Plant faults, write the table, and print the counts."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=200, help="number of faults (200)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the choice (1)")
+    parser.add_argument("--csv", type=Path, default=ROOT / "build/mutations.csv")
+    parser.add_argument("--quick-tier", action="store_true", help="run the quick tier, too")
+    parser.add_argument("--folder", type=Path, default=ROOT / "build/mutations")
+    parser.add_argument("modules", nargs="*", help="beginnings of paths, e.g. statics robot/fall")
+    given = parser.parse_args()
+    faults = list_faults(ROOT / PACKAGE)
+    if given.modules:
+        chosen = tuple(f"{PACKAGE}/{one}" for one in given.modules)
+        faults = [fault for fault in faults if fault.file.startswith(chosen)]
+    sample = draw_faults(faults, given.count, given.seed)
+    rows = read_rows(given.csv)
+    known = {(row["file"], row["line"], row["before"], row["after"]) for row in rows}
+    bench = Bench(given.folder)
+    for number, fault in enumerate(sample, start=1):
+        key = fault.file, str(fault.line), fault.before, fault.after
+        if key in known:
+            continue
+        outcome, detected_by = run_fault(bench, fault, quick_tier=given.quick_tier)
+        values = fault.file, fault.line, fault.kind, fault.before, fault.after, outcome, detected_by
+        rows.append(dict(zip(COLUMNS, map(str, values), strict=True)))
+        write_rows(given.csv, rows)
+        print(f"{number}/{len(sample)} {outcome:9} {fault.file}:{fault.line} {fault.kind}: "
+              f"{fault.before} -> {fault.after}", flush=True)  # fmt: skip
+    counts = Counter(row["outcome"] for row in rows)
+    print(", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items())))
+    return 0
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a table of outcomes; none if the file does not exist."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def write_rows(path: Path, rows: Sequence[dict[str, str]]) -> None:
+    """Write a table of outcomes."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
